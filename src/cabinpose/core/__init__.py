@@ -1,0 +1,1 @@
+"""Nouns and pure maths that every room shares; numpy and scipy only."""

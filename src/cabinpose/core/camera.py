@@ -1,0 +1,159 @@
+"""The camera model: pinhole with OpenCV's radial-tangential distortion.
+
+Pixel (u, v): an integer is a pixel centre, so the image spans [-0.5, width - 0.5]. `depth_m` is z along the
+optical axis, `range_m` the length of the ray; `rays` ties them: range = depth * |(x, y, 1)|.
+Source of the distortion model: OpenCV `calib3d`, five coefficients (k1, k2, p1, p2, k3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cabinpose.core.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of one camera: sizes in pixels, `dist` as OpenCV's (k1, k2, p1, p2, k3)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ConfigError(f"a camera needs pixels, not {self.width}x{self.height}", hint="set width and height to at least 1")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ConfigError(f"focal lengths are positive, not {self.fx}, {self.fy}", hint="give fx and fy in pixels")
+
+    @classmethod
+    def from_fov(
+        cls,
+        width: int,
+        height: int,
+        horizontal_fov: float,
+        vertical_fov: float | None = None,
+        dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    ) -> Camera:
+        """A centred camera from its full field of view in radians; square pixels where only one angle is given.
+
+        The field of view is that of the undistorted pinhole, edge to edge of the image.
+        """
+        fx = width / 2 / np.tan(horizontal_fov / 2)
+        fy = fx if vertical_fov is None else height / 2 / np.tan(vertical_fov / 2)
+        return cls(width, height, float(fx), float(fy), (width - 1) / 2, (height - 1) / 2, dist)
+
+    @property
+    def k(self) -> Array:
+        """The 3x3 matrix of intrinsics (px)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        return any(self.dist)
+
+    def scaled(self, factor: int) -> Camera:
+        """The same view with `factor` times as many pixels a side, each pixel cut into factor x factor equal ones."""
+        shift = (factor - 1) / 2
+        return replace(
+            self,
+            width=self.width * factor,
+            height=self.height * factor,
+            fx=self.fx * factor,
+            fy=self.fy * factor,
+            cx=self.cx * factor + shift,
+            cy=self.cy * factor + shift,
+        )
+
+    def distort(self, xy: ArrayLike) -> Array:
+        """Ideal normalised coordinates (..., 2) to distorted ones."""
+        xy_ = np.asarray(xy, dtype=np.float64)
+        if not self.is_distorted:
+            return xy_
+        k1, k2, p1, p2, k3 = self.dist
+        x, y = xy_[..., 0], xy_[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y), axis=-1
+        )
+
+    def undistort(self, xy: ArrayLike, iterations: int = 40) -> Array:
+        """Distorted normalised coordinates (..., 2) to ideal ones, by Newton steps on `distort`.
+
+        NaN where no ideal point was found (beyond the radius up to which the model is monotonic).
+        """
+        target = np.asarray(xy, dtype=np.float64)
+        if not self.is_distorted:
+            return target
+        guess = target.copy()
+        eps = 1e-6
+        for _ in range(iterations):
+            residual = self.distort(guess) - target
+            dx = (self.distort(guess + (eps, 0)) - self.distort(guess - (eps, 0))) / (2 * eps)
+            dy = (self.distort(guess + (0, eps)) - self.distort(guess - (0, eps))) / (2 * eps)
+            det = dx[..., 0] * dy[..., 1] - dx[..., 1] * dy[..., 0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step_x = (residual[..., 0] * dy[..., 1] - residual[..., 1] * dy[..., 0]) / det
+                step_y = (residual[..., 1] * dx[..., 0] - residual[..., 0] * dx[..., 1]) / det
+            step = np.stack((step_x, step_y), axis=-1)
+            guess = guess - np.clip(np.nan_to_num(step), -0.3, 0.3)
+            if np.nanmax(np.abs(step), initial=0.0) < 1e-13:
+                break
+        bad = np.linalg.norm(self.distort(guess) - target, axis=-1) > 1e-7
+        guess[bad] = np.nan
+        return guess
+
+    def project(self, p_camera: ArrayLike) -> Array:
+        """Points (..., 3) in metres to pixels (..., 2); NaN at or behind the camera plane."""
+        p = np.asarray(p_camera, dtype=np.float64)
+        z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
+        xy = self.distort(p[..., :2] / z[..., None])
+        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def unproject(self, uv: ArrayLike, depth_m: ArrayLike) -> Array:
+        """Pixels (..., 2) with depth along the axis (...) to points (..., 3) in metres."""
+        xy = self.undistort((np.asarray(uv, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy))
+        depth = np.asarray(depth_m, dtype=np.float64)
+        return np.concatenate((xy * depth[..., None], np.broadcast_to(depth[..., None], (*xy.shape[:-1], 1))), axis=-1)
+
+    @cached_property
+    def rays(self) -> Array:
+        """(height, width, 2): ideal normalised coordinates (x/z, y/z) of every pixel centre."""
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        xy = np.stack(((u - self.cx) / self.fx, (v - self.cy) / self.fy), axis=-1)
+        return self.undistort(xy)
+
+    @cached_property
+    def range_over_depth(self) -> Array:
+        """(height, width): |(x, y, 1)| of every pixel's ray, the factor from depth to range."""
+        return np.sqrt(1 + np.sum(self.rays**2, axis=-1))
+
+    def range_from_depth(self, depth_m: ArrayLike) -> Array:
+        """Depth image (..., height, width) along the axis to range along the ray, both metres."""
+        return np.asarray(depth_m) * self.range_over_depth
+
+    def depth_from_range(self, range_m: ArrayLike) -> Array:
+        """Range image (..., height, width) along the ray to depth along the axis, both metres."""
+        return np.asarray(range_m) / self.range_over_depth
+
+    def points(self, depth_m: ArrayLike) -> Array:
+        """Depth image (..., height, width) to points (..., height, width, 3), camera frame, metres; NaN stays NaN."""
+        depth = np.asarray(depth_m, dtype=np.float64)
+        return np.concatenate((self.rays * depth[..., None], depth[..., None]), axis=-1)
+
+    def contains(self, uv: ArrayLike) -> NDArray[np.bool_]:
+        """Whether pixels (..., 2) lie in the image; False for NaN."""
+        uv_ = np.asarray(uv, dtype=np.float64)
+        inside = (uv_ >= -0.5) & (uv_ < (self.width - 0.5, self.height - 0.5))
+        return np.asarray(inside.all(axis=-1))

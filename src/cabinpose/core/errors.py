@@ -1,0 +1,46 @@
+"""The error family of the package.
+
+Every error that a user can mend derives from `CabinposeError` and carries the remedy in `hint`. The command
+line prints the message and one `hint:` line and exits with 2; anything else is a defect and keeps its traceback.
+"""
+
+
+class CabinposeError(Exception):
+    """Base of all errors a user can mend; `hint` says what to do about it."""
+
+    def __init__(self, message: str, *, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.hint = hint
+
+
+class ConfigError(CabinposeError):
+    """A configuration value is unknown, out of range or contradicts another one."""
+
+
+class AssetError(CabinposeError):
+    """A packaged asset is missing or damaged."""
+
+
+class MeshError(CabinposeError):
+    """A mesh file cannot be read, or is not fit for its purpose."""
+
+
+class MocapError(CabinposeError):
+    """A motion-capture file cannot be read or lacks what retargeting needs."""
+
+
+class SceneError(CabinposeError):
+    """No valid scene exists, or none was found, for the given configuration."""
+
+
+class DatasetError(CabinposeError):
+    """A dataset folder is damaged, incomplete, of another version or would be overwritten."""
+
+
+class DependencyError(CabinposeError):
+    """An optional dependency (an extra) is needed and not installed."""
+
+
+def unknown_name(kind: str, name: str, known: list[str] | tuple[str, ...]) -> ConfigError:
+    """A `ConfigError` for a name that does not exist, listing the ones that do."""
+    return ConfigError(f"unknown {kind} '{name}'", hint=f"known: {', '.join(sorted(known))}")

@@ -1,0 +1,74 @@
+"""Rigid transforms: 4x4 float64 matrices named `a_from_b`, so that neighbours cancel.
+
+`p_camera = apply(camera_from_vehicle, p_vehicle)`. Frames: vehicle (ISO 8855: x forward, y left, z up, origin on
+the floor on the centre line under the front heel point), camera (OpenCV: x right, y down, z forward), world (z up).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Matrix = NDArray[np.float64]  # (4, 4) or (..., 4, 4)
+
+# Axes of an OpenCV camera that looks along a body's x axis with z up: right = -y, down = -z, forward = x.
+FORWARD_FROM_CAMERA = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def transform(rotation: Rotation | None = None, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Matrix:
+    """The transform that rotates and then translates (m); identity where nothing is given."""
+    result = np.eye(4)
+    if rotation is not None:
+        result[:3, :3] = rotation.as_matrix()
+    result[:3, 3] = translation
+    return result
+
+
+def invert(a_from_b: Matrix) -> Matrix:
+    """`b_from_a` of one or more rigid transforms (..., 4, 4)."""
+    result = np.zeros_like(a_from_b)
+    rotation_t = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
+    result[..., :3, :3] = rotation_t
+    result[..., :3, 3] = -(rotation_t @ a_from_b[..., :3, 3, None])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def apply(a_from_b: Matrix, p_b: ArrayLike) -> NDArray[np.float64]:
+    """Points (..., 3) of frame b, expressed in frame a."""
+    p = np.asarray(p_b, dtype=np.float64)
+    return p @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Matrix:
+    """`frame_from_camera` of a camera (OpenCV axes) at `eye` that looks at `target` with `up` upwards in the image.
+
+    Raises ValueError where `target` equals `eye` or lies along `up`.
+    """
+    eye_, target_, up_ = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
+    forward = target_ - eye_
+    length = np.linalg.norm(forward)
+    if length < 1e-9:
+        raise ValueError("look_at needs a target away from the eye")
+    forward = forward / length
+    right = np.cross(forward, up_)
+    norm = np.linalg.norm(right)
+    if norm < 1e-9:
+        raise ValueError("look_at needs an up direction that is not the viewing direction")
+    right = right / norm
+    result = np.eye(4)
+    result[:3, 0], result[:3, 1], result[:3, 2] = right, np.cross(forward, right), forward
+    result[:3, 3] = eye_
+    return result
+
+
+def is_rigid(matrix: ArrayLike, atol: float = 1e-6) -> bool:
+    """Whether a 4x4 matrix is a rotation (right-handed) and a translation."""
+    m = np.asarray(matrix, dtype=np.float64)
+    return bool(
+        m.shape == (4, 4)
+        and np.allclose(m[3], (0, 0, 0, 1), atol=atol)
+        and np.allclose(m[:3, :3] @ m[:3, :3].T, np.eye(3), atol=atol)
+        and np.linalg.det(m[:3, :3]) > 0
+    )

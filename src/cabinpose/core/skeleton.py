@@ -1,0 +1,110 @@
+"""The skeleton of 20 joints, its groups and pairs, and the maps to other rigs.
+
+Names: head = C1 (skull base), neck = C7, chest = T8, hip = L5 (root), lpelvis/rpelvis = the femur heads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+JOINTS: tuple[str, ...] = (
+    "head", "neck", "chest", "lshoulder", "rshoulder", "lelbow", "relbow", "lwrist", "rwrist", "lhand", "rhand",
+    "hip", "lpelvis", "rpelvis", "lknee", "rknee", "lankle", "rankle", "lfoot", "rfoot",
+)  # fmt: skip
+INDEX = MappingProxyType({name: i for i, name in enumerate(JOINTS)})
+
+PARENT = MappingProxyType(
+    {
+        "head": "neck", "neck": "chest", "chest": "hip",
+        "lshoulder": "neck", "lelbow": "lshoulder", "lwrist": "lelbow", "lhand": "lwrist",
+        "rshoulder": "neck", "relbow": "rshoulder", "rwrist": "relbow", "rhand": "rwrist",
+        "lpelvis": "hip", "lknee": "lpelvis", "lankle": "lknee", "lfoot": "lankle",
+        "rpelvis": "hip", "rknee": "rpelvis", "rankle": "rknee", "rfoot": "rankle",
+    }
+)  # fmt: skip
+LIMBS: tuple[tuple[str, str], ...] = tuple((parent, child) for child, parent in PARENT.items())
+
+SYMMETRIC_PAIRS: tuple[tuple[str, str], ...] = tuple((n, "r" + n[1:]) for n in JOINTS if n[0] == "l")
+
+# The groups of the reports (the thesis' five, and a hand group beside them).
+GROUPS = MappingProxyType(
+    {
+        "Head": ("head", "neck"),
+        "Shoulder": ("lshoulder", "rshoulder", "chest"),
+        "Elbow": ("lelbow", "relbow"),
+        "Wrist": ("lwrist", "rwrist"),
+        "Hip": ("hip", "lpelvis", "rpelvis"),
+        "Hand": ("lhand", "rhand"),
+    }
+)
+
+UPPER_BODY: tuple[str, ...] = (
+    "head", "neck", "rshoulder", "relbow", "rwrist", "lshoulder", "lelbow", "lwrist",
+    "chest", "hip", "rpelvis", "lpelvis", "rhand", "lhand",
+)  # fmt: skip
+
+
+def _sided(centre: dict[str, str], sided: dict[str, str], left: str, right: str) -> MappingProxyType[str, str]:
+    names = dict(centre)
+    for joint, theirs in sided.items():
+        names["l" + joint] = theirs.format(left)
+        names["r" + joint] = theirs.format(right)
+    return MappingProxyType({j: names[j] for j in JOINTS if j in names})
+
+
+# Ours -> theirs. MVN streams a segment's origin, which is its proximal joint.
+RIGS = MappingProxyType(
+    {
+        "makehuman_cmu": _sided(
+            {"head": "Head", "neck": "Neck", "chest": "Spine1", "hip": "Hips"},
+            {
+                "shoulder": "{}Arm", "elbow": "{}ForeArm", "wrist": "{}Hand", "hand": "{}FingerBase",
+                "pelvis": "{}UpLeg", "knee": "{}Leg", "ankle": "{}Foot", "foot": "{}ToeBase",
+            },
+            "Left", "Right",
+        ),
+        "mvn": _sided(
+            {"head": "Head", "neck": "Neck", "chest": "T8", "hip": "L5"},
+            {
+                "shoulder": "{}UpperArm", "elbow": "{}Forearm", "wrist": "{}Hand",
+                "pelvis": "{}UpperLeg", "knee": "{}LowerLeg", "ankle": "{}Foot", "foot": "{}Toe",
+            },
+            "Left", "Right",
+        ),
+        "vicon_kinematic_fit": _sided(
+            {"head": "Head_End", "neck": "Head", "chest": "LowerBack_L_Collar", "hip": "LowerBack"},
+            {
+                "shoulder": "{}_Humerus", "elbow": "{}_Elbow", "wrist": "{}_Wrist", "hand": "{}_Wrist_End",
+                "pelvis": "{}_Femur", "knee": "{}_Tibia", "ankle": "{}_Foot", "foot": "{}_Toe",
+            },
+            "L", "R",
+        ),
+        "plug_in_gait": _sided(
+            {"head": "HEDO", "chest": "TRXO", "hip": "PELO"},
+            {
+                "shoulder": "{}CJ", "elbow": "{}HIJ", "wrist": "{}RAO", "hand": "{}HAO",
+                "pelvis": "{}FEP", "knee": "{}FEO", "ankle": "{}TIO", "foot": "{}FOO",
+            },
+            "L", "R",
+        ),
+    }
+)  # fmt: skip
+
+# ITOP's 15 joints in its order (right before left) and the joint of ours that each stands for. ITOP's head is the
+# middle of the head and its torso the middle of the trunk: `synth` places them on the body, not on a joint of ours.
+ITOP_JOINTS: tuple[str, ...] = (
+    "head", "neck", "rshoulder", "lshoulder", "relbow", "lelbow", "rhand", "lhand", "torso",
+    "rhip", "lhip", "rknee", "lknee", "rfoot", "lfoot",
+)  # fmt: skip
+
+
+def indices(names: Sequence[str]) -> list[int]:
+    """Positions of joints in `JOINTS`."""
+    return [INDEX[name] for name in names]
+
+
+def mirrored() -> list[int]:
+    """The permutation of `JOINTS` that swaps left and right."""
+    swap = dict(SYMMETRIC_PAIRS) | {r: left for left, r in SYMMETRIC_PAIRS}
+    return [INDEX[swap.get(name, name)] for name in JOINTS]

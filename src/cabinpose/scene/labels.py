@@ -1,0 +1,43 @@
+"""Pixel classes: an id and a colour each, stable across versions.
+
+Body parts follow the thesis' table of 31 regions (2020, Table 5.1), which gives the codes 0x55AA55 and 0x55AAAA
+twice; the colours here are unique. Ids are never reused: a new class gets a new number.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import NamedTuple
+
+
+class Label(NamedTuple):
+    """A pixel class: stable id (fits uint8), name and sRGB colour 0xRRGGBB."""
+
+    id: int
+    name: str
+    rgb: int
+
+
+_BODY = (
+    (1, "foot_left", 0x000055), (2, "foot_right", 0x0000AA), (3, "ankle_left", 0x0000FA), (4, "ankle_right", 0x005500),
+    (5, "shin_left", 0x005555), (6, "shin_right", 0x0055AA), (7, "knee_left", 0x0055FA), (8, "knee_right", 0x00AA00),
+    (9, "thigh_left", 0x00AA55), (10, "thigh_right", 0x00AAAA), (11, "hip_left", 0x00AAFA), (12, "hip_right", 0x00FA00),
+    (13, "hip_center", 0x00FA55), (14, "torso_left", 0x00FAAA), (15, "torso_right", 0x00FAFA),
+    (16, "shoulder_left", 0x550000), (17, "shoulder_right", 0x550055), (18, "upper_arm_left", 0x5500AA),
+    (19, "upper_arm_right", 0x5500FA), (20, "elbow_left", 0x555500), (21, "elbow_right", 0x555555),
+    (22, "forearm_left", 0x5555AA), (23, "forearm_right", 0x5555FA), (24, "wrist_left", 0x55AA00),
+    (25, "wrist_right", 0x55AA55), (26, "hand_left", 0x55AAAA), (27, "hand_right", 0x55AAFA), (28, "neck", 0x55FA00),
+    (29, "head_left", 0xAA55AA), (30, "head_right", 0xAAAA55), (31, "hair", 0x7A3E12), (32, "headwear", 0xC83C78),
+    (33, "glasses", 0x28E6C8),
+)  # fmt: skip
+_WORLD = (
+    (0, "background", 0x000000), (64, "seat", 0x8C8C96), (65, "trim", 0x5A5A64), (66, "glass", 0xE7E7E7),
+    (67, "steering_wheel", 0xF0A030), (68, "seat_belt", 0xE03030), (69, "floor", 0x3C3228), (70, "pedal", 0xB4B43C),
+    (71, "wall", 0xA0A8A0), (72, "furniture", 0x8C643C),
+)  # fmt: skip
+
+BODY_PARTS: tuple[Label, ...] = tuple(Label(*row) for row in _BODY)
+LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD)))
+ID = MappingProxyType({label.name: label.id for label in LABELS})
+RGB = MappingProxyType({label.id: label.rgb for label in LABELS})
+FIRST_BODY_ID, LAST_BODY_ID = 1, 63  # ids 1..63 belong to people, 64.. to the world
