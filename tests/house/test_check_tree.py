@@ -1,0 +1,74 @@
+"""Each rule of tools/check_tree.py finds what it is there for, and nothing else."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def check_tree() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("check_tree", ROOT / "tools" / "check_tree.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "open('/" + "home/somebody/x.npz')",
+        "see /" + "tmp/out.png",
+        "CACHE=/" + "root/.cache",
+        "C:" + "\\Users\\x",
+        "uv pip install --index" + "-url x",
+        "https://example.org/" + "simple/numpy",
+        "# TO" + "DO: later",
+    ],
+)
+def test_bad_lines_are_found(check_tree: ModuleType, line: str) -> None:
+    assert len(list(check_tree.text_breaches("a.md", f"fine\n{line}\nfine"))) == 1
+    assert next(iter(check_tree.text_breaches("a.md", f"fine\n{line}"))).startswith("a.md:2:")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "shared/data/tof/x",
+        "https://example.org/home/page",
+        "the depth/range/work of a ray",
+        "~/work/x",
+        "--no-emit-index" + "-url",
+        "XXXL",
+    ],
+)
+def test_good_lines_pass(check_tree: ModuleType, line: str) -> None:
+    assert list(check_tree.text_breaches("a.md", line)) == []
+
+
+def test_a_lock_file_names_no_address(check_tree: ModuleType) -> None:
+    assert list(check_tree.text_breaches("requirements.lock", "cabinpose @ file" + "://x"))
+    assert not list(check_tree.text_breaches("requirements.lock", "numpy==2.4.6"))
+
+
+@pytest.mark.parametrize(
+    ("source", "breaches"),
+    [
+        ("def f(rng): ...", 1),
+        ("def f(*, rng=None): ...", 1),
+        ("def f(*, rng): ...", 0),
+        ("class A:\n    def f(self, x, *, rng): ...", 0),
+        ("@njit(cache=True)\ndef f(rng): ...", 0),
+        ("x = 1\n" * 501, 1),
+        ("x = 1\n" * 500, 0),
+    ],
+)
+def test_module_rules(check_tree: ModuleType, source: str, breaches: int) -> None:
+    assert len(list(check_tree.module_breaches("src/cabinpose/a.py", source))) == breaches

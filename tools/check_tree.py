@@ -1,0 +1,88 @@
+"""Rules of this tree that no linter knows: run by `make lint`, with one line for each breach.
+
+A file carries no absolute path of somebody's machine and no package index address; nothing is left unfinished; a
+module stays below 500 lines; randomness is the required keyword `rng`.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+MAX_LINES = 500
+LONG_MODULES: dict[str, str] = {}  # path -> why it is one module nevertheless
+
+MACHINE_PATH = re.compile(r"(?<![\w.~/}-])/(?:home|Users|root|work|tmp|mnt|media|srv)/[\w.]|[A-Z]:\\Users", re.ASCII)
+INDEX_ADDRESS = re.compile(
+    r"--(?:extra-)?index-url|--find-links|index[-_]url\s*=|://[^\s\"')>]*(?:/simple/|pypi|artifactory|nexus|jfrog)",
+    re.I,
+)
+UNFINISHED = re.compile(r"\b(?:TO" + r"DO|FIX" + r"ME|XX" + r"X)\b")  # in two pieces, or this file would be in breach itself
+TEXT_RULES = (
+    (MACHINE_PATH, "an absolute path of one machine"),
+    (INDEX_ADDRESS, "a package index address"),
+    (UNFINISHED, "unfinished work"),
+)
+
+
+def text_breaches(name: str, text: str) -> Iterator[str]:
+    """Breaches of the rules on plain text, as `name:line: what`."""
+    for number, line in enumerate(text.splitlines(), 1):
+        for pattern, what in TEXT_RULES:
+            if found := pattern.search(line):
+                yield f"{name}:{number}: {what}: {found.group().strip()}"
+        if name.startswith("requirements") and "://" in line:
+            yield f"{name}:{number}: a lock file names versions, not addresses"
+
+
+def module_breaches(name: str, text: str) -> Iterator[str]:
+    """Breaches of the rules on a module of the package."""
+    lines = len(text.splitlines())
+    if lines > MAX_LINES and name not in LONG_MODULES:
+        yield f"{name}:1: {lines} lines; split it, or give the reason in tools/check_tree.py"
+    for node in ast.walk(ast.parse(text, name)):
+        if isinstance(node, ast.FunctionDef) and not _is_kernel(node):
+            yield from (f"{name}:{node.lineno}: {node.name}: {breach}" for breach in _rng_breaches(node.args))
+
+
+def _is_kernel(node: ast.FunctionDef) -> bool:
+    """Whether numba compiles the function: its calls take no keyword-only arguments."""
+    return any("njit" in ast.unparse(decorator) for decorator in node.decorator_list)
+
+
+def _rng_breaches(args: ast.arguments) -> Iterator[str]:
+    if any(arg.arg == "rng" for arg in args.args + args.posonlyargs):
+        yield "`rng` is a keyword: put it after `*`"
+    for arg, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
+        if arg.arg == "rng" and default is not None:
+            yield "`rng` is required: no default"
+
+
+def tracked_files(root: Path) -> list[str]:
+    """Paths of the files under version control, relative to the root."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=root, check=True, capture_output=True, text=True).stdout
+    return [name for name in listed.split("\0") if name and (root / name).is_file()]
+
+
+def main() -> int:
+    """Print every breach; 1 if there is one."""
+    root = Path(__file__).resolve().parent.parent
+    breaches = []
+    for name in tracked_files(root):
+        data = (root / name).read_bytes()
+        if b"\0" in data[:8192]:  # binary
+            continue
+        text = data.decode("utf-8")
+        breaches += text_breaches(name, text)
+        if name.startswith("src/") and name.endswith(".py"):
+            breaches += module_breaches(name, text)
+    print("\n".join(breaches) or "The tree keeps its rules.")
+    return 1 if breaches else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
