@@ -1,0 +1,177 @@
+"""A room for one standing person: floor, walls with a recess, ceiling, curtain, furniture.
+
+World frame: z up, origin on the floor under the camera, x forward from the camera into the room, y left. The
+default ranges follow what the published ITOP frames show (Haque et al. 2016): a camera about 1.3 m above the floor,
+pitched a few degrees down, a person at 2-4 m, a wall close behind with a recess, clutter at both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.frames import FORWARD_FROM_CAMERA, transform
+from cabinpose.scene import labels, materials
+from cabinpose.scene.surface import Surface, merge
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Room:
+    """One furnished room: its triangles and where a person may stand.
+
+    surface: world frame, instance 0 · stand_x, stand_y: intervals (m) of the person's place on the floor.
+    """
+
+    surface: Surface
+    stand_x: Interval
+    stand_y: Interval
+
+
+def _solid(mesh: trimesh.Trimesh, label: str, material: str) -> Surface:
+    """A faceted surface (own vertices for every face, so that shading has hard edges)."""
+    vertices = mesh.triangles.reshape(-1, 3).astype(np.float32)
+    count = len(mesh.faces)
+    return Surface(
+        vertices,
+        np.repeat(mesh.face_normals, 3, axis=0).astype(np.float32),
+        np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
+        np.full(count, labels.ID[label], np.uint8),
+        np.full(count, materials.ID[material], np.uint8),
+        np.zeros(count, np.uint8),
+    )
+
+
+def _box(low: tuple[float, float, float], high: tuple[float, float, float], label: str, material: str) -> Surface:
+    return _solid(trimesh.creation.box(bounds=[low, high]), label, material)
+
+
+def _curtain(x: Interval, y: float, height: float, depth: float, folds: float, phase: float) -> Surface:
+    """A hanging cloth along x at `y`, with `folds` waves a metre of `depth` metres."""
+    columns = max(int((x[1] - x[0]) * folds * 8), 8)
+    along = np.linspace(*x, columns + 1)
+    wave = y + depth * (np.sin(2 * np.pi * folds * along + phase) + 0.4 * np.sin(5.1 * folds * along + 2 * phase))
+    low = np.stack((along, wave, np.zeros_like(along)), axis=1)
+    high = np.stack((along, wave, np.full_like(along, height)), axis=1)
+    vertices = np.concatenate((low, high))
+    i = np.arange(columns)
+    quads = np.stack((i, i + 1, i + columns + 2, i + columns + 1), axis=1)
+    faces = np.concatenate((quads[:, (0, 1, 2)], quads[:, (0, 2, 3)]))
+    return _solid(trimesh.Trimesh(vertices, faces, process=False), "wall", "cotton")
+
+
+def _back_wall(x: float, half_width: float, height: float, rng: np.random.Generator) -> list[Surface]:
+    """A wall across the view at `x`, most often with a recess that has jambs and a lintel."""
+    thickness = 1.5
+    if rng.random() < 0.25:
+        return [_box((x, -half_width, 0), (x + thickness, half_width, height), "wall", "painted_wall")]
+    recess = rng.uniform(0.15, 0.6)
+    right = rng.uniform(-half_width, -0.4)
+    left = min(right + rng.uniform(1.2, 3.0), half_width)
+    top = min(rng.uniform(1.9, 2.4), height)
+    wall = "wall", "painted_wall"
+    pieces = [
+        _box((x + recess, -half_width, 0), (x + thickness, half_width, height), *wall),
+        _box((x, left, 0), (x + recess, half_width, height), *wall),
+        _box((x, -half_width, 0), (x + recess, right, height), *wall),
+        _box((x, right, top), (x + recess, left, height), *wall),
+    ]
+    if rng.random() < 0.6:  # a door leaf or a panel inside the recess
+        y = rng.uniform(right, max(left - 0.4, right))
+        depth = rng.uniform(0.03, 0.12)
+        pieces.append(_box((x + recess - depth, y, 0), (x + recess, y + rng.uniform(0.4, 1.0), top), "wall", "wood"))
+    return pieces
+
+
+def _chair(x: float, y: float, rng: np.random.Generator) -> list[Surface]:
+    seat, half, back = rng.uniform(0.42, 0.5), rng.uniform(0.2, 0.26), rng.uniform(0.8, 1.05)
+    wood = "furniture", "wood"
+    legs = [
+        _box(
+            (x + i * (half - 0.04) - 0.02, y + j * (half - 0.04) - 0.02, 0),
+            (x + i * (half - 0.04) + 0.02, y + j * (half - 0.04) + 0.02, seat),
+            *wood,
+        )
+        for i in (-1, 1)
+        for j in (-1, 1)
+    ]
+    turn = rng.integers(4)
+    backs = (
+        ((x + half - 0.04, y - half, seat), (x + half, y + half, back)),
+        ((x - half, y - half, seat), (x - half + 0.04, y + half, back)),
+        ((x - half, y + half - 0.04, seat), (x + half, y + half, back)),
+        ((x - half, y - half, seat), (x + half, y - half + 0.04, back)),
+    )
+    return [*legs, _box((x - half, y - half, seat - 0.04), (x + half, y + half, seat), *wood), _box(*backs[turn], *wood)]
+
+
+def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> list[Surface]:
+    """Furniture of one side of the room, kept outside |y| = `inner`."""
+    pieces: list[Surface] = []
+    for _ in range(rng.integers(1, 5)):
+        px, py = rng.uniform(*x), side * (inner + rng.uniform(0.25, 0.9))
+        kind = rng.random()
+        if kind < 0.35:
+            pieces += _chair(px, py, rng)
+        elif kind < 0.75:  # a cupboard, a box, a desk
+            half = rng.uniform(0.12, 0.3, 2)
+            top = rng.uniform(0.3, 1.4)
+            pieces.append(_box((px - half[0], py - half[1], 0), (px + half[0], py + half[1], top), "furniture", "wood"))
+        else:  # a plant or a heap: spheres of leaves on a pot
+            stem = rng.uniform(0.5, 1.2)
+            pieces.append(
+                _solid(
+                    trimesh.creation.cylinder(0.14, segment=[(px, py, 0), (px, py, 0.4)], sections=12),
+                    "furniture",
+                    "hard_plastic",
+                )
+            )
+            for _ in range(8):
+                ball = trimesh.creation.icosphere(subdivisions=1, radius=rng.uniform(0.06, 0.16))
+                ball.apply_translation((px, py, stem) + rng.normal(0, 0.16, 3))
+                pieces.append(_solid(ball, "furniture", "synthetic_fabric"))
+    return pieces
+
+
+def furnish_room(*, rng: np.random.Generator) -> Room:
+    """A room drawn at random; the middle stays free for a person who moves."""
+    half_width, height = rng.uniform(1.8, 3.2), rng.uniform(2.5, 3.2)
+    wall_x = rng.uniform(3.5, 5.0)
+    shell = 0.3
+    pieces = [
+        _box((-2.0, -half_width - 1, -shell), (wall_x + 1, half_width + 1, 0), "floor", "carpet"),
+        _box((-2.0, -half_width - 1, height), (wall_x + 1, half_width + 1, height + shell), "wall", "painted_wall"),
+        _box((-2.0, half_width, 0), (wall_x + 1, half_width + shell, height), "wall", "painted_wall"),
+        _box((-2.0, -half_width - shell, 0), (wall_x + 1, -half_width, height), "wall", "painted_wall"),
+        *_back_wall(wall_x, half_width, height, rng),
+    ]
+    free = 0.85
+    for side in (-1, 1):
+        if rng.random() < 0.5:
+            start = rng.uniform(2.0, 2.8)
+            inner = side * rng.uniform(free + 0.1, max(half_width - 0.1, free + 0.2))
+            pieces.append(
+                _curtain(
+                    (start, wall_x),
+                    inner,
+                    rng.uniform(2.0, height),
+                    rng.uniform(0.02, 0.07),
+                    rng.uniform(2, 5),
+                    rng.uniform(0, 6),
+                )
+            )
+        if rng.random() < 0.8:
+            pieces += _clutter((1.6, wall_x - 0.2), side, free, rng)
+    return Room(merge(pieces), (2.2, max(wall_x - 0.75, 2.4)), (-0.45, 0.45))
+
+
+def place_room_camera(*, rng: np.random.Generator) -> NDArray[np.float64]:
+    """`world_from_camera` of a camera on a tripod or shelf: 1.1-1.5 m high, pitched 1-9 degrees down, nearly level."""
+    yaw, pitch, roll = np.radians((rng.normal(0, 2.0), rng.uniform(1.0, 9.0), rng.normal(0, 1.0)))
+    turn = Rotation.from_euler("ZYX", (yaw, pitch, roll))  # a positive turn about y (left) looks down
+    return transform(turn * FORWARD_FROM_CAMERA, (0.0, rng.normal(0, 0.05), rng.uniform(1.1, 1.5)))
