@@ -1,0 +1,252 @@
+"""Motion capture from Biovision Hierarchy (BVH) files: reading and forward kinematics.
+
+A BVH file gives a hierarchy of joints with offsets, and for every frame the value of each channel. Rotations are
+intrinsic, in the order in which the channels are listed (Meredith and Maddock, "Motion Capture File Formats
+Explained", 2001). Files come y up with the person facing +z; everything here leaves as metres in a world with z up
+and x forward (the vehicle frame's axes).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.errors import MocapError
+
+UpAxis = Literal["y", "z"]
+
+# The CMU database gives lengths in inches times 0.45: the metres of one such unit.
+CMU_UNIT_M = 0.0254 / 0.45
+
+# world_from_file: rows are the world's x (forward), y (left), z (up). Both are proper rotations.
+_AXES: dict[str, NDArray[np.float64]] = {
+    "y": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),  # faces +z, +x to its left
+    "z": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),  # faces -y, +x to its left
+}
+_CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
+
+
+@dataclass(frozen=True)
+class BvhJoint:
+    """A joint of a BVH hierarchy: its parent's index (-1 for the root), offset from it (file axes, m), channels.
+
+    An end site is a joint without channels, named after its parent with `_end`.
+    """
+
+    name: str
+    parent: int
+    offset: tuple[float, float, float]
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A motion in the world frame (z up, m): what retargeting needs of a recording.
+
+    rotations: (F, J, 3, 3) world_from_joint · positions: (F, J, 3) m · rest_positions: (J, 3) m, the skeleton
+    with all rotations zero and its root in the origin · frame_s: seconds from frame to frame.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    rotations: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    rest_positions: NDArray[np.float64]
+    frame_s: float
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class Bvh:
+    """A parsed BVH file: the hierarchy, and motion (F, C) as it stands in the file but positions in metres."""
+
+    joints: tuple[BvhJoint, ...]
+    motion: NDArray[np.float64]
+    frame_s: float
+    up: UpAxis
+
+    def clip(self) -> Clip:
+        """Forward kinematics of every frame.
+
+        A joint's position channels replace its offset (as in the root), its rotation channels turn its children.
+        """
+        frames, count = len(self.motion), len(self.joints)
+        axes = _AXES[self.up]
+        rotations = np.empty((frames, count, 3, 3))
+        positions = np.empty((frames, count, 3))
+        rest = np.empty((count, 3))
+        column = 0
+        for j, joint in enumerate(self.joints):
+            local = np.broadcast_to(np.eye(3), (frames, 3, 3))
+            offset = np.broadcast_to(np.asarray(joint.offset), (frames, 3)).copy()
+            values = self.motion[:, column : column + len(joint.channels)]
+            column += len(joint.channels)
+            kinds = [_CHANNELS[c] for c in joint.channels]
+            turns = [(axis, k) for k, (axis, kind) in enumerate(kinds) if kind == "rotation"]
+            if turns:
+                order = "".join(axis for axis, _ in turns)  # upper case: intrinsic
+                angles = values[:, [k for _, k in turns]]
+                local = Rotation.from_euler(order, angles, degrees=True).as_matrix()
+            for k, (axis, kind) in enumerate(kinds):
+                if kind == "position":
+                    offset[:, "XYZ".index(axis)] = values[:, k]
+            if joint.parent < 0:
+                rotations[:, j], positions[:, j], rest[j] = local, offset, 0.0
+            else:
+                parent = rotations[:, joint.parent]
+                rotations[:, j] = parent @ local
+                positions[:, j] = positions[:, joint.parent] + (parent @ offset[:, :, None])[:, :, 0]
+                rest[j] = rest[joint.parent] + np.asarray(joint.offset)
+        return Clip(
+            names=tuple(j.name for j in self.joints),
+            parents=tuple(j.parent for j in self.joints),
+            rotations=axes @ rotations @ axes.T,
+            positions=positions @ axes.T,
+            rest_positions=rest @ axes.T,
+            frame_s=self.frame_s,
+        )
+
+
+def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") -> Bvh:
+    """Read a BVH file whose length unit is `unit_m` metres and whose vertical axis is `up`.
+
+    Raises MocapError where the file is missing, damaged, truncated or contradicts itself.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as e:
+        raise MocapError(f"motion file {path} does not exist", hint="check the path") from e
+    except (OSError, UnicodeDecodeError) as e:
+        raise MocapError(f"motion file {path} cannot be read as text: {e}", hint="a BVH file is plain text") from e
+    if not math.isfinite(unit_m) or unit_m <= 0:
+        raise MocapError(f"unit_m must be a positive length in metres, not {unit_m}", hint="0.01 for centimetres")
+    head, separator, tail = text.partition("MOTION")
+    if not separator:
+        raise MocapError(f"{path.name}: no MOTION section", hint="the file is truncated or not BVH")
+    joints = _Hierarchy(path.name, head, unit_m).parse()
+    motion, frame_s = _read_motion(path.name, tail, sum(len(j.channels) for j in joints))
+    column = 0
+    for joint in joints:
+        for channel in joint.channels:
+            if channel.endswith("position"):
+                motion[:, column] *= unit_m
+            column += 1
+    return Bvh(joints, motion, frame_s, up)
+
+
+class _Hierarchy:
+    """A recursive-descent parser of the HIERARCHY section."""
+
+    def __init__(self, name: str, text: str, unit_m: float) -> None:
+        self._name = name
+        self._tokens = text.split()
+        self._next = 0
+        self._unit_m = unit_m
+        self._joints: list[BvhJoint] = []
+
+    def parse(self) -> tuple[BvhJoint, ...]:
+        self._expect("HIERARCHY")
+        self._expect("ROOT")
+        self._joint(self._take(), -1)
+        if self._next != len(self._tokens):
+            raise self._error(f"unexpected '{self._tokens[self._next]}' after the root joint", "one ROOT is supported")
+        names = [j.name for j in self._joints]
+        doubled = sorted({n for n in names if names.count(n) > 1})
+        if doubled:
+            raise self._error(f"joint names given twice: {', '.join(doubled)}", "every joint needs a name of its own")
+        return tuple(self._joints)
+
+    def _joint(self, name: str, parent: int) -> None:
+        self._expect("{")
+        self._expect("OFFSET")
+        offset = self._vector()
+        self._expect("CHANNELS")
+        channels = self._channels(name)
+        index = len(self._joints)
+        self._joints.append(BvhJoint(name, parent, offset, channels))
+        while (token := self._take()) != "}":
+            if token == "JOINT":
+                self._joint(self._take(), index)
+            elif token == "End":
+                self._expect("Site")
+                self._expect("{")
+                self._expect("OFFSET")
+                self._joints.append(BvhJoint(f"{name}_end", index, self._vector(), ()))
+                self._expect("}")
+            else:
+                raise self._error(f"unexpected '{token}' in joint {name}", "expected JOINT, End Site or }")
+
+    def _channels(self, name: str) -> tuple[str, ...]:
+        token = self._take()
+        if not token.isdigit():
+            raise self._error(f"joint {name}: '{token}' is no number of channels", "as in 'CHANNELS 3 Zrotation ...'")
+        channels = tuple(self._take() for _ in range(int(token)))
+        for channel in channels:
+            if channel not in _CHANNELS:
+                raise self._error(
+                    f"joint {name}: unknown channel '{channel}' (of {token} stated)", f"known: {', '.join(_CHANNELS)}"
+                )
+        if len(set(channels)) != len(channels):
+            raise self._error(f"joint {name} lists a channel twice", "every channel may stand once in a joint")
+        return channels
+
+    def _vector(self) -> tuple[float, float, float]:
+        tokens = [self._take() for _ in range(3)]
+        try:
+            x, y, z = (float(t) * self._unit_m for t in tokens)
+        except ValueError as e:
+            raise self._error(f"OFFSET needs three numbers, not '{' '.join(tokens)}'", "the file is damaged") from e
+        return x, y, z
+
+    def _take(self) -> str:
+        if self._next == len(self._tokens):
+            raise self._error("the hierarchy ends early", "the file is truncated")
+        self._next += 1
+        return self._tokens[self._next - 1]
+
+    def _expect(self, word: str) -> None:
+        token = self._take()
+        if token != word:
+            raise self._error(f"expected '{word}', found '{token}'", "the hierarchy is damaged or not BVH")
+
+    def _error(self, message: str, hint: str) -> MocapError:
+        return MocapError(f"{self._name}: {message}", hint=hint)
+
+
+def _read_motion(name: str, text: str, channels: int) -> tuple[NDArray[np.float64], float]:
+    """The (F, C) channel values and the seconds between frames of a MOTION section."""
+    header = re.match(r"\s*Frames:\s*(\d+)\s+Frame Time:\s*(\S+)[^\S\n]*(?:\n|$)", text)
+    if header is None:
+        raise MocapError(f"{name}: no 'Frames:' and 'Frame Time:' after MOTION", hint="the file is truncated or damaged")
+    frames = int(header[1])
+    try:
+        frame_s = float(header[2])
+    except ValueError:
+        frame_s = math.nan
+    if not (math.isfinite(frame_s) and frame_s > 0):
+        raise MocapError(f"{name}: the frame time '{header[2]}' is no positive number", hint="seconds from frame to frame")
+    rows = [line.split() for line in text[header.end() :].splitlines() if line.strip()]
+    if len(rows) != frames:
+        raise MocapError(f"{name}: states {frames} frames and holds {len(rows)}", hint="the file is truncated or damaged")
+    if frames == 0:
+        raise MocapError(f"{name}: holds no frame", hint="a recording needs at least one")
+    for i, row in enumerate(rows):
+        if len(row) != channels:
+            raise MocapError(f"{name}: frame {i} has {len(row)} values for {channels} channels", hint="the file is damaged")
+    try:
+        motion = np.array(rows, dtype=np.float64)
+    except ValueError as e:
+        raise MocapError(f"{name}: a value of the motion is no number: {e}", hint="the file is damaged") from e
+    if not np.isfinite(motion).all():
+        raise MocapError(f"{name}: the motion holds values that are not finite", hint="the file is damaged")
+    return motion, frame_s
