@@ -1,0 +1,88 @@
+"""What lies between the light source, the scene and the pixel: lens, light profile, materials at 850 nm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.camera import Camera
+from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.sensor.presets import Sensor
+
+# A pane sends back towards a source beside the lens what dust and scratches scatter, and a mirror image where it
+# stands square to the ray. The mirror image (8 % from two surfaces) is smaller than a pixel and brighter than white by orders
+# of magnitude; a peak of 50 over a lobe of two degrees saturates a spot of a few pixels as it does in real images.
+_PANE_DIFFUSE = 0.004
+_PANE_SPECULAR = 50.0
+GLOSS_WIDTH = float(1.0 - np.cos(np.radians(2.0)))
+# Mean reflectance of what lies outside a window, seen by daylight alone.
+_OUTSIDE_REFLECTANCE = 0.3
+# A spectacle lens passes 0.92 of the light each way; the skin behind stands a vertex distance of 15 mm from it.
+_LENS_TRANSMITTANCE = 0.92**2
+_VERTEX_DISTANCE_M = 0.015
+
+
+@lru_cache(maxsize=8)
+def material_table(reflectance: bool, glass: bool, ambient: float, daylight: float) -> NDArray[np.float32]:
+    """(256, 4) float32 by material id: diffuse reflectance, specular peak, extra range (m), ambient light returned.
+
+    `reflectance` False: everything is white. `glass` False: transmissive materials are plain diffuse surfaces.
+    `ambient` and `daylight` are the irradiances inside and outside, which the last column holds times the reflectance.
+    """
+    table = np.zeros((256, 4), np.float32)
+    outside = daylight * _OUTSIDE_REFLECTANCE
+    table[:, 3] = outside
+    for material in MATERIALS[1:]:
+        value = material.reflectance if reflectance else 1.0
+        table[material.id] = (value, 0.0, 0.0, ambient * value)
+        if not (glass and material.transmissive):
+            continue
+        if material.id == ID["spectacle_lens"]:
+            skin = _LENS_TRANSMITTANCE * MATERIALS[ID["skin"]].reflectance
+            table[material.id] = (skin, 0.0, _VERTEX_DISTANCE_M, ambient * skin)
+        else:
+            table[material.id] = (_PANE_DIFFUSE, _PANE_SPECULAR, 0.0, outside)
+    table.setflags(write=False)
+    return table
+
+
+@dataclass(frozen=True)
+class LensMaps:
+    """What depends on the pixel alone.
+
+    range_over_depth: (H, W) · sub_range_over_depth: (H * s, W * s) · vignetting, illumination: (H, W), 1 on the axis ·
+    field: (H, W) bool, inside the image circle. float32.
+    """
+
+    range_over_depth: NDArray[np.float32]
+    sub_range_over_depth: NDArray[np.float32]
+    vignetting: NDArray[np.float32]
+    illumination: NDArray[np.float32]
+    field: NDArray[np.bool_]
+
+
+def _factor(camera: Camera) -> NDArray[np.float32]:
+    # A pixel outside the lens model has no ray; it stays NaN and so invalid.
+    return np.ascontiguousarray(camera.range_over_depth, dtype=np.float32)
+
+
+@lru_cache(maxsize=8)
+def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
+    """The maps of a sensor's lens, computed once."""
+    camera = sensor.camera
+    centre = _factor(camera)
+    cosine = 1.0 / centre.astype(np.float64)
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    field = np.isfinite(centre)
+    if sensor.field_radius_px is not None:
+        field &= np.hypot(columns - camera.cx, rows - camera.cy) < sensor.field_radius_px
+    return LensMaps(
+        centre,
+        centre if supersample == 1 else _factor(camera.scaled(supersample)),
+        (cosine**sensor.vignetting_exponent).astype(np.float32),
+        (cosine**sensor.illumination_exponent).astype(np.float32),
+        field,
+    )

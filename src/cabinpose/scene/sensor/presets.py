@@ -1,0 +1,190 @@
+"""Cameras by name, and the model of one.
+
+From data sheets and from Gonçalves (thesis, 2020, section 2.1.3 and table 2.3): image sizes, fields of view, light
+source, and the ranges, frame rates and integration times of the Pico Monstar 105's use cases. From Lambers' open
+simulator `camsim`: contrast 0.75 and full well 100 000 e-. Calibrated here: `signal_e_per_s`, so that the image
+mean of sigma in use case 3 follows the thesis' measurement on a white wall (`docs/sensor-model.md`). Assumed, as no
+data sheet gives them: modulation frequencies, read noise, lens distortion, illumination profile, and all noise figures
+of the two Melexis cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from math import radians
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError, unknown_name
+
+SPEED_OF_LIGHT = 299_792_458.0  # m/s
+# Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.
+_LARGEST_RATIO = 12
+
+
+class Sensor(BaseModel):
+    """A depth camera: lens, timing, and the figures of its pixels."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1, description="Name that the dataset records.")
+    principle: Literal["time_of_flight", "structured_light"] = Field("time_of_flight", description="How depth is measured.")
+    camera: Camera = Field(description="Intrinsics: width, height, fx, fy, cx, cy (px) and dist (k1, k2, p1, p2, k3).")
+    range_m: tuple[float, float] = Field(description="Dead zone and saturation: nearest and farthest distance delivered (m).")
+    integration_s: float = Field(gt=0, description="Exposure of one correlation sample (s).")
+    fps: float = Field(gt=0, description="Frames per second.")
+    frequencies_hz: tuple[Annotated[float, Field(gt=1e5, lt=1e9)], ...] = Field(
+        (), max_length=2, description="Modulation frequencies (Hz): one, or two in the ratio of small integers."
+    )
+    contrast: float = Field(0.75, gt=0, le=1, description="Demodulation contrast K of the pixel.")
+    signal_e_per_s: float = Field(
+        6.0e6, gt=0, description="Electrons per second in both taps from a white surface facing the camera at 1 m on the axis."
+    )
+    read_noise_e: float = Field(8.0, ge=0, description="Read noise of one tap difference (electrons, rms).")
+    full_well_e: float = Field(100_000.0, gt=0, description="Electrons that one tap holds.")
+    min_amplitude_e: float = Field(45.0, ge=0, description="Amplitude below which a pixel is invalid (electrons).")
+    vignetting_exponent: float = Field(4.0, ge=0, description="The lens passes cos^n of the angle off axis.")
+    illumination_exponent: float = Field(
+        0.0,
+        description="Radiant intensity of the light source, cos^n of the angle off axis; negative for a diffuser that fills the edge.",
+    )
+    field_radius_px: float | None = Field(
+        None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."
+    )
+    baseline_m: float = Field(0.075, gt=0, description="Structured light only: distance from projector to camera (m).")
+    native_scale: float = Field(1.0, gt=0, description="Structured light only: matched pixels per delivered pixel.")
+
+    def model_post_init(self, context: object, /) -> None:
+        """Checks that fields fit each other."""
+        del context
+        near, far = self.range_m
+        if not 0 <= near < far:
+            raise ConfigError(
+                f"sensor '{self.name}': range {near}..{far} m is empty", hint="give range_m as near, far with 0 <= near < far"
+            )
+        if self.principle == "time_of_flight" and not self.frequencies_hz:
+            raise ConfigError(f"sensor '{self.name}' has no modulation frequency", hint="give one or two frequencies_hz")
+        if len(self.frequencies_hz) == 2:
+            ratio = self.frequency_ratio
+            if ratio[0] == ratio[1] or max(ratio) > _LARGEST_RATIO:
+                raise ConfigError(
+                    f"sensor '{self.name}': frequencies in the ratio {ratio[0]}:{ratio[1]} do not unwrap",
+                    hint=f"choose two that differ and are in a ratio of integers up to {_LARGEST_RATIO}, such as 80e6 and 60e6",
+                )
+
+    @property
+    def signal_e(self) -> float:
+        """Electrons in both taps per correlation sample, from a white surface facing the camera at 1 m on the axis."""
+        return self.signal_e_per_s * self.integration_s
+
+    @property
+    def frequency_ratio(self) -> tuple[int, int]:
+        """Two frequencies as coprime integers p, q (to 1 Hz)."""
+        first, second = self.frequencies_hz
+        ratio = Fraction(round(first), round(second))
+        return ratio.numerator, ratio.denominator
+
+    @property
+    def unambiguous_range_m(self) -> float:
+        """Range at which the phase wraps, c / 2f; with two frequencies that of their greatest common divisor."""
+        if not self.frequencies_hz:
+            return float("inf")
+        frequency = self.frequencies_hz[0]
+        if len(self.frequencies_hz) == 2:
+            frequency /= self.frequency_ratio[0]
+        return SPEED_OF_LIGHT / (2 * frequency)
+
+    @property
+    def phases(self) -> int:
+        """Correlation samples in a frame."""
+        return 4 * len(self.frequencies_hz)
+
+
+# A lens with square pixels whose barrel distortion gives 100 x 85 degrees on 352 x 287, as published; the polynomial is
+# monotonic beyond the corner (ideal radius 1.67), so every pixel has a ray.
+_MONSTAR_LENS = Camera(352, 287, 173.646, 173.646, 175.5, 143.0, (-0.133684, 0.02, 0.0, 0.0, 0.0))
+# Image circle: reaches the left and right border, cuts the corners.
+_MONSTAR_FIELD_PX = 188.0
+# Range (m), frames/s, integration (us), frequencies (MHz). Two frequencies where the frame time allows eight samples; 80
+# and 60 MHz repeat after 7.49 m. The fast cases 5 and 6 have one: 60 MHz (2.50 m) holds 0.3-2.0 m, 80 MHz (1.87 m) 0.1-1.0 m.
+_MONSTAR_USE_CASES = {
+    1: ((1.0, 4.0), 5, 2000, (80, 60)),
+    2: ((1.0, 4.0), 10, 1000, (80, 60)),
+    3: ((0.5, 1.5), 15, 700, (80, 60)),
+    4: ((0.3, 2.0), 25, 450, (80, 60)),
+    5: ((0.3, 2.0), 35, 600, (60,)),
+    6: ((0.1, 1.0), 45, 500, (80,)),
+}
+
+
+def _monstar(use_case: int, name: str) -> Sensor:
+    window, fps, integration_us, frequencies_mhz = _MONSTAR_USE_CASES[use_case]
+    return Sensor(
+        name=name,
+        camera=_MONSTAR_LENS,
+        range_m=window,
+        fps=fps,
+        integration_s=integration_us * 1e-6,
+        frequencies_hz=tuple(f * 1e6 for f in frequencies_mhz),
+        signal_e_per_s=6.0e6,
+        illumination_exponent=-2.0,
+        field_radius_px=_MONSTAR_FIELD_PX,
+    )
+
+
+def _presets() -> Mapping[str, Sensor]:
+    sensors = {"pico_monstar_105": _monstar(3, "pico_monstar_105")}
+    for use_case in _MONSTAR_USE_CASES:
+        name = f"pico_monstar_105/{use_case}"
+        sensors[name] = _monstar(use_case, name)
+    # LED light: low frequency, much of it lost, so noisier. 90 degree lens.
+    sensors["evk75023"] = Sensor(
+        name="evk75023",
+        camera=Camera.from_fov(320, 240, radians(90.0)),
+        range_m=(0.3, 4.0),
+        fps=30,
+        integration_s=1.0e-3,
+        frequencies_hz=(20e6,),
+        contrast=0.6,
+        signal_e_per_s=12.0e6,
+        read_noise_e=20.0,
+    )
+    # 110 degrees of lens whose barrel distortion leaves 100 on the 320 columns.
+    sensors["evk75123"] = Sensor(
+        name="evk75123",
+        camera=Camera(320, 240, 163.05, 163.05, 159.5, 119.5, (-0.155, 0.0273, 0.0, 0.0, 0.0)),
+        range_m=(0.2, 3.0),
+        fps=30,
+        integration_s=1.0e-3,
+        frequencies_hz=(40e6,),
+        contrast=0.7,
+        signal_e_per_s=9.0e6,
+        read_noise_e=15.0,
+        illumination_exponent=-1.0,
+        field_radius_px=172.0,
+    )
+    # ITOP's intrinsics, 0.0035 = 1 / 285.714. The matcher works on 640 columns.
+    sensors["kinect_v1"] = Sensor(
+        name="kinect_v1",
+        principle="structured_light",
+        camera=Camera(320, 240, 285.714, 285.714, 160.0, 120.0),
+        range_m=(0.4, 8.0),
+        fps=30,
+        integration_s=1 / 30,
+        native_scale=2.0,
+    )
+    return MappingProxyType(sensors)
+
+
+SENSORS: Mapping[str, Sensor] = _presets()
+
+
+def sensor_by_name(name: str) -> Sensor:
+    """The preset of that name; `ConfigError` with the known names otherwise."""
+    if name not in SENSORS:
+        raise unknown_name("sensor", name, tuple(SENSORS))
+    return SENSORS[name]

@@ -1,0 +1,39 @@
+"""From rendered geometry to what a camera delivers, by any of the noise models."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from numpy.random import Generator
+from pydantic import Field
+
+from cabinpose.core.errors import ConfigError
+from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
+from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical
+from cabinpose.scene.sensor.physical import PhysicalNoise, simulate_physical
+from cabinpose.scene.sensor.presets import Sensor
+from cabinpose.scene.sensor.structured_light import StructuredLightNoise, simulate_structured_light
+
+# Discriminated by `kind`, for a field of a configuration.
+NoiseModel = Annotated[PhysicalNoise | EmpiricalNoise | StructuredLightNoise, Field(discriminator="kind")]
+
+
+def simulate(
+    buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise, *, rng: Generator
+) -> SensorFrame:
+    """The frame that `sensor` delivers of a rendered view: depth (m, NaN invalid), amplitude, confidence, (H, W) each.
+
+    The same bits of `rng` give the same bytes. ConfigError where the geometry's size is not the sensor's, or a
+    structured-light sensor is asked for Time-of-Flight noise.
+    """
+    size = (sensor.camera.height, sensor.camera.width)
+    if buffers.shape != size:
+        raise ConfigError(
+            f"geometry of {buffers.shape[1]}x{buffers.shape[0]} pixels for the sensor '{sensor.name}' of {size[1]}x{size[0]}",
+            hint="render with the sensor's own camera",
+        )
+    if isinstance(noise, PhysicalNoise):
+        return simulate_physical(buffers, sensor, noise, rng=rng)
+    if isinstance(noise, EmpiricalNoise):
+        return simulate_empirical(buffers, sensor, noise, rng=rng)
+    return simulate_structured_light(buffers, sensor, noise, rng=rng)
