@@ -1,0 +1,254 @@
+"""A dataset folder as a whole: making it, going on with it, and opening it as one lazy `xarray.Dataset`."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import warnings
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.store.lazy import PartsArray
+from cabinpose.store.part import check_part, disk_errors, temporary_parts
+from cabinpose.store.schema import (
+    MANIFEST_NAME,
+    Manifest,
+    PartPlan,
+    Variable,
+    label_attributes,
+    manifest_yaml,
+    read_manifest,
+)
+
+_COMPRESSION = 0.7  # of the raw size; noisy depth at 352x287 measured 0.5
+_HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
+
+
+class DatasetWriter:
+    """A dataset folder that is being filled; it keeps other writers out until it is closed."""
+
+    def __init__(self, folder: Path, manifest: Manifest, lock: int) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self._lock: int | None = lock
+
+    def complete(self) -> list[PartPlan]:
+        """The parts that stand under their final name, in order."""
+        return [plan for plan in self.manifest.parts if (self.folder / plan.name).is_dir()]
+
+    def missing(self) -> list[PartPlan]:
+        """The parts still to be made, in order."""
+        return [plan for plan in self.manifest.parts if not (self.folder / plan.name).is_dir()]
+
+    def close(self) -> None:
+        """Remove unfinished parts of dead workers and let other writers in."""
+        if self._lock is not None:
+            _remove_temporary(self.folder)
+            os.close(self._lock)
+            self._lock = None
+
+    def __enter__(self) -> DatasetWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = False, resume: bool = False) -> DatasetWriter:
+    """Make a dataset folder, or go on with one, ready for `PartWriter`s; call `close` (or use `with`) at the end.
+
+    `resume` keeps the complete parts of a dataset with the same manifest and may ask for more frames; `overwrite`
+    deletes the parts of the dataset that is there. Raises `DatasetError` where the folder holds anything else, the
+    manifests differ (the message names the keys), another process writes to it, or the disk is too small.
+    """
+    if overwrite and resume:
+        raise DatasetError("a dataset is either resumed or overwritten", hint="give one of --resume and --overwrite")
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        lock = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise DatasetError(f"cannot use {path} as a folder: {error.strerror}", hint="give another output folder") from error
+    try:
+        _lock(path, lock)
+        _prepare(path, manifest, overwrite=overwrite, resume=resume)
+        writer = DatasetWriter(path, manifest, lock)
+        for plan in writer.complete():
+            check_part(path / plan.name, plan)
+        _check_space(writer)
+        with disk_errors(path):
+            _write_manifest(path, manifest)
+    except BaseException:
+        os.close(lock)
+        raise
+    return writer
+
+
+def _prepare(path: Path, manifest: Manifest, *, overwrite: bool, resume: bool) -> None:
+    """Make sure that what the folder holds may be gone on with, or remove it where the user said so."""
+    if not (path / MANIFEST_NAME).exists():
+        _remove_temporary(path)
+        if any(path.iterdir()):
+            raise DatasetError(f"{path} is not empty and holds no dataset", hint="give a new or empty folder with --out")
+        return
+    old = read_manifest(path)
+    if resume:
+        _check_same(path, old, manifest)
+    elif overwrite:
+        for part in sorted(path.glob("part-*.zarr")):
+            shutil.rmtree(part)
+    else:
+        raise DatasetError(
+            f"{path} already holds a dataset of {old.frames} frames",
+            hint="--resume goes on with it, --overwrite replaces it, or give another folder with --out",
+        )
+    _remove_temporary(path)
+
+
+def _remove_temporary(path: Path) -> None:
+    for part in temporary_parts(path):
+        shutil.rmtree(part, ignore_errors=True)
+    (path / _HIDDEN_MANIFEST).unlink(missing_ok=True)
+
+
+def _lock(path: Path, descriptor: int) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise DatasetError(
+            f"another process is writing to {path}", hint="wait until it has finished, or give another folder with --out"
+        ) from None
+    except OSError:
+        return  # a file system without locks: two writers would still write the same bytes
+
+
+def _check_same(path: Path, old: Manifest, new: Manifest) -> None:
+    before, now = (_flat(m.model_dump(mode="json", exclude={"frames"})) for m in (old, new))
+    differing = [key for key in before | now if before.get(key, "(absent)") != now.get(key, "(absent)")]
+    if differing:
+        lines = [f"{key}: {before.get(key, '(absent)')!r} there, {now.get(key, '(absent)')!r} now" for key in differing[:5]]
+        more = f" and {len(differing) - 5} more" if len(differing) > 5 else ""
+        raise DatasetError(
+            f"{path} holds a dataset made differently ({'; '.join(lines)}{more})",
+            hint="resume with the same configuration, or give another folder with --out",
+        )
+    if new.frames < old.frames:
+        raise DatasetError(
+            f"{path} is a dataset of {old.frames} frames, which cannot shrink to {new.frames}",
+            hint=f"resume with --frames {old.frames} or more",
+        )
+    last = old.parts[-1]
+    if new.frames > old.frames and last.frames < old.frames_per_part and (path / last.name).exists():
+        raise DatasetError(
+            f"{path} ends with a part of {last.frames} frames, which cannot grow",
+            hint=f"a dataset can grow from a multiple of {old.frames_per_part} frames; generate the rest into another folder",
+        )
+
+
+def _flat(value: Any, path: str = "") -> dict[str, Any]:
+    if isinstance(value, Mapping) and value:
+        return {k: v for key, item in value.items() for k, v in _flat(item, f"{path}.{key}" if path else str(key)).items()}
+    return {path: value}
+
+
+def _check_space(writer: DatasetWriter) -> None:
+    """Compare the frames still to come, at a cautious rate of compression, with what the disk has."""
+    frames = sum(plan.frames for plan in writer.missing())
+    need = int(frames * frame_bytes(writer.manifest) * _COMPRESSION)
+    free = shutil.disk_usage(writer.folder).free
+    if need > free:
+        raise DatasetError(
+            f"{frames} frames need about {need / 1e9:.1f} GB, {writer.folder} has {free / 1e9:.1f} GB left",
+            hint="free some disk space, ask for fewer frames or give a folder on another disk with --out",
+        )
+
+
+def frame_bytes(manifest: Manifest) -> int:
+    """Bytes of one frame before compression."""
+    total = 0
+    for variable in manifest.stored:
+        items = 1
+        for size in manifest.frame_shape(variable):
+            items *= size
+        total += items * (16 if variable.dtype == "str" else np.dtype(variable.dtype).itemsize)
+    return total
+
+
+def _write_manifest(path: Path, manifest: Manifest) -> None:
+    hidden = path / _HIDDEN_MANIFEST
+    with hidden.open("w", encoding="utf-8") as file:
+        file.write(manifest_yaml(manifest))
+        file.flush()
+        os.fsync(file.fileno())
+    hidden.replace(path / MANIFEST_NAME)
+
+
+def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignore"] = "warn") -> xr.Dataset:
+    """All complete parts of a folder as one lazy dataset; depths are float32 metres with NaN where invalid.
+
+    Images are read frame by frame when they are asked for and not kept; `ds.chunk({"frame": 100})` makes dask arrays
+    of them. `frame` holds the frames' indices, so that gaps show. Missing parts raise a `UserWarning` or a
+    `DatasetError` as `missing` says; unfinished ones are ignored. Raises `DatasetError` naming the part that is damaged.
+    """
+    path = Path(folder)
+    manifest = read_manifest(path)
+    plans = [plan for plan in manifest.parts if (path / plan.name).is_dir()]
+    absent = len(manifest.parts) - len(plans)
+    if not plans:
+        raise DatasetError(f"{path} has no complete part yet", hint="generate it with `cabinpose synth --resume`")
+    if absent and missing != "ignore":
+        message = f"{path} lacks {absent} of {len(manifest.parts)} parts"
+        if missing == "raise":
+            raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
+        warnings.warn(message, stacklevel=2)
+    attributes = [check_part(path / plan.name, plan) for plan in plans]
+    variables = {
+        v.name: PartsArray(path, plans, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
+        for v in manifest.stored
+    }
+    coordinates: dict[str, Any] = {
+        "frame": np.concatenate([np.arange(plan.first, plan.first + plan.frames) for plan in plans]),
+        "person": list(manifest.persons),
+        "joint": list(manifest.joints),
+        "xyz": ["x", "y", "z"],
+        "uv": ["u", "v"],
+    }
+    if "itop_joints_3d" in variables:
+        coordinates["itop_joint"] = list(ITOP_JOINTS)
+    dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, attributes))
+    return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
+
+
+def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
+    attrs: dict[str, Any] = {"long_name": variable.meaning}
+    if variable.units is not None:
+        attrs["units"] = variable.units
+    if variable.name == "labels":
+        attrs |= label_attributes(manifest)
+    return attrs
+
+
+def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """What holds for all frames, and the parts' counts of proposed and rejected scenes added up."""
+    rejections: Counter[str] = Counter()
+    for part in parts:
+        rejections.update(part.get("rejections", {}))
+    return {
+        "schema_version": manifest.schema_version,
+        "generator": manifest.generator,
+        "generator_version": manifest.generator_version,
+        "seed": manifest.seed,
+        "licence": manifest.licence,
+        "planned_frames": manifest.frames,
+        "proposals": sum(part.get("proposals", part["frames"]) for part in parts),
+        "rejections": dict(sorted(rejections.items())),
+    }

@@ -1,0 +1,290 @@
+"""Writing one part of a dataset: a Zarr v3 group that appears under its final name only when it is whole.
+
+The images of a frame are compressed as they arrive and appended to their shards, so memory does not grow with the
+part. The Zarr library writes the metadata, `store.shard` the chunks: four times as fast as through the library's
+chunk-by-chunk pipeline. Same frames, same bytes: no time stamps, no threads, a fixed order of everything.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import zarr
+from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
+from zarr.codecs import BloscCodec, Crc32cCodec
+from zarr.errors import ZarrUserWarning
+from zarr.storage import MemoryStore
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable, label_attributes
+from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL, ShardWriter, compressed, depth_ticks
+
+_SUFFIX = ".tmp"
+_serial = count()
+
+
+def temporary_parts(folder: Path) -> list[Path]:
+    """Unfinished parts that a killed process left in a dataset folder."""
+    return sorted(folder.glob(f".part-*.zarr.*{_SUFFIX}"))
+
+
+@contextmanager
+def disk_errors(folder: Path) -> Iterator[None]:
+    """Turn a full disk, a quota or a file-size limit into a `DatasetError` that says how to go on."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        raise DatasetError(
+            f"no space left while writing to {folder}",
+            hint="free some disk space, then run the same command with --resume; complete parts are kept",
+        ) from error
+
+
+class PartWriter:
+    """Writes one part, frame by frame; leaving the `with` block in peace makes it part of the dataset.
+
+    An exception inside the block removes everything that was written. `attrs` may be filled with plain data about
+    the part as a whole (`proposals`, `rejections`).
+    """
+
+    def __init__(self, folder: Path | str, plan: PartPlan, manifest: Manifest) -> None:
+        self.folder = Path(folder)
+        self.plan = plan
+        self.attrs: dict[str, Any] = {}
+        self._manifest = manifest
+        self._temporary = self.folder / f".{plan.name}.{os.getpid()}-{next(_serial)}{_SUFFIX}"
+        self._images = {
+            v.name: ShardWriter(self._temporary / v.name / "c", len(v.dims) - 1) for v in manifest.stored if v.is_image
+        }
+        self._columns: dict[str, list[Any]] = {v.name: [] for v in manifest.stored if not v.is_image}
+        self._appended = 0
+
+    def __enter__(self) -> PartWriter:
+        with disk_errors(self.folder):
+            self._temporary.mkdir()
+        return self
+
+    def append(self, frame: Mapping[str, Any]) -> None:
+        """Add the next frame: a value of shape `Manifest.frame_shape` for each variable in `Manifest.stored`.
+
+        Depths are float metres (NaN, 0 or beyond 6.5535 m: invalid) or uint16 ticks of 0.1 mm, written as they are.
+        Raises `DatasetError` for a missing, unknown or unfit variable, or one frame too many.
+        """
+        if self._appended == self.plan.frames:
+            raise DatasetError(f"{self.plan.name} holds {self.plan.frames} frames, not more")
+        names = {v.name for v in self._manifest.stored}
+        if frame.keys() != names:
+            missing, unknown = sorted(names - frame.keys()), sorted(frame.keys() - names)
+            raise DatasetError(f"frame {self._next}: missing variables {missing}, unknown variables {unknown}")
+        with disk_errors(self.folder):
+            for variable in self._manifest.stored:
+                value = self._checked(variable, frame[variable.name])
+                if variable.is_image:
+                    self._images[variable.name].append(value)
+                else:
+                    self._columns[variable.name].append(value)
+        self._appended += 1
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            if kind is None:
+                with disk_errors(self.folder):
+                    self._commit()
+        finally:
+            for image in self._images.values():
+                image.abandon()
+            shutil.rmtree(self._temporary, ignore_errors=True)
+
+    @property
+    def _next(self) -> int:
+        return self.plan.first + self._appended
+
+    def _checked(self, variable: Variable, value: Any) -> Any:
+        """The value as an array of the standard's shape and type; a `DatasetError` where it does not fit."""
+        array = np.array(value, dtype=object) if variable.dtype == "str" else np.asarray(value)
+        shape = self._manifest.frame_shape(variable)
+        if array.shape != shape:
+            raise DatasetError(f"frame {self._next}: {variable.name} has shape {array.shape}, the dataset's is {shape}")
+        if variable.dtype == "str":
+            if not all(isinstance(item, str) for item in array.flat):
+                raise DatasetError(f"frame {self._next}: {variable.name} is text, not {value!r}")
+            return array.tolist()
+        if variable.scale is not None and array.dtype.kind == "f":
+            return depth_ticks(array)
+        dtype = np.dtype(variable.dtype)
+        if array.dtype != dtype and (variable.is_image or array.dtype.kind != dtype.kind):
+            raise DatasetError(f"frame {self._next}: {variable.name} is {array.dtype}, the standard says {dtype}")
+        return np.ascontiguousarray(array, dtype).reshape(shape)
+
+    def _commit(self) -> None:
+        if self._appended != self.plan.frames:
+            raise DatasetError(f"{self.plan.name} needs {self.plan.frames} frames, got {self._appended}")
+        for image in self._images.values():
+            image.finish()
+        columns: dict[str, Sequence[Any]] = self._columns | {
+            "frame": range(self.plan.first, self.plan.first + self.plan.frames),
+            **_dimension_labels(self._manifest),
+        }
+        arrays = _arrays(self._manifest, self.plan.frames)
+        for array in arrays:
+            if not array.is_image:
+                path = self._temporary.joinpath(array.name, "c", *["0"] * len(array.shape))
+                path.parent.mkdir(parents=True)
+                path.write_bytes(_encoded(columns[array.name], array))
+        metadata = _metadata(arrays)
+        for name, text in metadata.items():
+            if name != "zarr.json":
+                (self._temporary / name).write_bytes(text)
+        root = json.loads(metadata["zarr.json"])
+        root["attributes"] = self._attributes()
+        (self._temporary / "zarr.json").write_text(json.dumps(root, indent=1), encoding="utf-8")
+        for path in sorted(self._temporary.rglob("*")):
+            _sync(path)
+        _sync(self._temporary)
+        try:
+            self._temporary.rename(self.folder / self.plan.name)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+            return  # another worker was quicker, with the same bytes
+        _sync(self.folder)
+
+    def _attributes(self) -> dict[str, Any]:
+        files = sorted(path for path in self._temporary.rglob("*") if path.is_file())
+        manifest = self._manifest
+        return {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "generator": manifest.generator,
+            "generator_version": manifest.generator_version,
+            "seed": manifest.seed,
+            "licence": manifest.licence,
+            "part": self.plan.index,
+            "first_frame": self.plan.first,
+            "frames": self.plan.frames,
+            **self.attrs,
+            "coordinates": " ".join(v.name for v in manifest.stored if v.coordinate),
+            "file_sizes": {path.relative_to(self._temporary).as_posix(): path.stat().st_size for path in files},
+        }
+
+
+def check_part(path: Path, plan: PartPlan) -> dict[str, Any]:
+    """The attributes of a complete part, after comparing its files with the sizes recorded when it was written.
+
+    Raises `DatasetError` naming the part and the file if one is missing or of another size.
+    """
+    hint = f"delete {path} and run the command that made it with --resume"
+    try:
+        attributes: dict[str, Any] = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+        sizes = attributes["file_sizes"]
+        version, frames = attributes["schema_version"], attributes["frames"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{path.name} is damaged: its zarr.json cannot be read", hint=hint) from error
+    if version != SCHEMA_VERSION:
+        raise DatasetError(
+            f"{path.name} has schema version {version}, this program reads version {SCHEMA_VERSION}",
+            hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
+        )
+    if (attributes.get("first_frame"), frames) != (plan.first, plan.frames):
+        raise DatasetError(f"{path.name} does not hold the frames that dataset.yaml says", hint=hint)
+    for name, size in sizes.items():
+        try:
+            found = (path / name).stat().st_size
+        except OSError:
+            raise DatasetError(f"{path.name} is damaged: {name} is missing", hint=hint) from None
+        if found != size:
+            raise DatasetError(f"{path.name} is damaged: {name} has {found} bytes instead of {size}", hint=hint)
+    return attributes
+
+
+@dataclass(frozen=True)
+class _Array:
+    """One array of a part as the Zarr metadata describes it; hashable, so that equal parts share their metadata."""
+
+    name: str
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    dtype: str
+    fill_value: float | int | str
+    attrs: tuple[tuple[str, Any], ...]
+
+    @property
+    def is_image(self) -> bool:
+        return "y" in self.dims
+
+
+def _arrays(manifest: Manifest, frames: int) -> tuple[_Array, ...]:
+    arrays = [_Array("frame", ("frame",), (frames,), "int64", 0, (("long_name", "index of the frame in the dataset"),))]
+    arrays += [_Array(dim, (dim,), (len(labels),), "str", "", ()) for dim, labels in _dimension_labels(manifest).items()]
+    for variable in manifest.stored:
+        attrs: list[tuple[str, Any]] = [("long_name", variable.meaning)]
+        if variable.units is not None:
+            attrs.append(("units", variable.units))
+        if variable.scale is not None:
+            attrs += [("scale_factor", variable.scale), ("_FillValue", 0)]
+        if variable.name == "labels":
+            attrs += label_attributes(manifest).items()
+        shape = (frames, *manifest.frame_shape(variable))
+        arrays.append(_Array(variable.name, variable.dims, shape, variable.dtype, variable.fill_value, tuple(attrs)))
+    return tuple(arrays)
+
+
+def _dimension_labels(manifest: Manifest) -> dict[str, tuple[str, ...]]:
+    labels = {"person": manifest.persons, "joint": manifest.joints}
+    return labels | ({"itop_joint": ITOP_JOINTS} if "itop_joints_3d" in manifest.variables else {})
+
+
+@lru_cache(maxsize=16)
+def _metadata(arrays: tuple[_Array, ...]) -> dict[str, bytes]:
+    """The zarr.json files of a part by their names; that of the group holds the consolidated metadata."""
+    store = MemoryStore()
+    group = zarr.create_group(store, zarr_format=3)
+    for array in arrays:
+        item = 1 if array.dtype == "str" else np.dtype(array.dtype).itemsize
+        codecs = [BloscCodec(cname="lz4", clevel=LEVEL, shuffle="bitshuffle", typesize=item), Crc32cCodec()]
+        group.create_array(
+            array.name,
+            shape=array.shape,
+            dtype=str if array.dtype == "str" else array.dtype,
+            chunks=(1, *array.shape[1:]) if array.is_image else array.shape,
+            shards=(FRAMES_PER_SHARD, *array.shape[1:]) if array.is_image else None,
+            compressors=codecs,
+            fill_value=array.fill_value,
+            dimension_names=array.dims,
+            attributes=dict(array.attrs),
+        )
+    with warnings.catch_warnings():  # other readers may ignore the consolidated copy: each array has its own file too
+        warnings.simplefilter("ignore", ZarrUserWarning)
+        zarr.consolidate_metadata(store)
+    return {name: buffer.to_bytes() for name, buffer in sorted(store._store_dict.items())}
+
+
+def _encoded(values: Sequence[Any], array: _Array) -> bytes:
+    if array.dtype == "str":
+        return compressed(bytes(VLenUTF8().encode(np.array(values, dtype=object).ravel())))
+    return compressed(np.ascontiguousarray(values, array.dtype))
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the entries of a folder, would survive a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

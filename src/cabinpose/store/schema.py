@@ -1,0 +1,247 @@
+"""The dataset standard, version 1: variables, their encoding on disk, and the manifest `dataset.yaml`.
+
+The manifest says what a folder holds and how it was made; the parts beside it hold the frames. Both carry the
+schema version, and a reader refuses a version that it does not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import OCCUPANT_SLOTS, Visibility
+from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+
+SCHEMA: Final = "cabinpose-dataset"
+SCHEMA_VERSION: Final = 1
+MANIFEST_NAME = "dataset.yaml"
+DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
+MAX_DEPTH_M = 65535 * DEPTH_SCALE_M
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of the standard: its dimensions, type on disk and meaning.
+
+    Images are stored one frame a chunk in shards, everything else one chunk a part.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    dtype: str  # numpy name, or "str"
+    meaning: str
+    units: str | None = None
+    scale: float | None = None  # stored integer times scale = value, 0 = invalid
+    coordinate: bool = False
+    default: bool = True
+
+    @property
+    def is_image(self) -> bool:
+        return "y" in self.dims
+
+    @property
+    def fill_value(self) -> float | int | str:
+        if self.dtype == "str":
+            return ""
+        return float("nan") if np.dtype(self.dtype).kind == "f" else 0
+
+
+_IMAGE = ("frame", "y", "x")
+_STATES = ", ".join(f"{state.value} {state.name.lower().replace('_', ' ')}" for state in Visibility)
+
+
+def _depth(name: str, meaning: str, *, default: bool = True) -> Variable:
+    return Variable(name, _IMAGE, "uint16", f"depth along the optical axis, {meaning}", "m", DEPTH_SCALE_M, default=default)
+
+
+VARIABLES: tuple[Variable, ...] = (
+    _depth("depth", "as the sensor delivers it"),
+    _depth("depth_clean", "of the geometry"),
+    _depth("depth_styled", "style-transferred", default=False),
+    Variable("amplitude", _IMAGE, "uint16", "amplitude of the active infrared light"),
+    Variable("confidence", _IMAGE, "uint8", "the sensor's confidence"),
+    Variable("labels", _IMAGE, "uint8", "class of the pixel"),
+    Variable("instance", _IMAGE, "uint8", "0 = nobody, else 1 + position of the person"),
+    Variable("rgb", (*_IMAGE, "channel"), "uint8", "colour image, sRGB", default=False),
+    Variable("joints_3d", ("frame", "person", "joint", "xyz"), "float32", "joints in the camera frame", "m"),
+    Variable("joints_2d", ("frame", "person", "joint", "uv"), "float32", "projection of joints_3d", "px"),
+    Variable("visibility", ("frame", "person", "joint"), "uint8", f"state of the joint: {_STATES}"),
+    Variable(
+        "itop_joints_3d", ("frame", "person", "itop_joint", "xyz"), "float32",
+        "ITOP's joints in the camera frame (OpenCV axes)", "m", default=False,
+    ),
+    Variable("camera_k", ("frame", "k_row", "k_column"), "float64", "matrix of intrinsics", "px"),
+    Variable("camera_dist", ("frame", "dist_coefficient"), "float64", "distortion k1 k2 p1 p2 k3 (OpenCV)"),
+    Variable("vehicle_from_camera", ("frame", "row", "column"), "float64", "extrinsics; translation in metres"),
+    Variable("sync_ns", ("frame",), "int64", "time on the common clock", "ns", coordinate=True),
+    Variable("sequence", ("frame",), "int64", "sequence that the frame belongs to", coordinate=True),
+    Variable("seed", ("frame",), "int64", "seed of the frame's generator, beside the frame's index", coordinate=True),
+    Variable("subject", ("frame", "person"), "str", "who it is; empty = nobody in this place", coordinate=True),
+    Variable("action", ("frame",), "str", "what is done", coordinate=True),
+    Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
+    Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
+)  # fmt: skip
+VARIABLE = {variable.name: variable for variable in VARIABLES}
+OPTIONAL = tuple(v.name for v in VARIABLES if v.is_image or not v.default)  # a manifest chooses among these
+DEFAULT_VARIABLES = tuple(v.name for v in VARIABLES if v.is_image and v.default)
+
+
+class LabelRow(BaseModel):
+    """A pixel class: id, name and sRGB colour 0xRRGGBB."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    id: Annotated[int, Field(ge=0, le=255)]
+    name: Annotated[str, Field(pattern=r"^\S+$")]
+    rgb: Annotated[int, Field(ge=0, le=0xFFFFFF)]
+
+
+@dataclass(frozen=True)
+class PartPlan:
+    """Which frames belong to which part: the frames [first, first + frames)."""
+
+    index: int
+    first: int
+    frames: int
+
+    @property
+    def name(self) -> str:
+        return f"part-{self.index:05d}.zarr"
+
+
+class Manifest(BaseModel):
+    """What `dataset.yaml` says. Frozen; raises `DatasetError` through `from_mapping`, else pydantic's error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_name: Literal["cabinpose-dataset"] = Field(default=SCHEMA, alias="schema")
+    schema_version: Literal[1] = SCHEMA_VERSION
+    generator: str
+    generator_version: str
+    seed: int
+    licence: str
+    frames: Annotated[int, Field(ge=1)]
+    frames_per_part: Annotated[int, Field(ge=1)] = 100
+    width: Annotated[int, Field(ge=1)]
+    height: Annotated[int, Field(ge=1)]
+    persons: Annotated[tuple[str, ...], Field(min_length=1)] = OCCUPANT_SLOTS
+    joints: Annotated[tuple[str, ...], Field(min_length=1)] = JOINTS
+    variables: tuple[str, ...] = DEFAULT_VARIABLES
+    labels: tuple[LabelRow, ...] = ()
+    materials: tuple[dict[str, Any], ...] = ()
+    config: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Manifest:
+        unknown = sorted(set(self.variables) - set(OPTIONAL))
+        if unknown:
+            raise ValueError(f"unknown variables: {', '.join(unknown)} (known: {', '.join(OPTIONAL)})")
+        for what in ("persons", "joints", "variables"):
+            names = getattr(self, what)
+            if len(set(names)) != len(names):
+                raise ValueError(f"{what} names one entry twice")
+        for key in ("id", "name"):
+            values = [getattr(row, key) for row in self.labels]
+            if len(set(values)) != len(values):
+                raise ValueError(f"two labels share one {key}")
+        return self
+
+    @classmethod
+    def from_mapping(cls, data: Any, source: Path | str) -> Manifest:
+        """The manifest that `data` (read from `source`) describes; `DatasetError` if it is none, or of another version."""
+        if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
+            raise DatasetError(f"{source} is not the manifest of a dataset", hint=f"it should say `schema: {SCHEMA}`")
+        if data.get("schema_version") != SCHEMA_VERSION:
+            raise DatasetError(
+                f"{source} has schema version {data.get('schema_version')}, this program reads version {SCHEMA_VERSION}",
+                hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
+            )
+        values = {key: value for key, value in data.items() if key != "parts"}
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(p) for p in first["loc"]) or "manifest"
+            raise DatasetError(f"{source}: {where}: {first['msg']}", hint="restore the file as it was written") from error
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain data in the order of the file, the derived list of parts at its end."""
+        data = self.model_dump(mode="json", by_alias=True)
+        data["parts"] = [{"name": p.name, "first": p.first, "frames": p.frames} for p in self.parts]
+        return data
+
+    @cached_property
+    def parts(self) -> tuple[PartPlan, ...]:
+        """All parts, in order."""
+        size = self.frames_per_part
+        return tuple(
+            PartPlan(index, first, min(size, self.frames - first)) for index, first in enumerate(range(0, self.frames, size))
+        )
+
+    @cached_property
+    def stored(self) -> tuple[Variable, ...]:
+        """The variables that every frame of this dataset has, in the standard's order."""
+        return tuple(v for v in VARIABLES if v.name not in OPTIONAL or v.name in self.variables)
+
+    def frame_shape(self, variable: Variable) -> tuple[int, ...]:
+        """Shape of one frame of a variable."""
+        return tuple(self._sizes[dim] for dim in variable.dims[1:])
+
+    @cached_property
+    def _sizes(self) -> dict[str, int]:
+        return {
+            "y": self.height, "x": self.width, "channel": 3, "person": len(self.persons), "joint": len(self.joints),
+            "itop_joint": len(ITOP_JOINTS), "xyz": 3, "uv": 2, "k_row": 3, "k_column": 3, "dist_coefficient": 5, "row": 4,
+            "column": 4,
+        }  # fmt: skip
+
+
+def label_attributes(manifest: Manifest) -> dict[str, Any]:
+    """The table of classes as attributes of `labels`: CF's flag_values and flag_meanings, and colours 0xRRGGBB."""
+    rows = manifest.labels
+    if not rows:
+        return {}
+    return {
+        "flag_values": tuple(row.id for row in rows),
+        "flag_meanings": " ".join(row.name for row in rows),
+        "flag_rgb": tuple(row.rgb for row in rows),
+    }
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe YAML without anchors, so that equal values read as values."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - the signature is PyYAML's
+        return True
+
+
+def manifest_yaml(manifest: Manifest) -> str:
+    """The text of `dataset.yaml`: same manifest, same bytes."""
+    return yaml.dump(
+        manifest.to_mapping(), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
+    )
+
+
+def read_manifest(folder: Path | str) -> Manifest:
+    """The manifest of a dataset folder; `DatasetError` if there is none or it cannot be read."""
+    path = Path(folder) / MANIFEST_NAME
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DatasetError(
+            f"{folder} holds no dataset: {MANIFEST_NAME} is missing", hint="give the folder that holds dataset.yaml"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"cannot read {path}: {error}", hint="check the folder and its permissions") from error
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise DatasetError(f"{path} is not YAML: {error}", hint="restore the file as it was written") from error
+    return Manifest.from_mapping(data, path)

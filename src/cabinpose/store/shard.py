@@ -1,0 +1,90 @@
+"""The bytes of chunks and shards, as Zarr v3 lays them out.
+
+A shard is its chunks, then an index of (offset, length) as little-endian uint64 per chunk, then the index' CRC-32C
+(Zarr sharding codec, `index_location: end`). A chunk is blosc (lz4, bitshuffle) and a CRC-32C, so that a damaged
+frame is noticed when it is read.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import google_crc32c
+import numpy as np
+from numcodecs import blosc  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from cabinpose.store.schema import DEPTH_SCALE_M
+
+FRAMES_PER_SHARD = 100
+LEVEL = 5
+_ABSENT = np.uint64(0xFFFF_FFFF_FFFF_FFFF)  # index entry of a chunk that was never written
+
+# Blosc's own threads would decide where blocks are cut, and with it the bytes.
+blosc.use_threads = False
+_blosc = blosc.Blosc("lz4", LEVEL, blosc.BITSHUFFLE)
+
+
+def with_checksum(data: bytes) -> bytes:
+    """`data` and its CRC-32C as little-endian uint32."""
+    return data + int(google_crc32c.value(data)).to_bytes(4, "little")
+
+
+def compressed(data: NDArray[Any] | bytes) -> bytes:
+    """One chunk as it stands on disk; arrays are shuffled by their own item size."""
+    return with_checksum(bytes(_blosc.encode(data)))
+
+
+def depth_ticks(depth_m: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
+    """Metres to ticks of 0.1 mm, rounded; 0 where not finite, not positive or beyond 6.5535 m."""
+    ticks = depth_m * np.float32(1 / DEPTH_SCALE_M)
+    ticks += np.float32(0.5)
+    valid = (ticks >= 1) & (ticks < 65536)
+    return np.where(valid, ticks, 0).astype(np.uint16)
+
+
+class ShardWriter:
+    """Streams the frames of one image variable into its shards, one frame a chunk."""
+
+    def __init__(self, folder: Path, frame_dims: int) -> None:
+        self._folder = folder  # .../<variable>/c
+        self._frame_dims = frame_dims
+        self._file: BinaryIO | None = None
+        self._index: list[tuple[int, int]] = []
+        self._offset = 0
+        self._shards = 0
+
+    def append(self, frame: NDArray[Any]) -> None:
+        """Add one C-contiguous frame."""
+        if self._file is None:
+            path = self._folder.joinpath(str(self._shards), *["0"] * self._frame_dims)
+            path.parent.mkdir(parents=True)
+            self._file = path.open("wb")
+        chunk = compressed(frame)
+        self._file.write(chunk)
+        self._index.append((self._offset, len(chunk)))
+        self._offset += len(chunk)
+        if len(self._index) == FRAMES_PER_SHARD:
+            self.finish()
+
+    def finish(self) -> None:
+        """Close the shard under way with its index; nothing to do where none is open."""
+        if self._file is None:
+            return
+        index = np.full((FRAMES_PER_SHARD, 2), _ABSENT, "<u8")
+        index[: len(self._index)] = self._index
+        self._file.write(with_checksum(index.tobytes()))
+        file, self._file = self._file, None
+        self._index, self._offset = [], 0
+        self._shards += 1
+        file.close()
+
+    def abandon(self) -> None:
+        """Close the file of an unfinished shard, which is about to be deleted; a full disk no longer matters."""
+        if self._file is not None:
+            file, self._file = self._file, None
+            try:
+                file.close()
+            except OSError:
+                return
