@@ -1,0 +1,11 @@
+"""What a camera sees of a scene: a z-buffer, and the visibility of joints.
+
+`Rasteriser` renders depth, labels, instances and the sub-pixel buffers of the sensor model; `joint_visibility` states for
+every joint how it is seen.
+"""
+
+from cabinpose.synth.render.rasteriser import Rasteriser, RenderedFrame
+from cabinpose.synth.render.visibility import OWN_PARTS, REACH_M, joint_visibility
+from cabinpose.synth.render.zbuffer import NEAR_M
+
+__all__ = ["NEAR_M", "OWN_PARTS", "REACH_M", "Rasteriser", "RenderedFrame", "joint_visibility"]

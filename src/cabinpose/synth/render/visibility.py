@@ -1,0 +1,213 @@
+"""How each joint is seen: the five states of `core.pose.Visibility`, decided on the ray through the joint.
+
+A joint lies inside its body, so it is never the first thing on its ray. It counts as visible where the first thing is the
+skin or clothing of the joint's own part, close to the joint. In full, for joint j of a person with instance number k:
+
+- ABSENT: no position (NaN).
+- OUTSIDE_IMAGE: at or behind the camera plane, or projected outside the image.
+- Otherwise take the first surface h on the ray from the camera through j, beyond `NEAR_M` and nearer than j, leaving out
+  what the eye passes over: transmissive materials (glass, spectacle lenses) and seat belts, which are 5 cm wide and lie on
+  their wearer as clothing does. Then
+  - no such h, or h of instance k, of a label in `OWN_PARTS[j]` and at most `REACH_M[j]` from j: VISIBLE;
+  - any other h of instance k: SELF_OCCLUDED;
+  - h of another person or of nobody (seat, wheel, trim): OCCLUDED.
+
+Clothing, hair and headwear carry the instance of their wearer; clothing carries the label of the part under it. The
+distance rules out a joint seen along its own limb, such as a knee behind the length of its own thigh.
+The ray is exact (no pixel grid), so the answer does not depend on the resolution.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.frames import Matrix
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import JOINTS
+from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.materials import MATERIALS
+from cabinpose.scene.surface import Surface
+from cabinpose.synth.render.zbuffer import NEAR_M, to_camera
+
+_WORN_ON_HEAD = ("hair", "headwear", "glasses")
+_SIDED_PARTS = {
+    "shoulder": ("shoulder", "upper_arm", "torso"),
+    "elbow": ("elbow", "upper_arm", "forearm"),
+    "wrist": ("wrist", "forearm", "hand"),
+    "hand": ("hand", "wrist"),
+    "pelvis": ("hip", "thigh"),
+    "knee": ("knee", "thigh", "shin"),
+    "ankle": ("ankle", "shin", "foot"),
+    "foot": ("foot", "ankle"),
+}
+_CENTRE_PARTS = {
+    "head": ("head_left", "head_right", "neck", *_WORN_ON_HEAD),
+    "neck": ("neck", "torso_left", "torso_right", "shoulder_left", "shoulder_right", "hair"),
+    "chest": ("torso_left", "torso_right", "hair"),
+    "hip": ("hip_left", "hip_right", "hip_center", "torso_left", "torso_right"),
+}
+_SHARED_PARTS = {"pelvis": ("hip_center",), "shoulder": ("hair",)}
+
+
+def _own_parts() -> dict[str, tuple[str, ...]]:
+    parts = dict(_CENTRE_PARTS)
+    for letter, side in (("l", "left"), ("r", "right")):
+        for joint, names in _SIDED_PARTS.items():
+            parts[letter + joint] = tuple(f"{name}_{side}" for name in names) + _SHARED_PARTS.get(joint, ())
+    return {joint: parts[joint] for joint in JOINTS}
+
+
+# The labels whose surface is the joint's own: its part and the two that meet there.
+OWN_PARTS = MappingProxyType(_own_parts())
+
+_REACH_M = {
+    "head": 0.25, "neck": 0.25, "chest": 0.40, "hip": 0.40, "shoulder": 0.22, "elbow": 0.15, "wrist": 0.12, "hand": 0.12,
+    "pelvis": 0.30, "knee": 0.18, "ankle": 0.15, "foot": 0.15,
+}  # fmt: skip
+# How far the own surface may be from the joint: the greatest half-thickness of the part seen from anywhere, for a heavy
+# adult in winter clothes, rounded up.
+REACH_M = MappingProxyType({joint: _REACH_M[joint if joint in _REACH_M else joint[1:]] for joint in JOINTS})
+
+_TILES = 64  # the index of rays: tiles a side
+
+
+def visibility_tables() -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """(own (20, 256) by joint and label, reach (20,) m, passed-over labels (256,), passed-over materials (256,))."""
+    own = np.zeros((len(JOINTS), 256), np.bool_)
+    for j, joint in enumerate(JOINTS):
+        own[j, [LABEL[name] for name in OWN_PARTS[joint]]] = True
+    labels, materials = np.zeros(256, np.bool_), np.zeros(256, np.bool_)
+    labels[LABEL["seat_belt"]] = True
+    materials[[m.id for m in MATERIALS if m.transmissive]] = True
+    return own, np.array([REACH_M[joint] for joint in JOINTS]), labels, materials
+
+
+def joint_visibility(
+    joints_camera: ArrayLike, instances: ArrayLike, surface: Surface, camera_from_vehicle: Matrix, camera: Camera
+) -> NDArray[np.uint8]:
+    """States (P, 20) of the joints (P, 20, 3) m, camera frame, of the persons with instance numbers (P,).
+
+    surface: everything in the scene, vehicle frame, the one that was rendered.
+    """
+    joints = np.asarray(joints_camera, dtype=np.float64)
+    flat = joints.reshape(-1, 3)
+    state = np.full(len(flat), Visibility.OUTSIDE_IMAGE, np.uint8)
+    present = np.isfinite(flat).all(axis=1)
+    state[~present] = Visibility.ABSENT
+    inside = present & _in_image(flat, camera)
+    rays = np.flatnonzero(inside)
+    if len(rays):
+        own, reach, labels, materials = visibility_tables()
+        p_camera = np.empty((len(surface.vertices), 3), np.float32)
+        to_camera(surface.vertices, np.ascontiguousarray(camera_from_vehicle, dtype=np.float64), p_camera)
+        passed = labels[surface.label] | materials[surface.material]
+        hit_z, hit_face = _first_hits(flat[rays], p_camera, surface.faces, passed)
+        hit = hit_face >= 0
+        face = np.where(hit, hit_face, 0)
+        joint = rays % joints.shape[-2]
+        distance = np.linalg.norm(flat[rays], axis=1) * (1 - hit_z / flat[rays, 2])
+        same = surface.instance[face] == np.repeat(np.asarray(instances), joints.shape[-2])[rays]
+        near_own = own[joint, surface.label[face]] & (distance <= reach[joint])
+        state[rays] = np.select(
+            [~hit | (same & near_own), same], [Visibility.VISIBLE, Visibility.SELF_OCCLUDED], Visibility.OCCLUDED
+        )
+    return state.reshape(joints.shape[:-1])
+
+
+def _in_image(p_camera: NDArray[np.float64], camera: Camera) -> NDArray[np.bool_]:
+    """Whether points (n, 3) project into the image.
+
+    A distorting lens must also be able to see them: beyond the rays of the image its polynomial may fold back into it.
+    """
+    with np.errstate(invalid="ignore"):
+        inside = (p_camera[:, 2] > 0) & camera.contains(camera.project(p_camera))
+        if camera.is_distorted:
+            rays = camera.rays.reshape(-1, 2)
+            margin = 1 / min(camera.fx, camera.fy)
+            xy = p_camera[:, :2] / p_camera[:, 2:]
+            inside &= ((xy >= np.nanmin(rays, axis=0) - margin) & (xy <= np.nanmax(rays, axis=0) + margin)).all(axis=1)
+    return np.asarray(inside)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_hits(
+    targets: NDArray[np.float64], p_camera: NDArray[np.float32], faces: NDArray[np.int32], passed: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Depth z and index of the first face on each segment from the camera to a target (n, 3); -1 where there is none.
+
+    Faces are tested against the rays of the tiles of the image plane that they touch; the test is that of the z-buffer
+    (`zbuffer.scan_rays`).
+    """
+    n = len(targets)
+    x, y = targets[:, 0] / targets[:, 2], targets[:, 1] / targets[:, 2]
+    x0, y0 = x.min(), y.min()
+    per_x, per_y = _TILES / (x.max() - x0 + 1e-6), _TILES / (y.max() - y0 + 1e-6)
+    words = (n + 63) // 64
+    columns, rows = np.zeros((_TILES, words), np.uint64), np.zeros((_TILES, words), np.uint64)
+    for i in range(n):
+        bit = np.uint64(1) << np.uint64(i % 64)
+        columns[min(int((x[i] - x0) * per_x), _TILES - 1), i // 64] |= bit
+        rows[min(int((y[i] - y0) * per_y), _TILES - 1), i // 64] |= bit
+    grid = np.empty((len(p_camera), 2), np.float32)  # tile coordinates of the vertices, NaN where not in front
+    for i in range(len(p_camera)):
+        z = np.float64(p_camera[i, 2])
+        grid[i, 0] = (p_camera[i, 0] / z - x0) * per_x if z >= NEAR_M else np.nan
+        grid[i, 1] = (p_camera[i, 1] / z - y0) * per_y
+    best, face = np.full(n, np.inf), np.full(n, -1)
+    for f in range(len(faces)):
+        if passed[f]:
+            continue
+        i0, i1, i2 = faces[f]
+        a0, a1, a2 = grid[i0, 0], grid[i1, 0], grid[i2, 0]
+        if a0 + a1 + a2 != a0 + a1 + a2:  # crosses the camera plane, or lies behind it
+            if p_camera[i0, 2] < NEAR_M and p_camera[i1, 2] < NEAR_M and p_camera[i2, 2] < NEAR_M:
+                continue
+            c0, c1, r0, r1 = 0, _TILES - 1, 0, _TILES - 1
+        else:
+            b0, b1, b2 = grid[i0, 1], grid[i1, 1], grid[i2, 1]
+            left, right, top, bottom = min(a0, a1, a2), max(a0, a1, a2), min(b0, b1, b2), max(b0, b1, b2)
+            if right < -1.0 or left > _TILES or bottom < -1.0 or top > _TILES:
+                continue
+            # A hundredth of a tile covers the float32 rounding of the grid.
+            c0, c1 = int(max(left - 0.01, 0.0)), int(min(max(right + 0.01, 0.0), _TILES - 1.0))
+            r0, r1 = int(max(top - 0.01, 0.0)), int(min(max(bottom + 0.01, 0.0), _TILES - 1.0))
+        for word in range(words):
+            in_columns, in_rows = np.uint64(0), np.uint64(0)
+            for c in range(c0, c1 + 1):
+                in_columns |= columns[c, word]
+            for r in range(r0, r1 + 1):
+                in_rows |= rows[r, word]
+            bits = in_columns & in_rows
+            i = word * 64
+            while bits:
+                if bits & np.uint64(1):
+                    z = _hit(p_camera[i0], p_camera[i1], p_camera[i2], x[i], y[i])
+                    if NEAR_M <= z < targets[i, 2] and z < best[i]:
+                        best[i] = np.float64(z)
+                        face[i] = f
+                bits >>= np.uint64(1)
+                i += 1
+    return best, face
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hit(v0: NDArray[np.float32], v1: NDArray[np.float32], v2: NDArray[np.float32], x: float, y: float) -> float:
+    """Depth z where the ray (x, y, 1) meets a triangle; 0 where it does not."""
+    ax, ay, az = np.float64(v0[0]), np.float64(v0[1]), np.float64(v0[2])
+    bx, by, bz = np.float64(v1[0]), np.float64(v1[1]), np.float64(v1[2])
+    cx, cy, cz = np.float64(v2[0]), np.float64(v2[1]), np.float64(v2[2])
+    e0 = (by * cz - bz * cy) * x + (bz * cx - bx * cz) * y + (bx * cy - by * cx)
+    e1 = (cy * az - cz * ay) * x + (cz * ax - cx * az) * y + (cx * ay - cy * ax)
+    e2 = (ay * bz - az * by) * x + (az * bx - ax * bz) * y + (ax * by - ay * bx)
+    if not ((e0 >= 0.0 and e1 >= 0.0 and e2 >= 0.0) or (e0 <= 0.0 and e1 <= 0.0 and e2 <= 0.0)):
+        return 0.0
+    total = e0 + e1 + e2
+    if total == 0.0:
+        return 0.0
+    det = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return det / total
