@@ -1,0 +1,34 @@
+"""Contact between bodies, and between bodies and the cabin: what yields, by how much, and what collides."""
+
+from cabinpose.scene.contact.field import BAND_M, OUTSIDE, Contact, ContactField, ContactScene, PlacedField
+from cabinpose.scene.contact.solids import (
+    FLESH_M,
+    PAIRS,
+    SOLIDS,
+    Pair,
+    PosedSolids,
+    SolidContact,
+    SolidTopology,
+    person_contact,
+    self_contact,
+    solid_topology,
+)
+
+__all__ = [
+    "BAND_M",
+    "FLESH_M",
+    "OUTSIDE",
+    "PAIRS",
+    "SOLIDS",
+    "Contact",
+    "ContactField",
+    "ContactScene",
+    "Pair",
+    "PlacedField",
+    "PosedSolids",
+    "SolidContact",
+    "SolidTopology",
+    "person_contact",
+    "self_contact",
+    "solid_topology",
+]
