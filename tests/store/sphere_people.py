@@ -62,9 +62,7 @@ def frame(index: int, manifest: Manifest) -> dict[str, Any]:
             t = np.where(hit, (b - np.sqrt(np.where(hit, root, 0))) / norm2, np.inf)
             nearer = t < depth
             depth[nearer], labels[nearer], instance[nearer] = t[nearer], label, person + 1
-        joints[person] = centre + np.stack(
-            [np.linspace(-0.1, 0.1, 20), np.linspace(-0.38, 0.2, 20), np.zeros(20)], -1
-        )
+        joints[person] = centre + np.stack([np.linspace(-0.1, 0.1, 20), np.linspace(-0.38, 0.2, 20), np.zeros(20)], -1)
         visibility[person] = np.tile([4, 4, 3, 2, 4], 4)
     uvw = joints @ k.T
     with np.errstate(invalid="ignore"):

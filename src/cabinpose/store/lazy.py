@@ -17,6 +17,7 @@ from xarray.core import indexing
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.store.schema import PartPlan, Variable
+from cabinpose.store.shard import read_frames
 
 
 class PartsArray(BackendArray):
@@ -27,15 +28,12 @@ class PartsArray(BackendArray):
         self._names = tuple(plan.name for plan in plans)
         self._starts = np.cumsum([0] + [plan.frames for plan in plans])
         self._variable = variable
-        self._open: dict[int, zarr.Array[Any]] = {}
+        self._latest: tuple[int, NDArray[Any]] = -1, np.empty(0)  # the part whose small values were read last
         self.shape = (int(self._starts[-1]), *frame_shape)
         if variable.dtype == "str":
             self.dtype = np.dtype(object)
         else:
             self.dtype = np.dtype("float32" if variable.scale is not None else variable.dtype)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_open": {}}
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
@@ -49,42 +47,39 @@ class PartsArray(BackendArray):
 
     def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
         first, rest = key[0], key[1:]
-        if isinstance(first, (int, np.integer)):
-            return self._decoded(self._part_values(int(np.searchsorted(self._starts, first, "right")) - 1, int(first), rest))
-        frames = np.arange(self.shape[0])[first]
+        single = isinstance(first, (int, np.integer))
+        frames = np.atleast_1d(np.arange(self.shape[0])[first])
         owners = np.searchsorted(self._starts, frames, "right") - 1
-        pieces, start = [], 0
-        for stop in (*(np.flatnonzero(np.diff(owners)) + 1), len(frames)):  # runs of frames of one part, in the order asked
-            if stop > start:
-                pieces.append(self._part_values(int(owners[start]), frames[start:stop], rest))
-            start = stop
-        if not pieces:
-            nothing = np.empty((0, *self.shape[1:]), self.dtype)
-            return nothing[(slice(None), *np.ix_(*[np.arange(n)[k] for n, k in zip(self.shape[1:], rest, strict=True)]))]
-        return self._decoded(pieces[0] if len(pieces) == 1 else np.concatenate(pieces))
+        stored = np.dtype(object if self._variable.dtype == "str" else self._variable.dtype)
+        values = np.empty((len(frames), *self.shape[1:]), stored)
+        for part in np.unique(owners).tolist():
+            values[owners == part] = self._part_values(part, frames[owners == part] - self._starts[part])
+        for axis in range(len(rest), 0, -1):  # from the last, so that axes taken out do not move the others
+            values = values[(*[slice(None)] * axis, rest[axis - 1])]
+        return self._decoded(values.squeeze(0) if single else values)
 
-    def _part_values(self, part: int, frames: int | NDArray[np.int64], rest: tuple[Any, ...]) -> NDArray[Any]:
-        """Raw values of frames (indices into the whole dataset) of one part."""
-        local: Any = frames - self._starts[part]
-        if isinstance(local, np.ndarray) and (np.diff(local) == 1).all():
-            local = slice(int(local[0]), int(local[-1]) + 1)
-        name = self._names[part]
+    def _part_values(self, part: int, frames: NDArray[np.int64]) -> NDArray[Any]:
+        """Raw values of some frames (indices into the part) of one part."""
+        name, variable = self._names[part], self._variable
+        path = self._folder / name / variable.name
         try:
-            if part not in self._open:
-                self._open[part] = zarr.open_array(self._folder / name / self._variable.name, mode="r")
-            return np.asarray(self._open[part].oindex[(local, *rest)])
-        except (OSError, ValueError, RuntimeError, KeyError) as error:
+            if variable.is_image:
+                return read_frames(path / "c", frames, self.shape[1:], np.dtype(variable.dtype))
+            if self._latest[0] != part:
+                self._latest = part, np.asarray(zarr.open_array(path, mode="r")[...])
+            values: NDArray[Any] = self._latest[1][frames]
+            return values
+        except (OSError, ValueError, RuntimeError) as error:
             raise DatasetError(
-                f"{name} is damaged: cannot read {self._variable.name} ({error})",
+                f"{name} is damaged: cannot read {variable.name} ({error})",
                 hint=f"delete {self._folder / name} and run the command that made it with --resume",
             ) from error
 
     def _decoded(self, raw: NDArray[Any]) -> NDArray[Any]:
         if self._variable.scale is not None:
-            values = raw.astype(np.float32)
-            values *= np.float32(self._variable.scale)
-            return np.where(raw == 0, np.float32(np.nan), values)
-        return raw.astype(self.dtype, copy=False)
+            metres: NDArray[np.float32] = _metres(self._variable.scale)[raw]
+            return metres
+        return raw
 
 
 class PointsArray(BackendArray):
@@ -127,6 +122,14 @@ def points_m(dataset: xr.Dataset, variable: str = "depth") -> xr.DataArray:
     variables = (depth.variable, dataset["camera_k"].variable, dataset["camera_dist"].variable)
     lazy = xr.Variable((*depth.dims, "xyz"), indexing.LazilyIndexedArray(PointsArray(*variables)), {"units": "m"})
     return xr.DataArray(lazy, coords={"frame": depth["frame"], "xyz": ["x", "y", "z"]}, name="points")
+
+
+@lru_cache
+def _metres(scale: float) -> NDArray[np.float32]:
+    """(65536,) metres of every stored depth: a table look-up is the quickest way to NaN at 0."""
+    table = np.arange(65536, dtype=np.float32) * np.float32(scale)
+    table[0] = np.nan
+    return table
 
 
 @lru_cache(maxsize=64)

@@ -221,7 +221,6 @@ class _Array:
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     dtype: str
-    fill_value: float | int | str
     attrs: tuple[tuple[str, Any], ...]
 
     @property
@@ -230,8 +229,8 @@ class _Array:
 
 
 def _arrays(manifest: Manifest, frames: int) -> tuple[_Array, ...]:
-    arrays = [_Array("frame", ("frame",), (frames,), "int64", 0, (("long_name", "index of the frame in the dataset"),))]
-    arrays += [_Array(dim, (dim,), (len(labels),), "str", "", ()) for dim, labels in _dimension_labels(manifest).items()]
+    arrays = [_Array("frame", ("frame",), (frames,), "int64", (("long_name", "index of the frame in the dataset"),))]
+    arrays += [_Array(dim, (dim,), (len(labels),), "str", ()) for dim, labels in _dimension_labels(manifest).items()]
     for variable in manifest.stored:
         attrs: list[tuple[str, Any]] = [("long_name", variable.meaning)]
         if variable.units is not None:
@@ -241,13 +240,17 @@ def _arrays(manifest: Manifest, frames: int) -> tuple[_Array, ...]:
         if variable.name == "labels":
             attrs += label_attributes(manifest).items()
         shape = (frames, *manifest.frame_shape(variable))
-        arrays.append(_Array(variable.name, variable.dims, shape, variable.dtype, variable.fill_value, tuple(attrs)))
+        arrays.append(_Array(variable.name, variable.dims, shape, variable.dtype, tuple(attrs)))
     return tuple(arrays)
 
 
 def _dimension_labels(manifest: Manifest) -> dict[str, tuple[str, ...]]:
     labels = {"person": manifest.persons, "joint": manifest.joints}
     return labels | ({"itop_joint": ITOP_JOINTS} if "itop_joints_3d" in manifest.variables else {})
+
+
+# By numpy's kind of type. Not a field of `_Array`: NaN equals nothing, so that no two parts would share metadata.
+_FILL: dict[str, float | str] = {"U": "", "f": float("nan"), "u": 0, "i": 0}
 
 
 @lru_cache(maxsize=16)
@@ -265,7 +268,7 @@ def _metadata(arrays: tuple[_Array, ...]) -> dict[str, bytes]:
             chunks=(1, *array.shape[1:]) if array.is_image else array.shape,
             shards=(FRAMES_PER_SHARD, *array.shape[1:]) if array.is_image else None,
             compressors=codecs,
-            fill_value=array.fill_value,
+            fill_value=_FILL[np.dtype(array.dtype).kind],
             dimension_names=array.dims,
             attributes=dict(array.attrs),
         )

@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -46,12 +45,6 @@ class Variable:
     @property
     def is_image(self) -> bool:
         return "y" in self.dims
-
-    @property
-    def fill_value(self) -> float | int | str:
-        if self.dtype == "str":
-            return ""
-        return float("nan") if np.dtype(self.dtype).kind == "f" else 0
 
 
 _IMAGE = ("frame", "y", "x")

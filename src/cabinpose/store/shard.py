@@ -19,7 +19,8 @@ from cabinpose.store.schema import DEPTH_SCALE_M
 
 FRAMES_PER_SHARD = 100
 LEVEL = 5
-_ABSENT = np.uint64(0xFFFF_FFFF_FFFF_FFFF)  # index entry of a chunk that was never written
+_ABSENT = 0xFFFF_FFFF_FFFF_FFFF  # index entry of a chunk that was never written
+_INDEX_BYTES = FRAMES_PER_SHARD * 16 + 4
 
 # Blosc's own threads would decide where blocks are cut, and with it the bytes.
 blosc.use_threads = False
@@ -31,17 +32,44 @@ def with_checksum(data: bytes) -> bytes:
     return data + int(google_crc32c.value(data)).to_bytes(4, "little")
 
 
+def checked(data: bytes) -> bytes:
+    """`data` without its checksum; ValueError where that is not right."""
+    if len(data) < 4 or int(google_crc32c.value(data[:-4])) != int.from_bytes(data[-4:], "little"):
+        raise ValueError("wrong checksum")
+    return data[:-4]
+
+
 def compressed(data: NDArray[Any] | bytes) -> bytes:
     """One chunk as it stands on disk; arrays are shuffled by their own item size."""
-    return with_checksum(bytes(_blosc.encode(data)))
+    return with_checksum(_blosc.encode(data))
+
+
+def read_frames(folder: Path, frames: NDArray[np.int64], shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Frames (n,) of one image variable of a part, in the order asked: (n, *shape). `folder` is .../<variable>/c.
+
+    Raises OSError or ValueError where a file is missing or damaged.
+    """
+    result = np.empty((len(frames), *shape), dtype)
+    shards = frames // FRAMES_PER_SHARD
+    for shard in np.unique(shards).tolist():
+        with folder.joinpath(str(shard), *["0"] * len(shape)).open("rb") as file:
+            file.seek(-_INDEX_BYTES, 2)
+            index = np.frombuffer(checked(file.read()), "<u8").reshape(FRAMES_PER_SHARD, 2)
+            for position in np.flatnonzero(shards == shard).tolist():
+                offset, length = index[frames[position] % FRAMES_PER_SHARD].tolist()
+                if offset == _ABSENT:
+                    raise ValueError(f"frame {frames[position]} is not there")
+                file.seek(offset)
+                _blosc.decode(checked(file.read(length)), result[position])
+    return result
 
 
 def depth_ticks(depth_m: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
     """Metres to ticks of 0.1 mm, rounded; 0 where not finite, not positive or beyond 6.5535 m."""
     ticks = depth_m * np.float32(1 / DEPTH_SCALE_M)
     ticks += np.float32(0.5)
-    valid = (ticks >= 1) & (ticks < 65536)
-    return np.where(valid, ticks, 0).astype(np.uint16)
+    np.copyto(ticks, 0, where=~((ticks >= 1) & (ticks < 65536)))  # NaN is neither
+    return ticks.astype(np.uint16)
 
 
 class ShardWriter:

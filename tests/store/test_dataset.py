@@ -1,0 +1,234 @@
+"""The dataset folder: what is written is what is read, by this package, by zarr and by xarray alone."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.store import Manifest, PartWriter, create_dataset, open_dataset, points_m, read_manifest
+from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, manifest_yaml
+from cabinpose.store.shard import FRAMES_PER_SHARD, depth_ticks
+
+
+def test_frames_come_back(spheres: ModuleType, dataset_folder: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    manifest = spheres.manifest()
+    assert dataset.sizes["frame"] == 5
+    for index in range(5):
+        want = spheres.frame(index, manifest)
+        for name, value in want.items():
+            got = dataset[name][index].values
+            if name.startswith("depth"):
+                np.testing.assert_allclose(got, value, atol=DEPTH_SCALE_M / 2 + 1e-6)
+                assert got.dtype == np.float32
+            else:
+                np.testing.assert_array_equal(got, np.asarray(value, dtype=got.dtype), err_msg=name)
+
+
+def test_attributes_sum_over_parts(dataset_folder: Path) -> None:
+    attrs = open_dataset(dataset_folder).attrs
+    assert attrs["proposals"] == 5 + 3 * 3
+    assert attrs["rejections"] == {"car": 6, "self": 3}
+
+
+def test_opening_reads_no_image(dataset_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("an image was read")
+
+    monkeypatch.setattr("cabinpose.store.lazy.read_frames", refuse)
+    dataset = open_dataset(dataset_folder)
+    assert dataset.isel(frame=[0, 3]).depth.shape == (2, 48, 64)
+    assert dataset.car.values.tolist() == ["sedan", "van", "coupe", "sedan", "van"]
+    with pytest.raises(AssertionError, match="image was read"):
+        dataset.depth[0].load()
+
+
+def test_xarray_alone_reads_a_part(dataset_folder: Path) -> None:
+    """A part needs no code of ours: coordinates, units, metres and NaN come from its own metadata, without a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        part = xr.open_zarr(dataset_folder / "part-00001.zarr", chunks=None)
+    ours = open_dataset(dataset_folder).isel(frame=slice(2, 4))
+    np.testing.assert_allclose(part.depth.values, ours.depth.values, rtol=1e-6)
+    assert np.isnan(ours.depth.values).any()
+    assert part.depth.attrs["units"] == "m"
+    assert set(part.coords) == {"frame", "person", "joint", "sync_ns", "sequence", "seed", "subject", "action", "car", "pov"}
+    for name in set(part.variables) - {"depth", "depth_clean"}:
+        assert part[name].dims == ours[name].dims
+        np.testing.assert_array_equal(part[name].values, ours[name].values.astype(part[name].dtype))
+
+
+def test_zarr_validates_what_we_write(dataset_folder: Path) -> None:
+    """Stored numbers, through zarr's own sharding, checksum and blosc code."""
+    raw = zarr.open_group(dataset_folder / "part-00000.zarr", mode="r")
+    assert raw["depth"].dtype == np.uint16
+    assert raw["depth"].shards == (FRAMES_PER_SHARD, 48, 64)
+    assert raw["depth"].chunks == (1, 48, 64)
+    clean = np.asarray(raw["depth_clean"])
+    assert clean.max() == 25000
+    assert raw["labels"].attrs["flag_meanings"] == "background torso_left head_left wall"
+
+
+def test_indexing_is_numpys(dataset_folder: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    whole = dataset.amplitude.values
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        keys = []
+        for size in whole.shape:
+            kind = rng.integers(3)
+            a, b = sorted(rng.integers(0, size + 1, 2))
+            keys.append([slice(a, b), int(rng.integers(size)), rng.integers(0, size, 3)][kind])
+        want = whole
+        for axis in (2, 1, 0):
+            want = want[(*[slice(None)] * axis, keys[axis])]
+        np.testing.assert_array_equal(dataset.amplitude[tuple(keys)].values, want)
+    np.testing.assert_array_equal(dataset.amplitude[::-2].values, whole[::-2])
+
+
+def test_boolean_selection_and_dask_and_pickle(dataset_folder: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    vans = dataset.sel(frame=dataset.car.values == "van")
+    assert vans.frame.values.tolist() == [1, 4]
+    again = pickle.loads(pickle.dumps(vans))
+    np.testing.assert_array_equal(again.labels.values, dataset.labels.values[[1, 4]])
+    chunked = dataset.chunk({"frame": 2})
+    assert float(chunked.amplitude.mean().compute()) == pytest.approx(dataset.amplitude.values.mean())
+
+
+def test_points_agree_with_the_closed_form(spheres: ModuleType, dataset_folder: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    points = points_m(dataset, "depth_clean")
+    assert points.dims == ("frame", "y", "x", "xyz")
+    cloud = points[2].values
+    k = spheres.camera_k(64, 48)
+    depth = dataset.depth_clean[2].values
+    v, u = np.mgrid[:48, :64]
+    want = np.stack(((u - k[0, 2]) * depth / k[0, 0], (v - k[1, 2]) * depth / k[1, 1], depth), -1)
+    np.testing.assert_allclose(cloud, want, atol=1e-6)
+    np.testing.assert_array_equal(points_m(dataset.isel(frame=2), "depth_clean").values, cloud)
+    np.testing.assert_array_equal(points.isel(frame=[2], x=3).values[0], cloud[:, 3])
+    with pytest.raises(DatasetError, match="no variable 'depth_of_field'"):
+        points_m(dataset, "depth_of_field")
+
+
+@given(hnp.arrays(np.float32, (3, 4), elements=st.floats(-1, 9, width=32) | st.just(float("nan")) | st.just(float("inf"))))
+def test_depth_ticks(depth: np.ndarray) -> None:
+    ticks = depth_ticks(depth)
+    valid = np.isfinite(depth) & (depth >= 0.6e-4) & (depth <= 6.5535)
+    np.testing.assert_allclose(ticks[valid] * DEPTH_SCALE_M, depth[valid], atol=0.5001e-4 + 1e-6)
+    assert (ticks[~(depth > 0.4e-4) | ~(depth < 6.5536)] == 0).all()
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_values_survive(data: st.DataObject, spheres: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Round trip of arbitrary images, poses and names through a part."""
+    manifest = spheres.manifest(
+        frames=2, width=5, height=3, persons=("a", "b"), variables=("depth", "labels", "rgb", "itop_joints_3d")
+    )
+    frames = []
+    for _ in range(2):
+        frame = {}
+        for variable in manifest.stored:
+            shape = manifest.frame_shape(variable)
+            if variable.dtype == "str":
+                names = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+                frame[variable.name] = data.draw(names if not shape else st.lists(names, min_size=shape[0], max_size=shape[0]))
+            else:
+                frame[variable.name] = data.draw(hnp.arrays(variable.dtype, shape))
+        frames.append(frame)
+    folder = tmp_path_factory.mktemp("any")
+    with create_dataset(folder, manifest), PartWriter(folder, manifest.parts[0], manifest) as part:
+        for frame in frames:
+            part.append(frame)
+    raw = zarr.open_group(folder / "part-00000.zarr", mode="r")
+    dataset = open_dataset(folder)
+    for variable in manifest.stored:
+        want = np.stack([np.asarray(f[variable.name], dtype=object if variable.dtype == "str" else None) for f in frames])
+        np.testing.assert_array_equal(np.asarray(raw[variable.name]).astype(want.dtype), want)
+        if variable.scale is None:
+            np.testing.assert_array_equal(dataset[variable.name].values, want)
+
+
+def test_same_frames_same_bytes(spheres: ModuleType, dataset_folder: Path, tmp_path: Path) -> None:
+    again = spheres.write(tmp_path / "again", spheres.manifest())
+    names = sorted(p.relative_to(dataset_folder) for p in dataset_folder.rglob("*") if p.is_file())
+    assert names == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
+    for name in names:
+        assert (dataset_folder / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_frames_span_shards(spheres: ModuleType, tmp_path: Path) -> None:
+    manifest = spheres.manifest(frames=FRAMES_PER_SHARD + 3, frames_per_part=FRAMES_PER_SHARD + 3, width=4, height=3)
+    dataset = open_dataset(spheres.write(tmp_path, manifest))
+    raw = zarr.open_array(tmp_path / "part-00000.zarr" / "amplitude", mode="r")
+    np.testing.assert_array_equal(dataset.amplitude.values, np.asarray(raw))
+    np.testing.assert_array_equal(
+        dataset.amplitude[FRAMES_PER_SHARD + 1].values, spheres.frame(FRAMES_PER_SHARD + 1, manifest)["amplitude"]
+    )
+
+
+def test_manifest_round_trip(spheres: ModuleType, dataset_folder: Path) -> None:
+    manifest = read_manifest(dataset_folder)
+    assert manifest == Manifest(**spheres.manifest().model_dump(by_alias=True))
+    assert manifest.config["small"] == 1e-5
+    assert manifest_yaml(manifest) == (dataset_folder / "dataset.yaml").read_text()
+
+
+def test_frame_is_checked(spheres: ModuleType, tmp_path: Path) -> None:
+    manifest = spheres.manifest()
+    good = spheres.frame(0, manifest)
+    create_dataset(tmp_path, manifest).close()
+    cases = [
+        ({k: v for k, v in good.items() if k != "labels"}, "missing variables .'labels'"),
+        (good | {"depht": 1}, "unknown variables .'depht'"),
+        (good | {"labels": good["labels"][:-1]}, "labels has shape"),
+        (good | {"labels": good["labels"].astype(np.int64)}, "labels is int64"),
+        (good | {"joints_3d": np.zeros((5, 20, 3), np.int64)}, "joints_3d is int64"),
+        (good | {"subject": ["a"]}, "subject has shape"),
+        (good | {"car": 3}, "car is text"),
+    ]
+    for frame, message in cases:
+        with pytest.raises(DatasetError, match=message), PartWriter(tmp_path, manifest.parts[0], manifest) as part:
+            part.append(frame)
+    with pytest.raises(DatasetError, match="needs 2 frames, got 1"), PartWriter(tmp_path, manifest.parts[0], manifest) as part:
+        part.append(good)
+    with PartWriter(tmp_path, manifest.parts[0], manifest) as part:
+        part.append(good)
+        part.append(good)
+        with pytest.raises(DatasetError, match="not more"):
+            part.append(good)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["dataset.yaml", "part-00000.zarr"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"variables": ("depth", "deep")}, "unknown variables: deep"),
+        ({"persons": ("a", "a")}, "persons names one entry twice"),
+        ({"frames": 0}, "greater than or equal to 1"),
+        ({"labels": [{"id": 1, "name": "a", "rgb": 1}, {"id": 1, "name": "b", "rgb": 2}]}, "two labels share one id"),
+    ],
+)
+def test_manifest_is_checked(spheres: ModuleType, change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        spheres.manifest(**change)
+
+
+def test_every_variable_says_what_it_is() -> None:
+    for variable in VARIABLE.values():
+        assert variable.meaning
+        assert variable.dims[0] == "frame"
+        assert (variable.scale is not None) == variable.name.startswith("depth")
