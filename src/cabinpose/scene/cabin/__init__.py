@@ -1,0 +1,20 @@
+"""Parametric car interiors from SAE J1100 dimensions, and the user's own car meshes in their place."""
+
+from cabinpose.scene.cabin.build import build_cabin
+from cabinpose.scene.cabin.dimensions import CabinDimensions
+from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Part, Seat, SeatSetting, SteeringWheel, ViewAnchor
+from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
+
+__all__ = [
+    "PRESETS",
+    "PRESET_DIMENSIONS",
+    "BeltAnchors",
+    "Cabin",
+    "CabinDimensions",
+    "Part",
+    "Seat",
+    "SeatSetting",
+    "SteeringWheel",
+    "ViewAnchor",
+    "build_cabin",
+]

@@ -1,0 +1,265 @@
+"""`build_cabin`: from dimensions to a cabin, left- or right-hand drive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.frames import Matrix
+from cabinpose.scene.cabin import cockpit, shell
+from cabinpose.scene.cabin.dimensions import CabinDimensions
+from cabinpose.scene.cabin.layout import Layout
+from cabinpose.scene.cabin.model import (
+    BeltAnchors,
+    Cabin,
+    Part,
+    Seat,
+    SeatSetting,
+    SteeringWheel,
+    Vector,
+    ViewAnchor,
+    in_slot_order,
+)
+from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
+from cabinpose.scene.cabin.seats import STYLES, seat_parts
+from cabinpose.scene.surface import Surface
+
+DriveSide = Literal["left", "right"]
+_FRONT, _REAR = ("driver", "front_passenger"), ("rear_left", "rear_center", "rear_right")
+RECLINE = (np.deg2rad(10.0), np.deg2rad(45.0))  # range of a front backrest's torso angle
+
+
+def build_cabin(dimensions: CabinDimensions | str, *, drive_side: DriveSide = "left") -> Cabin:
+    """The cabin of these dimensions, or of the preset of this name. Equal input gives the same object.
+
+    Raises ConfigError for an unknown preset or drive side.
+    """
+    if isinstance(dimensions, str):
+        if dimensions not in PRESET_DIMENSIONS:
+            raise unknown_name("cabin preset", dimensions, PRESETS)
+        dimensions = PRESET_DIMENSIONS[dimensions]
+    if drive_side not in ("left", "right"):
+        raise ConfigError(f"unknown drive side '{drive_side}'", hint="known: left, right")
+    return _build(dimensions, drive_side)
+
+
+@lru_cache(maxsize=32)
+def _build(d: CabinDimensions, drive_side: DriveSide) -> Cabin:
+    layout = Layout(d)
+    parts: list[Part] = shell.floor(layout) + shell.doors(layout) + shell.roof(layout) + shell.roof_fittings(layout)
+    seats = _front_row(layout, parts) | _rear_row(layout, parts)
+    wheel: SteeringWheel | None = None
+    targets: dict[str, Vector] = {}
+    if not layout.facing:
+        parts += cockpit.dashboard(layout)
+        wheel, wheel_parts = cockpit.steering(layout)
+        console_parts, knob = cockpit.console(layout, STYLES[d.seat_style].width)
+        parts += wheel_parts + console_parts
+        targets["gear_lever"] = knob
+    targets |= _reach_targets(layout, seats)
+    views = _views(layout)
+
+    if drive_side == "right":
+        parts = [_mirrored_part(p) for p in parts]
+        seats = {_mirrored_slot(s.slot): _mirrored_seat(s) for s in seats.values()}
+        targets = {_mirrored_name(k): _mirror(v) for k, v in targets.items()}
+        views = {k: ViewAnchor(_mirror(v.eye), _mirror(v.target)) for k, v in views.items()}
+        if wheel is not None:
+            pose = wheel.vehicle_from_wheel.copy()
+            pose[1, 3] = -pose[1, 3]
+            wheel = replace(wheel, vehicle_from_wheel=pose)
+    pads: dict[str, Matrix] = {}
+    if not layout.facing:
+        pads, pedal_parts = cockpit.pedals(layout, float(seats["driver"].design_h_point[1]))
+        parts += pedal_parts
+    return Cabin(d.name, drive_side, tuple(parts), in_slot_order(seats), wheel, pads, targets, views)
+
+
+def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
+    d = layout.d
+    shape = STYLES[d.seat_style]
+    fixed = layout.facing
+    default = SeatSetting(0.0, 0.0, float(layout.torso))
+    low, high = (
+        (default, default)
+        if fixed
+        else (
+            SeatSetting(-d.l23_aft_mm / 1000, -d.h58_mm / 2000, min(RECLINE[0], default.torso_angle)),
+            SeatSetting(d.l23_fore_mm / 1000, d.h58_mm / 2000, max(RECLINE[1], default.torso_angle)),
+        )
+    )
+    seats = {}
+    for slot, side in (("driver", 1.0), ("front_passenger", -1.0)):
+        width = 2 * d.w20_mm / 1000 - 0.01 if d.seat_style == "bench" else None
+        made, shape = seat_parts(
+            slot, d.seat_style, cushion_angle=layout.cushion, seat_height=d.h30_mm / 1000, half_travel=d.h58_mm / 2000,
+            leather=d.leather, width=width,
+        )  # fmt: skip
+        parts.extend(made)
+        h = layout.h_front * (1.0, side, 1.0)
+        room = float(layout.half_width(h[0], layout.belt_z)) - d.w20_mm / 1000
+        belt = BeltAnchors(
+            _d_ring(layout, h, side, fixed), h + _flip(fixed, (-0.10, -side * (shape.width / 2 + 0.02), -0.09)),
+            h + _flip(fixed, (-0.14, side * (shape.width / 2 + 0.015), -0.14)), rides_seat=not fixed,
+        )  # fmt: skip
+        heel = np.array([0.0, h[1], 0.0])
+        seats[slot] = Seat(
+            slot, h, np.pi if fixed else 0.0, default, (low, high), float(layout.cushion), heel,
+            "pedals" if slot == "driver" and not fixed else "floor", belt, 2 * min(room, d.w20_mm / 1000),
+            shape.cushion_below_h, shape.back_behind_h,
+        )  # fmt: skip
+    return seats
+
+
+def _flip(backward: bool, offset: tuple[float, float, float]) -> Vector:
+    return np.array(offset) * ((-1.0, 1.0, 1.0) if backward else (1.0, 1.0, 1.0))
+
+
+def _d_ring(layout: Layout, h: Vector, side: float, fixed: bool) -> Vector:
+    """The upper belt anchor: on the B-pillar above the shoulder, or at the top of a seat that is not beside a pillar."""
+    if fixed:
+        return h + (0.30, side * 0.20, 0.60)
+    z = float(min(h[2] + 0.66, layout.rail_z(layout.b_pillar_x) - 0.05))
+    x = float(min(layout.b_line(np.array(z)), h[0] - 0.24))
+    return np.array([x, side * (float(layout.half_width(x, z)) - 0.035), z])
+
+
+def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
+    d = layout.d
+    default = SeatSetting(0.0, 0.0, float(layout.torso_2))
+    heel_ahead = {"rows": 0.44, "facing": 0.50}[d.layout]
+    three = d.rear_places == 3
+    w20 = d.w20_2_mm / 1000
+    places = [("rear_left", w20), ("rear_right", -w20)] + ([("rear_center", 0.0)] if three else [])
+    edge = float(layout.half_width(layout.h_rear[0], layout.h_rear[2])) - 0.03
+    centre_half = max(w20 - 0.235, 0.11) if three else 0.0
+    seats = {}
+    for slot, y in places:
+        style = d.rear_style
+        if style == "captain":
+            width = min(0.50, 2 * w20 / 2 - 0.02) if three else None
+        elif slot == "rear_center":
+            width = 2 * centre_half
+        else:
+            inner = centre_half if three else max(w20 - 0.24, 0.01)
+            width = 2 * min(edge - w20, w20 - inner)
+        sides = (1.0, 1.0) if style != "bench" else {"rear_left": (2.4, 0.3), "rear_right": (0.3, 2.4)}.get(slot, (0.2, 0.2))
+        made, shape = seat_parts(
+            slot, style, cushion_angle=layout.cushion_2, seat_height=d.h30_2_mm / 1000, half_travel=0.0, leather=d.leather,
+            width=width, sides=sides, headrest="none" if slot == "rear_center" and d.name == "hatchback" else None,
+        )  # fmt: skip
+        parts.extend(made)
+        h = np.array([layout.h_rear[0], y, layout.h_rear[2]])
+        side = -1.0 if y < 0 else 1.0
+        half = shape.width / 2
+        upper_y = side * (float(layout.half_width(h[0] - 0.3, h[2] + 0.6)) - 0.05) if abs(y) > 0.1 else 0.16
+        belt = BeltAnchors(
+            np.array([h[0] - 0.36, upper_y, min(h[2] + 0.62, float(layout.rail_z(h[0] - 0.36)) - 0.02)]),
+            h + (-0.11, -side * (min(half, 0.21)), -0.09), h + (-0.13, side * min(half, 0.23), -0.12), rides_seat=False,
+        )  # fmt: skip
+        room = float(layout.half_width(h[0], layout.belt_z)) - abs(y)
+        lateral = 2 * min(room, w20 / 2 if three else w20) if abs(y) > 0.1 else w20
+        seats[slot] = Seat(
+            slot, h, 0.0, default, (default, default), float(layout.cushion_2), np.array([h[0] + heel_ahead, y, 0.0]), "floor",
+            belt, lateral, shape.cushion_below_h, shape.back_behind_h,
+        )  # fmt: skip
+    return seats
+
+
+def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
+    """Places that hands go to, (3,) vehicle, m, on the surface of the thing or a finger's width before it."""
+    d = layout.d
+    front, rear = layout.h_front, layout.h_rear
+    targets: dict[str, Vector] = {}
+    if not layout.facing:
+        shape, face_x, top_z, low_z = cockpit.dash_measures(layout)
+        screen_z = top_z + 0.045 if shape.screen == "floating" else top_z - 0.145
+        targets["infotainment"] = np.array([face_x - shape.stack - 0.045, 0.0, screen_z])
+        targets["climate"] = np.array([face_x - shape.stack - 0.03, 0.0, top_z - 0.22])
+        targets["glovebox"] = np.array([face_x + shape.passenger - 0.03, -front[1], 0.5 * (low_z + top_z) - 0.05])
+        mirror_z = layout.header_z - 0.105
+        targets["mirror"] = np.array([float(layout.screen_x(np.array(mirror_z))) - 0.13, 0.0, mirror_z])
+        visor_x = layout.header_x - 0.17
+        targets["sun_visor"] = np.array([visor_x, front[1], float(layout.roof(visor_x, front[1])) - 0.04])
+        targets["sun_visor_passenger"] = targets["sun_visor"] * (1, -1, 1)
+        for row, h in (("", front), ("rear_", rear)):
+            for side, sign in (("left", 1.0), ("right", -1.0)):
+                y = sign * (float(layout.half_width(h[0] + 0.12, h[2] + 0.2)) - 0.045)
+                targets[f"{row}armrest_{side}"] = np.array([h[0] + 0.10, y, h[2] + 0.205])
+                targets[f"{row}window_switch_{side}"] = np.array([h[0] + 0.24, y, h[2] + 0.235])
+        if d.console_style != "none":
+            lid = {"low": 0.08, "tunnel": 0.14, "high": 0.18}[d.console_style]
+            targets["console"] = np.array([front[0] + 0.02, 0.0, front[2] + lid])
+    for slot, seat in seats.items():
+        if seat.belt is not None:
+            targets[f"buckle_{slot}"] = seat.belt.buckle + (0.0, 0.0, 0.06)
+    return targets
+
+
+def _views(layout: Layout) -> dict[str, ViewAnchor]:
+    front, rear = layout.h_front, layout.h_rear
+    if layout.facing:
+        roof_z = float(layout.roof_line(0.5 * (front[0] + rear[0]))) - 0.08
+        middle = 0.5 * (front[0] + rear[0])
+        return {
+            "driver": ViewAnchor(np.array([middle - 0.12, front[1] * 0.75, roof_z - 0.02]), front + (0.10, 0.0, 0.30)),
+            "front_row": ViewAnchor(np.array([middle - 0.25, 0.0, roof_z]), np.array([front[0] + 0.1, 0.0, front[2] + 0.28])),
+            "rear": ViewAnchor(np.array([middle + 0.25, 0.0, roof_z]), np.array([rear[0] - 0.1, 0.0, rear[2] + 0.28])),
+        }
+    shape, face_x, top_z, _ = cockpit.dash_measures(layout)
+    x = layout.header_x + 0.11
+    under_glass = layout.header_z - 0.11 / max(layout.screen_slope, 0.3)
+    driver_eye = np.array([x, front[1] * 0.62, under_glass - 0.075])
+    front_x = max(face_x - shape.stack - 0.08, front[0] + 0.60)
+    front_eye = np.array([front_x, 0.0, min(top_z + 0.17, layout.header_z - 0.20)])  # under the mirror
+    rear_x = rear[0] + 0.66
+    rear_eye = np.array([rear_x, 0.0, float(layout.roof_line(rear_x)) - 0.075])
+    return {
+        "driver": ViewAnchor(driver_eye, front + (-0.10, -0.03, 0.33)),
+        "front_row": ViewAnchor(front_eye, np.array([front[0] - 0.12, 0.0, front[2] + 0.36])),
+        "rear": ViewAnchor(rear_eye, np.array([rear[0] - 0.10, 0.0, rear[2] + 0.30])),
+    }
+
+
+def _mirror(p: Vector) -> Vector:
+    return np.asarray(p * (1.0, -1.0, 1.0))
+
+
+def _mirrored_slot(slot: str) -> str:
+    return {"rear_left": "rear_right", "rear_right": "rear_left"}.get(slot, slot)
+
+
+def _mirrored_name(name: str) -> str:
+    for left, right in (("left", "right"), ("right", "left")):
+        if name.endswith(left):
+            return name.removesuffix(left) + right
+    return name
+
+
+def _mirrored_surface(surface: Surface) -> Surface:
+    flip = np.array([1, -1, 1], np.float32)
+    faces = np.ascontiguousarray(surface.faces[:, ::-1])
+    return replace(surface, vertices=surface.vertices * flip, normals=surface.normals * flip, faces=faces)
+
+
+def _mirrored_part(part: Part) -> Part:
+    """The mirror image in y = 0 of a part in its group's frame; its seat, if any, changes sides with it."""
+    group, name = part.group, part.name
+    for left, right in (("rear_left", "rear_right"), ("rear_right", "rear_left")):
+        if left in part.group:
+            group, name = group.replace(left, right), name.replace(left, right)
+            break
+    return replace(part, name=name, group=group, surface=_mirrored_surface(part.surface))
+
+
+def _mirrored_seat(seat: Seat) -> Seat:
+    belt = seat.belt
+    if belt is not None:
+        belt = BeltAnchors(_mirror(belt.upper), _mirror(belt.buckle), _mirror(belt.outer_lap), belt.rides_seat)
+    return replace(
+        seat, slot=_mirrored_slot(seat.slot), design_h_point=_mirror(seat.design_h_point), heel_m=_mirror(seat.heel_m), belt=belt
+    )

@@ -1,0 +1,226 @@
+"""Seats around an H-point: cushion, backrest and headrest with foam, and the hard parts under and behind them.
+
+The free (not pressed) foam lies closer to the H-point than the pans of the SAE J826 manikin (98 mm below, 135 mm
+behind the torso line), by what a seat gives under a sitter. Base parts are in the seat frame (H-point, x forward,
+z up), back and headrest parts in the back frame (z along the torso line).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cabinpose.scene.cabin.model import Part
+from cabinpose.scene.cabin.shading import to_surface
+from cabinpose.scene.cabin.shapes import Points, Solid, join, prism, rounded_box, smooth_curve, smoothstep, tube
+
+PAN_BELOW_H = 0.098  # SAE J826: H-point to the seat pan's lowest line
+PAN_BEHIND_H = 0.135  # SAE J826: H-point to the back pan, normal to the torso line
+CUSHION_GIVE = 0.055  # foam under the thighs of a production seat gives 50 to 60 mm at most
+BACK_GIVE = 0.050
+HEADREST_GIVE = 0.040
+
+
+@dataclass(frozen=True)
+class SeatShape:
+    """Measures of a seat's upholstery, m: what makes one style differ from another.
+
+    `bolster_*`: height of the side bolsters · `insert`: half width of the flat middle · `headrest`: None, "posts",
+    "integral" (one piece with the backrest) or "wing".
+    """
+
+    width: float = 0.52
+    cushion_below_h: float = 0.058
+    back_behind_h: float = 0.095
+    front: float = 0.385  # cushion's front edge ahead of the H-point
+    cushion_depth: float = 0.125
+    back_depth: float = 0.105
+    back_height: float = 0.605  # top of the backrest above the H-point along the torso line
+    top_width: float = 0.42
+    bolster_cushion: float = 0.030
+    bolster_back: float = 0.045
+    insert: float = 0.150
+    lumbar: float = 0.012
+    headrest: str = "posts"
+    headrest_width: float = 0.265
+    shell: str = "car"  # what carries the cushion: "car", "pedestal", "box"
+    armrests: bool = False
+
+
+STYLES = {
+    "compact": SeatShape(width=0.485, bolster_cushion=0.022, bolster_back=0.035, insert=0.145, back_depth=0.085,
+                         cushion_depth=0.11,
+                         front=0.365, top_width=0.30, back_height=0.63, headrest="integral", headrest_width=0.25),
+    "comfort": SeatShape(),
+    "sport": SeatShape(width=0.535, bolster_cushion=0.055, bolster_back=0.075, insert=0.150, front=0.40, top_width=0.36,
+                       back_height=0.64, headrest="wing", headrest_width=0.26, lumbar=0.016, back_depth=0.09),
+    "captain": SeatShape(width=0.505, bolster_cushion=0.018, bolster_back=0.030, insert=0.170, back_height=0.62, top_width=0.45,
+                         front=0.375, shell="pedestal", armrests=True, headrest_width=0.29, back_depth=0.095),
+    "bench": SeatShape(width=0.48, bolster_cushion=0.012, bolster_back=0.020, insert=0.19, back_height=0.57, top_width=0.46,
+                       front=0.375, shell="box", lumbar=0.006, headrest_width=0.25),
+}  # fmt: skip
+
+
+def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float]) -> Solid:
+    """The cushion; sides: bolster of the left and right edge, 1 = full height."""
+    rear = -0.215
+    length, mid = shape.front - rear, (shape.front + rear) / 2
+    box = rounded_box((length, shape.width, shape.cushion_depth), (0.045, 0.035, 0.042), (11, 12, 1), corner=2)
+
+    def bend(p: Points) -> Points:
+        x, y, z = p.T
+        s = (x + length / 2) / length  # 0 rear .. 1 front
+        top = smoothstep(z, -shape.cushion_depth / 2, shape.cushion_depth / 2)
+        bolster = np.where(y > 0, sides[0], sides[1]) * shape.bolster_cushion
+        rise = bolster * smoothstep(np.abs(y), shape.insert, shape.width / 2 - 0.035) * smoothstep(s, 0.12, 0.5)
+        dish = -0.010 * np.exp(-(((x + mid) / 0.16) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow under the seat bones
+        fall = -0.045 * smoothstep(s, 0.80, 1.0) ** 1.5  # waterfall edge under the knees
+        narrow = 1 - 0.035 * smoothstep(s, 0.55, 1.0)
+        x_ = x + mid
+        slope = np.tan(angle) * x_
+        z_ = z - shape.cushion_depth / 2 - shape.cushion_below_h + slope + top * (rise + dish + fall)
+        z_ = z_ + (1 - top) * 0.035 * smoothstep(-s, -0.55, 0.0)  # thinner at the rear: room for feet behind
+        return np.stack((x_, y * narrow, z_), axis=-1)
+
+    return box.deformed(bend)
+
+
+def _back(shape: SeatShape, sides: tuple[float, float]) -> Solid:
+    """The backrest in the back frame."""
+    low, high = -0.10, shape.back_height + (0.20 if shape.headrest == "integral" else 0.0)
+    height, mid = high - low, (high + low) / 2
+    box = rounded_box((shape.back_depth, shape.width, height), (0.038, 0.036, 0.060), (1, 12, 15), corner=2)
+
+    def bend(p: Points) -> Points:
+        x, y, z = p.T
+        z_ = z + mid
+        front = smoothstep(x, -shape.back_depth / 2, shape.back_depth / 2)
+        bolster = np.where(y > 0, sides[0], sides[1]) * shape.bolster_back
+        reach = smoothstep(z_, -0.10, 0.10) * (1 - 0.65 * smoothstep(z_, 0.34, 0.56))
+        rise = bolster * smoothstep(np.abs(y), shape.insert * 0.95, shape.width / 2 - 0.03) * reach
+        lumbar = shape.lumbar * np.exp(-(((z_ - 0.17) / 0.11) ** 2))
+        crown = -0.018 * smoothstep(z_, 0.36, 0.60)  # the upper back leans away
+        taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, min(shape.back_height, high) - 0.01)
+        head = 0.0
+        if shape.headrest == "integral":
+            head = 0.065 * smoothstep(z_, shape.back_height - 0.08, shape.back_height + 0.09)
+        thin = 0.030 * smoothstep(z_, 0.25, high) * (1 - front)  # the rear face tapers towards the top
+        x_ = x - shape.back_depth / 2 - shape.back_behind_h + front * (rise + lumbar) + crown + head + thin
+        return np.stack((x_, y * taper, z_), axis=-1)
+
+    return box.deformed(bend)
+
+
+def _headrest(shape: SeatShape) -> tuple[Solid, Solid | None]:
+    """The pad and its posts, in the back frame."""
+    wing = shape.headrest == "wing"
+    size = (0.085, shape.headrest_width, 0.185)
+    box = rounded_box(size, (0.036, 0.060, 0.062), (1, 6, 4), corner=2)
+    centre_z, centre_x = shape.back_height + 0.045 + size[2] / 2, -0.050 - size[0] / 2
+
+    def bend(p: Points) -> Points:
+        x, y, z = p.T
+        side = (2 * y / size[1]) ** 2
+        x_ = x + (0.030 if wing else -0.012) * side - 0.010 * (2 * z / size[2]) ** 2 + 0.10 * z
+        return np.stack((x_ + centre_x, y * (1 + 0.5 * z), z + centre_z), axis=-1)
+
+    pad = box.deformed(bend)
+    posts = []
+    for side in (-1, 1):
+        y = side * 0.065
+        bottom = (-shape.back_behind_h - shape.back_depth / 2 - 0.005, y, shape.back_height - 0.06)
+        path = smooth_curve([bottom, (bottom[0] + 0.002, y, shape.back_height + 0.01), (centre_x - 0.008, y, centre_z)], 5)
+        posts.append(tube(path, 0.0065, 8))
+    return pad, join(posts)
+
+
+def _back_shell(shape: SeatShape) -> Solid:
+    """The hard cover behind the backrest."""
+    height = shape.back_height - 0.02
+    box = rounded_box((0.022, shape.width * 0.90, height), (0.010, 0.05, 0.05), (1, 4, 6), corner=1)
+
+    def bend(p: Points) -> Points:
+        x, y, z = p.T
+        z_ = z + height / 2 - 0.06
+        taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, shape.back_height - 0.01)
+        knee = 0.020 * np.exp(-(((z_ - 0.22) / 0.14) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow for knees behind
+        x_ = x - shape.back_behind_h - shape.back_depth + 0.003 + 0.012 * smoothstep(z_, 0.25, height) + knee
+        return np.stack((x_, y * taper, z_), axis=-1)
+
+    return box.deformed(bend)
+
+
+def _under(shape: SeatShape, angle: float, height: float, half_travel: float) -> list[Solid]:
+    """What carries the cushion, down to what the lowest setting leaves above the floor; `height`: H30."""
+    floor = -height + half_travel + 0.006
+    top = -shape.cushion_below_h - shape.cushion_depth
+    if shape.shell == "pedestal":
+        column = rounded_box((0.26, 0.28, 0.14), 0.03, corner=1).shifted(0.08, 0, floor + 0.07)
+        pan = rounded_box((0.46, 0.42, max(top - floor - 0.09, 0.05)), 0.03, (3, 1, 1), corner=1)
+        return [column, pan.shifted(0.08, 0, (top + floor + 0.11) / 2)]
+    if shape.shell == "box":
+        profile = [(-0.20, floor), (0.26, floor), (0.30, top + 0.05), (0.28, top + 0.08), (-0.20, top - 0.03)]
+        return [prism(profile, -shape.width / 2 + 0.004, shape.width / 2 - 0.004)]
+    solids = []
+    for side in (-1, 1):  # side shields, and the two risers that stand on the rails
+        y = side * (shape.width / 2 - 0.012)
+        shield = rounded_box((0.46, 0.028, 0.085), (0.03, 0.012, 0.03), (4, 1, 1), corner=1)
+
+        def bend(p: Points, y: float = y) -> Points:
+            x, side_y, z = p.T
+            return np.stack((x + 0.0, side_y + y, z + top + 0.025 + np.tan(angle) * x), axis=-1)
+
+        solids.append(shield.deformed(bend))
+        for x in (-0.13, 0.23):
+            foot = rounded_box((0.06, 0.05, max(top + 0.05 + np.tan(angle) * x - floor, 0.03)), 0.01, corner=1)
+            z = (top + 0.05 + np.tan(angle) * x + floor) / 2
+            solids.append(foot.shifted(x, side * (shape.width / 2 - 0.07), z))
+    return solids
+
+
+def _armrests(shape: SeatShape) -> Solid:
+    """Folding armrests on both sides, in the seat frame: they stay level when the back reclines."""
+    arms = []
+    for side in (-1, 1):
+        pad = rounded_box((0.30, 0.055, 0.05), (0.03, 0.022, 0.022), (4, 1, 1), corner=2)
+        arms.append(pad.shifted(0.02, side * (shape.width / 2 + 0.035), 0.175))
+    return join(arms)
+
+
+def seat_parts(
+    slot: str, style: str, *, cushion_angle: float, seat_height: float, half_travel: float, leather: bool,
+    width: float | None = None, sides: tuple[float, float] = (1.0, 1.0), headrest: str | None = None,
+) -> tuple[list[Part], SeatShape]:  # fmt: skip
+    """The parts of one place to sit, and the shape they were made from.
+
+    width: m, instead of the style's · sides: bolster factors of the left and right edge · headrest: instead of the
+    style's; "none" leaves it out.
+    """
+    shape = STYLES[style]
+    changes: dict[str, object] = {}
+    if width is not None:
+        wider = width / shape.width
+        changes |= {"width": width, "top_width": shape.top_width * wider, "insert": shape.insert * wider}
+    if headrest is not None:
+        changes["headrest"] = headrest
+    if changes:
+        shape = replace(shape, **changes)  # type: ignore[arg-type]
+    cover = "seat_leather" if leather else "seat_fabric"
+    base, back, rest = (f"seat:{slot}/{g}" for g in ("base", "back", "headrest"))
+    under = join(_under(shape, cushion_angle, seat_height, half_travel))
+    parts = [
+        Part(f"{slot} cushion", to_surface(_cushion(shape, cushion_angle, sides), "seat", cover), base, CUSHION_GIVE),
+        Part(f"{slot} backrest", to_surface(_back(shape, sides), "seat", cover), back, BACK_GIVE),
+        Part(f"{slot} seat base", to_surface(under, "seat", "hard_plastic"), base),
+    ]
+    if shape.shell != "box":
+        parts.append(Part(f"{slot} back shell", to_surface(_back_shell(shape), "seat", "hard_plastic"), back))
+    if shape.headrest in ("posts", "wing"):
+        pad, posts = _headrest(shape)
+        parts.append(Part(f"{slot} headrest", to_surface(pad, "seat", cover), rest, HEADREST_GIVE))
+        if posts is not None:
+            parts.append(Part(f"{slot} headrest posts", to_surface(posts, "seat", "metal"), rest))
+    if shape.armrests:
+        parts.append(Part(f"{slot} armrests", to_surface(_armrests(shape), "seat", cover), base, 0.01))
+    return parts, shape
