@@ -78,7 +78,7 @@ def frame(index: int, manifest: Manifest) -> dict[str, Any]:
         "joints_3d": joints, "joints_2d": uv.astype(np.float32), "visibility": visibility,
         "camera_k": k, "camera_dist": np.zeros(5), "vehicle_from_camera": np.eye(4),
         "sync_ns": index * 66_666_667, "sequence": index // 10, "seed": manifest.seed, "subject": subject,
-        "action": ACTIONS[index % 2], "car": CARS[index % 3], "pov": POVS[index // 2 % 2],
+        "action": [ACTIONS[index % 2] if name else "" for name in subject], "car": CARS[index % 3], "pov": POVS[index // 2 % 2],
     }  # fmt: skip
 
 

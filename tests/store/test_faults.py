@@ -104,12 +104,16 @@ def write_part(spheres: ModuleType, folder: Path, manifest: object, index: int) 
 
 def test_an_exception_leaves_nothing(spheres: ModuleType, tmp_path: Path) -> None:
     manifest = spheres.manifest()
+
+    def fail(part: PartWriter) -> None:
+        with part:
+            part.append(spheres.frame(0, manifest))
+            assert temporary_parts(tmp_path)
+            part.append(spheres.frame(1, spheres.manifest(width=8)))
+
     with create_dataset(tmp_path, manifest):
-        with pytest.raises(DatasetError, match="has shape"):  # noqa: PT012 - the block that fails is the subject
-            with PartWriter(tmp_path, manifest.parts[0], manifest) as part:
-                part.append(spheres.frame(0, manifest))
-                assert temporary_parts(tmp_path)
-                part.append(spheres.frame(1, spheres.manifest(width=8)))
+        with pytest.raises(DatasetError, match="has shape"):
+            fail(PartWriter(tmp_path, manifest.parts[0], manifest))
         assert [p.name for p in tmp_path.iterdir()] == ["dataset.yaml"]
 
 

@@ -78,7 +78,7 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("sequence", ("frame",), "int64", "sequence that the frame belongs to", coordinate=True),
     Variable("seed", ("frame",), "int64", "seed of the frame's generator, beside the frame's index", coordinate=True),
     Variable("subject", ("frame", "person"), "str", "who it is; empty = nobody in this place", coordinate=True),
-    Variable("action", ("frame",), "str", "what is done", coordinate=True),
+    Variable("action", ("frame", "person"), "str", "what the person does; empty = nobody in this place", coordinate=True),
     Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
     Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
 )  # fmt: skip
