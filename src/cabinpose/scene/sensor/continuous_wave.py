@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from cabinpose.scene.sensor.buffers import CONFIDENCE_SIGMA_M
 
 F32 = np.float32
+Row = NDArray[np.float32]  # (W,), or (W * s,) of samples
+Image = NDArray[np.float32]
 
 # sin(2 pi a) / a in powers of a^2 for |a| <= 1/4, least squares on Chebyshev nodes: error below 1e-8.
 _S1, _S3, _S5, _S7, _S9 = (F32(c) for c in (6.283185295, -41.341685009, 81.602766802, -76.587869912, 39.809924751))
@@ -36,33 +38,77 @@ def _sine_of_quarter(a):  # type: ignore[no-untyped-def]
     return a * (_S1 + b * (_S3 + b * (_S5 + b * (_S7 + b * _S9))))
 
 
-@njit(inline="always")
-def turns_of(y, x):  # type: ignore[no-untyped-def]
-    """atan2(y, x) in turns, 0 <= t < 1."""
-    ax, ay = abs(x), abs(y)
-    big, small = max(ax, ay), min(ax, ay)
-    if big == F32(0.0):
-        return F32(0.0)
-    q = small / big
-    b = q * q
-    t = q * (_A0 + b * (_A1 + b * (_A2 + b * (_A3 + b * (_A4 + b * (_A5 + b * (_A6 + b * _A7)))))))
-    if ay > ax:
-        t = F32(0.25) - t
-    if x < F32(0.0):
-        t = F32(0.5) - t
-    if y < F32(0.0):
-        t = F32(1.0) - t
-        if t >= F32(1.0):
-            t = F32(0.0)
-    return t
+@njit(cache=True, nogil=True)
+def _light_of_row(
+    depth: Row,
+    cos_incidence: Row,
+    material: NDArray[np.uint8],
+    range_over_depth: Row,
+    table: NDArray[np.float32],
+    lambert: bool,
+    inverse_gloss: np.float32,
+    energy: Row,
+    ranges: Row,
+    sum_energy: Row,
+    sum_moment: Row,
+    sum_ambient: Row,
+) -> None:
+    """Energy and range of a row of samples, and their sums over the rows of a pixel."""
+    zero, one = F32(0.0), F32(1.0)
+    for x in range(depth.size):
+        m = material[x]
+        z = depth[x]
+        c = cos_incidence[x]
+        if z > zero:
+            r = z * range_over_depth[x]
+            gloss = max(zero, one - (one - c) * inverse_gloss)
+            e = (table[m, 0] * (c if lambert else one) + table[m, 1] * gloss * gloss) / (r * r)
+            ambient = table[m, 2]
+        else:
+            r, e, ambient = zero, zero, table[0, 2]
+        ranges[x] = r
+        energy[x] = e
+        sum_energy[x] += e
+        sum_moment[x] += e * r
+        sum_ambient[x] += ambient
+
+
+@njit(cache=True, nogil=True)
+def _phasors_of_row(energy: Row, ranges: Row, per_m: np.float32, triangle: float, sum_cos: Row, sum_sin: Row) -> None:
+    """Adds energy x (cos, sin) of the phase, of a correlation that is part cosine, part triangle."""
+    share, keep = F32(triangle) * _TRIANGLE_PEAK, F32(1.0 - triangle)
+    zero, quarter, half, one, four = F32(0.0), F32(0.25), F32(0.5), F32(1.0), F32(4.0)
+    for x in range(energy.size):
+        t = ranges[x] * per_m
+        t = t - np.floor(t + half)  # -1/2 .. 1/2
+        magnitude = abs(t)
+        fold = quarter - abs(magnitude - quarter)
+        fold = fold if t >= zero else -fold
+        cosine = keep * _sine_of_quarter(quarter - magnitude) + share * (one - four * magnitude)
+        sine = keep * _sine_of_quarter(fold) + share * (four * fold)
+        sum_cos[x] += energy[x] * cosine
+        sum_sin[x] += energy[x] * sine
+
+
+@njit(cache=True, nogil=True)
+def _mean_of_columns(wide: Row, supersample: int, first: int, last: int, scale: np.float32, out: Row) -> None:
+    if supersample == 2 and last - first == 2:
+        for u in range(out.size):
+            out[u] = (wide[2 * u] + wide[2 * u + 1]) * scale
+        return
+    for u in range(out.size):
+        total = F32(0.0)
+        for j in range(first, last):
+            total += wide[u * supersample + j]
+        out[u] = total * scale
 
 
 @njit(cache=True, nogil=True)
 def collect_phasors(
-    depth: NDArray[np.float32],
-    cos_incidence: NDArray[np.float32],
+    depth: Image,
+    cos_incidence: Image,
     material: NDArray[np.uint8],
-    range_over_depth: NDArray[np.float32],
+    range_over_depth: Image,
     supersample: int,
     mix: bool,
     lambert: bool,
@@ -70,129 +116,190 @@ def collect_phasors(
     gloss_width: float,
     turns_per_m: NDArray[np.float32],
     triangle: float,
-    energy: NDArray[np.float32],
-    moment: NDArray[np.float32],
-    ambient: NDArray[np.float32],
-    phasor: NDArray[np.float32],
+    energy: Image,
+    moment: Image,
+    ambient: Image,
+    phasor: Image,
 ) -> None:
     """Averages energy and phasors of every pixel's samples.
 
-    In: sub-pixel geometry (H * s, W * s), material `table` (256, 4), `turns_per_m` (F,) = 2 f / c, `triangle` 0..1 the
+    In: sub-pixel geometry (H * s, W * s), material `table` (256, 3), `turns_per_m` (F,) = 2 f / c, `triangle` 0..1 the
     share of a triangular correlation. Out, all (H, W), relative to a white surface facing the camera at 1 m: `energy`
     (mean of rho cos / r^2), `moment` (mean of energy x range), `ambient` (mean of its return), `phasor` (2 F, H, W): mean
     of energy x (cos, sin) of the phase. `mix` False takes one sample a pixel instead of the mean.
     """
     s = supersample
     height, width = energy.shape
-    wide = width * s
-    n_frequencies = turns_per_m.size
-    row_energy = np.empty(wide, np.float32)
-    row_range = np.empty(wide, np.float32)
-    row_ambient = np.empty(wide, np.float32)
-    row_cos = np.empty(wide, np.float32)
-    row_sin = np.empty(wide, np.float32)
+    n_phasors = 2 * turns_per_m.size
+    row_energy = np.empty(width * s, np.float32)
+    row_range = np.empty(width * s, np.float32)
+    sums = np.empty((3 + n_phasors, width * s), np.float32)
     first, last = (0, s) if mix else (s // 2, s // 2 + 1)
     scale = F32(1.0 / ((last - first) * (last - first)))
-    inverse_width = F32(1.0 / gloss_width)
-    share, keep = F32(triangle) * _TRIANGLE_PEAK, F32(1.0 - triangle)
-    quarter, half, one, four, zero = F32(0.25), F32(0.5), F32(1.0), F32(4.0), F32(0.0)
+    inverse_gloss = F32(1.0 / gloss_width)
     for v in range(height):
-        for u in range(width):
-            energy[v, u] = zero
-            moment[v, u] = zero
-            ambient[v, u] = zero
-        for k in range(2 * n_frequencies):
-            for u in range(width):
-                phasor[k, v, u] = zero
+        sums[:] = 0.0
         for i in range(first, last):
             y = v * s + i
-            for x in range(wide):
-                z = depth[y, x]
-                m = material[y, x]
-                r = z * range_over_depth[y, x] + table[m, 2]
-                c = cos_incidence[y, x]
-                gloss = max(zero, one - (one - c) * inverse_width)
-                rho = table[m, 0] * (c if lambert else one) + table[m, 1] * gloss * gloss
-                hit = z > zero
-                row_range[x] = r if hit else zero
-                row_energy[x] = rho / (r * r) if hit else zero
-                row_ambient[x] = table[m, 3] if hit else table[0, 3]
-            for u in range(width):
-                for j in range(first, last):
-                    x = u * s + j
-                    energy[v, u] += row_energy[x] * scale
-                    moment[v, u] += row_energy[x] * row_range[x] * scale
-                    ambient[v, u] += row_ambient[x] * scale
-            for k in range(n_frequencies):
-                per_m = turns_per_m[k]
-                for x in range(wide):
-                    t = row_range[x] * per_m
-                    t = t - np.floor(t + half)  # -1/2 .. 1/2
-                    magnitude = abs(t)
-                    fold = quarter - abs(magnitude - quarter)
-                    sine = _sine_of_quarter(fold)
-                    sine = -sine if t < zero else sine
-                    cosine = _sine_of_quarter(quarter - magnitude)
-                    if share > zero:
-                        cosine = keep * cosine + share * (one - four * magnitude)
-                        sine = keep * sine + share * (four * fold if t >= zero else -four * fold)
-                    row_cos[x] = row_energy[x] * cosine
-                    row_sin[x] = row_energy[x] * sine
-                for u in range(width):
-                    for j in range(first, last):
-                        x = u * s + j
-                        phasor[2 * k, v, u] += row_cos[x] * scale
-                        phasor[2 * k + 1, v, u] += row_sin[x] * scale
+            _light_of_row(
+                depth[y], cos_incidence[y], material[y], range_over_depth[y], table, lambert, inverse_gloss,
+                row_energy, row_range, sums[0], sums[1], sums[2],
+            )  # fmt: skip
+            for k in range(turns_per_m.size):
+                _phasors_of_row(row_energy, row_range, turns_per_m[k], triangle, sums[3 + 2 * k], sums[4 + 2 * k])
+        _mean_of_columns(sums[0], s, first, last, scale, energy[v])
+        _mean_of_columns(sums[1], s, first, last, scale, moment[v])
+        _mean_of_columns(sums[2], s, first, last, scale, ambient[v])
+        for k in range(n_phasors):
+            _mean_of_columns(sums[3 + k], s, first, last, scale, phasor[k, v])
 
 
 @njit(cache=True, nogil=True)
-def mean_light(
-    energy: NDArray[np.float32],
-    phasor: NDArray[np.float32],
-    gain: NDArray[np.float32],
-    field: NDArray[np.bool_],
-    mean: NDArray[np.float64],
-) -> None:
-    """Mean over the image circle of the light (electrons) and its phasors: `mean` (1 + 2 F,)."""
+def mean_light(energy: Image, phasor: Image, gain: Image, mean: NDArray[np.float64]) -> None:
+    """Mean over the image of the light (electrons) and its phasors: `mean` (1 + 2 F,). `gain` is 0 outside the lens."""
     height, width = energy.shape
-    mean[:] = 0.0
-    count = 0
-    for v in range(height):
-        for u in range(width):
-            if field[v, u]:
-                g = gain[v, u]
-                mean[0] += g * energy[v, u]
-                for k in range(phasor.shape[0]):
-                    mean[1 + k] += g * phasor[k, v, u]
-                count += 1
-    mean /= max(count, 1)
+    row = np.empty(width, np.float32)
+    for k in range(mean.size):
+        total = 0.0
+        for v in range(height):
+            values = energy[v] if k == 0 else phasor[k - 1, v]
+            for u in range(width):
+                row[u] = gain[v, u] * values[u]
+            total += _sum(row)
+        mean[k] = total / (height * width)
+
+
+@njit(cache=True, nogil=True)
+def _sum(row: Row) -> float:
+    """Sum in eight fixed lanes: fast, and in the same order on every machine."""
+    lanes = np.zeros(8, np.float32)
+    whole = row.size // 8 * 8
+    for x in range(0, whole, 8):
+        for lane in range(8):
+            lanes[lane] += row[x + lane]
+    total = 0.0
+    for lane in range(8):
+        total += lanes[lane]
+    for x in range(whole, row.size):
+        total += row[x]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _light_of_pixels(energy: Row, gain: Row, ambient: Row, ambient_gain: Row, stray: np.float32, total: Row) -> None:
+    for u in range(total.size):
+        total[u] = gain[u] * energy[u] + stray + ambient_gain[u] * ambient[u]
+
+
+@njit(cache=True, nogil=True)
+def _sample_row(
+    total: Row, signal: Row, gain: Row, stray: np.float32, contrast: np.float32, shot: np.float32, read_variance: np.float32,
+    well: np.float32, mean: Row, sigma: Row, full: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Mean and sigma of C0 - C2 (or C3 - C1) of a row: four taps, two of each content; `full` where a tap is full.
+
+    Taps E_A,B = (total +- K signal) / 2, clipped at the full well. A full tap has no shot noise left.
+    """
+    half, two, zero = F32(0.5), F32(2.0), F32(0.0)
+    for u in range(total.size):
+        difference = contrast * (gain[u] * signal[u] + stray)
+        a, b = half * (total[u] + difference), half * (total[u] - difference)
+        full[u] |= max(a, b) >= well
+        noisy = (a if a < well else zero) + (b if b < well else zero)
+        mean[u] = two * (min(a, well) - min(b, well))
+        sigma[u] = np.sqrt(two * (shot * noisy + read_variance))
+
+
+@njit(cache=True, nogil=True)
+def _add_noise(value: Row, sigma: Row, ranks: NDArray[np.uint16], lane: int, quantiles: NDArray[np.float32]) -> None:
+    for u in range(value.size):
+        value[u] += sigma[u] * quantiles[ranks[4 * u + lane]]
+
+
+@njit(cache=True, nogil=True)
+def phases_of_row(x: Row, y: Row, turns: Row, amplitude: Row) -> None:
+    """Phase atan2(y, x) in turns, 0 <= t < 1, and half of the phasor's length, added to `amplitude`."""
+    zero, quarter, half, one, tiny = F32(0.0), F32(0.25), F32(0.5), F32(1.0), F32(1e-30)
+    for u in range(x.size):
+        ax, ay = abs(x[u]), abs(y[u])
+        q = min(ax, ay) / max(ax, ay, tiny)
+        b = q * q
+        t = q * (_A0 + b * (_A1 + b * (_A2 + b * (_A3 + b * (_A4 + b * (_A5 + b * (_A6 + b * _A7)))))))
+        t = quarter - t if ay > ax else t
+        t = half - t if x[u] < zero else t
+        t = one - t if y[u] < zero else t
+        turns[u] = zero if t >= one else t
+        amplitude[u] += half * np.sqrt(ax * ax + ay * ay)
+
+
+@njit(cache=True, nogil=True)
+def _unwrap_row(turns_1: Row, turns_2: Row, p: int, q: int, wavelength_1: np.float32, weight_1: np.float32, out: Row) -> None:
+    """Range from the phases of two frequencies in the ratio p : q, by the Chinese remainder theorem.
+
+    With range = (t1 + n1) w1 = (t2 + n2) w2: q n1 - p n2 = round(p t2 - q t1), which gives n1 modulo p and then n2.
+    The mean of both is weighted by the square of the frequency, the inverse of its variance.
+    """
+    inverse_q = 0
+    for candidate in range(p):
+        if candidate * q % p == 1:
+            inverse_q = candidate
+    fp, fq, inverse = F32(p), F32(q), F32(inverse_q)
+    first = weight_1 * wavelength_1
+    second = (F32(1.0) - weight_1) * wavelength_1 * fp / fq
+    half = F32(0.5)
+    for u in range(out.size):
+        remainder = np.floor(fp * turns_2[u] - fq * turns_1[u] + half)
+        n1 = remainder * inverse
+        n1 -= fp * np.floor(n1 / fp)
+        n2 = (fq * n1 - remainder) / fp
+        out[u] = first * (turns_1[u] + n1) + second * (turns_2[u] + n2)
+
+
+@njit(cache=True, nogil=True)
+def _deliver_row(
+    ranges: Row, amplitude: Row, total: Row, full: NDArray[np.bool_], field: NDArray[np.bool_], range_over_depth: Row,
+    sigma_scale: np.float32, shot: np.float32, read_variance: np.float32, min_amplitude: np.float32, near: np.float32,
+    far: np.float32, depth_out: Row, amplitude_out: NDArray[np.uint16], confidence_out: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    zero, half, scale, most = F32(0.0), F32(0.5), F32(255.0) * _CONFIDENCE_SIGMA, F32(65535.0)
+    tiny, invalid = F32(1e-30), F32(np.nan)
+    for u in range(ranges.size):
+        a = amplitude[u]
+        z = ranges[u] / range_over_depth[u]
+        valid = field[u] & (full[u] == 0) & (a >= min_amplitude) & (a > zero) & (z >= near) & (z <= far)
+        sigma = sigma_scale * np.sqrt(shot * total[u] + read_variance)
+        confidence = scale * a / (_CONFIDENCE_SIGMA * a + sigma + tiny)
+        depth_out[u] = z if valid else invalid
+        # Through int32, which the processor converts eight at a time.
+        amplitude_out[u] = np.uint16(np.int32(min(a + half, most) if field[u] else zero))
+        confidence_out[u] = np.uint8(np.int32(confidence if valid else zero))
 
 
 @njit(cache=True, nogil=True)
 def decode(
-    energy: NDArray[np.float32],
-    moment: NDArray[np.float32],
-    ambient: NDArray[np.float32],
-    phasor: NDArray[np.float32],
-    gain: NDArray[np.float32],
-    ambient_gain: NDArray[np.float32],
+    energy: Image,
+    moment: Image,
+    ambient: Image,
+    phasor: Image,
+    gain: Image,
+    ambient_gain: Image,
     field: NDArray[np.bool_],
-    range_over_depth: NDArray[np.float32],
-    words: NDArray[np.uint64],
+    range_over_depth: Image,
+    ranks: NDArray[np.uint16],
     quantiles: NDArray[np.float32],
     stray: NDArray[np.float32],
     frequencies: NDArray[np.float64],
     ratio: tuple[int, int],
     speed_of_light: float,
     contrast: float,
-    shot: bool,
+    shot_noise: bool,
     read_noise: float,
     full_well: float,
     min_amplitude: float,
     near: float,
     far: float,
     wrapping: bool,
-    depth_out: NDArray[np.float32],
+    depth_out: Image,
     amplitude_out: NDArray[np.uint16],
     confidence_out: NDArray[np.uint8],
 ) -> None:
@@ -201,77 +308,49 @@ def decode(
     Taps of sample i: E_A,B = E / 2 (1 +- K cos(phase + i pi / 2)) + ambient / 2. Of the samples C_i = E_A - E_B only
     C0 - C2 and C3 - C1 are used; each is drawn as one normal number with the variance of its four taps, which is
     the same distribution. `gain` (H, W) turns relative energy into electrons; `stray` (1 + 2 F,) is light that
-    reaches every pixel (electrons). Wells are clipped at their mean content.
+    reaches every pixel (electrons); `ranks` (H, 4 W) are random 16-bit numbers. Wells clip at their mean content.
     """
     height, width = energy.shape
     n_frequencies = frequencies.size
-    p, q = ratio
-    inverse_q = 1  # of q modulo p
-    for candidate in range(p):
-        if (candidate * q) % p == 1 % p:
-            inverse_q = candidate
-    wavelength_1 = F32(speed_of_light / (2.0 * frequencies[0]))
-    wavelength_2 = F32(speed_of_light / (2.0 * frequencies[n_frequencies - 1]))
-    squares = 0.0
-    for k in range(n_frequencies):
-        squares += frequencies[k] ** 2
+    squares = np.sum(frequencies**2)
     weight_1 = F32(frequencies[0] ** 2 / squares)
-    period = wavelength_1 * F32(p)
-    # sigma of the range = sigma_scale * sqrt(variance of one sample) / amplitude
+    wavelength_1 = F32(speed_of_light / (2.0 * frequencies[0]))
+    period = wavelength_1 * F32(ratio[0])
+    # sigma of the range = sigma_scale x sqrt(variance of one sample) / amplitude
     sigma_scale = F32(speed_of_light / (4.0 * np.pi * np.sqrt(2.0 * squares)))
-    half, one, two, zero = F32(0.5), F32(1.0), F32(2.0), F32(0.0)
-    k_contrast, well = F32(contrast), F32(full_well)
-    read_variance = F32(read_noise * read_noise)
-    shot_weight = one if shot else zero
-    turns = np.zeros(2, np.float32)
+    read_variance, shot, well = F32(read_noise * read_noise), F32(1.0 if shot_noise else 0.0), F32(full_well)
+    k_contrast = F32(contrast)
+    total = np.empty(width, np.float32)
+    x = np.empty(width, np.float32)
+    y = np.empty(width, np.float32)
+    sigma_x = np.empty(width, np.float32)
+    sigma_y = np.empty(width, np.float32)
+    amplitude = np.empty(width, np.float32)
+    ranges = np.empty(width, np.float32)
+    turns = np.empty((2, width), np.float32)
+    full = np.empty(width, np.bool_)
     for v in range(height):
-        for u in range(width):
-            if not field[v, u]:
-                depth_out[v, u] = np.nan
-                amplitude_out[v, u] = 0
-                confidence_out[v, u] = 0
-                continue
-            g = gain[v, u]
-            light = g * energy[v, u] + stray[0]
-            total = light + ambient_gain[v, u] * ambient[v, u]
-            word = words[v, u]
-            amplitude = zero
-            clipped = False
-            for k in range(n_frequencies):
-                in_phase = k_contrast * (g * phasor[2 * k, v, u] + stray[1 + 2 * k])
-                quadrature = k_contrast * (g * phasor[2 * k + 1, v, u] + stray[2 + 2 * k])
-                a0, b0 = half * (total + in_phase), half * (total - in_phase)
-                a3, b3 = half * (total + quadrature), half * (total - quadrature)
-                variance_x, variance_y = shot_weight * total, shot_weight * total
-                if max(a0, b0, a3, b3) >= well:
-                    clipped = True
-                    variance_x = shot_weight * ((a0 if a0 < well else zero) + (b0 if b0 < well else zero))
-                    variance_y = shot_weight * ((a3 if a3 < well else zero) + (b3 if b3 < well else zero))
-                    a0, b0, a3, b3 = min(a0, well), min(b0, well), min(a3, well), min(b3, well)
-                noise_x = quantiles[word & np.uint64(0xFFFF)]
-                noise_y = quantiles[(word >> np.uint64(16)) & np.uint64(0xFFFF)]
-                word >>= np.uint64(32)
-                x = two * (a0 - b0) + np.sqrt(two * (variance_x + read_variance)) * noise_x
-                y = two * (a3 - b3) + np.sqrt(two * (variance_y + read_variance)) * noise_y
-                turns[k] = turns_of(y, x)
-                amplitude += half * np.sqrt(x * x + y * y)
-            amplitude /= F32(n_frequencies)
-            if n_frequencies == 1:
-                r = turns[0] * wavelength_1
-            else:
-                # Whole turns n1, n2 from q n1 - p n2 = round(p t2 - q t1) modulo p (Chinese remainder).
-                remainder = int(np.floor(F32(p) * turns[1] - F32(q) * turns[0] + half))
-                n1 = (remainder * inverse_q) % p
-                n2 = (q * n1 - remainder) // p
-                r = weight_1 * (turns[0] + F32(n1)) * wavelength_1 + (one - weight_1) * (turns[1] + F32(n2)) * wavelength_2
-            if not wrapping and energy[v, u] > zero:
-                r += period * np.floor((moment[v, u] / energy[v, u] - r) / period + half)
-            z = r / range_over_depth[v, u]
-            amplitude_out[v, u] = np.uint16(min(amplitude, F32(65535.0)) + half) if amplitude < F32(65535.0) else np.uint16(65535)
-            if clipped or amplitude < min_amplitude or amplitude == zero or z < near or z > far:
-                depth_out[v, u] = np.nan
-                confidence_out[v, u] = 0
-                continue
-            sigma = sigma_scale * np.sqrt(shot_weight * total + read_variance) / amplitude
-            depth_out[v, u] = z
-            confidence_out[v, u] = np.uint8(F32(255.0) * _CONFIDENCE_SIGMA / (_CONFIDENCE_SIGMA + sigma))
+        _light_of_pixels(energy[v], gain[v], ambient[v], ambient_gain[v], stray[0], total)
+        amplitude[:] = 0.0
+        full[:] = False
+        for k in range(n_frequencies):
+            in_phase, quadrature = phasor[2 * k, v], phasor[2 * k + 1, v]
+            _sample_row(total, in_phase, gain[v], stray[1 + 2 * k], k_contrast, shot, read_variance, well, x, sigma_x, full)
+            _sample_row(total, quadrature, gain[v], stray[2 + 2 * k], k_contrast, shot, read_variance, well, y, sigma_y, full)
+            _add_noise(x, sigma_x, ranks[v], 2 * k, quantiles)
+            _add_noise(y, sigma_y, ranks[v], 2 * k + 1, quantiles)
+            phases_of_row(x, y, turns[k], amplitude)
+        if n_frequencies == 2:
+            amplitude *= F32(0.5)
+            _unwrap_row(turns[0], turns[1], ratio[0], ratio[1], wavelength_1, weight_1, ranges)
+        else:
+            for u in range(width):
+                ranges[u] = turns[0, u] * wavelength_1
+        if not wrapping:
+            for u in range(width):
+                if energy[v, u] > F32(0.0):
+                    ranges[u] += period * np.floor((moment[v, u] / energy[v, u] - ranges[u]) / period + F32(0.5))
+        _deliver_row(
+            ranges, amplitude, total, full, field[v], range_over_depth[v], sigma_scale, shot, read_variance,
+            F32(min_amplitude), F32(near), F32(far), depth_out[v], amplitude_out[v], confidence_out[v],
+        )  # fmt: skip

@@ -27,18 +27,20 @@ class EmpiricalNoise(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["empirical"] = "empirical"
-    a_mm: float = Field(1.0, ge=0, description="Constant part of sigma (mm).")
-    b_mm_per_m: float = Field(5.0, ge=0, description="Part of sigma that grows with depth (mm per m).")
-    c_mm_per_m2: float = Field(1.0, ge=0, description="Part of sigma that grows with depth squared (mm per m^2).")
-    edge_threshold_m: float = Field(0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
-    edge_sigma_mm: float = Field(40.0, ge=0, description="Gaussian noise added at abrupt edges (mm).")
-    edge_width_px: int = Field(1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
+    a_mm: float = Field(default=1.0, ge=0, description="Constant part of sigma (mm).")
+    b_mm_per_m: float = Field(default=5.0, ge=0, description="Part of sigma that grows with depth (mm per m).")
+    c_mm_per_m2: float = Field(default=1.0, ge=0, description="Part of sigma that grows with depth squared (mm per m^2).")
+    edge_threshold_m: float = Field(default=0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
+    edge_sigma_mm: float = Field(default=40.0, ge=0, description="Gaussian noise added at abrupt edges (mm).")
+    edge_width_px: int = Field(default=1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
     remove_spikes: bool = Field(
-        True, description="Edge pixels farther than the threshold before or behind all neighbours are invalid."
+        default=True, description="Edge pixels farther than the threshold before or behind all neighbours are invalid."
     )
-    glass: bool = Field(True, description="Window panes deliver no depth.")
-    range_window: bool = Field(True, description="Dead zone and saturation: depths outside the sensor's range are invalid.")
-    circular_field: bool = Field(True, description="Pixels outside the lens' image circle are invalid.")
+    glass: bool = Field(default=True, description="Window panes deliver no depth.")
+    range_window: bool = Field(
+        default=True, description="Dead zone and saturation: depths outside the sensor's range are invalid."
+    )
+    circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
 def simulate_empirical(buffers: GeometryBuffers, sensor: Sensor, noise: EmpiricalNoise, *, rng: Generator) -> SensorFrame:

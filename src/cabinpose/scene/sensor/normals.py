@@ -20,11 +20,12 @@ def normal_quantiles() -> NDArray[np.float32]:
     """(65536,) float32: standard normal numbers by their 16-bit rank; mean 0, variance 1."""
     edges = norm.ppf(np.arange(65537) / 65536)
     means = -np.diff(norm.pdf(edges)) * 65536
-    table = (means / means.std()).astype(np.float32)
+    table: NDArray[np.float32] = (means / means.std()).astype(np.float32)
     table.setflags(write=False)
     return table
 
 
 def random_words(shape: tuple[int, ...], *, rng: Generator) -> NDArray[np.uint64]:
     """Random 64-bit words of the given shape, each good for four normals."""
-    return rng.integers(0, 2**64 - 1, size=shape, dtype=np.uint64, endpoint=True)
+    words: NDArray[np.uint64] = rng.integers(0, 2**64 - 1, size=shape, dtype=np.uint64, endpoint=True)
+    return words

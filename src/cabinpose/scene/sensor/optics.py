@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.camera import Camera
-from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor.presets import Sensor
 
 # A pane sends back towards a source beside the lens what dust and scratches scatter, and a mirror image where it
@@ -20,31 +20,22 @@ _PANE_SPECULAR = 50.0
 GLOSS_WIDTH = float(1.0 - np.cos(np.radians(2.0)))
 # Mean reflectance of what lies outside a window, seen by daylight alone.
 _OUTSIDE_REFLECTANCE = 0.3
-# A spectacle lens passes 0.92 of the light each way; the skin behind stands a vertex distance of 15 mm from it.
-_LENS_TRANSMITTANCE = 0.92**2
-_VERTEX_DISTANCE_M = 0.015
 
 
 @lru_cache(maxsize=8)
 def material_table(reflectance: bool, glass: bool, ambient: float, daylight: float) -> NDArray[np.float32]:
-    """(256, 4) float32 by material id: diffuse reflectance, specular peak, extra range (m), ambient light returned.
+    """(256, 3) float32 by material id: diffuse reflectance, specular peak, ambient light returned.
 
     `reflectance` False: everything is white. `glass` False: transmissive materials are plain diffuse surfaces.
     `ambient` and `daylight` are the irradiances inside and outside, which the last column holds times the reflectance.
     """
-    table = np.zeros((256, 4), np.float32)
     outside = daylight * _OUTSIDE_REFLECTANCE
-    table[:, 3] = outside
+    table = np.zeros((256, 3), np.float32)
+    table[:, 2] = outside
     for material in MATERIALS[1:]:
         value = material.reflectance if reflectance else 1.0
-        table[material.id] = (value, 0.0, 0.0, ambient * value)
-        if not (glass and material.transmissive):
-            continue
-        if material.id == ID["spectacle_lens"]:
-            skin = _LENS_TRANSMITTANCE * MATERIALS[ID["skin"]].reflectance
-            table[material.id] = (skin, 0.0, _VERTEX_DISTANCE_M, ambient * skin)
-        else:
-            table[material.id] = (_PANE_DIFFUSE, _PANE_SPECULAR, 0.0, outside)
+        pane = glass and material.transmissive
+        table[material.id] = (_PANE_DIFFUSE, _PANE_SPECULAR, outside) if pane else (value, 0.0, ambient * value)
     table.setflags(write=False)
     return table
 

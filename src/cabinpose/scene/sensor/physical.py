@@ -29,32 +29,39 @@ class PhysicalNoise(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["physical"] = "physical"
-    shot_noise: bool = Field(True, description="Photon noise of signal and ambient light.")
-    read_noise: bool = Field(True, description="Read noise of the taps.")
-    full_well: bool = Field(True, description="Taps clip at their full well; a clipped pixel is invalid.")
-    flying_pixels: bool = Field(True, description="Average the phasors of a pixel's samples; off: take one sample.")
-    wrapping: bool = Field(True, description="The phase repeats beyond the unambiguous range; off: it is unwrapped perfectly.")
-    second_frequency: bool = Field(True, description="Use the sensor's second modulation frequency, where it has one, to unwrap.")
+    shot_noise: bool = Field(default=True, description="Photon noise of signal and ambient light.")
+    read_noise: bool = Field(default=True, description="Read noise of the taps.")
+    full_well: bool = Field(default=True, description="Taps clip at their full well; a clipped pixel is invalid.")
+    flying_pixels: bool = Field(default=True, description="Average the phasors of a pixel's samples; off: take one sample.")
+    wrapping: bool = Field(
+        default=True, description="The phase repeats beyond the unambiguous range; off: it is unwrapped perfectly."
+    )
+    second_frequency: bool = Field(
+        default=True, description="Use the sensor's second modulation frequency, where it has one, to unwrap."
+    )
     wiggling: float = Field(
-        0.1,
+        default=0.1,
         ge=0,
         le=1,
         description="Share of a triangular correlation left after calibration; 1 = up to 4.07 degrees of error.",
     )
     stray_light: float = Field(
-        0.003, ge=0, le=1, description="Share of the mean light of the image that the lens scatters onto every pixel (multipath)."
+        default=0.003,
+        ge=0,
+        le=1,
+        description="Share of the mean light of the image that the lens scatters onto every pixel (multipath).",
     )
     ambient: float = Field(
-        0.02, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
+        default=0.02, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
     )
-    daylight: float = Field(1.0, ge=0, description="The same outside the windows.")
-    reflectance: bool = Field(True, description="Materials reflect as at 850 nm; off: everything is white.")
-    incidence: bool = Field(True, description="Light returned falls with the cosine of incidence.")
-    vignetting: bool = Field(True, description="Lens and light source fall off towards the edge of the image.")
-    glass: bool = Field(True, description="Window panes return next to nothing; off: they are dim diffuse surfaces.")
-    range_window: bool = Field(True, description="Depths outside the sensor's range are invalid.")
-    low_amplitude: bool = Field(True, description="Pixels below the sensor's minimum amplitude are invalid.")
-    circular_field: bool = Field(True, description="Pixels outside the lens' image circle are invalid.")
+    daylight: float = Field(default=1.0, ge=0, description="The same outside the windows.")
+    reflectance: bool = Field(default=True, description="Materials reflect as at 850 nm; off: everything is white.")
+    incidence: bool = Field(default=True, description="Light returned falls with the cosine of incidence.")
+    vignetting: bool = Field(default=True, description="Lens and light source fall off towards the edge of the image.")
+    glass: bool = Field(default=True, description="Window panes return next to nothing; off: they are dim diffuse surfaces.")
+    range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
+    low_amplitude: bool = Field(default=True, description="Pixels below the sensor's minimum amplitude are invalid.")
+    circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
 NO_EFFECTS = PhysicalNoise(
@@ -73,7 +80,7 @@ def _gains(
     lens = maps.vignetting if vignetting else np.ones_like(maps.vignetting)
     light = maps.illumination if vignetting else np.ones_like(maps.illumination)
     field = maps.field if circular else np.isfinite(maps.range_over_depth)
-    scale = np.float32(sensor.signal_e)
+    scale = np.where(field, np.float32(sensor.signal_e), np.float32(0.0))
     return scale * lens * light, scale * lens, field
 
 
@@ -98,14 +105,15 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
     )  # fmt: skip
     stray = np.zeros(1 + len(phasor))
     if noise.stray_light > 0:
-        mean_light(energy, phasor, gain, field, stray)
+        mean_light(energy, phasor, gain, stray)
     near, far = sensor.range_m if noise.range_window else (-np.inf, np.inf)
     frame = SensorFrame(
         np.empty((height, width), np.float32), np.empty((height, width), np.uint16), np.empty((height, width), np.uint8)
     )
+    ranks = random_words((height, width), rng=rng).view(np.uint16)
     decode(
         energy, moment, daylight, phasor, gain, ambient_gain, field, maps.range_over_depth,
-        random_words((height, width), rng=rng), normal_quantiles(), (noise.stray_light * stray).astype(np.float32),
+        ranks, normal_quantiles(), (noise.stray_light * stray).astype(np.float32),
         frequencies, sensor.frequency_ratio if len(frequencies) == 2 else (1, 1), SPEED_OF_LIGHT, sensor.contrast,
         noise.shot_noise, sensor.read_noise_e if noise.read_noise else 0.0, sensor.full_well_e if noise.full_well else np.inf,
         sensor.min_amplitude_e if noise.low_amplitude else 0.0, near, far, noise.wrapping,

@@ -32,31 +32,35 @@ class Sensor(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(min_length=1, description="Name that the dataset records.")
-    principle: Literal["time_of_flight", "structured_light"] = Field("time_of_flight", description="How depth is measured.")
+    principle: Literal["time_of_flight", "structured_light"] = Field(
+        default="time_of_flight", description="How depth is measured."
+    )
     camera: Camera = Field(description="Intrinsics: width, height, fx, fy, cx, cy (px) and dist (k1, k2, p1, p2, k3).")
     range_m: tuple[float, float] = Field(description="Dead zone and saturation: nearest and farthest distance delivered (m).")
     integration_s: float = Field(gt=0, description="Exposure of one correlation sample (s).")
     fps: float = Field(gt=0, description="Frames per second.")
     frequencies_hz: tuple[Annotated[float, Field(gt=1e5, lt=1e9)], ...] = Field(
-        (), max_length=2, description="Modulation frequencies (Hz): one, or two in the ratio of small integers."
+        default=(), max_length=2, description="Modulation frequencies (Hz): one, or two in the ratio of small integers."
     )
-    contrast: float = Field(0.75, gt=0, le=1, description="Demodulation contrast K of the pixel.")
+    contrast: float = Field(default=0.75, gt=0, le=1, description="Demodulation contrast K of the pixel.")
     signal_e_per_s: float = Field(
-        6.0e6, gt=0, description="Electrons per second in both taps from a white surface facing the camera at 1 m on the axis."
+        default=6.0e6,
+        gt=0,
+        description="Electrons per second in both taps from a white surface facing the camera at 1 m on the axis.",
     )
-    read_noise_e: float = Field(8.0, ge=0, description="Read noise of one tap difference (electrons, rms).")
-    full_well_e: float = Field(100_000.0, gt=0, description="Electrons that one tap holds.")
-    min_amplitude_e: float = Field(45.0, ge=0, description="Amplitude below which a pixel is invalid (electrons).")
-    vignetting_exponent: float = Field(4.0, ge=0, description="The lens passes cos^n of the angle off axis.")
+    read_noise_e: float = Field(default=8.0, ge=0, description="Read noise of one tap difference (electrons, rms).")
+    full_well_e: float = Field(default=100_000.0, gt=0, description="Electrons that one tap holds.")
+    min_amplitude_e: float = Field(default=45.0, ge=0, description="Amplitude below which a pixel is invalid (electrons).")
+    vignetting_exponent: float = Field(default=4.0, ge=0, description="The lens passes cos^n of the angle off axis.")
     illumination_exponent: float = Field(
-        0.0,
-        description="Radiant intensity of the light source, cos^n of the angle off axis; negative for a diffuser that fills the edge.",
+        default=0.0,
+        description="Radiant intensity of the light, cos^n of the angle off axis; negative: it fills the edge.",
     )
     field_radius_px: float | None = Field(
-        None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."
+        default=None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."
     )
-    baseline_m: float = Field(0.075, gt=0, description="Structured light only: distance from projector to camera (m).")
-    native_scale: float = Field(1.0, gt=0, description="Structured light only: matched pixels per delivered pixel.")
+    baseline_m: float = Field(default=0.075, gt=0, description="Structured light only: distance from projector to camera (m).")
+    native_scale: float = Field(default=1.0, gt=0, description="Structured light only: matched pixels per delivered pixel.")
 
     def model_post_init(self, context: object, /) -> None:
         """Checks that fields fit each other."""

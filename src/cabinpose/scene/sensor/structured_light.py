@@ -28,23 +28,23 @@ class StructuredLightNoise(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["structured_light"] = "structured_light"
-    axial: bool = Field(True, description="Axial noise after Nguyen et al. (2012).")
-    lateral_px: float = Field(0.8, ge=0, description="Lateral noise, one sigma (pixels of the matcher).")
-    quantise: bool = Field(True, description="Disparity comes in steps.")
-    disparity_step_px: float = Field(0.125, gt=0, description="Step of the disparity (pixels of the matcher).")
-    shadow: bool = Field(True, description="What the projector does not see has no depth.")
+    axial: bool = Field(default=True, description="Axial noise after Nguyen et al. (2012).")
+    lateral_px: float = Field(default=0.8, ge=0, description="Lateral noise, one sigma (pixels of the matcher).")
+    quantise: bool = Field(default=True, description="Disparity comes in steps.")
+    disparity_step_px: float = Field(default=0.125, gt=0, description="Step of the disparity (pixels of the matcher).")
+    shadow: bool = Field(default=True, description="What the projector does not see has no depth.")
     grazing_deg: float = Field(
-        80.0, gt=0, le=90, description="Angle of incidence beyond which the pattern is not matched (degrees)."
+        default=80.0, gt=0, le=90, description="Angle of incidence beyond which the pattern is not matched (degrees)."
     )
     min_return: float = Field(
-        0.004,
+        default=0.006,
         ge=0,
         description="Light returned, relative to a white surface facing the camera at 1 m, below which no dot is seen.",
     )
     fill_px: int = Field(
-        0, ge=0, le=64, description="Holes up to this wide along a row are filled with the farther of their ends (px)."
+        default=0, ge=0, le=64, description="Holes up to this wide along a row are filled with the farther of their ends (px)."
     )
-    range_window: bool = Field(True, description="Depths outside the sensor's range are invalid.")
+    range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
 
 
 def simulate_structured_light(
