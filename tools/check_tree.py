@@ -45,7 +45,7 @@ def module_breaches(name: str, text: str) -> Iterator[str]:
     if lines > MAX_LINES and name not in LONG_MODULES:
         yield f"{name}:1: {lines} lines; split it, or give the reason in tools/check_tree.py"
     for node in ast.walk(ast.parse(text, name)):
-        if isinstance(node, ast.FunctionDef) and not _is_kernel(node):
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not _is_kernel(node):
             yield from (f"{name}:{node.lineno}: {node.name}: {breach}" for breach in _rng_breaches(node.args))
 
 
