@@ -1,0 +1,145 @@
+"""Where each vertex lies on the body: coordinates along the limbs, segments and part labels. Worked out once, on the
+average adult, for the topology that all people share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.scene import labels
+from cabinpose.scene.body.phenotype import Phenotype
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, SEGMENTS
+from cabinpose.scene.body.shape import load_shape_space
+from cabinpose.scene.body.skeleton import rest_arrays
+
+Array = NDArray[np.float64]
+_ARM = ("shoulder_half", "upperarm", "elbow", "forearm", "wrist", "hand", "finger")
+_LEG = ("hip_half", "thigh", "knee", "shank", "ankle", "foot")
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Coordinates of the skin's vertices (V,) on the average adult.
+
+    side: +1 left, -1 right, 0 on the midline · arm, leg, head, neck: share of the skinning weights (arm from the shoulder
+    joint on) · along_arm: 0 shoulder, 1 elbow, 2 wrist, 3 third knuckle · along_leg: 0 hip, 1 knee, 2 ankle, 3 sole ·
+    up: 0 hip joints, 1 C7, beyond on the neck and head · rest: (V, 3) the average adult at rest, root origin, m.
+    """
+
+    rest: Array
+    side: Array
+    arm: Array
+    leg: Array
+    neck: Array
+    head: Array
+    along_arm: Array
+    along_leg: Array
+    up: Array
+    heads: MappingProxyType[str, Array]
+
+
+def _along(points: Array, chain: list[Array]) -> Array:
+    """Position along a polyline, 1 per piece, by the nearest piece; beyond its ends in lengths of the end pieces."""
+    best = np.full(len(points), np.inf)
+    result = np.zeros(len(points))
+    for k, (a, b) in enumerate(zip(chain[:-1], chain[1:], strict=True)):
+        t = (points - a) @ (b - a) / ((b - a) @ (b - a))
+        low = -np.inf if k == 0 else 0.0
+        high = np.inf if k == len(chain) - 2 else 1.0
+        t = np.clip(t, low, high)
+        distance = np.linalg.norm(points - a - t[:, None] * (b - a), axis=1)
+        closer = distance < best
+        best[closer], result[closer] = distance[closer], k + t[closer]
+    return result
+
+
+@cache
+def load_chart() -> Chart:
+    """The chart of the packaged topology."""
+    space = load_shape_space()
+    skin, heads = space.shape(Phenotype())
+    rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
+    points = skin - origin
+    dense = np.zeros((len(points), len(BONES)))
+    np.put_along_axis(dense, space.bone_index.astype(np.int64), 0.0, axis=1)
+    for k in range(space.bone_index.shape[1]):
+        np.add.at(dense, (np.arange(len(points)), space.bone_index[:, k]), space.bone_weight[:, k])
+
+    def share(*stems: str) -> Array:
+        columns = [i for i, b in enumerate(BONES) if any(b == t or (b[0] in "lr" and b[1:].startswith(t)) for t in stems)]
+        return np.asarray(dense[:, columns].sum(axis=1))
+
+    named = {name: heads[i] - origin for name, i in space.heads.items()}
+    along_arm, along_leg = np.zeros(len(points)), np.zeros(len(points))
+    for side, mask in (("l", points[:, 1] >= 0), ("r", points[:, 1] < 0)):
+        arm = [named[side + b] for b in ("upperarm01", "lowerarm01", "wrist", "finger3_1")]
+        leg = [named[side + b] for b in ("upperleg01", "lowerleg01", "foot")]
+        leg.append(np.array([*leg[-1][:2], points[:, 2].min()]))
+        along_arm[mask] = _along(points[mask], arm)
+        along_leg[mask] = _along(points[mask], leg)
+    head = share("head") + dense[:, BONE_INDEX["head"]]
+    neck = dense[:, [BONE_INDEX[b] for b in ("neck01", "neck02", "neck03")]].sum(axis=1)
+    return Chart(
+        points, np.sign(np.round(points[:, 1], 5)), share(*_ARM), share(*_LEG), neck, head,
+        along_arm, along_leg, points[:, 2] / named["neck01"][2], MappingProxyType(named),
+    )  # fmt: skip
+
+
+@cache
+def vertex_segments() -> NDArray[np.uint8]:
+    """(V,) index into `rig.SEGMENTS`."""
+    c = load_chart()
+    names = np.full(len(c.up), "thorax", dtype="<U12")
+    names[c.up < 0.55] = "abdomen"
+    names[c.up < 0.16] = "pelvis"
+    names[c.neck > 0.5] = "neck"
+    names[c.head >= 0.5] = "head"
+    for prefix, on_side in (("l", c.side >= 0), ("r", c.side < 0)):
+        arm, leg = (c.arm > 0.5) & on_side, (c.leg > 0.5) & on_side & (c.along_leg > 0.12)
+        for where, coordinate, low, high, name in (
+            (arm, c.along_arm, -np.inf, 1.0, "upper_arm"), (arm, c.along_arm, 1.0, 2.0, "forearm"),
+            (arm, c.along_arm, 2.0, np.inf, "hand"), (leg, c.along_leg, -np.inf, 1.0, "thigh"),
+            (leg, c.along_leg, 1.0, 2.0, "shin"), (leg, c.along_leg, 2.0, np.inf, "foot"),
+        ):  # fmt: skip
+            names[where & (coordinate >= low) & (coordinate < high)] = prefix + name
+    return np.array([SEGMENTS.index(n) for n in names], np.uint8)
+
+
+@cache
+def face_labels() -> NDArray[np.uint8]:
+    """(F,) ids of `scene.labels` of the bare body, by the face's middle."""
+    faces = load_shape_space().faces
+    c = load_chart()
+    arm, leg, neck, head, along_arm, along_leg, up = (
+        values[faces].mean(axis=1) for values in (c.arm, c.leg, c.neck, c.head, c.along_arm, c.along_leg, c.up)
+    )
+    middle = c.rest[faces].mean(axis=1)
+    left = middle[:, 1] > 0
+    result = np.zeros(len(faces), np.uint8)
+
+    def put(mask: NDArray[np.bool_], name: str) -> None:
+        for side, own in (("left", left), ("right", ~left)):
+            result[mask & own] = labels.ID[f"{name}_{side}"]
+
+    put(np.ones(len(faces), bool), "torso")
+    hip_width = abs(c.heads["lupperleg01"][1])
+    put((up < 0.16) | (leg > 0.5), "hip")
+    result[(up < 0.16) & (np.abs(middle[:, 1]) < 0.55 * hip_width) & ((leg < 0.75) | (along_leg < 0.2))] = labels.ID["hip_center"]
+    shoulder = np.stack([c.heads["lupperarm01"]] * len(faces)) * np.where(left, 1, -1)[:, None] ** np.array([0, 1, 0])
+    reach = np.linalg.norm(middle - shoulder, axis=1) / np.linalg.norm(c.heads["lupperarm01"] - c.heads["llowerarm01"])
+    put(((reach < 0.36) & (arm + neck > 0.12) & (neck < 0.3)) | (arm > 0.5), "shoulder")
+    on_arm = arm > 0.5
+    for low, name in ((0.36, "upper_arm"), (0.84, "elbow"), (1.15, "forearm"), (1.86, "wrist"), (2.12, "hand")):
+        put(on_arm & (along_arm >= low), name)
+    on_leg = leg > 0.5
+    for low, name in ((0.22, "thigh"), (0.85, "knee"), (1.15, "shin"), (1.85, "ankle"), (2.25, "foot")):
+        put(on_leg & (along_leg >= low), name)
+    toes = on_leg & (along_leg > 1.8) & (middle[:, 0] > c.heads["lfoot"][0] + 0.06)
+    put(toes, "foot")
+    result[neck > 0.5] = labels.ID["neck"]
+    put(head >= 0.5, "head")
+    return result

@@ -1,0 +1,186 @@
+"""`BodyModel`, `Person` and `PosedBody`: from numbers to posed, clothed people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.frames import Matrix
+from cabinpose.scene import materials
+from cabinpose.scene.body.chart import face_labels, vertex_segments
+from cabinpose.scene.body.kinematics import (
+    RestArrays,
+    end_frames_into,
+    joints_into,
+    main_frames,
+    skin_transforms,
+)
+from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.phenotype import Phenotype
+from cabinpose.scene.body.rig import BONE_INDEX, DOFS, N_MAIN
+from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
+from cabinpose.scene.body.skeleton import rest_arrays
+from cabinpose.scene.body.skinning import skin_layers, vertex_normals
+from cabinpose.scene.surface import Surface
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+BODY_DENSITY = 985.0  # kg/m3, whole body at mid breath (Durnin & Womersley 1974 give 1.02 to 1.07 without lung air)
+
+
+@dataclass(frozen=True)
+class Dressed:
+    """What the camera sees at rest: `rest` (N, 3) m with its own skinning weights and faces."""
+
+    rest: Array32
+    bone_index: NDArray[np.uint8]
+    bone_weight: Array32
+    faces: NDArray[np.int32]
+    label: NDArray[np.uint8]
+    material: NDArray[np.uint8]
+
+
+class Person:
+    """One person: a shape and an outfit, ready to be posed. Made by `BodyModel.person`."""
+
+    def __init__(self, space: ShapeSpace, phenotype: Phenotype, outfit: Outfit) -> None:
+        self.phenotype = phenotype
+        self.outfit = outfit
+        self._space = space
+        skin, heads = space.shape(phenotype)
+        self.rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
+        self.rest_skin: Array32 = (skin - origin).astype(np.float32)
+        self.eyes_rest: Array = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
+        self.stature_m = float(np.ptp(skin[:, 2]))
+
+    @property
+    def skin_faces(self) -> NDArray[np.int32]:
+        """(Fs, 3): the closed bare skin, counter-clockwise seen from outside."""
+        return self._space.faces
+
+    @property
+    def skin_segment(self) -> NDArray[np.uint8]:
+        """(Vs,) index into `SEGMENTS`."""
+        return vertex_segments()
+
+    @cached_property
+    def volume_m3(self) -> float:
+        """Of the bare body at rest (divergence theorem)."""
+        a, b, c = (self.rest_skin[self.skin_faces[:, k]].astype(np.float64) for k in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+    @property
+    def mass_kg(self) -> float:
+        return self.volume_m3 * BODY_DENSITY
+
+    @cached_property
+    def segment_lengths(self) -> MappingProxyType[str, float]:
+        """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; both sides are equal."""
+        o = self.rest.offsets
+        length = {
+            name: float(np.linalg.norm(o[BONE_INDEX[child]]))
+            for name, child in (("upper_arm", "lforearm"), ("forearm", "lhand"), ("thigh", "lshank"), ("shin", "lfoot"))
+        }
+        return MappingProxyType(length)
+
+    @cached_property
+    def dressed(self) -> Dressed:
+        """The surface the camera sees, at rest."""
+        skin = np.full(len(self.skin_faces), materials.ID["skin"], np.uint8)
+        return Dressed(self.rest_skin, self._space.bone_index, self._space.bone_weight, self.skin_faces, face_labels(), skin)
+
+    def joints(self, q: Array, vehicle_from_root: Matrix) -> Array:
+        """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""
+        rotation, position = main_frames(checked(q), self.rest, vehicle_from_root)
+        out = np.empty((20, 3))
+        joints_into(self.rest, rotation, position, out)
+        return out
+
+    def pose(self, q: Array, vehicle_from_root: Matrix) -> PosedBody:
+        """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point."""
+        return PosedBody(self, checked(q), np.asarray(vehicle_from_root, np.float64))
+
+
+def checked(q: Array) -> Array:
+    """q as (D,) float64; ValueError for another shape."""
+    result = np.ascontiguousarray(q, np.float64)
+    if result.shape != (len(DOFS),):
+        raise ValueError(f"q has shape {result.shape}, expected ({len(DOFS)},)")
+    return result
+
+
+class PosedBody:
+    """A person in a pose, vehicle frame. Skin, clothes and frames are computed here, once."""
+
+    def __init__(self, person: Person, q: Array, vehicle_from_root: Matrix) -> None:
+        self.person = person
+        self.q = q
+        self.vehicle_from_root = vehicle_from_root
+        self._rotation, self._position = main_frames(q, person.rest, vehicle_from_root)
+        self._vehicle_from_mesh = skin_transforms(q, person.rest, self._rotation, self._position)
+        self.joints = np.empty((20, 3))
+        joints_into(person.rest, self._rotation, self._position, self.joints)
+        palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
+        end_frames_into(person.rest, self._rotation, self._position, palms, soles)
+        self.palms = {"l": palms[0], "r": palms[1]}
+        self.soles = {"l": soles[0], "r": soles[1]}
+        self.skin: Array32 = self._skinned(person.rest_skin, person._space.bone_index, person._space.bone_weight)
+
+    def _skinned(self, rest: Array32, index: NDArray[np.uint8], weight: Array32) -> Array32:
+        out = np.empty((1, len(rest), 3), np.float32)
+        skin_layers(self._vehicle_from_mesh.astype(np.float32), index, weight, rest[None], out)
+        return out[0]
+
+    @cached_property
+    def bones(self) -> Array:
+        """(73, 4, 4) vehicle_from_bone of `rig.BONES`; helpers and fingers have the axes of the mesh at rest."""
+        result = np.tile(np.eye(4), (len(self._vehicle_from_mesh), 1, 1))
+        result[:N_MAIN, :3, :3] = self._rotation
+        result[N_MAIN:, :3, :3] = self._vehicle_from_mesh[N_MAIN:, :, :3]
+        result[:, :3, 3] = np.einsum("bij,bj->bi", self._vehicle_from_mesh[:, :, :3], self.person.rest.heads)
+        result[:, :3, 3] += self._vehicle_from_mesh[:, :, 3]
+        return result
+
+    @property
+    def eyes_m(self) -> Array:
+        """(3,) the point between the eyes."""
+        head = self._vehicle_from_mesh[BONE_INDEX["head"]]
+        return np.asarray(head[:, :3] @ self.person.eyes_rest + head[:, 3])
+
+    def surface(self, instance: int) -> Surface:
+        """What the camera sees: clothed, with hair and accessories. instance: 1 + occupant slot."""
+        d = self.person.dressed
+        vertices = self._skinned(d.rest, d.bone_index, d.bone_weight)
+        normals = np.empty_like(vertices)
+        vertex_normals(vertices, d.faces, normals)
+        return Surface(vertices, normals, d.faces, d.label, d.material, np.full(len(d.faces), instance, np.uint8))
+
+
+class BodyModel:
+    """The parametric body; `BodyModel.load()` reads the packaged asset once per process."""
+
+    def __init__(self, space: ShapeSpace) -> None:
+        self._space = space
+
+    @classmethod
+    def load(cls) -> BodyModel:
+        """The model of the packaged asset, the same object on every call. Raises AssetError."""
+        return _loaded()
+
+    @property
+    def provenance(self) -> str:
+        """Where the asset is from, with versions and licences."""
+        return self._space.provenance
+
+    def person(self, phenotype: Phenotype, outfit: Outfit | None = None) -> Person:
+        """A person of this shape in this outfit (default: `Outfit()`). Deterministic."""
+        return Person(self._space, phenotype, outfit or Outfit())
+
+
+@cache
+def _loaded() -> BodyModel:
+    return BodyModel(load_shape_space())

@@ -1,0 +1,72 @@
+"""What people wear: `Outfit` names garments, hair and accessories; how they look is in `garments` and `accessories`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from cabinpose.core.errors import ConfigError, unknown_name
+
+Top = Literal["none", "t_shirt", "long_sleeve", "jumper", "jacket"]
+Bottom = Literal["none", "trousers", "jeans", "shorts"]
+Shoes = Literal["none", "trainers", "leather"]
+Hair = Literal["bald", "short", "medium", "long", "bun"]
+_CHOICES = {"top": get_args(Top), "bottom": get_args(Bottom), "shoes": get_args(Shoes), "hair": get_args(Hair)}
+
+
+@dataclass(frozen=True)
+class Outfit:
+    """Clothing, hair and accessories of one person.
+
+    fit: 0 close, 1 loose · folds: number of the pattern of folds. Raises ConfigError for names that do not exist.
+    """
+
+    top: Top = "t_shirt"
+    bottom: Bottom = "trousers"
+    shoes: Shoes = "trainers"
+    hair: Hair = "short"
+    beard: bool = False
+    cap: bool = False
+    glasses: bool = False
+    fit: float = 0.5
+    folds: int = 0
+
+    def __post_init__(self) -> None:
+        for kind, known in _CHOICES.items():
+            value = getattr(self, kind)
+            if value not in known:
+                raise unknown_name(kind, str(value), known)
+        if not 0.0 <= self.fit <= 1.0:
+            raise ConfigError(f"outfit fit is {self.fit}", hint="0 is close, 1 is loose")
+
+    @classmethod
+    def random(cls, *, rng: np.random.Generator) -> Outfit:
+        """An everyday outfit; the same number of draws whatever comes out."""
+        u = rng.random(8)
+
+        def pick(x: float, weights: dict[str, float]) -> str:
+            bounds = np.cumsum(list(weights.values()))
+            return list(weights)[int(np.searchsorted(bounds, x * bounds[-1], side="right"))]
+
+        return cls(
+            top=pick(u[0], {"t_shirt": 3, "long_sleeve": 2, "jumper": 2, "jacket": 2}),  # type: ignore[arg-type]
+            bottom=pick(u[1], {"trousers": 4, "jeans": 4, "shorts": 1}),  # type: ignore[arg-type]
+            shoes=pick(u[2], {"trainers": 3, "leather": 2}),  # type: ignore[arg-type]
+            hair=pick(u[3], {"short": 4, "medium": 3, "long": 2, "bun": 1, "bald": 1}),  # type: ignore[arg-type]
+            beard=bool(u[4] < 0.15),
+            cap=bool(u[5] < 0.12),
+            glasses=bool(u[6] < 0.3),
+            fit=float(u[7]),
+            folds=int(rng.integers(1 << 16)),
+        )
+
+    @property
+    def bare(self) -> bool:
+        """Whether nothing is worn at all."""
+        return self == Outfit("none", "none", "none", "bald", fit=self.fit, folds=self.folds)
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain data for files."""
+        return asdict(self)

