@@ -145,7 +145,7 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         elif slot == "rear_center":
             width = 2 * centre_half
         else:
-            inner = centre_half if three else max(w20 - 0.24, 0.01)
+            inner = centre_half if three else max(w20 - 0.29, 0.004)
             width = 2 * min(edge - w20, w20 - inner)
         sides = (1.0, 1.0) if style != "bench" else {"rear_left": (2.4, 0.3), "rear_right": (0.3, 2.4)}.get(slot, (0.2, 0.2))
         made, shape = seat_parts(
@@ -177,7 +177,7 @@ def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
     targets: dict[str, Vector] = {}
     if not layout.facing:
         shape, face_x, top_z, low_z = cockpit.dash_measures(layout)
-        screen_z = top_z + 0.045 if shape.screen == "floating" else top_z - 0.145
+        screen_z = top_z + 0.02 if shape.screen == "floating" else top_z - 0.145
         targets["infotainment"] = np.array([face_x - shape.stack - 0.045, 0.0, screen_z])
         targets["climate"] = np.array([face_x - shape.stack - 0.03, 0.0, top_z - 0.22])
         targets["glovebox"] = np.array([face_x + shape.passenger - 0.03, -front[1], 0.5 * (low_z + top_z) - 0.05])
@@ -214,7 +214,7 @@ def _views(layout: Layout) -> dict[str, ViewAnchor]:
     x = layout.header_x + 0.11
     under_glass = layout.header_z - 0.11 / max(layout.screen_slope, 0.3)
     driver_eye = np.array([x, front[1] * 0.62, under_glass - 0.075])
-    front_x = max(face_x - shape.stack - 0.08, front[0] + 0.60)
+    front_x = min(face_x - shape.stack - 0.085, front[0] + 0.62)  # clear of a screen that stands on the dashboard
     front_eye = np.array([front_x, 0.0, min(top_z + 0.17, layout.header_z - 0.20)])  # under the mirror
     rear_x = rear[0] + 0.66
     rear_eye = np.array([rear_x, 0.0, float(layout.roof_line(rear_x)) - 0.075])

@@ -57,7 +57,7 @@ def dashboard(layout: Layout) -> list[Part]:
     """The dashboard from side to side, its cluster hood before the driver, vents, screen and glove box."""
     shape, face_x, top_z, low_z = dash_measures(layout)
     cowl_x, driver_y = layout.cowl_x - 0.005, layout.h_front[1]
-    stations = np.linspace(-1, 1, 33)
+    stations = np.linspace(-1, 1, 29)
     rings = []
     for v in stations:
         half = float(layout.half_width(np.array(face_x), np.array(layout.belt_z))) + 0.015
@@ -81,12 +81,12 @@ def dashboard(layout: Layout) -> list[Part]:
             (face + 0.5 * shape.tilt, lower + 0.05), (face + shape.tilt, lower + 0.005), (face + shape.tilt + 0.03, lower),
             (0.4 * front + 0.6 * (face + shape.tilt), lower + 0.04),
         ]  # fmt: skip
-        curve = smooth_curve(points, 34, closed=True)
+        curve = smooth_curve(points, 30, closed=True)
         rings.append(np.stack((curve[:, 0], np.full(len(curve), y), curve[:, 1]), axis=-1))
     parts = [Part("dashboard", to_surface(loft(np.stack(rings)), "trim", "soft_trim"))]
 
     details = []
-    vent = rounded_box((0.03, 0.11, 0.052), (0.008, 0.016, 0.016), (1, 2, 1), corner=1)
+    vent = rounded_box((0.03, 0.11, 0.052), (0.008, 0.016, 0.016), (1, 1, 1), corner=1)
     mid_z = top_z - 0.095
     for y in (layout.h_front[1] + 0.27, -layout.h_front[1] - 0.22):
         x = face_x + 0.03 + (shape.passenger if y < 0 else 0.0)
@@ -96,10 +96,10 @@ def dashboard(layout: Layout) -> list[Part]:
     details += [vent.shifted(face_x - shape.stack + 0.014, y, centre_z) for y in (-0.077, 0.077)]
     parts.append(Part("vents", to_surface(join(details), "trim", "hard_plastic")))
     if shape.screen == "floating":
-        screen = rounded_box((0.016, 0.27, 0.145), (0.006, 0.014, 0.014), (1, 2, 1), corner=1)
-        screen = screen.turned("y", np.deg2rad(8)).shifted(face_x - shape.stack - 0.022, 0.0, top_z + 0.045)
+        screen = rounded_box((0.016, 0.27, 0.145), (0.006, 0.014, 0.014), (1, 1, 1), corner=1)
+        screen = screen.turned("y", np.deg2rad(8)).shifted(face_x - shape.stack - 0.022, 0.0, top_z + 0.02)
     else:
-        screen = rounded_box((0.02, 0.205, 0.115), (0.006, 0.010, 0.010), (1, 2, 1), corner=1)
+        screen = rounded_box((0.02, 0.205, 0.115), (0.006, 0.010, 0.010), (1, 1, 1), corner=1)
         screen = screen.turned("y", np.deg2rad(5)).shifted(face_x - shape.stack + 0.012, 0.0, top_z - 0.145)
     parts.append(Part("screen", to_surface(screen, "trim", "hard_plastic")))
     return parts
@@ -118,12 +118,12 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
     pose[:3, 3] = (-d.l11_mm / 1000, layout.h_front[1], d.h17_mm / 1000)
     wheel = SteeringWheel(pose, radius, section)
 
-    angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     flat = 0.022 * smoothstep(-np.cos(angle), 0.86, 1.0) if d.seat_style == "sport" else 0.0  # flattened bottom
     path = np.stack(((radius - flat) * np.cos(angle), (radius - flat) * np.sin(angle), 0 * angle), axis=-1)
     off = np.abs(np.abs(np.angle(np.exp(1j * angle))) - np.deg2rad(68))
     bulge = 1 + 0.16 * np.exp(-((off / 0.16) ** 2))  # thumb rests at ten and two
-    rim = sweep(path, ellipse(section * bulge, section * bulge, 12), closed=True, up=(0, 0, 1))
+    rim = sweep(path, ellipse(section * bulge, section * bulge, 10), closed=True, up=(0, 0, 1))
 
     four = d.dash_style in ("simple", "upright")
     places = [68, -68, 125, -125] if four else [92, -92, 180]
@@ -137,7 +137,7 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
         s = np.linspace(0, 1, 7)
         wide = 0.034 - 0.014 * np.sin(np.pi * s * 0.8) if degrees != 180 else 0.022 - 0.006 * s
         spokes.append(sweep(line, ellipse(0.0085 + 0 * s, wide, 10, 2.6), up=(0, 0, 1)))
-    hub = rounded_box((0.155, 0.165, 0.055), (0.060, 0.070, 0.022), (3, 3, 1), corner=3)
+    hub = rounded_box((0.155, 0.165, 0.055), (0.060, 0.070, 0.022), (2, 2, 1), corner=2)
 
     def dome(p: Points) -> Points:
         x, y, z = p.T
@@ -158,7 +158,7 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
     for side in (-1, 1):
         root = start + 0.02 * axis
         tip = root + np.array([0.0, side * 0.175, 0.012]) - 0.012 * axis
-        stalks.append(tube([root + (0, side * 0.04, 0), 0.5 * (root + tip), tip], [0.008, 0.009, 0.0105], 8))
+        stalks.append(tube([root + (0, side * 0.04, 0), 0.5 * (root + tip), tip], [0.008, 0.009, 0.0105], 6))
     parts.append(Part("steering column", to_surface(join([column, *stalks]), "trim", "hard_plastic")))
     return wheel, parts
 
@@ -216,14 +216,14 @@ def console(layout: Layout, seat_width: float) -> tuple[list[Part], Vector]:
         lid = h_z + {"low": 0.07, "tunnel": 0.13, "high": 0.17}[d.console_style]
         deck = h_z + {"low": -0.03, "tunnel": 0.03, "high": 0.10}[d.console_style]
         rear = h_x - {"low": 0.08, "tunnel": 0.22, "high": 0.24}[d.console_style]
-        x = np.linspace(rear, front, 22)
+        x = np.linspace(rear, front, 18)
         armrest = 1 - smoothstep(x, h_x + 0.13, h_x + 0.20)
         climb = smoothstep(x, face_x - 0.20, face_x + 0.04)
         top = deck + (lid - deck) * armrest + (low_z + 0.05 - deck) * climb * (1.0 if d.console_style != "low" else 0.75)
         wide = half * (1 - 0.08 * (1 - armrest)) * (1 - 0.15 * smoothstep(-x, -rear - 0.05, -rear))
         low = float(d.tunnel_mm) / 1000 * 0.5
         height = (top - low) / 2
-        section = ellipse(height, wide, 20, 7.0)
+        section = ellipse(height, wide, 16, 6.0)
         path = np.stack((x, 0 * x, low + height), axis=-1)
         rings = path[:, None] + np.stack((0 * section[..., 0], section[..., 1], section[..., 0]), axis=-1)
         parts.append(Part("centre console", to_surface(loft(rings), "trim", "soft_trim" if d.leather else "hard_plastic")))
@@ -240,6 +240,6 @@ def console(layout: Layout, seat_width: float) -> tuple[list[Part], Vector]:
         boot = rounded_box((0.26, 0.15, 0.10), (0.05, 0.05, 0.04), (2, 1, 1)).shifted(float(foot[0]), 0, 0.05)
         parts.append(Part("gear lever boot", to_surface(boot, "trim", "hard_plastic")))
     lever = tube([foot, 0.5 * (foot + knob), knob], 0.008, 8)
-    ball = rounded_box((0.045, 0.040, 0.055), (0.021, 0.019, 0.024), (1, 1, 1), corner=3).shifted(*knob)
+    ball = rounded_box((0.045, 0.040, 0.055), (0.021, 0.019, 0.024), (1, 1, 1), corner=2).shifted(*knob)
     parts.append(Part("gear lever", to_surface(join([lever, ball]), "trim", "hard_plastic")))
     return parts, knob

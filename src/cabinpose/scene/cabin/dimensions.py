@@ -21,7 +21,7 @@ def _dimension(code: str, default: float, low: float, high: float, meaning: str,
     return Field(default, ge=low, le=high, description=f"{code}: {meaning} [{source}]", json_schema_extra={"code": code})
 
 
-SeatStyle = Literal["compact", "comfort", "sport", "captain", "bench"]
+SeatStyle = Literal["compact", "comfort", "sport", "captain", "plus2", "bench"]
 DashStyle = Literal["simple", "wave", "tier", "driver", "upright", "none"]
 ConsoleStyle = Literal["none", "low", "tunnel", "high"]
 DoorStyle = Literal["plain", "pocket", "sweep", "sport", "upright", "wall"]

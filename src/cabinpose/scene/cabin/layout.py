@@ -91,6 +91,11 @@ class Layout:
         """Height of the upper edge of the side windows, m."""
         return np.asarray(self.roof_line(x) - (0.10 if not self.facing else 0.13))
 
+    def belt_line(self, x: ArrayLike) -> Points:
+        """Height of the lower edge of the side glass, m: it climbs rearward, most in a coupe."""
+        climb = {"sport": 0.075, "sweep": 0.035, "pocket": 0.045, "plain": 0.02, "upright": -0.02, "wall": 0.0}[self.d.door_style]
+        return np.asarray(self.belt_z + climb * np.clip(self.h_front[0] + 0.25 - np.asarray(x), -0.6, 1.2))
+
     def half_width(self, x: ArrayLike, z: ArrayLike) -> Points:
         """Clear half width at the side trim or glass, m: W3 at the belt line, tumblehome above it, tucked in at the sill."""
         d = self.d

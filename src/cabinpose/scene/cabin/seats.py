@@ -13,7 +13,7 @@ import numpy as np
 
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import Points, Solid, join, prism, rounded_box, smooth_curve, smoothstep, tube
+from cabinpose.scene.cabin.shapes import Points, Solid, block, join, prism, rounded_box, smoothstep, tube
 
 PAN_BELOW_H = 0.098  # SAE J826: H-point to the seat pan's lowest line
 PAN_BEHIND_H = 0.135  # SAE J826: H-point to the back pan, normal to the torso line
@@ -44,6 +44,7 @@ class SeatShape:
     lumbar: float = 0.012
     headrest: str = "posts"
     headrest_width: float = 0.265
+    head_height: float = 0.20  # of an integral headrest above the backrest
     shell: str = "car"  # what carries the cushion: "car", "pedestal", "box"
     armrests: bool = False
 
@@ -57,19 +58,27 @@ STYLES = {
                        back_height=0.64, headrest="wing", headrest_width=0.26, lumbar=0.016, back_depth=0.09),
     "captain": SeatShape(width=0.505, bolster_cushion=0.018, bolster_back=0.030, insert=0.170, back_height=0.62, top_width=0.45,
                          front=0.375, shell="pedestal", armrests=True, headrest_width=0.29, back_depth=0.095),
-    "bench": SeatShape(width=0.48, bolster_cushion=0.012, bolster_back=0.020, insert=0.19, back_height=0.57, top_width=0.46,
+    "plus2": SeatShape(width=0.47, bolster_cushion=0.030, bolster_back=0.040, insert=0.13, back_height=0.50, top_width=0.36, front=0.33,
+                       back_depth=0.09, headrest="integral", head_height=0.09, headrest_width=0.25, shell="box"),
+    "bench": SeatShape(width=0.48, bolster_cushion=0.012, bolster_back=0.020, insert=0.150, back_height=0.57, top_width=0.46,
                        front=0.375, shell="box", lumbar=0.006, headrest_width=0.25),
 }  # fmt: skip
+
+
+def _towards_edges(y: Points, half: float) -> Points:
+    """Moves grid lines outwards, where the bolsters bend; the edges stay."""
+    return np.asarray(np.sign(y) * half * (np.abs(y) / half) ** 0.72)
 
 
 def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float]) -> Solid:
     """The cushion; sides: bolster of the left and right edge, 1 = full height."""
     rear = -0.215
     length, mid = shape.front - rear, (shape.front + rear) / 2
-    box = rounded_box((length, shape.width, shape.cushion_depth), (0.045, 0.035, 0.042), (11, 12, 1), corner=2)
+    box = rounded_box((length, shape.width, shape.cushion_depth), (0.050, 0.040, 0.046), (7, 8, 1), corner=1)
 
     def bend(p: Points) -> Points:
         x, y, z = p.T
+        y = _towards_edges(y, shape.width / 2)
         s = (x + length / 2) / length  # 0 rear .. 1 front
         top = smoothstep(z, -shape.cushion_depth / 2, shape.cushion_depth / 2)
         bolster = np.where(y > 0, sides[0], sides[1]) * shape.bolster_cushion
@@ -88,12 +97,13 @@ def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float]) -> Soli
 
 def _back(shape: SeatShape, sides: tuple[float, float]) -> Solid:
     """The backrest in the back frame."""
-    low, high = -0.10, shape.back_height + (0.20 if shape.headrest == "integral" else 0.0)
+    low, high = -0.10, shape.back_height + (shape.head_height if shape.headrest == "integral" else 0.0)
     height, mid = high - low, (high + low) / 2
-    box = rounded_box((shape.back_depth, shape.width, height), (0.038, 0.036, 0.060), (1, 12, 15), corner=2)
+    box = rounded_box((shape.back_depth, shape.width, height), (0.042, 0.042, 0.060), (1, 8, 10), corner=1)
 
     def bend(p: Points) -> Points:
         x, y, z = p.T
+        y = _towards_edges(y, shape.width / 2)
         z_ = z + mid
         front = smoothstep(x, -shape.back_depth / 2, shape.back_depth / 2)
         bolster = np.where(y > 0, sides[0], sides[1]) * shape.bolster_back
@@ -102,9 +112,9 @@ def _back(shape: SeatShape, sides: tuple[float, float]) -> Solid:
         lumbar = shape.lumbar * np.exp(-(((z_ - 0.17) / 0.11) ** 2))
         crown = -0.018 * smoothstep(z_, 0.36, 0.60)  # the upper back leans away
         taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, min(shape.back_height, high) - 0.01)
-        head = 0.0
+        head = np.zeros_like(z_)
         if shape.headrest == "integral":
-            head = 0.065 * smoothstep(z_, shape.back_height - 0.08, shape.back_height + 0.09)
+            head = 0.065 * smoothstep(z_, shape.back_height - 0.08, high - 0.10)
         thin = 0.030 * smoothstep(z_, 0.25, high) * (1 - front)  # the rear face tapers towards the top
         x_ = x - shape.back_depth / 2 - shape.back_behind_h + front * (rise + lumbar) + crown + head + thin
         return np.stack((x_, y * taper, z_), axis=-1)
@@ -116,7 +126,7 @@ def _headrest(shape: SeatShape) -> tuple[Solid, Solid | None]:
     """The pad and its posts, in the back frame."""
     wing = shape.headrest == "wing"
     size = (0.085, shape.headrest_width, 0.185)
-    box = rounded_box(size, (0.036, 0.060, 0.062), (1, 6, 4), corner=2)
+    box = rounded_box(size, (0.036, 0.060, 0.062), (1, 4, 3), corner=1)
     centre_z, centre_x = shape.back_height + 0.045 + size[2] / 2, -0.050 - size[0] / 2
 
     def bend(p: Points) -> Points:
@@ -130,8 +140,8 @@ def _headrest(shape: SeatShape) -> tuple[Solid, Solid | None]:
     for side in (-1, 1):
         y = side * 0.065
         bottom = (-shape.back_behind_h - shape.back_depth / 2 - 0.005, y, shape.back_height - 0.06)
-        path = smooth_curve([bottom, (bottom[0] + 0.002, y, shape.back_height + 0.01), (centre_x - 0.008, y, centre_z)], 5)
-        posts.append(tube(path, 0.0065, 8))
+        path = [bottom, (bottom[0] + 0.002, y, shape.back_height + 0.01), (centre_x - 0.008, y, centre_z)]
+        posts.append(tube(path, 0.0065, 6, rounded=False))
     return pad, join(posts)
 
 
@@ -165,7 +175,7 @@ def _under(shape: SeatShape, angle: float, height: float, half_travel: float) ->
     solids = []
     for side in (-1, 1):  # side shields, and the two risers that stand on the rails
         y = side * (shape.width / 2 - 0.012)
-        shield = rounded_box((0.46, 0.028, 0.085), (0.03, 0.012, 0.03), (4, 1, 1), corner=1)
+        shield = rounded_box((0.46, 0.028, 0.085), (0.03, 0.012, 0.03), (3, 1, 1), corner=1)
 
         def bend(p: Points, y: float = y) -> Points:
             x, side_y, z = p.T
@@ -173,7 +183,7 @@ def _under(shape: SeatShape, angle: float, height: float, half_travel: float) ->
 
         solids.append(shield.deformed(bend))
         for x in (-0.13, 0.23):
-            foot = rounded_box((0.06, 0.05, max(top + 0.05 + np.tan(angle) * x - floor, 0.03)), 0.01, corner=1)
+            foot = block((0.06, 0.05, max(top + 0.05 + np.tan(angle) * x - floor, 0.03)))
             z = (top + 0.05 + np.tan(angle) * x + floor) / 2
             solids.append(foot.shifted(x, side * (shape.width / 2 - 0.07), z))
     return solids
@@ -183,8 +193,8 @@ def _armrests(shape: SeatShape) -> Solid:
     """Folding armrests on both sides, in the seat frame: they stay level when the back reclines."""
     arms = []
     for side in (-1, 1):
-        pad = rounded_box((0.30, 0.055, 0.05), (0.03, 0.022, 0.022), (4, 1, 1), corner=2)
-        arms.append(pad.shifted(0.02, side * (shape.width / 2 + 0.035), 0.175))
+        pad = rounded_box((0.40, 0.055, 0.05), (0.03, 0.022, 0.022), (4, 1, 1), corner=1)
+        arms.append(pad.shifted(-0.01, side * (shape.width / 2 + 0.030), 0.175))
     return join(arms)
 
 

@@ -9,7 +9,7 @@ from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface
 
-CREASE = np.deg2rad(42.0)  # two faces that meet at more than this are an edge, not a curve
+CREASE = np.deg2rad(50.0)  # two faces that meet at more than this are an edge, not a curve
 
 
 def face_normals(vertices: Points, faces: np.ndarray) -> tuple[Points, Points]:

@@ -122,6 +122,13 @@ def rounded_box(
     return Solid(vertices, _triangles(np.concatenate(quads)))
 
 
+def block(size: Sequence[float]) -> Solid:
+    """A box of full `size` (m) about the origin, with sharp edges."""
+    grid = np.array([[(x, y) for y in (-0.5, 0.5)] for x in (-0.5, 0.5)])
+    low, high = (np.concatenate((grid, np.full((2, 2, 1), z)), axis=-1) * np.asarray(size) for z in (-0.5, 0.5))
+    return slab(high, low)
+
+
 def _triangles(quads: NDArray[np.int64]) -> Faces:
     return np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])).astype(np.int32)
 

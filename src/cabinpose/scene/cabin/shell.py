@@ -9,7 +9,7 @@ import numpy as np
 from cabinpose.scene.cabin.layout import WALL, Layout
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import Points, Solid, ellipse, join, rounded_box, slab, smooth_curve, smoothstep, sweep
+from cabinpose.scene.cabin.shapes import Points, Solid, block, ellipse, join, rounded_box, slab, smooth_curve, smoothstep, sweep
 
 Line = Callable[[Points], Points]
 
@@ -28,7 +28,7 @@ def _lower_grid(layout: Layout, x_front: float, x_rear: float, cells: tuple[int,
     """Grids (x, z, s, t) below the belt line: s 0 front .. 1 rear, t 0 sill .. 1 belt."""
     s, t = np.meshgrid(np.linspace(0, 1, cells[0] + 1), np.linspace(0, 1, cells[1] + 1), indexing="ij")
     x = x_front + s * (x_rear - x_front)
-    return x, -0.02 + t * (layout.belt_z + 0.02), s, t
+    return x, -0.02 + t * (layout.belt_line(x) + 0.02), s, t
 
 
 def _upper_grid(layout: Layout, front: Line, rear: Line, cells: tuple[int, int]) -> tuple[Points, Points, Points, Points]:
@@ -36,7 +36,7 @@ def _upper_grid(layout: Layout, front: Line, rear: Line, cells: tuple[int, int])
     s, t = np.meshgrid(np.linspace(0, 1, cells[0] + 1), np.linspace(0, 1, cells[1] + 1), indexing="ij")
     nominal = layout.belt_z + t * (layout.head_front[1] - 0.10 - layout.belt_z)
     x = front(nominal) + s * (rear(nominal) - front(nominal))
-    z = layout.belt_z + t * (layout.rail_z(x) - layout.belt_z)
+    z = layout.belt_line(x) + t * (layout.rail_z(x) - layout.belt_line(x))
     return x, z, s, t
 
 
@@ -67,7 +67,7 @@ def _armrest(layout: Layout, h_x: float, seat_z: float, length: float) -> Solid:
     depth, height = {"plain": (0.045, 0.05), "pocket": (0.065, 0.075), "sport": (0.050, 0.06), "upright": (0.060, 0.05)}.get(
         style, (0.065, 0.065)
     )
-    box = rounded_box((length, 2 * depth, height), (0.07, 0.026, 0.024), (7, 1, 1), corner=2)
+    box = rounded_box((length, 2 * depth, height), (0.07, 0.026, 0.024), (5, 1, 1), corner=1)
     top = seat_z + 0.19
 
     def bend(p: Points) -> Points:
@@ -90,9 +90,9 @@ def doors(layout: Layout) -> list[Part]:
     b = layout.b_pillar_x
     rear_cut = float(layout.c_pillar_x(np.array(layout.belt_z)))
     door_front = 0.02 if not layout.facing else layout.cowl_x - 0.12
-    grid = _lower_grid(layout, door_front, b, (16, 14))
+    grid = _lower_grid(layout, door_front, b, (9, 12))
     add("front door trim", _side_patch(layout, grid[0], grid[1], _door_trim(layout.d.door_style, *grid[2:])))
-    grid = _lower_grid(layout, b, rear_cut, (14, 14))
+    grid = _lower_grid(layout, b, rear_cut, (8, 12))
     add("rear door trim", _side_patch(layout, grid[0], grid[1], _door_trim(layout.d.door_style, *grid[2:])))
     grid = _lower_grid(layout, max(layout.firewall_x, layout.cowl_x) + 0.03, door_front, (4, 6))
     add("kick panel", _side_patch(layout, grid[0], grid[1], 0.004), material="hard_plastic")
@@ -105,9 +105,9 @@ def doors(layout: Layout) -> list[Part]:
             armrests.append(_armrest(layout, layout.h_rear[0], layout.h_rear[2], 0.40))
         add("armrests", join(armrests), give=0.01)
 
-    x = np.linspace(door_front, rear_cut, 14)
+    x = np.linspace(door_front, rear_cut, 8)
     path = np.stack((x, layout.half_width(x, 0.05 + 0 * x) + 0.015, np.full_like(x, 0.035)), axis=-1)
-    add("sill", sweep(path, ellipse(0.055, 0.055, 12, 3.0), up=(0, 0, 1)), material="hard_plastic")
+    add("sill", sweep(path, ellipse(0.055, 0.055, 10, 3.0), up=(0, 0, 1)), material="hard_plastic")
 
     half_b = 0.045
     windows = (
@@ -118,12 +118,12 @@ def doors(layout: Layout) -> list[Part]:
         x, z, _, _ = _upper_grid(layout, front, rear, (6, 4))
         add(name, _side_patch(layout, x, z, -0.008), "glass", "glass")
 
-    z = np.linspace(0.02, float(layout.rail_z(b)) + 0.03, 14)
+    z = np.linspace(0.02, float(layout.rail_z(b)) + 0.03, 9)
     path = np.stack((layout.b_line(z), layout.half_width(layout.b_line(z), z) + 0.012, z), axis=-1)
     width = 0.055 + 0.03 * smoothstep(layout.belt_z - z, 0.1, 0.5)
-    add("B-pillar", sweep(path, ellipse(width, 0.036 + 0 * z, 14, 2.6), up=(1, 0, 0)), material="hard_plastic")
+    add("B-pillar", sweep(path, ellipse(width, 0.036 + 0 * z, 12, 2.6), up=(1, 0, 0)), material="hard_plastic")
 
-    t = np.linspace(-0.12, 1.06, 10)
+    t = np.linspace(-0.12, 1.06, 7)
     z = layout.cowl_z + t * (float(layout.rail_z(layout.header_x)) - layout.cowl_z)
     x = layout.a_pillar_x(z) + 0.045
     path = np.stack((x, layout.half_width(x, z) + 0.006, z), axis=-1)
@@ -136,8 +136,11 @@ def doors(layout: Layout) -> list[Part]:
     inset = 0.012 + 0.03 * np.sqrt(np.clip(np.sin(np.pi * np.clip(s, 0.0, 0.5)), 0, 1))
     add("C-pillar", _side_patch(layout, x, z, inset), material="soft_trim")
 
-    x = np.linspace(layout.header_x + 0.03, layout.roof_end_x - 0.02, 16)
+    x = np.linspace(layout.header_x + 0.03, layout.roof_end_x, 10)
     z = layout.rail_z(x) + 0.035
+    down = np.linspace(0.15, 1.0, 4)  # and on along the backlight to the shelf
+    z = np.concatenate((z, z[-1] + down * (layout.shelf_z - 0.04 - z[-1])))
+    x = np.concatenate((x, layout.backlight_x(z[-4:]) + 0.09 * (1 - down)))
     path = np.stack((x, layout.half_width(x, z) + 0.004, z), axis=-1)
     add("roof rail", sweep(path, ellipse(0.052, 0.036, 10, 2.4), up=(0, 0, 1)), material="headliner")
     return parts
@@ -154,7 +157,7 @@ def floor(layout: Layout) -> list[Part]:
         bend = (toe + up * np.cos(angle), up * np.sin(angle))
         side_view = np.array([(layout.back_x, 0.0), (toe, 0.0), bend, (layout.firewall_x + 0.06, layout.cowl_z)])
     lengths = np.linalg.norm(np.diff(side_view, axis=0), axis=1)
-    cells = np.maximum(np.round(lengths / 0.11).astype(int), 2)
+    cells = np.maximum(np.round(lengths / 0.16).astype(int), 2)
     pieces = zip(side_view[:-1], side_view[1:], cells, strict=True)
     line = np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in pieces] + [side_view[-1:]])
     v = np.array([0.09, 0.18, 0.27, 0.42, 0.7, 1.0])
@@ -172,7 +175,7 @@ def floor(layout: Layout) -> list[Part]:
         rails = []
         for side in (-1, 1):
             for dy in (-0.19, 0.19):
-                box = rounded_box((0.50, 0.035, 0.03), 0.008, (1, 1, 1), corner=1)
+                box = block((0.50, 0.035, 0.03))
                 rails.append(box.shifted(layout.h_front[0] + 0.06, side * layout.h_front[1] + dy, 0.012))
         parts.append(Part("seat rails", to_surface(join(rails), "floor", "metal")))
     return parts
@@ -180,8 +183,8 @@ def floor(layout: Layout) -> list[Part]:
 
 def roof(layout: Layout) -> list[Part]:
     """Headlining, windscreen, backlight, parcel shelf and tail."""
-    v = np.linspace(-1, 1, 15)
-    x = np.linspace(layout.header_x, layout.roof_end_x, 17)
+    v = np.linspace(-1, 1, 13)
+    x = np.linspace(layout.header_x, layout.roof_end_x, 13)
     xg, vg = np.meshgrid(x, v, indexing="ij")
     y = vg * (layout.half_width(xg, layout.rail_z(xg)) + 0.02)
     z = layout.roof(xg, y)
@@ -237,7 +240,7 @@ def roof_fittings(layout: Layout) -> list[Part]:
         visors = []
         for side in (-1, 1):
             y0, x0 = side * layout.h_front[1] * 0.98, layout.header_x - 0.10
-            box = rounded_box((0.155, 0.38, 0.020), (0.03, 0.05, 0.009), (2, 6, 1), corner=2)
+            box = rounded_box((0.155, 0.38, 0.020), (0.03, 0.05, 0.009), (1, 5, 1), corner=1)
 
             def bend(p: Points, x0: float = x0, y0: float = y0) -> Points:
                 x, y = p[:, 0] + x0, p[:, 1] + y0
@@ -247,7 +250,7 @@ def roof_fittings(layout: Layout) -> list[Part]:
         parts.append(Part("sun visors", to_surface(join(visors), "trim", "headliner")))
         z = layout.header_z - 0.105
         x = float(layout.screen_x(np.array(z))) - 0.105
-        mirror = rounded_box((0.028, 0.23, 0.066), (0.012, 0.030, 0.028), (1, 5, 1), corner=2)
+        mirror = rounded_box((0.028, 0.23, 0.066), (0.012, 0.030, 0.028), (1, 2, 1), corner=1)
         mirror = mirror.turned("z", np.deg2rad(-12)).turned("y", np.deg2rad(8)).shifted(x, 0, z)
         stem = smooth_curve([(x + 0.015, 0, z), (x + 0.05, 0, z + 0.035), (x + 0.10, 0, z + 0.075)], 4)
         stalk = sweep(stem, ellipse(0.011, 0.011, 6))
