@@ -132,9 +132,18 @@ def _metres(scale: float) -> NDArray[np.float32]:
     return table
 
 
+def camera_of(frame: xr.Dataset, width: int, height: int) -> Camera:
+    """The camera of one frame of a dataset."""
+    return _camera(frame["camera_k"].values, frame["camera_dist"].values, width, height)
+
+
+def _camera(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
+    (fx, _, cx), (_, fy, cy), _ = k.tolist()
+    k1, k2, p1, p2, k3 = dist.tolist()
+    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+
+
 @lru_cache(maxsize=64)
 def _rays(k: bytes, dist: bytes, width: int, height: int) -> NDArray[np.float32]:
     """(height, width, 2) normalised coordinates of a camera given by its raw float64 intrinsics."""
-    (fx, _, cx), (_, fy, cy), _ = np.frombuffer(k).reshape(3, 3).tolist()
-    k1, k2, p1, p2, k3 = np.frombuffer(dist).tolist()
-    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3)).rays.astype(np.float32)
+    return _camera(np.frombuffer(k).reshape(3, 3), np.frombuffer(dist), width, height).rays.astype(np.float32)

@@ -1,0 +1,88 @@
+"""COCO keypoints: `annotations/person_keypoints.json` beside 16-bit depth images in millimetres (`images/`).
+
+Visibility (COCO data format): v = 0 not labelled (absent, or outside the image; x = y = 0), 1 labelled but occluded, by
+something else or by the person's own body, 2 labelled and visible. The box, area and segmentation are those of the
+person's visible pixels; a person without any is left out. Keypoints keep our pixels: an integer is a pixel's centre.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import LIMBS
+from cabinpose.store.convert import Report
+from cabinpose.store.convert.frames import PersonInFrame, depth_mm, file_stem, frames, people, write_png
+
+_FLAG = np.zeros(256, np.int64)
+_FLAG[[Visibility.OCCLUDED, Visibility.SELF_OCCLUDED]] = 1
+_FLAG[Visibility.VISIBLE] = 2
+
+
+def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
+    """Write every frame of `dataset` into `folder`; `DatasetError` without instances or depth."""
+    for name in ("instance", "depth"):
+        if name not in dataset:
+            raise DatasetError(f"COCO needs the variable '{name}', which the dataset lacks", hint="export it as png-json")
+    (folder / "images").mkdir()
+    (folder / "annotations").mkdir()
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for done, frame in enumerate(frames(dataset, ("depth", "instance")), 1):
+        name = f"{file_stem(frame)}.png"
+        height, width = frame["depth"].shape
+        image = int(frame["frame"])
+        images.append({"id": image, "file_name": name, "width": width, "height": height})
+        write_png(folder / "images" / name, depth_mm(frame["depth"].values))
+        for person in people(frame):
+            mask = frame["instance"].values == person.position + 1
+            if mask.any():
+                annotations.append({"id": len(annotations) + 1, "image_id": image, **annotation(person, mask)})
+        report(done)
+    joints = [str(name) for name in dataset["joint"].values]
+    skeleton = [[joints.index(a) + 1, joints.index(b) + 1] for a, b in LIMBS if a in joints and b in joints]
+    content = {
+        "info": {"description": f"made with {dataset.attrs['generator']} {dataset.attrs['generator_version']}", "version": "1.0"},
+        "licenses": [{"id": 1, "name": dataset.attrs["licence"], "url": ""}],
+        "categories": [{"id": 1, "name": "person", "supercategory": "person", "keypoints": joints, "skeleton": skeleton}],
+        "images": [{**image, "license": 1} for image in images],
+        "annotations": annotations,
+    }
+    (folder / "annotations" / "person_keypoints.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def annotation(person: PersonInFrame, mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """The COCO annotation of a person whose visible pixels are `mask` (H, W)."""
+    flags = _FLAG[person.visibility]
+    uv = np.where(flags[:, None] > 0, person.joints_2d, 0.0)
+    keypoints = [x for (u, v), flag in zip(uv.tolist(), flags.tolist(), strict=True) for x in (round(u, 3), round(v, 3), flag)]
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    left, top = int(columns[0]), int(rows[0])
+    return {
+        "category_id": 1,
+        "iscrowd": 0,
+        "bbox": [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1],
+        "area": int(mask.sum()),
+        "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
+        "num_keypoints": int((flags > 0).sum()),
+        "keypoints": keypoints,
+        "subject": person.subject,
+        "slot": person.slot,
+    }
+
+
+def run_lengths(mask: NDArray[np.bool_]) -> list[int]:
+    """COCO's uncompressed run lengths of a mask (H, W): column by column, beginning with a run of zeros."""
+    flat = mask.ravel(order="F")
+    changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    edges = [0, *changes.tolist(), flat.size]
+    lengths = [b - a for a, b in pairwise(edges)]
+    return [0, *lengths] if flat[0] else lengths

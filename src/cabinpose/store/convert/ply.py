@@ -1,0 +1,48 @@
+"""Binary PLY point clouds, one file a frame: position (m, camera frame), colour of the class, label, instance, amplitude."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cabinpose.store.convert import Report
+from cabinpose.store.convert.frames import file_stem, frames, label_colours
+from cabinpose.store.lazy import points_m
+
+_PLY_TYPE = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
+
+
+def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
+    """Write the points of every frame of `dataset` into `folder`; invalid pixels have no point."""
+    colours = label_colours(dataset)
+    for done, frame in enumerate(frames(dataset, ("depth", "labels", "instance", "amplitude")), 1):
+        write_ply(folder / f"{file_stem(frame)}.ply", cloud(frame, colours))
+        report(done)
+
+
+def cloud(frame: xr.Dataset, colours: NDArray[np.uint8]) -> NDArray[Any]:
+    """(n,) structured array of the valid pixels of a frame, row by row."""
+    points = points_m(frame).values
+    valid = np.isfinite(points[..., 2])
+    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "|u1"), ("green", "|u1"), ("blue", "|u1"), ("label", "|u1")]
+    extra = [(name, kind) for name, kind in (("instance", "|u1"), ("amplitude", "<u2")) if name in frame]
+    rows = np.empty(int(valid.sum()), fields + extra)
+    labels = frame["labels"].values[valid]
+    rows["x"], rows["y"], rows["z"] = points[valid].T
+    rows["red"], rows["green"], rows["blue"] = colours[labels].T
+    rows["label"] = labels
+    for name, _ in extra:
+        rows[name] = frame[name].values[valid]
+    return rows
+
+
+def write_ply(path: Path, rows: NDArray[Any]) -> None:
+    """One PLY file of vertices whose properties are the fields of `rows`."""
+    properties = "".join(f"property {_PLY_TYPE[rows.dtype[name].str]} {name}\n" for name in rows.dtype.names or ())
+    header = "ply\nformat binary_little_endian 1.0\ncomment camera frame: x right, y down, z forward, metres\n"
+    header += f"element vertex {len(rows)}\n{properties}end_header\n"
+    path.write_bytes(header.encode("ascii") + rows.tobytes())

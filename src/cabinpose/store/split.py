@@ -1,0 +1,108 @@
+"""Splits: named selections of frames by their coordinates, kept as YAML, which cannot overlap.
+
+```yaml
+train: {subject: [S01, S02, S03], car: [sedan, van]}
+test: {subject: [S04]}
+```
+A frame belongs to a selection if every coordinate that it names has one of the values listed. Of a coordinate that
+each person has (`subject`, `action`), all people in the frame need one of them, so that nobody of a test set is
+ever seen in training; frames with nobody in them belong to no such selection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import yaml
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import DatasetError
+
+COORDINATES = ("subject", "car", "pov", "action", "sequence")
+
+Selection = Mapping[str, tuple[Any, ...]]
+Splits = Mapping[str, Selection]
+
+
+def parse_splits(data: Any, source: Path | str) -> dict[str, dict[str, tuple[Any, ...]]]:
+    """The splits that plain data describes; `DatasetError` for unknown coordinates, empty lists, or overlap."""
+    if not isinstance(data, Mapping) or not data:
+        raise DatasetError(f"{source} holds no splits", hint="write `name: {coordinate: [values]}`, one line a split")
+    splits: dict[str, dict[str, tuple[Any, ...]]] = {}
+    for name, selection in data.items():
+        if not isinstance(selection, Mapping) or not selection:
+            raise DatasetError(f"{source}: split '{name}' selects nothing", hint=f"name some of: {', '.join(COORDINATES)}")
+        for coordinate, values in selection.items():
+            if coordinate not in COORDINATES:
+                raise DatasetError(
+                    f"{source}: split '{name}' selects by '{coordinate}'", hint=f"known coordinates: {', '.join(COORDINATES)}"
+                )
+            if isinstance(values, str) or not isinstance(values, Sequence) or not values:
+                raise DatasetError(f"{source}: {name}.{coordinate} is no list of values", hint=f"write {coordinate}: [a, b]")
+        splits[str(name)] = {str(key): tuple(values) for key, values in selection.items()}
+    _refuse_overlap(splits, source)
+    return splits
+
+
+def _refuse_overlap(splits: Splits, source: Path | str) -> None:
+    """Two selections are apart if they share no value of at least one coordinate that both of them name."""
+    for (name_a, a), (name_b, b) in combinations(splits.items(), 2):
+        shared = {key: [v for v in a[key] if v in b[key]] for key in a if key in b}
+        if all(shared.values()):
+            common = "; ".join(f"{key} {', '.join(map(str, values))}" for key, values in shared.items())
+            raise DatasetError(
+                f"{source}: splits '{name_a}' and '{name_b}' overlap" + (f" in {common}" if common else ""),
+                hint="give them different values of one coordinate that both name",
+            )
+
+
+def read_splits(path: Path | str) -> dict[str, dict[str, tuple[Any, ...]]]:
+    """The splits of a YAML file; raises `DatasetError` as `parse_splits` does."""
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise DatasetError(f"cannot read the splits of {path}: {error}", hint="check the file's name and its YAML") from error
+    return parse_splits(data, path)
+
+
+def write_splits(path: Path | str, splits: Splits) -> None:
+    """Keep splits as YAML; what overlaps is refused before anything is written."""
+    data = {name: {key: list(values) for key, values in selection.items()} for name, selection in splits.items()}
+    parse_splits(data, path)
+    Path(path).write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True), encoding="utf-8")
+
+
+def frame_mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
+    """(frame,) whether each frame belongs to a selection; `DatasetError` for a value that the dataset does not have."""
+    mask = np.ones(dataset.sizes["frame"], bool)
+    for name, wanted in selection.items():
+        values = dataset[name].values
+        known = sorted({v for v in values.ravel().tolist() if v != ""})
+        unknown = [value for value in wanted if value not in known]
+        if unknown:
+            raise DatasetError(
+                f"the dataset has no {name} {', '.join(map(repr, unknown))}", hint=f"it has: {', '.join(map(str, known))}"
+            )
+        chosen = np.isin(values, np.array(wanted, dtype=values.dtype))
+        if values.ndim == 2:  # (frame, person)
+            absent = values == ""
+            mask &= (chosen | absent).all(axis=1) & ~absent.all(axis=1)
+        else:
+            mask &= chosen
+    return mask
+
+
+def split_dataset(dataset: xr.Dataset, splits: Splits) -> dict[str, xr.Dataset]:
+    """The lazy parts of a dataset by split; `DatasetError` where one of them is empty."""
+    result = {}
+    for name, selection in splits.items():
+        mask = frame_mask(dataset, selection)
+        if not mask.any():
+            raise DatasetError(f"no frame belongs to split '{name}'", hint="`cabinpose info` counts the frames by coordinate")
+        result[name] = dataset.isel(frame=np.flatnonzero(mask))
+    return result
