@@ -40,21 +40,27 @@ class GeometryBuffers:
         """(H, W): the image in pixels."""
         return self.depth_m.shape[0] // self.supersample, self.depth_m.shape[1] // self.supersample
 
+    def one_sample(self) -> GeometryBuffers:
+        """The geometry with one sample a pixel: that beside the pixel's centre, or at it where the number is odd."""
+        half, s = self.supersample // 2, self.supersample
+        every = (slice(half, None, s), slice(half, None, s))
+        return GeometryBuffers(
+            1,
+            np.ascontiguousarray(self.depth_m[every]),
+            np.ascontiguousarray(self.cos_incidence[every]),
+            np.ascontiguousarray(self.material[every]),
+        )
+
     def pixels(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
         """Depth, incidence and material (H, W) of one surface a pixel.
 
         The depth is the mean of a pixel's samples where they lie on one surface, and one of them where they do not:
         depths of two surfaces are never mixed.
         """
-        height, width = self.shape
-        depth = np.empty((height, width), np.float32)
+        depth = np.empty(self.shape, np.float32)
         _pixel_depth(self.depth_m, self.supersample, depth)
-        half = self.supersample // 2
-        return (
-            depth,
-            self.cos_incidence[half :: self.supersample, half :: self.supersample],
-            self.material[half :: self.supersample, half :: self.supersample],
-        )
+        sample = self.one_sample()
+        return depth, sample.cos_incidence, sample.material
 
 
 # Samples of one pixel that differ by more than this share of the depth are of different surfaces.

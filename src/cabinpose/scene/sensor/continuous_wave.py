@@ -91,14 +91,14 @@ def _phasors_of_row(energy: Row, ranges: Row, per_m: np.float32, triangle: float
 
 
 @njit(cache=True, nogil=True)
-def _mean_of_columns(wide: Row, supersample: int, first: int, last: int, scale: np.float32, out: Row) -> None:
-    if supersample == 2 and last - first == 2:
+def _mean_of_columns(wide: Row, supersample: int, scale: np.float32, out: Row) -> None:
+    if supersample == 2:
         for u in range(out.size):
             out[u] = (wide[2 * u] + wide[2 * u + 1]) * scale
         return
     for u in range(out.size):
         total = F32(0.0)
-        for j in range(first, last):
+        for j in range(supersample):
             total += wide[u * supersample + j]
         out[u] = total * scale
 
@@ -110,7 +110,6 @@ def collect_phasors(
     material: NDArray[np.uint8],
     range_over_depth: Image,
     supersample: int,
-    mix: bool,
     lambert: bool,
     table: NDArray[np.float32],
     gloss_width: float,
@@ -126,7 +125,7 @@ def collect_phasors(
     In: sub-pixel geometry (H * s, W * s), material `table` (256, 3), `turns_per_m` (F,) = 2 f / c, `triangle` 0..1 the
     share of a triangular correlation. Out, all (H, W), relative to a white surface facing the camera at 1 m: `energy`
     (mean of rho cos / r^2), `moment` (mean of energy x range), `ambient` (mean of its return), `phasor` (2 F, H, W): mean
-    of energy x (cos, sin) of the phase. `mix` False takes one sample a pixel instead of the mean.
+    of energy x (cos, sin) of the phase.
     """
     s = supersample
     height, width = energy.shape
@@ -134,12 +133,11 @@ def collect_phasors(
     row_energy = np.empty(width * s, np.float32)
     row_range = np.empty(width * s, np.float32)
     sums = np.empty((3 + n_phasors, width * s), np.float32)
-    first, last = (0, s) if mix else (s // 2, s // 2 + 1)
-    scale = F32(1.0 / ((last - first) * (last - first)))
+    scale = F32(1.0 / (s * s))
     inverse_gloss = F32(1.0 / gloss_width)
     for v in range(height):
         sums[:] = 0.0
-        for i in range(first, last):
+        for i in range(s):
             y = v * s + i
             _light_of_row(
                 depth[y], cos_incidence[y], material[y], range_over_depth[y], table, lambert, inverse_gloss,
@@ -147,11 +145,11 @@ def collect_phasors(
             )  # fmt: skip
             for k in range(turns_per_m.size):
                 _phasors_of_row(row_energy, row_range, turns_per_m[k], triangle, sums[3 + 2 * k], sums[4 + 2 * k])
-        _mean_of_columns(sums[0], s, first, last, scale, energy[v])
-        _mean_of_columns(sums[1], s, first, last, scale, moment[v])
-        _mean_of_columns(sums[2], s, first, last, scale, ambient[v])
+        _mean_of_columns(sums[0], s, scale, energy[v])
+        _mean_of_columns(sums[1], s, scale, moment[v])
+        _mean_of_columns(sums[2], s, scale, ambient[v])
         for k in range(n_phasors):
-            _mean_of_columns(sums[3 + k], s, first, last, scale, phasor[k, v])
+            _mean_of_columns(sums[3 + k], s, scale, phasor[k, v])
 
 
 @njit(cache=True, nogil=True)

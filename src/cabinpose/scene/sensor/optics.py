@@ -13,10 +13,10 @@ from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor.presets import Sensor
 
 # A pane sends back towards a source beside the lens what dust and scratches scatter, and a mirror image where it
-# stands square to the ray. The mirror image (8 % from two surfaces) is smaller than a pixel and brighter than white by orders
-# of magnitude; a peak of 50 over a lobe of two degrees saturates a spot of a few pixels as it does in real images.
+# stands square to the ray. The mirror image (8 % from two surfaces) is smaller than a pixel and a thousand times brighter
+# than white; a peak of 300 over a lobe of two degrees saturates a spot of a few pixels, as it does in real images.
 _PANE_DIFFUSE = 0.004
-_PANE_SPECULAR = 50.0
+_PANE_SPECULAR = 300.0
 GLOSS_WIDTH = float(1.0 - np.cos(np.radians(2.0)))
 # Mean reflectance of what lies outside a window, seen by daylight alone.
 _OUTSIDE_REFLECTANCE = 0.3

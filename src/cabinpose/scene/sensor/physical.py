@@ -52,7 +52,7 @@ class PhysicalNoise(BaseModel):
         description="Share of the mean light of the image that the lens scatters onto every pixel (multipath).",
     )
     ambient: float = Field(
-        default=0.02, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
+        default=0.01, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
     )
     daylight: float = Field(default=1.0, ge=0, description="The same outside the windows.")
     reflectance: bool = Field(default=True, description="Materials reflect as at 850 nm; off: everything is white.")
@@ -92,6 +92,8 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
             hint="choose the noise model 'structured_light' or 'empirical'",
         )
     height, width = buffers.shape
+    if not noise.flying_pixels:
+        buffers = buffers.one_sample()
     maps = lens_maps(sensor, buffers.supersample)
     gain, ambient_gain, field = _gains(sensor, noise.vignetting, noise.circular_field)
     frequencies = np.array(sensor.frequencies_hz if noise.second_frequency else sensor.frequencies_hz[:1])
@@ -100,7 +102,7 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
     table = material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight)
     collect_phasors(
         buffers.depth_m, buffers.cos_incidence, buffers.material, maps.sub_range_over_depth, buffers.supersample,
-        noise.flying_pixels, noise.incidence, table, GLOSS_WIDTH,
+        noise.incidence, table, GLOSS_WIDTH,
         (2.0 * frequencies / SPEED_OF_LIGHT).astype(np.float32), noise.wiggling, energy, moment, daylight, phasor,
     )  # fmt: skip
     stray = np.zeros(1 + len(phasor))

@@ -44,11 +44,11 @@ class Sensor(BaseModel):
     )
     contrast: float = Field(default=0.75, gt=0, le=1, description="Demodulation contrast K of the pixel.")
     signal_e_per_s: float = Field(
-        default=6.0e6,
+        default=4.1e6,
         gt=0,
         description="Electrons per second in both taps from a white surface facing the camera at 1 m on the axis.",
     )
-    read_noise_e: float = Field(default=8.0, ge=0, description="Read noise of one tap difference (electrons, rms).")
+    read_noise_e: float = Field(default=5.0, ge=0, description="Read noise of one tap difference (electrons, rms).")
     full_well_e: float = Field(default=100_000.0, gt=0, description="Electrons that one tap holds.")
     min_amplitude_e: float = Field(default=45.0, ge=0, description="Amplitude below which a pixel is invalid (electrons).")
     vignetting_exponent: float = Field(default=4.0, ge=0, description="The lens passes cos^n of the angle off axis.")
@@ -134,7 +134,7 @@ def _monstar(use_case: int, name: str) -> Sensor:
         fps=fps,
         integration_s=integration_us * 1e-6,
         frequencies_hz=tuple(f * 1e6 for f in frequencies_mhz),
-        signal_e_per_s=6.0e6,
+        signal_e_per_s=4.1e6,
         illumination_exponent=-2.0,
         field_radius_px=_MONSTAR_FIELD_PX,
     )
