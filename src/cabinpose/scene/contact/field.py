@@ -4,17 +4,16 @@ A group's field holds, at the nodes of a regular grid in the group's own frame, 
 distance + give": how far a point may still move before a part gives way no more. Negative means too deep. A seat
 that slides or reclines takes its field along; only the transform changes.
 
-Nodes hold one byte (clearance cut at ±95 mm), interpolation is trilinear. Distances are exact next to the surface and
-inherit the nearest triangle of a neighbour farther away (Danielsson 1980), which can only overstate a distance. The
-field therefore sorts points into "clear" and "look closer": `ContactField.deepest` evaluates the few points that the
-interpolation bound leaves open against the triangles themselves.
+Nodes hold one byte (clearance cut at ±95 mm), interpolation is trilinear. Distances are exact as far as a verdict can
+depend on them and approximate beyond. The field sorts points into "clear" and "look closer": `PlacedField.deepest`
+measures the few points that the interpolation bound leaves open on the triangles themselves.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -71,8 +70,8 @@ class ContactScene(Protocol):
 
 
 @njit(cache=True, nogil=True)
-def _splat(corners, origin, step, reach, distance, nearest):  # type: ignore[no-untyped-def]
-    """Exact distance at the nodes within `reach` of each triangle."""
+def _splat(corners, origin, step, reach, distance):  # type: ignore[no-untyped-def]
+    """Squared distance at the nodes within `reach` of each triangle."""
     dims = distance.shape
     low = np.empty(3, np.int64)
     high = np.empty(3, np.int64)
@@ -95,41 +94,36 @@ def _splat(corners, origin, step, reach, distance, nearest):  # type: ignore[no-
                     if abs(nx * (px - a[0]) + ny * (py - a[1]) + nz * (pz - a[2])) > limit:
                         continue
                     d2 = closest_on_triangle(px, py, pz, a, b, c)[0]
-                    if d2 < distance[i, j, k]:
+                    if d2 <= reach * reach and d2 < distance[i, j, k]:
                         distance[i, j, k] = d2
-                        nearest[i, j, k] = t
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _inherit(i, j, k, di, dj, dk, origin, step, corners, distance, nearest):  # type: ignore[no-untyped-def]
-    t = nearest[i + di, j + dj, k + dk]
-    if t >= 0 and t != nearest[i, j, k]:
-        d2 = closest_on_triangle(
-            origin[0] + i * step, origin[1] + j * step, origin[2] + k * step, corners[t, 0], corners[t, 1], corners[t, 2]
-        )[0]
-        if d2 < distance[i, j, k]:
-            distance[i, j, k] = d2
-            nearest[i, j, k] = t
 
 
 @njit(cache=True, nogil=True)
-def _propagate(corners, origin, step, band, near, distance, nearest):  # type: ignore[no-untyped-def]
-    """Nearest triangles handed on to neighbours in eight sweeps, up to `band`; nodes within `near` are exact already."""
-    ni, nj, nk = distance.shape
-    hand_on, keep = (band - step) ** 2, near * near
-    for sweep in range(8):
-        di, dj, dk = 1 - 2 * (sweep & 1), 1 - (sweep & 2), 1 - (sweep & 4) // 2
-        for i in range(ni) if di > 0 else range(ni - 1, -1, -1):
-            for j in range(nj) if dj > 0 else range(nj - 1, -1, -1):
-                for k in range(nk) if dk > 0 else range(nk - 1, -1, -1):
-                    if distance[i, j, k] <= keep:
+def _fill(values, exact, step, band):  # type: ignore[no-untyped-def]
+    """Clearance at the nodes that are not exact, summed up step by step from those that are (chamfer, Borgefors 1986).
+
+    Two passes over half of the 26 neighbours each. A path over neighbours is never shorter than the straight way.
+    """
+    ni, nj, nk = values.shape
+    ways = np.empty((13, 3), np.int64)
+    length = np.empty(13, np.float32)
+    for n in range(13):
+        ways[n, 0], ways[n, 1], ways[n, 2] = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
+        length[n] = step * math.sqrt((ways[n] ** 2).sum())
+    for direction in (1, -1):
+        for i in range(ni) if direction > 0 else range(ni - 1, -1, -1):
+            for j in range(nj) if direction > 0 else range(nj - 1, -1, -1):
+                border = i in (0, ni - 1) or j in (0, nj - 1)
+                for k in range(nk) if direction > 0 else range(nk - 1, -1, -1):
+                    if exact[i, j, k]:
                         continue
-                    if 0 <= i - di < ni and distance[i - di, j, k] < hand_on:
-                        _inherit(i, j, k, -di, 0, 0, origin, step, corners, distance, nearest)
-                    if 0 <= j - dj < nj and distance[i, j - dj, k] < hand_on:
-                        _inherit(i, j, k, 0, -dj, 0, origin, step, corners, distance, nearest)
-                    if 0 <= k - dk < nk and distance[i, j, k - dk] < hand_on:
-                        _inherit(i, j, k, 0, 0, -dk, origin, step, corners, distance, nearest)
+                    size = min(abs(values[i, j, k]), band)
+                    checked = border or k in (0, nk - 1)
+                    for n in range(13):
+                        u, v, w = i + direction * ways[n, 0], j + direction * ways[n, 1], k + direction * ways[n, 2]
+                        if not checked or (0 <= u < ni and 0 <= v < nj and 0 <= w < nk):
+                            size = min(size, abs(values[u, v, w]) + length[n])
+                    values[i, j, k] = math.copysign(size, values[i, j, k])
 
 
 @njit(cache=True, nogil=True)
@@ -158,20 +152,22 @@ def _winding(corners, origin, step, dims):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _merge(distance, winding, closed, offset, give, band, quantum, values):  # type: ignore[no-untyped-def]
-    """The lesser of the group's clearance so far and that of one part, in quanta, rounded down."""
+def _merge(distance, winding, closed, offset, give, values, exact):  # type: ignore[no-untyped-def]
+    """Lowers the group's clearance to that of one part: its distance where one was measured, else far outside or inside."""
     ni, nj, nk = distance.shape
     for i in range(ni):
         for j in range(nj):
             for k in range(nk):
-                d = min(math.sqrt(distance[i, j, k]), band)
-                if closed and winding[i, j, k] > 0:
-                    d = -d
-                level = math.floor((d + give) / quantum)
-                level = min(max(level, -127), 127)
+                measured = distance[i, j, k] < np.inf
+                inside = closed and winding[i, j, k] > 0
+                if not measured and not inside:
+                    continue
+                d = math.sqrt(distance[i, j, k])
+                value = (-d if inside else d) + give
                 at = (i + offset[0], j + offset[1], k + offset[2])
-                if level < values[at]:
-                    values[at] = level
+                if value < values[at]:
+                    values[at] = value
+                    exact[at] = measured
 
 
 @njit(cache=True, nogil=True)
@@ -179,38 +175,46 @@ def _reach_free(values, seeds, free_level, pass_level, steps):  # type: ignore[n
     """Nodes reached from the seeds through the clear, and `steps` nodes on; and whether the grid's border was reached."""
     ni, nj, nk = values.shape
     free = np.zeros(values.shape, np.bool_)
-    queue = [(0, 0, 0)]
-    queue.pop()
+    queue = np.empty((values.size, 3), np.int16)
+    last = 0
     for s in range(len(seeds)):
         i, j, k = seeds[s]
         if 0 <= i < ni and 0 <= j < nj and 0 <= k < nk and values[i, j, k] >= free_level and not free[i, j, k]:
             free[i, j, k] = True
-            queue.append((i, j, k))
+            queue[last, 0], queue[last, 1], queue[last, 2] = i, j, k
+            last += 1
     open_border = False
     head = 0
-    while head < len(queue):
-        i, j, k = queue[head]
+    while head < last:
+        i, j, k = np.int64(queue[head, 0]), np.int64(queue[head, 1]), np.int64(queue[head, 2])
         head += 1
         open_border = open_border or i == 0 or j == 0 or k == 0 or i == ni - 1 or j == nj - 1 or k == nk - 1
-        for axis in range(3):
-            for d in (-1, 1):
-                a = i + (d if axis == 0 else 0)
-                b = j + (d if axis == 1 else 0)
-                c = k + (d if axis == 2 else 0)
-                if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk and not free[a, b, c] and values[a, b, c] >= free_level:
-                    free[a, b, c] = True
-                    queue.append((a, b, c))
-    first, last = 0, len(queue)
+        for n in range(6):
+            a, b, c = i, j, k
+            d = 1 - 2 * (n & 1)
+            if n < 2:
+                a += d
+            elif n < 4:
+                b += d
+            else:
+                c += d
+            if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk and not free[a, b, c] and values[a, b, c] >= free_level:
+                free[a, b, c] = True
+                queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
+                last += 1
+    first = 0
     for _ in range(steps):
-        for n in range(first, last):
-            i, j, k = queue[n]
+        start = last
+        for n in range(first, start):
+            i, j, k = np.int64(queue[n, 0]), np.int64(queue[n, 1]), np.int64(queue[n, 2])
             for a in range(max(i - 1, 0), min(i + 2, ni)):
                 for b in range(max(j - 1, 0), min(j + 2, nj)):
                     for c in range(max(k - 1, 0), min(k + 2, nk)):
                         if not free[a, b, c] and values[a, b, c] >= pass_level:
                             free[a, b, c] = True
-                            queue.append((a, b, c))
-        first, last = last, len(queue)
+                            queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
+                            last += 1
+        first = start
     return free, open_border
 
 
@@ -238,7 +242,10 @@ def _sample(points, group_from_vehicle, origin, step, quantum, outside, values, 
 
 @dataclass(frozen=True)
 class GroupPart:
-    """One part of a group, for exact queries: its triangles, the depth to which it gives way, and points to probe with."""
+    """One part of a group, for exact queries: its triangles and the depth to which it gives way.
+
+    shell_m: an open surface is felt this far on both sides (m); 0 for closed ones.
+    """
 
     name: str
     mesh: TriangleMesh
@@ -251,7 +258,8 @@ class GroupField:
     """The clearance field of a group and its parts, in the group's frame.
 
     values: (ni, nj, nk) int8, quanta of clearance · origin: (3,) m of node 0 · bound_m: by how much an interpolated
-    value can exceed the true clearance · probes: (P, 3) m, vertices and points of sharp edges, with their part ·
+    value can exceed the true clearance · probes: (P, 3) m, vertices and points of sharp edges, with
+    their part and its give ·
     interior: what the occupants cannot reach counts as too deep ·
     sealed: and nothing leads out, so that what is beyond the grid is outside the car.
     """
@@ -263,6 +271,7 @@ class GroupField:
     step: float
     probes: NDArray[np.float64]
     probe_part: NDArray[np.int32]
+    probe_give: NDArray[np.float64]
     interior: bool
     sealed: bool
 
@@ -270,11 +279,6 @@ class GroupField:
     def give_m(self) -> float:
         """The greatest give of the group's parts, m."""
         return max(p.give_m for p in self.parts)
-
-    @property
-    def probe_give(self) -> NDArray[np.float64]:
-        """(P,) m, the give of the part that a probe belongs to."""
-        return np.array([p.give_m for p in self.parts])[self.probe_part]
 
     @property
     def bound_m(self) -> float:
@@ -313,19 +317,19 @@ def _probes(mesh: TriangleMesh) -> NDArray[np.float64]:
     return np.concatenate(points)
 
 
-def _part_levels(part: GroupPart, origin: NDArray[np.float64], step: float, values: NDArray[np.int8]) -> None:
-    pad = BAND_M + step
-    first = np.maximum(np.floor((part.mesh.low - pad - origin) / step), 0).astype(np.int64)
-    last = np.minimum(np.ceil((part.mesh.high + pad - origin) / step), np.array(values.shape) - 1).astype(np.int64)
+def _lower_to_part(
+    part: GroupPart, origin: NDArray[np.float64], step: float, values: NDArray[np.float32], exact: NDArray[np.bool_]
+) -> None:
+    """Exact as far as a verdict can depend on it: to the part's give, flesh and the interpolation bound below the surface."""
+    reach = part.give_m + part.shell_m + 2.0 * step
+    first = np.maximum(np.floor((part.mesh.low - reach - origin) / step), 0).astype(np.int64)
+    last = np.minimum(np.ceil((part.mesh.high + reach - origin) / step), np.array(values.shape) - 1).astype(np.int64)
     dims = tuple(int(n) for n in last - first + 1)
     corner = origin + first * step
-    near = 2.0 * step
     distance = np.full(dims, np.inf, np.float32)
-    nearest = np.full(dims, -1, np.int32)
-    _splat(part.mesh.corners, corner, step, near, distance, nearest)
-    _propagate(part.mesh.corners, corner, step, BAND_M + part.give_m, near, distance, nearest)
+    _splat(part.mesh.corners, corner, step, reach, distance)
     winding = _winding(part.mesh.corners, corner, step, np.array(dims)) if part.mesh.closed else np.zeros((1, 1, 1), np.int8)
-    _merge(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m / 2.0, BAND_M + part.give_m, QUANTUM_M, values)
+    _merge(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, values, exact)
 
 
 def group_field(
@@ -340,25 +344,29 @@ def group_field(
     for part in parts:
         mesh = triangle_mesh(part.surface.vertices, part.surface.faces, closed=part.solid)
         ready.append(GroupPart(part.name, mesh, float(part.give_m), float(getattr(part, "shell_m", 0.0))))
-    low = np.min([p.mesh.low for p in ready], axis=0) - 2.0 * step
-    high = np.max([p.mesh.high for p in ready], axis=0) + 2.0 * step
-    if seeds is None:
-        low, high = low - BAND_M, high + BAND_M
-    values = np.full(tuple(np.ceil((high - low) / step).astype(int) + 1), 127, np.int8)
+    pad = 2.0 * step if seeds is not None else BAND_M
+    low = np.min([p.mesh.low for p in ready], axis=0) - pad
+    high = np.max([p.mesh.high for p in ready], axis=0) + pad
+    shape = tuple(np.ceil((high - low) / step).astype(int) + 1)
+    values = np.full(shape, np.inf, np.float32)
+    exact = np.zeros(shape, np.bool_)
     for part_ready in ready:
-        _part_levels(part_ready, low, step, values)
+        _lower_to_part(part_ready, low, step, values, exact)
+    _fill(values, exact, step, BAND_M)
     sealed = False
     if seeds is not None:
         nodes = np.round((seeds - low) / step).astype(np.int64)
-        levels = math.ceil(SEAL_M / QUANTUM_M), math.ceil(0.5 * step / QUANTUM_M)
-        free, open_border = _reach_free(values, nodes, *levels, math.ceil(SEAL_M / step) + 2)
+        free, open_border = _reach_free(values, nodes, SEAL_M, 0.5 * step, math.ceil(SEAL_M / step) + 2)
         if free.any():
             sealed = not open_border
-            beyond = ~free & (values >= levels[1])
-            values[beyond] = -values[beyond]
+            values[~free & (values >= 0.5 * step)] *= -1.0
+    levels = np.clip(np.floor(values / QUANTUM_M), -127, 127).astype(np.int8)
     probes = [_probes(p.mesh) for p in ready]
     owner = np.repeat(np.arange(len(ready), dtype=np.int32), [len(p) for p in probes])
-    return GroupField(name, tuple(ready), values, low, step, np.concatenate(probes), owner, seeds is not None, sealed)
+    give = np.array([p.give_m for p in ready])[owner]
+    return GroupField(
+        name, tuple(ready), levels, low, step, np.concatenate(probes), owner, give, interior=seeds is not None, sealed=sealed
+    )
 
 
 @dataclass(frozen=True)
@@ -387,19 +395,24 @@ class ContactField:
         chest = np.array((0.0, 0.0, 0.35))
         seeds = [np.asarray(seat.h_point(seat.default)) + chest for seat in cabin.seats.values()]
         self._cabin = cabin
-        self.groups: tuple[GroupField, ...] = tuple(
-            group_field(
-                name, parts,
-                step=FINE_STEP_M if name == WHEEL_GROUP else STEP_M,
-                seeds=np.array(seeds) if seeds and name == STATIC_GROUP else None,
-            )
-            for name, parts in groups.items()
-        )  # fmt: skip
+        built: dict[Any, GroupField] = {}
+        fields = []
+        for name, members in groups.items():
+            # Seats of one row are copies of each other, in frames of their own: one field serves them all.
+            shape = tuple((p.surface.vertices.tobytes(), p.surface.faces.tobytes(), p.give_m, p.solid) for p in members)
+            key = (shape, name == STATIC_GROUP)
+            if key not in built:
+                step = FINE_STEP_M if name == WHEEL_GROUP else STEP_M
+                inside = np.array(seeds) if seeds and name == STATIC_GROUP else None
+                built[key] = group_field(name, members, step=step, seeds=inside)
+            parts = tuple(replace(g, name=p.name) for g, p in zip(built[key].parts, members, strict=True))
+            fields.append(replace(built[key], name=name, parts=parts))
+        self.groups: tuple[GroupField, ...] = tuple(fields)
 
     @property
     def nbytes(self) -> int:
         """Memory of the fields, bytes."""
-        return sum(g.nbytes for g in self.groups)
+        return sum(g.nbytes for g in {id(g.values): g for g in self.groups}.values())
 
     def at(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> PlacedField:
         """The fields where these seat settings and this wheel angle (rad) put them."""
@@ -498,13 +511,13 @@ def _measure(
     local = apply(group_from_vehicle, points[index])
     depth = np.full((len(group.parts), len(index)), -np.inf)
     for row, part in zip(depth, group.parts, strict=True):
-        near = np.flatnonzero(((local > part.mesh.low) & (local < part.mesh.high)).all(axis=1))
+        near = np.flatnonzero(((local > part.mesh.low - part.shell_m) & (local < part.mesh.high + part.shell_m)).all(axis=1))
         if len(near):
-            radius = part.give_m + tolerance + 2.0 * group.bound_m
+            radius = part.give_m + part.shell_m + tolerance + 2.0 * group.bound_m
             distance = part.mesh.signed_distance(local[near], radius)
             beyond = np.flatnonzero((distance == radius) & (clearance[near] < -tolerance - group.bound_m))
             distance[beyond] = part.mesh.signed_distance(local[near[beyond]], SEARCH_M)
-            row[near] = part.shell_m / 2.0 - distance
+            row[near] = part.shell_m - distance
     allowed = np.array([p.give_m if give else 0.0 for p in group.parts]) + tolerance
     excess = depth - allowed[:, None]
     which, n = np.unravel_index(np.argmax(excess), excess.shape)

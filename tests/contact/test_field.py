@@ -1,0 +1,161 @@
+"""Clearance fields against closed forms, give to the millimetre, the interior against what lies beyond it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+from capsule_people import StubCabin, StubPart, StubSeat, surface
+from numpy.typing import NDArray
+
+from cabinpose.core.frames import transform
+from cabinpose.scene.contact import BAND_M, OUTSIDE, ContactField
+from cabinpose.scene.contact.field import STEP_M, group_field
+
+Distance = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def _box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+    return trimesh.creation.box(size).apply_translation(at)
+
+
+def _box_distance(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    q = np.abs(p) - (0.2, 0.15, 0.1)
+    return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+
+
+def _torus_distance(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hypot(np.hypot(p[:, 0], p[:, 1]) - 0.185, p[:, 2]) - 0.015
+
+
+CASES: dict[str, tuple[trimesh.Trimesh, Distance, float]] = {
+    "box": (_box((0.4, 0.3, 0.2)), _box_distance, 0.010),
+    "sphere": (trimesh.creation.icosphere(4, 0.2), lambda p: np.linalg.norm(p, axis=1) - 0.2, 0.010),
+    "torus": (trimesh.creation.torus(0.185, 0.015, 96, 32), _torus_distance, 0.005),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_field_equals_the_closed_form_within_its_bound(name: str) -> None:
+    mesh, distance, step = CASES[name]
+    field = group_field("g", [StubPart(name, surface(mesh))], step=step)
+    points = np.random.default_rng(2).uniform(mesh.bounds[0] - 0.06, mesh.bounds[1] + 0.06, (5000, 3))
+    clearance = np.full(len(points), BAND_M)
+    field.lower(points, np.eye(4), clearance)
+    exact = np.clip(distance(points), -BAND_M, BAND_M)
+    error = clearance - exact
+    near = np.abs(exact) < 2 * step - step / 2
+    assert np.abs(error[near]).max() < field.bound_m
+    assert np.abs(error[near]).mean() < 0.0005
+    assert (np.abs(error) < field.bound_m + 0.13 * np.abs(exact)).all()
+    assert (np.sign(clearance) == np.sign(exact))[np.abs(exact) > field.bound_m].all()
+
+
+def test_interpolation_never_hides_depth_beyond_the_bound() -> None:
+    """The rounding of nodes is downwards and inherited distances are too long: stored depths are never too small."""
+    mesh = trimesh.creation.icosphere(3, 0.12)
+    field = group_field("g", [StubPart("p", surface(mesh))])
+    nodes = np.argwhere(np.abs(field.values) < 127)
+    exact = field.parts[0].mesh.signed_distance(field.origin + nodes * field.step, 0.3)
+    inside = exact < 0
+    stored = field.values[tuple(nodes.T)] * 0.00075
+    assert (stored[inside] <= exact[inside] + 1e-9).all()
+
+
+@pytest.mark.parametrize("give", [0.0, 0.05])
+def test_give_is_honoured_to_the_millimetre(give: float) -> None:
+    cabin = StubCabin((StubPart("cushion", surface(_box((0.5, 0.5, 0.2), (0, 0, -0.1))), give_m=give),))
+    placed = ContactField(cabin).at({})
+    at = np.array([[0.013, 0.007, -give - 0.008 + 0.0005]], np.float32)
+    assert placed.deepest(at, 0.008) is None
+    at[0, 2] -= 0.001
+    contact = placed.deepest(at, 0.008)
+    assert contact is not None
+    assert contact.part == "cushion"
+    assert contact.depth_m == pytest.approx(give + 0.0085, abs=1e-6)
+    assert contact.excess_m == pytest.approx(0.0005, abs=1e-6)
+    rigid = placed.deepest(at, 0.008, give=False)
+    assert rigid is not None
+    assert rigid.excess_m == pytest.approx(give + 0.0005, abs=1e-6)
+
+
+def test_every_point_is_judged_as_by_trimesh() -> None:
+    """Nine thousand points about one threshold, no verdict differs from the exact distance."""
+    mesh = trimesh.util.concatenate([_box((0.3, 0.3, 0.1)), trimesh.creation.icosphere(3, 0.08).apply_translation((0, 0, 0.3))])
+    parts = [StubPart(str(i), surface(m), give_m=g) for i, (m, g) in enumerate(zip(mesh.split(), (0.02, 0.0), strict=True))]
+    placed = ContactField(StubCabin(tuple(parts))).at({})
+    points = np.random.default_rng(3).uniform(mesh.bounds[0], mesh.bounds[1], (9000, 3)).astype(np.float32)
+    depth = np.stack([trimesh.proximity.signed_distance(m, points) for m in mesh.split()])
+    excess = (depth - [[0.02], [0.0]] - 0.008).max(axis=0)
+    for index in np.flatnonzero(np.abs(excess) < 0.012)[:400]:
+        assert (placed.deepest(points[index : index + 1], 0.008) is not None) == (excess[index] > 0)
+    worst = placed.deepest(points, 0.008)
+    assert worst is not None
+    assert worst.excess_m == pytest.approx(excess.max(), abs=1e-6)
+
+
+def test_field_follows_its_group() -> None:
+    seat = StubPart("back", surface(_box((0.1, 0.4, 0.6))), group="seat:driver/back", give_m=0.05)
+    field = ContactField(StubCabin((seat,)))
+    moved = transform(translation=(1.0, -0.4, 0.5))
+    moved[:3, :3] = trimesh.transformations.rotation_matrix(0.4, (0, 1, 0))[:3, :3]
+    local = np.random.default_rng(4).uniform(-0.3, 0.3, (200, 3))
+    here = field.clearance(local, {})
+    there = field.clearance(local @ moved[:3, :3].T + moved[:3, 3], {"seat:driver/back": moved})
+    np.testing.assert_allclose(there, here, atol=1e-9)
+
+
+def _room(hole: float = 0.0) -> StubCabin:
+    """A box room of thin sheets, 2 x 1.4 x 1.2 m inside, with a slit of `hole` metres in the left wall."""
+    thin = 0.004
+    walls = {
+        "floor": _box((2, 1.4, 0.05), (0, 0, -0.025)),
+        "roof": _box((2, 1.4, thin), (0, 0, 1.2)),
+        "front": _box((thin, 1.4, 1.2), (1, 0, 0.6)),
+        "rear": _box((thin, 1.4, 1.2), (-1, 0, 0.6)),
+        "right": _box((2, thin, 1.2), (0, -0.7, 0.6)),
+        "left_low": _box((2, thin, 0.6 - hole / 2), (0, 0.7, (0.6 - hole / 2) / 2)),
+        "left_high": _box((2, thin, 0.6 - hole / 2), (0, 0.7, 0.9 + hole / 4)),
+    }
+    return StubCabin(tuple(StubPart(n, surface(m)) for n, m in walls.items()), seats={"driver": StubSeat((0, 0, 0.25))})
+
+
+@pytest.mark.parametrize("hole", [0.0, 0.02])
+def test_beyond_a_thin_pane_is_outside_the_cabin(hole: float) -> None:
+    placed = ContactField(_room(hole)).at({})
+    inside = np.array([[0, 0, 0.6], [0.9, 0.6, 1.1], [0, 0.69, 0.3]], np.float32)
+    assert placed.deepest(inside, 0.008) is None
+    for beyond in ([0, 0.715, 0.3], [0, 0.76, 0.3], [0, 2.0, 0.3], [0, 0, 1.3]):
+        contact = placed.deepest(np.array([[0, 0, 0.6], beyond], np.float32), 0.008)
+        assert contact is not None
+        assert (contact.part, contact.point) == (OUTSIDE, 1)
+
+
+def test_an_open_window_leads_out() -> None:
+    placed = ContactField(_room(0.2)).at({})
+    assert placed.deepest(np.array([[0, 0.75, 0.6]], np.float32), 0.008) is None
+
+
+def test_an_open_sheet_is_felt_through_its_thickness() -> None:
+    sheet = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    placed = ContactField(StubCabin((StubPart("sheet", surface(sheet), solid=False, shell_m=0.02),))).at({})
+    for z, hit in ((0.0, True), (0.011, True), (-0.011, True), (0.013, False), (-0.013, False)):
+        assert (placed.deepest(np.array([[0.1, 0.2, z]], np.float32), 0.008) is not None) == hit
+
+
+def test_a_field_takes_a_byte_a_node() -> None:
+    shell = [_box((3, 1.6, 0.05)), _box((3, 1.6, 0.05), (0, 0, 1.3))]
+    field = group_field("g", [StubPart(str(i), surface(m)) for i, m in enumerate(shell)])
+    nodes = math.prod(math.ceil((n + 2 * BAND_M) / STEP_M) + 1 for n in (3, 1.6, 1.35))
+    assert field.nbytes < 1.1 * nodes
+
+
+def test_copies_of_a_seat_share_one_field() -> None:
+    cushion = surface(_box((0.5, 0.5, 0.2)))
+    seats = [StubPart(f"{slot} cushion", cushion, group=f"seat:{slot}/base") for slot in ("driver", "rear_left")]
+    one, two = ContactField(StubCabin(tuple(seats))).groups
+    assert one.values is two.values
+    assert (one.parts[0].name, two.parts[0].name) == ("driver cushion", "rear_left cushion")
