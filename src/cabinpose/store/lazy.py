@@ -66,7 +66,10 @@ class PartsArray(BackendArray):
             if variable.is_image:
                 return read_frames(path / "c", frames, self.shape[1:], np.dtype(variable.dtype))
             if self._latest[0] != part:
-                self._latest = part, np.asarray(zarr.open_array(path, mode="r")[...])
+                whole = np.asarray(zarr.open_array(path, mode="r")[...])
+                if whole.shape[1:] != self.shape[1:]:
+                    raise ValueError(f"shape {whole.shape}")
+                self._latest = part, whole
             values: NDArray[Any] = self._latest[1][frames]
             return values
         except (OSError, ValueError, RuntimeError) as error:

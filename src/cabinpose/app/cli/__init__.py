@@ -1,0 +1,36 @@
+"""The command line: `cabinpose <verb>`. Data on stdout, everything else on stderr, exit code 2 for what a user can mend."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit code: 0 done, 2 a mistake the user can mend, 130 interrupted."""
+    import tyro
+
+    import cabinpose
+    from cabinpose.app.cli.commands import RUNNERS, STYLE, Command
+    from cabinpose.core.errors import CabinposeError
+
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments == ["--version"]:
+        print(cabinpose.__version__)
+        return 0
+    command = tyro.cli(Command, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE)
+    try:
+        import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
+    except CabinposeError as error:
+        print(f"error: {error}", file=sys.stderr)
+        if error.hint:
+            print(f"hint: {error.hint}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of stdout has gone, for example `head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0

@@ -1,0 +1,138 @@
+"""What can be typed: one dataclass a command, whose fields are its flags and whose docstrings are its help.
+
+Only the standard library and tyro are imported here, so that `--help` is quick; the work is in the module that
+`RUNNERS` names for a command, imported when the command runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
+
+FolderArgument = Annotated[Positional[Path], arg(metavar="DATASET")]
+JsonFlag = Annotated[bool, arg(name="json", help="Print one JSON object on stdout.")]
+
+
+@dataclass(frozen=True)
+class Synth:
+    """Generate a dataset: people in cars, or one person in a room, seen by a Time-of-Flight camera.
+
+    Same configuration, seed and frame: same bytes, whatever the number of workers.
+    """
+
+    config: Path
+    """Configuration (YAML); `cabinpose config init` writes one."""
+    frames: int
+    """Number of frames to generate."""
+    out: Path
+    """Folder of the dataset."""
+    workers: int | None = None
+    """Processes of a local cluster; default: one per core."""
+    scheduler: str | None = None
+    """Address of a running Dask scheduler, used in place of a local cluster."""
+    seed: int = 0
+    """Seed of all randomness."""
+    resume: bool = False
+    """Go on where a run of the same configuration stopped."""
+    overwrite: bool = False
+    """Replace the dataset that is in the folder."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class ConfigInit:
+    """Write a configuration to start from, every key with its default."""
+
+    file: Annotated[Positional[Path | None], arg(metavar="FILE")] = None
+    """File to write; stdout if left out."""
+    scene: Literal["cabin", "room"] = "cabin"
+    """People in cars, or one person standing in a room in ITOP's geometry."""
+
+
+@dataclass(frozen=True)
+class ConfigCheck:
+    """Check a configuration as `synth` would, and say what it asks for."""
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Configuration (YAML)."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class ConfigSchema:
+    """Print the JSON Schema of the configuration, for editors and validators."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Write, check or describe the configuration of `synth`."""
+
+    action: (
+        Annotated[ConfigInit, subcommand("init")]
+        | Annotated[ConfigCheck, subcommand("check")]
+        | Annotated[ConfigSchema, subcommand("schema")]
+    )
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what a dataset holds: frames by car, person, action and view, depth, acceptance, size."""
+
+    dataset: FolderArgument
+    """Folder of the dataset."""
+    verify: bool = False
+    """Read every frame, and so compare every checksum."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class View:
+    """Make pictures to judge a dataset by: a contact sheet (PNG) and a page to browse frames (HTML, one file)."""
+
+    dataset: FolderArgument
+    """Folder of the dataset."""
+    out: Path
+    """Folder for contact_sheet.png and index.html."""
+    frames: int = 24
+    """Frames on the page, spread evenly over the dataset."""
+    rows: int = 8
+    """Frames on the contact sheet."""
+    overwrite: bool = False
+    """Replace the pictures that are in the folder."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a dataset in another format: png-json, coco, itop or ply."""
+
+    dataset: FolderArgument
+    """Folder of the dataset."""
+    format: str
+    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ply: point clouds."""
+    out: Path
+    """Folder to write; it appears when the export is whole."""
+    splits: Path | None = None
+    """YAML file of splits, of which one is exported."""
+    split: str | None = None
+    """Name of the split to export."""
+    overwrite: bool = False
+    """Replace the folder."""
+    as_json: JsonFlag = False
+
+
+Command = (
+    Annotated[Synth, subcommand("synth")]
+    | Annotated[Config, subcommand("config")]
+    | Annotated[Info, subcommand("info")]
+    | Annotated[View, subcommand("view")]
+    | Annotated[Export, subcommand("export")]
+)
+
+RUNNERS = MappingProxyType({Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export"})
+
+STYLE = (FlagCreatePairsOff, OmitSubcommandPrefixes)

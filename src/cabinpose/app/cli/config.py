@@ -1,0 +1,78 @@
+"""`cabinpose config`: write a first configuration, check one, print its JSON Schema."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+from pydantic import BaseModel
+
+from cabinpose.app.cli.commands import Config, ConfigCheck, ConfigInit
+from cabinpose.core.errors import ConfigError
+from cabinpose.synth.config import SynthConfig, room_preset
+
+
+def run(command: Config) -> None:
+    """Do what the chosen action says."""
+    if isinstance(command.action, ConfigInit):
+        _init(command.action)
+    elif isinstance(command.action, ConfigCheck):
+        _check(command.action)
+    else:
+        print(json.dumps(SynthConfig.model_json_schema(), indent=2))
+
+
+def _init(action: ConfigInit) -> None:
+    text = commented_yaml(room_preset() if action.scene == "room" else SynthConfig())
+    if action.file is None:
+        print(text, end="")
+        return
+    try:
+        with action.file.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise ConfigError(f"{action.file} exists", hint="give another name; nothing is overwritten") from None
+    except OSError as error:
+        raise ConfigError(f"cannot write {action.file}: {error.strerror}", hint="give a file in a folder that exists") from error
+    print(f"wrote {action.file}", file=sys.stderr)
+
+
+def _check(action: ConfigCheck) -> None:
+    config = SynthConfig.load(action.file)
+    if action.as_json:
+        print(json.dumps({"file": str(action.file), "valid": True, "config": config.model_dump(mode="json")}))
+        return
+    print(f"{action.file} is valid")
+    print(f"scene    {_scene(config)}")
+    print(f"camera   {config.camera.sensor}, views {', '.join(config.camera.views)}")
+    random = f" and {config.people.random.count} drawn at random" if config.people.random else ""
+    print(f"people   {len(config.people.subjects)} named{random}")
+    print(f"noise    {config.noise.name}")
+
+
+def _scene(config: SynthConfig) -> str:
+    if config.scene.kind == "cabin":
+        return f"cabin, cars {', '.join(Path(car).name for car in config.scene.cars)}"
+    return f"room, {config.scene.rooms} of them"
+
+
+def commented_yaml(model: BaseModel) -> str:
+    """A model as YAML with the descriptions of its fields as comments; reading it gives the model back."""
+    return "".join(f"{line}\n" for line in _lines(model, ""))
+
+
+def _lines(model: BaseModel, indent: str) -> Iterator[str]:
+    plain = model.model_dump(mode="json")
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        comment = f"  # {field.description}" if field.description else ""
+        if isinstance(value, BaseModel):
+            yield f"{indent}{name}:{comment}"
+            yield from _lines(value, indent + "  ")
+        else:
+            text = yaml.safe_dump(plain[name], default_flow_style=True, width=10_000, allow_unicode=True)
+            value_text = text.removesuffix("...\n").strip()  # PyYAML ends a bare scalar's document
+            yield f"{indent}{name}: {value_text}{comment}"

@@ -1,0 +1,69 @@
+"""`cabinpose info`: what a dataset holds."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from cabinpose.app.cli.commands import Info
+from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.view.summary import BIN_M, DatasetSummary, summarise
+from cabinpose.store import open_dataset, read_manifest
+
+
+def run(command: Info) -> None:
+    """Print the summary; with `verify`, after every frame was read."""
+    manifest = read_manifest(command.dataset)
+    dataset = open_dataset(command.dataset, missing="ignore")
+    if command.verify:
+        with progress(dataset.sizes["frame"], "frames") as report:
+            for i in range(dataset.sizes["frame"]):
+                dataset.isel(frame=i).load()
+                report(i + 1)
+    summary = summarise(dataset, manifest, command.dataset)
+    if command.as_json:
+        print_json(dataclasses.asdict(summary) | {"verified": command.verify})
+        return
+    print_rows(summary_rows(summary))
+    if command.verify:
+        print("every frame was read; all checksums are right")
+
+
+def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
+    """Names and values for people to read."""
+    s = summary
+    whole = "" if s.parts == s.planned_parts else f" of {s.planned_frames} planned: go on with --resume"
+    joints = sum(s.visibility.values())
+    return [
+        ("dataset", s.folder),
+        ("made by", f"{s.generator}, seed {s.seed}, licence {s.licence}"),
+        ("frames", f"{s.frames} in {s.parts} of {s.planned_parts} parts{whole}"),
+        ("size", f"{s.bytes_on_disk / 1e6:.1f} MB, {s.bytes_on_disk / max(s.frames, 1) / 1e3:.0f} kB a frame"),
+        ("image", f"{s.width}x{s.height}, {100 * s.valid_pixels:.1f} % of the pixels valid"),
+        ("variables", ", ".join(s.variables)),
+        ("depth", _quantiles(s.depth_histogram)),
+        ("cars", _list(s.by_car)),
+        ("views", _list(s.by_pov)),
+        ("people", f"{_list(s.by_people)} (people: frames)"),
+        ("seats", _list({seat: count for seat, count in s.by_seat.items() if count})),
+        ("subjects", _list(s.by_subject, most=12)),
+        ("actions", _list(s.by_action, most=12)),
+        ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / max(joints, 1):.1f} %" for name, n in s.visibility.items())),
+        ("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {_list(s.rejections) or 'none'}"),
+    ]
+
+
+def _list(counts: Mapping[str, int], most: int | None = None) -> str:
+    names = list(counts)[:most]
+    more = f", and {len(counts) - len(names)} more" if len(counts) > len(names) else ""
+    return ", ".join(f"{name} {counts[name]}" for name in names) + more
+
+
+def _quantiles(histogram: tuple[float, ...]) -> str:
+    """5, 50 and 95 per cent of the depths, as well as bins tell."""
+    if not histogram:
+        return "no valid pixel"
+    low, middle, high = np.searchsorted(np.cumsum(histogram), (0.05, 0.5, 0.95)) * BIN_M
+    return f"median {middle:.2f} m, 90 % within {low:.2f} m to {high + BIN_M:.2f} m"

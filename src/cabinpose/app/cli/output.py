@@ -1,0 +1,79 @@
+"""What commands print: plain data as JSON, aligned columns for people, and progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+QUIET_S = 2.0  # what is over sooner needs no progress
+LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One JSON object on one line; NaN becomes null."""
+    print(json.dumps(_finite(data), allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_rows(rows: Iterable[tuple[str, str]]) -> None:
+    """Names and values in two columns."""
+    listed = list(rows)
+    width = max((len(name) for name, _ in listed), default=0)
+    for name, value in listed:
+        print(f"{name:<{width}}  {value}")
+
+
+class ProgressReport:
+    """Progress of `total` items on stderr: a bar on a terminal, a line every ten seconds elsewhere, nothing for short work."""
+
+    def __init__(self, bar: Progress | None, total: int, unit: str, start: int) -> None:
+        self._bar = bar
+        self._task = bar.add_task("", total=total, completed=start, rate="", note="") if bar is not None else None
+        self._total, self._unit, self._start = total, unit, start
+        self._began = time.monotonic()
+        self._logged = self._began - LOG_EVERY_S + QUIET_S
+
+    def __call__(self, done: int, note: str = "") -> None:
+        """`done` of all items are there; `note` is shown beside the rate of those that this run made."""
+        now = time.monotonic()
+        rate = (done - self._start) / max(now - self._began, 1e-9)
+        text = f"{rate:.1f} {self._unit}/s"
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, rate=text, note=note)
+        elif now - self._logged >= LOG_EVERY_S:
+            left = f"{(self._total - done) / rate:.0f} s left" if rate > 0 else "waiting"
+            print(", ".join(filter(None, (f"{done}/{self._total} {self._unit}", text, left, note))), file=sys.stderr)
+            self._logged = now
+
+
+@contextmanager
+def progress(total: int, unit: str, *, start: int = 0) -> Iterator[ProgressReport]:
+    """A `ProgressReport` of `total` items, of which `start` were there before; its bar is gone when the block ends."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield ProgressReport(None, total, unit, start)
+        return
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        yield ProgressReport(bar, total, unit, start)

@@ -1,0 +1,58 @@
+"""`cabinpose synth`: generate a dataset and report what it took."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+
+from cabinpose.app.cli.commands import Synth
+from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.core.errors import ConfigError
+from cabinpose.store import read_manifest
+from cabinpose.store.schema import MANIFEST_NAME
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import Progress, generate
+
+
+def run(command: Synth) -> None:
+    """Generate with a progress bar; the report goes to stdout."""
+    if command.workers is not None and command.scheduler is not None:
+        raise ConfigError("a cluster is either started or given", hint="give one of --workers and --scheduler")
+    config = SynthConfig.load(command.config)
+    with progress(command.frames, "frames", start=_frames_there(command)) as report:
+
+        def show(state: Progress) -> None:
+            rejected = sum(state.rejections.values())
+            report(state.frames_done, f"{state.proposals - rejected} poses accepted, {rejected} rejected")
+
+        result = generate(
+            config,
+            command.frames,
+            command.out,
+            seed=command.seed,
+            workers=command.workers,
+            scheduler=command.scheduler,
+            resume=command.resume,
+            overwrite=command.overwrite,
+            progress=show,
+        )
+    if command.as_json:
+        print_json(dataclasses.asdict(result))
+        return
+    causes = ", ".join(f"{count} {cause}" for cause, count in sorted(result.rejections.items()) if count) or "none"
+    print_rows(
+        [
+            ("dataset", f"{command.out} ({result.frames_total} frames, {result.frames} made now)"),
+            ("speed", f"{result.frames_per_s:.1f} frames/s, {result.seconds:.1f} s"),
+            ("acceptance", f"{100 * result.acceptance:.1f} % of {result.proposals} poses; rejected: {causes}"),
+            ("ms a frame", ", ".join(f"{name} {ms:.2f}" for name, ms in result.stages_ms.items()) or "nothing was left to make"),
+        ]
+    )
+    print(f"look at it with: cabinpose view {command.out} --out {command.out}-view", file=sys.stderr)
+
+
+def _frames_there(command: Synth) -> int:
+    """Frames that a resumed run finds on disk."""
+    if not command.resume or not (command.out / MANIFEST_NAME).exists():
+        return 0
+    return sum(plan.frames for plan in read_manifest(command.out).parts if (command.out / plan.name).is_dir())
