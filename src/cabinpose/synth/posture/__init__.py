@@ -1,0 +1,10 @@
+"""Seat-specific postures: inverse kinematics, seat fit, actions and profiles of seated people."""
+
+from cabinpose.synth.posture.actions import ACTIONS, actions_for
+from cabinpose.synth.posture.sampling import OccupantPose, random_action, sample_pose
+from cabinpose.synth.posture.seated import SeatedPosture, solve_posture
+from cabinpose.synth.posture.seating import choose_setting
+
+__all__ = [
+    "ACTIONS", "OccupantPose", "SeatedPosture", "actions_for", "choose_setting", "random_action", "sample_pose", "solve_posture",
+]  # fmt: skip

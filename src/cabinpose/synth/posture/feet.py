@@ -1,0 +1,136 @@
+"""Where feet go: soles on pedals, flat on the floor, or hanging where the floor is out of reach."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.errors import SceneError
+from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.skeleton import INDEX
+from cabinpose.scene.body import Person
+from cabinpose.scene.body.kinematics import RestArrays
+from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
+from cabinpose.synth.posture.chain import Residual
+from cabinpose.synth.posture.limbs import LimbTask, solve_leg
+from cabinpose.synth.posture.seat_fit import SeatFit
+
+Array = NDArray[np.float64]
+
+SHOE_M = 0.012  # of a shoe's sole between the foot and what it stands on
+MISS_M = 0.03  # a foot further than this from its pedal has not reached it
+_TOE_OUT = np.radians(7.0)
+_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.01])
+_FREE_KNEE = np.radians((88.0, 6.0, 0.0, 80.0, 0.0, 0.0))
+_PEDAL_KNEE = np.radians((78.0, 8.0, 0.0, 60.0, 5.0, 0.0))
+_SHIN_BEHIND = 0.06  # how far an ankle may stand behind the knee: what the seat's base leaves
+
+
+class FootPlan(NamedTuple):
+    """One foot's intent: pedal name or None for the floor; the rest moves a foot on the floor.
+
+    forward: m, from where it would rest · out: m, to the side of the hip · toe_out: rad.
+    """
+
+    pedal: str | None = None
+    forward: float = 0.0
+    out: float = 0.0
+    toe_out: float = float(_TOE_OUT)
+
+
+def _ball_frames(rest: RestArrays) -> tuple[RestArrays, tuple[float, float]]:
+    """The rest arrays with the tool of a leg below the ball of the foot, and the lengths heel to ball."""
+    soles = rest.soles.copy()
+    lengths = []
+    for side, joint in enumerate(("lfoot", "rfoot")):
+        length = rest.joint_offset[INDEX[joint], 0] - soles[side, 0, 3]
+        soles[side, 0, 3] += length
+        lengths.append(float(length))
+    return rest._replace(soles=soles), (lengths[0], lengths[1])
+
+
+def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, floor_z: float) -> Residual:
+    """Put the ball of a foot on a pad (vehicle_from_pad), sole along it and heel on the floor, in place of q.
+
+    The foot slides down the pad by what it is shorter than the 200 mm from heel to ball of SAE J4004.
+    """
+    rest, lengths = _ball_frames(person.rest)
+    along, out = pad[:3, 0], pad[:3, 2]
+    to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
+    target = transform(Rotation.from_matrix(np.stack([along, pad[:3, 1], out], axis=1)), pad[:3, 3] + SHOE_M * out)
+    target[:3, 3] += min(lengths[side] - to_floor, 0.03) * along
+    weights = np.array([5.0, 4.0, 5.0]), np.array([0.05, 0.06, 0.05])
+    return solve_leg(q, rest, root, side, LimbTask(target, *weights, _PEDAL_KNEE, _STIFFNESS))
+
+
+def on_floor(
+    q: Array, person: Person, root: Matrix, side: int, seat: Seat, setting: SeatSetting, fit: SeatFit, plan: FootPlan
+) -> Residual:
+    """Put a foot flat on the floor before the seat, in place of q, with the thigh on the cushion where the legs allow it.
+
+    Where the shin is longer than the cushion is high the foot goes forward, up to a little past the seat's heel
+    point, and the knee rises; where it is shorter the foot hangs, and nothing is missed.
+    """
+    s = 1.0 - 2.0 * side
+    vehicle_from_seat = seat.vehicle_from_seat(setting)
+    seat_from_vehicle = np.linalg.inv(vehicle_from_seat)
+    hip = (seat_from_vehicle @ root @ np.array([0.0, s * 0.09, 0.0, 1.0]))[:3]
+    lengths = person.segment_lengths
+    knee = hip + lengths["thigh"] * np.array([np.cos(fit.thigh_angle), 0.0, np.sin(fit.thigh_angle)])
+    sole = person.rest.soles[side]
+    ankle_height = SHOE_M - float(sole[2, 3])
+    floor = seat.floor_z - vehicle_from_seat[2, 3]
+    drop = knee[2] - floor - ankle_height
+    heel_x = float((seat_from_vehicle[:3, :3] @ (seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
+    reach = heel_x + 0.06 - float(sole[0, 3])  # of the ankle
+    shin = lengths["shin"]
+    if drop >= shin:  # the floor is out of reach
+        ankle = knee + np.array([0.12 * shin + plan.forward, 0.0, -shin * 0.99])
+        pitch, fixed = np.radians(12.0), 0.2
+    else:
+        ankle_x = min(knee[0] + np.sqrt(shin * shin - drop * drop), max(reach, knee[0] - _SHIN_BEHIND))
+        ankle = np.array([max(ankle_x + plan.forward, knee[0] - _SHIN_BEHIND), 0.0, floor + ankle_height])
+        pitch, fixed = 0.0, 1.0
+    rotation = Rotation.from_euler("ZY", [-s * plan.toe_out, pitch])
+    ankle[1] = s * (0.09 + 0.035 + plan.out)
+    target = vehicle_from_seat @ transform(rotation, ankle + rotation.apply(sole[:3, 3]))
+    rotations = np.array([0.06, 0.06, 0.04]) * fixed
+    task = LimbTask(target, np.full(3, 4.0), rotations, _FREE_KNEE, _STIFFNESS)
+    residual = solve_leg(q, person.rest, root, side, task)
+    return Residual(0.0, 0.0) if drop >= shin else residual
+
+
+def place_feet(
+    q: Array, person: Person, root: Matrix, seat: Seat, setting: SeatSetting, fit: SeatFit, cabin: Cabin,
+    plans: tuple[FootPlan, FootPlan],
+) -> dict[str, float]:  # fmt: skip
+    """Solve both legs in q, in place; returns what each foot misses its place by (m).
+
+    Raises SceneError where a foot does not reach its pedal.
+    """
+    missed = {}
+    for side, name in enumerate(("lfoot", "rfoot")):
+        plan = plans[side]
+        if plan.pedal is None:
+            residual = on_floor(q, person, root, side, seat, setting, fit, plan)
+        else:
+            residual = on_pedal(q, person, root, side, cabin.pedals[plan.pedal], seat.floor_z)
+            if residual.position > MISS_M:
+                raise SceneError(
+                    f"{name} of a person of {person.stature_m:.2f} m misses the {plan.pedal} by {1e3 * residual.position:.0f} mm"
+                    f" in the {seat.slot} seat of the {cabin.name}",
+                    hint="choose a taller person for this seat, or one with a wider fore-aft range",
+                )
+        missed[name] = residual.position
+    return missed
+
+
+def default_plans(seat: Seat, cabin: Cabin) -> tuple[FootPlan, FootPlan]:
+    """Driver: left on the footrest, right on the accelerator; everyone else: both on the floor."""
+    if seat.foot_support != "pedals" or "accelerator" not in cabin.pedals:
+        return FootPlan(), FootPlan()
+    left = "footrest" if "footrest" in cabin.pedals else None
+    return FootPlan(left), FootPlan("accelerator")

@@ -1,0 +1,302 @@
+"""Sampling of seated poses: an action, then a profile, on top of the posture that is solved for the seat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.frames import Matrix, transform
+from cabinpose.scene.body import DOF_INDEX, Person
+from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
+from cabinpose.synth.posture import hands as at
+from cabinpose.synth.posture.actions import (
+    BREATHING,
+    Action,
+    Place,
+    Spread,
+    action_named,
+    actions_for,
+    armrest_point_name,
+    inboard_side,
+    target_name,
+)
+from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet
+from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, lean_to_reach, look_angles, turn_head
+from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, frames, solve_arm
+from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
+from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
+from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile
+
+Array = NDArray[np.float64]
+
+_CLOCKS_DEG, _CLOCK_SHARES = (90.0, 62.0, 112.0), (0.5, 0.3, 0.2)  # nine-three, ten-two, eight-four
+_WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(13.0), math.radians(40.0)
+_GRIP: Mapping[str, float] = {"wheel": 0.72, "thigh": 0.22, "armrest": 0.25, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
+_ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
+_SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
+_TRUNK = tuple(DOF_INDEX[f"{joint}.{axis}"] for joint in ("lumbar", "thorax") for axis in ("flexion", "lateral", "rotation"))
+
+
+@dataclass(frozen=True, eq=False)
+class OccupantPose:
+    """One occupant's pose.
+
+    q: (D,) rad within the limits · vehicle_from_root: (4, 4) · action: its name, or the profile's kind · wheel_angle:
+    rad, + left, None where there is no wheel before the seat · residuals_m: by how much feet and hands miss their places, and
+    how far the femur heads' middle is from the H-point.
+    """
+
+    q: Array
+    vehicle_from_root: Matrix
+    action: str
+    wheel_angle: float | None
+    residuals_m: Mapping[str, float]
+
+
+class _Hand(NamedTuple):
+    """One hand's intent, drawn once: its place, three standard normal numbers, the clock angle, and the point to reach."""
+
+    place: Place
+    noise: tuple[float, float, float]
+    clock: float
+    point: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Situation:
+    """What stays the same while one pose is made."""
+
+    person: Person
+    seat: Seat
+    setting: SeatSetting
+    cabin: Cabin
+    fit: SeatFit
+    root: Matrix
+    wheel: SteeringWheel | None
+    wheel_angle: float
+    comfort: Array  # (2, 7) what each arm's prior departs by, rad
+
+    @property
+    def up(self) -> Array:
+        return np.array([0.0, 0.0, 1.0])
+
+    @property
+    def forward(self) -> Array:
+        return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
+
+
+def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, among: tuple[str, ...] | None = None) -> str:
+    """An action that makes sense in a seat, by the actions' weights, or evenly from `among` (those that make sense).
+
+    Raises ConfigError where none of `among` makes sense here.
+    """
+    known = actions_for(seat, cabin)
+    if among is not None:
+        names = tuple(n for n in among if n in known)
+        if not names:
+            raise ConfigError(
+                f"none of the actions {', '.join(among)} makes sense in the {seat.slot} seat of the {cabin.name}",
+                hint=f"there: {', '.join(known)}",
+            )
+        return names[int(rng.integers(len(names)))]
+    weights = np.array([action_named(n, seat, cabin).weight for n in known])
+    return known[int(rng.choice(len(known), p=weights / weights.sum()))]
+
+
+def sample_pose(
+    person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
+    profile: GaussianProfile | IncrementalProfile | None = None, *, index: int = 0, rng: np.random.Generator,
+) -> OccupantPose:  # fmt: skip
+    """A pose of `person` in `seat`: the action, and then the profile on top of it.
+
+    A profile that moves the trunk leaves hands where they belong: arms whose own degrees of freedom it does not name are
+    solved again and so stay on the rim or in the lap. `index` is the combination of an incremental profile. Raises
+    ConfigError for an action that makes no sense here, SceneError where a target is out of reach.
+    """
+    chosen = action_named(action, seat, cabin)
+    seat.check(setting)
+    fit = fit_seat(person, seat, setting.torso_angle)
+    wheel = cabin.steering_wheel if seat.slot == "driver" else None
+    inboard = inboard_side(seat)
+    if abs(float(seat.design_h_point[1])) < 0.05 and rng.random() < 0.5:
+        inboard = 1 - inboard
+    hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
+    steers = any(hand.place == "wheel" for hand in hands)
+    turned = float(np.clip(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA), -_WHEEL_LIMIT, _WHEEL_LIMIT))
+    root = seat.vehicle_from_seat(setting) @ fit.seat_from_root @ transform(Rotation.from_euler("y", _draw(chosen.pelvis, rng)))
+    comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
+    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort)
+
+    side_sign = _busy_side(chosen, inboard, rng)  # + left
+    q = fit.q.copy()
+    _move_trunk(q, chosen, side_sign, rng)
+    missed = {"h_point": fit.h_offset_m}
+    missed |= place_feet(q, person, root, seat, setting, fit, cabin, _foot_plans(seat, cabin, rng))
+    for side, hand in enumerate(hands):
+        if hand.place == "reach" and hand.point is not None:
+            _lean(q, s, side, hand.point)
+    _look(q, s, chosen, hands, side_sign, rng)
+    missed |= _solve_hands(q, s, hands, chosen, (0, 1))
+    for side, hand in enumerate(hands):
+        q[DOF_INDEX["lr"[side] + "hand.grip"]] = float(np.clip(_GRIP[hand.place] + 0.06 * rng.standard_normal(), 0.0, 1.0))
+    if profile is not None:
+        before = q.copy()
+        q = profile.apply(q, index) if isinstance(profile, IncrementalProfile) else profile.apply(q, rng=rng)
+        if any(q[d] != before[d] for d in _TRUNK):
+            missed |= _solve_hands(q, s, hands, chosen, tuple(side for side in (0, 1) if not _names_arm(profile, side)))
+    return OccupantPose(np.clip(q, LOWER, UPPER), root, action, turned if wheel is not None else None, missed)
+
+
+def _draw(spread: Spread, rng: np.random.Generator) -> float:
+    return math.radians(spread[0] + spread[1] * float(rng.standard_normal()))
+
+
+def _names_arm(profile: GaussianProfile | IncrementalProfile, side: int) -> bool:
+    joints = tuple("lr"[side] + joint for joint in ("clavicle", "shoulder", "elbow", "wrist"))
+    return any(name.split(".")[0] in joints for name in profile.axes)
+
+
+def _intents(
+    action: Action, seat: Seat, cabin: Cabin, inboard: int, drives: bool, rng: np.random.Generator
+) -> tuple[_Hand, _Hand]:
+    """What each hand does, left then right; places that a seat lacks become the lap."""
+    clock = math.radians(float(rng.choice(_CLOCKS_DEG, p=_CLOCK_SHARES)))
+    point_name = target_name(action, seat, cabin)
+    result = []
+    for side in (0, 1):
+        place: Place = action.inboard if side == inboard else action.outboard
+        other: Place = action.outboard if side == inboard else action.inboard
+        chance = float(rng.random())
+        if place == "either":
+            if drives:
+                place = "wheel" if other != "wheel" and chance < 0.8 else "thigh"
+            else:
+                place = "armrest" if side != inboard and chance < 0.35 else "thigh"
+        if place == "armrest" and armrest_point_name(seat, cabin) is None:
+            place = "thigh"
+        noise = tuple(float(v) for v in np.clip(rng.standard_normal(3), -2.0, 2.0))
+        mine = clock + math.radians(5.0) * noise[0]
+        point = None
+        if place == "reach" and point_name is not None:
+            point = cabin.reach_targets[point_name] + 0.012 * np.array(noise)
+        elif place == "armrest":
+            point = cabin.reach_targets[armrest_point_name(seat, cabin) or ""]
+        result.append(_Hand(place, (noise[0], noise[1], noise[2]), mine if side == 0 else -mine, point))
+    return result[0], result[1]
+
+
+def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
+    """+1 where the action turns or leans to the left: the side of the reaching hand, or a random one."""
+    random = 1.0 if rng.random() < 0.5 else -1.0
+    for side in (0, 1):
+        place = action.inboard if side == inboard else action.outboard
+        if place == "reach":
+            return 1.0 - 2.0 * side
+    return random
+
+
+def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Generator) -> None:
+    for name, spread in BREATHING.items():
+        value = _draw(spread, rng)
+        if name in action.trunk:
+            mean, sigma = action.trunk[name]
+            sign = 1.0 if name.endswith(".flexion") else side_sign
+            value += sign * _draw((mean, sigma), rng)
+        d = DOF_INDEX[name]
+        q[d] = np.clip(q[d] + value, LOWER[d], UPPER[d])
+
+
+def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
+    """Feet that differ from frame to frame: another pedal, a foot drawn back or put forward, knees apart."""
+    plans = list(default_plans(seat, cabin))
+    chance, both = float(rng.random()), 0.03 * float(rng.standard_normal())
+    apart = max(0.02 * float(rng.standard_normal()), -0.02)
+    draws = rng.standard_normal((2, 2))
+    if plans[1].pedal == "accelerator":
+        if chance < 0.25 and "brake" in cabin.pedals:
+            plans[1] = FootPlan("brake")
+        elif chance > 0.85:
+            plans[0] = FootPlan("clutch" if "clutch" in cabin.pedals and chance > 0.95 else None, -0.05)
+        return plans[0], plans[1]
+    for side in (0, 1):
+        forward = both + 0.02 * float(draws[side, 0])
+        if chance < 0.15:  # one foot drawn back
+            forward -= 0.10 if side == 0 else 0.0
+        plans[side] = FootPlan(
+            None, forward, apart + 0.01 * float(draws[side, 1]), math.radians(7.0 + 4.0 * float(draws[side, 1]))
+        )
+    return plans[0], plans[1]
+
+
+def _arm_length(person: Person) -> float:
+    lengths = person.segment_lengths
+    return lengths["upper_arm"] + lengths["forearm"]
+
+
+def _lean(q: Array, s: _Situation, side: int, point: Array) -> None:
+    """Let the trunk follow a hand that reaches for a point beyond the arm."""
+    lean_to_reach(q, s.person.rest, s.root, side, point, 0.97 * _arm_length(s.person) + 0.07 + at.HAND_M)
+
+
+def _look(
+    q: Array, s: _Situation, action: Action, hands: tuple[_Hand, _Hand], side_sign: float, rng: np.random.Generator
+) -> None:
+    gaze = action.gaze
+    yaw, pitch, tilt = _draw(gaze.yaw, rng), _draw(gaze.pitch, rng), _draw((0.0, gaze.tilt), rng)
+    if gaze.either_side:
+        yaw *= side_sign
+    if gaze.at_hand:
+        skeleton = frames(q, s.person.rest, s.root)
+        busy = [side for side in (0, 1) if hands[side].place in ("reach", "chest", "belt")]
+        point = hands[busy[0]].point
+        if point is None:
+            point = _task(s, hands[busy[0]], busy[0], skeleton).target[:3, 3]
+        head = skeleton.bone("head")
+        eye = head[:3, 3] + head[:3, :3] @ np.array([0.09, 0.0, 0.06])
+        towards_yaw, towards_pitch = look_angles(eye, point, s.seat.facing_yaw)
+        # Eyes do not always stay on the hand; downwards the head lags most.
+        yaw, pitch = towards_yaw + 0.5 * yaw, max(towards_pitch, -0.9) + 0.5 * pitch
+    target = head_rotation(s.seat.facing_yaw + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
+    turn_head(q, s.person.rest, s.root, target)
+
+
+def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
+    """The palm's target for the trunk as it is now."""
+    a, b, c = hand.noise
+    shoulder = skeleton.bone("lr"[side] + "upperarm")[:3, 3]
+    if hand.place == "wheel" and s.wheel is not None:
+        return at.on_rim(s.wheel, hand.clock + s.wheel_angle, 0.5 + 0.1 * b)
+    if hand.place == "armrest" and hand.point is not None:
+        return at.on_surface(hand.point + 0.03 * a * s.forward + 0.11 * s.forward, s.forward, s.up)
+    if hand.place == "ear":
+        return at.at_ear(s.person, skeleton, side)
+    if hand.place == "chest":
+        return at.before_chest(skeleton, side, 0.30 + 0.03 * a, 0.055 + 0.01 * b, -0.17 + 0.04 * c)
+    if hand.place == "belt" and s.seat.belt is not None:
+        return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
+    if hand.place == "reach" and hand.point is not None:
+        high = hand.point[2] > shoulder[2]
+        return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
+    femur = s.person.segment_lengths["thigh"]
+    return at.on_thigh(skeleton, s.fit, femur, side, side, 0.62 + 0.07 * a, 0.015 + 0.015 * b)
+
+
+def _solve_hands(q: Array, s: _Situation, hands: tuple[_Hand, _Hand], action: Action, sides: tuple[int, ...]) -> dict[str, float]:
+    """Bring the hands of `sides` to their places, in place of q; returns what each misses (m)."""
+    missed = {}
+    for side in sides:
+        hand = hands[side]
+        task = _task(s, hand, side, frames(q, s.person.rest, s.root))
+        task = task._replace(prior=task.prior + s.comfort[side])
+        name = "lr"[side] + "hand"
+        missed[name] = solve_arm(q, s.person.rest, s.root, side, task).position
+        if missed[name] > (HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M):
+            raise unreachable(s.person, s.seat, s.cabin, name, f"place of the action '{action.name}'", missed[name])
+    return missed

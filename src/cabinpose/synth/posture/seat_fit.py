@@ -1,0 +1,132 @@
+"""A body in a seat: pelvis and trunk on cushion and backrest, thighs on the cushion.
+
+The H-point machine of SAE J826 defines where a seat puts the H-point of its manikin; a person's own femur heads come
+to lie near it, by how thick their flesh is behind and below. So the pelvis starts on the H-point and is then moved until
+the skin presses into cushion and backrest by a stated depth, its pitch until lower and upper back press alike. The shift
+away from the H-point is reported. Sitting turns the pelvis backwards and takes the lordosis out of the lumbar spine
+(Reed, Manary, Flannagan and Schneider 2002, "A statistical method for predicting automobile driving posture").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.frames import Matrix, transform
+from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
+from cabinpose.scene.cabin import Seat
+from cabinpose.synth.posture.limbs import frames
+
+Array = NDArray[np.float64]
+
+BACK_SAG_M = 0.022  # of the skin behind the backrest's free surface
+CUSHION_SAG_M = 0.038  # of the buttocks below the cushion's free surface
+THIGH_SAG_M = 0.014
+_LUMBAR, _THORAX = np.radians((30.0, 8.0))  # flexion of the spine against standing
+_ABDUCTION = np.radians(7.0)  # of the thighs, at rest
+_CUSHION_FRONT_M = 0.375  # front edge of production cushions ahead of the H-point
+_MAX_SLIDE_M = 0.12
+_ROUNDS = 7
+_FEMUR_STATIONS = 11
+
+
+@dataclass(frozen=True, eq=False)
+class SeatFit:
+    """A person's trunk and thighs in a seat, in the seat's frame (origin H-point, x forward, z up), whatever its travel.
+
+    q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above
+    the horizontal while the thigh rests on the cushion, rad · h_offset_m: distance of the femur heads' middle from the
+    H-point · shoulders: (2, 3) · front: (N, 3) skin of belly and chest · thigh_top: (11,) height of the skin above
+    the femur's axis, from hip to knee.
+    """
+
+    q: Array
+    seat_from_root: Matrix
+    thigh_angle: float
+    h_offset_m: float
+    shoulders: Array
+    front: Array
+    thigh_top: Array
+
+
+def fit_seat(person: Person, seat: Seat, torso_angle: float) -> SeatFit:
+    """The fit of a person in a seat whose backrest stands at `torso_angle` (rad from the vertical); cached."""
+    return _fit(person, seat.cushion_angle, seat.cushion_below_h_m, seat.backrest_behind_h_m, round(float(torso_angle), 6))
+
+
+def _posture(pitch: float, thigh: float) -> Array:
+    """Trunk with the pelvis pitched back by `pitch`, femurs at `thigh` above the horizontal, shanks vertical (rad)."""
+    q = np.zeros(len(DOFS))
+    q[DOF_INDEX["lumbar.flexion"]], q[DOF_INDEX["thorax.flexion"]] = _LUMBAR, _THORAX
+    for side in "lr":
+        q[DOF_INDEX[side + "hip.flexion"]] = np.pi / 2 - pitch + thigh
+        q[DOF_INDEX[side + "hip.abduction"]] = _ABDUCTION
+        q[DOF_INDEX[side + "knee.flexion"]] = np.pi / 2 + thigh
+        q[DOF_INDEX[side + "shoulder.abduction"]] = 0.5  # out of the way of the back
+    return q
+
+
+def _root(pitch: float, place: Array) -> Matrix:
+    return transform(Rotation.from_euler("y", -pitch), place)
+
+
+@lru_cache(maxsize=512)
+def _fit(person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float) -> SeatFit:
+    segment = person.skin_segment
+    trunk = np.isin(segment, [SEGMENTS.index(s) for s in ("pelvis", "abdomen", "thorax")])
+    seated = np.isin(segment, [SEGMENTS.index(s) for s in ("pelvis", "lthigh", "rthigh")])
+    thighs = np.isin(segment, [SEGMENTS.index(s) for s in ("lthigh", "rthigh")])
+    up = np.array([-np.sin(torso_angle), 0.0, np.cos(torso_angle)])  # along the torso line
+    normal = np.array([np.cos(torso_angle), 0.0, np.sin(torso_angle)])  # out of the backrest
+    cushion = np.array([-np.sin(cushion_angle), 0.0, np.cos(cushion_angle)])
+    free_cushion = -below * cushion[2]
+    size = person.stature_m / 1.75
+    femur = person.segment_lengths["thigh"]
+    slide = float(np.clip(_CUSHION_FRONT_M - 0.01 - femur, 0.0, _MAX_SLIDE_M))  # short thighs: knees to the edge
+
+    pitch, thigh, place = torso_angle + 0.20, cushion_angle, np.array([slide, 0.0, 0.0])
+    for _ in range(_ROUNDS):
+        skin = person.pose(_posture(pitch, thigh), _root(pitch, place)).skin.astype(np.float64)
+        middle = trunk & (np.abs(skin[:, 1]) < 0.10 * size)
+        depth, height = skin[middle] @ normal, skin[middle] @ up
+        lower = np.sort(depth[(height > -0.02) & (height < 0.17 * size)])[:6].mean()
+        upper_band = (height > 0.28 * size) & (height < 0.42 * size)
+        upper = np.sort(depth[upper_band])[:6].mean()
+        wanted = -(behind + BACK_SAG_M)
+        if slide > 0.0:
+            pitch += (upper - wanted) / (0.35 * size)
+        else:
+            pitch += 0.9 * (upper + 0.006 - lower) / (0.27 * size)
+            place = place + (wanted - lower) * normal * (1.0, 0.0, 0.0) / normal[0]
+        above = skin @ cushion - free_cushion
+        under = seated & (skin[:, 0] > place[0] - 0.16) & (skin[:, 0] < place[0] + 0.08)
+        place[2] -= np.sort(above[under])[:8].mean() + CUSHION_SAG_M
+        along = thighs & (skin[:, 0] > 0.45 * femur + place[0]) & (skin[:, 0] < 0.75 * femur + place[0])
+        thigh -= 0.8 * (np.sort(above[along])[:8].mean() + THIGH_SAG_M) / (0.6 * femur)
+        pitch, thigh = float(np.clip(pitch, -0.2, 1.1)), float(np.clip(thigh, -0.1, 0.7))
+
+    q, root = _posture(pitch, thigh), _root(pitch, place)
+    posed = person.pose(q, root)
+    skin = posed.skin.astype(np.float64)
+    skeleton = frames(q, person.rest, root)
+    shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
+    front = skin[trunk & (skin @ normal > 0.0)][::4]
+    return SeatFit(
+        q, root, thigh, float(np.linalg.norm(place)), shoulders, front, _thigh_top(skin, segment, skeleton.bone("lthigh"), femur)
+    )
+
+
+def _thigh_top(skin: Array, segment: NDArray[np.uint8], vehicle_from_thigh: Matrix, femur: float) -> Array:
+    """Height of the skin above the left femur's axis (towards the front of the thigh) at stations from hip to knee."""
+    local = (skin[segment == SEGMENTS.index("lthigh")] - vehicle_from_thigh[:3, 3]) @ vehicle_from_thigh[:3, :3]
+    station = -local[:, 2] / femur
+    result = np.empty(_FEMUR_STATIONS)
+    for k, s in enumerate(np.linspace(0.0, 1.0, _FEMUR_STATIONS)):
+        near = (np.abs(station - s) < 0.08) & (np.abs(local[:, 1]) < 0.05)
+        result[k] = local[near, 0].max() if near.any() else np.nan
+    good = np.isfinite(result)
+    return np.interp(np.arange(_FEMUR_STATIONS), np.flatnonzero(good), result[good])

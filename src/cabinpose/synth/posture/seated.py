@@ -1,0 +1,87 @@
+"""The seated posture every motion starts from: one body in one seat, feet and hands where they belong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import SceneError, unknown_name
+from cabinpose.core.frames import Matrix
+from cabinpose.scene.body import DOF_INDEX, Person
+from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
+from cabinpose.synth.posture.feet import default_plans, place_feet
+from cabinpose.synth.posture.gaze import head_rotation, turn_head
+from cabinpose.synth.posture.hands import on_rim, on_thigh
+from cabinpose.synth.posture.limbs import frames, solve_arm
+from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
+
+Array = NDArray[np.float64]
+Hands = Literal["wheel", "lap"]
+
+HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
+WHEEL_GRIP, REST_GRIP = 0.72, 0.22  # of the fingers' curl
+_LAP_ALONG, _LAP_INWARD = 0.62, 0.02
+_LEVEL_PITCH = np.radians(-4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SeatedPosture:
+    """A person sitting: q (D,) rad within the limits, vehicle_from_root (4, 4), and what was missed.
+
+    residuals_m: "h_point" (how far the femur heads' middle is from the seat's H-point), "lfoot", "rfoot", "lhand",
+    "rhand" (m) · fit: trunk and thighs in the seat's frame.
+    """
+
+    q: Array
+    vehicle_from_root: Matrix
+    residuals_m: Mapping[str, float]
+    fit: SeatFit
+
+
+def solve_posture(
+    person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, *, hands: Hands | None = None, wheel_angle: float = 0.0
+) -> SeatedPosture:
+    """The neutral posture of a person in a seat: back on the backrest, head level, feet on pedals or floor.
+
+    hands: "wheel" (nine and three) or "lap"; left out: the wheel for a driver. Raises SceneError where the pedals or
+    the wheel are out of reach, ConfigError for a setting out of range or other hands.
+    """
+    seat.check(setting)
+    has_wheel = seat.slot == "driver" and cabin.steering_wheel is not None
+    hands = hands or ("wheel" if has_wheel else "lap")
+    if hands not in ("wheel", "lap"):
+        raise unknown_name("place for hands", hands, ("wheel", "lap"))
+    fit = fit_seat(person, seat, setting.torso_angle)
+    root = seat.vehicle_from_seat(setting) @ fit.seat_from_root
+    q = fit.q.copy()
+    missed = {"h_point": fit.h_offset_m}
+    missed |= place_feet(q, person, root, seat, setting, fit, cabin, default_plans(seat, cabin))
+    turn_head(q, person.rest, root, head_rotation(seat.facing_yaw, _LEVEL_PITCH))
+    for side, name in enumerate(("lhand", "rhand")):
+        if hands == "wheel":
+            if cabin.steering_wheel is None or not has_wheel:
+                raise SceneError(
+                    f"the {seat.slot} seat of the {cabin.name} has no steering wheel", hint="rest the hands in the lap"
+                )
+            task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2))
+        else:
+            skeleton = frames(q, person.rest, root)
+            task = on_thigh(skeleton, fit, person.segment_lengths["thigh"], side, side, _LAP_ALONG, _LAP_INWARD)
+        missed[name] = solve_arm(q, person.rest, root, side, task).position
+        if hands == "wheel" and missed[name] > HAND_MISS_M:
+            raise unreachable(person, seat, cabin, name, "steering wheel", missed[name])
+        q[DOF_INDEX["lr"[side] + "hand.grip"]] = WHEEL_GRIP if hands == "wheel" else REST_GRIP
+    return SeatedPosture(q, root, missed, fit)
+
+
+def unreachable(person: Person, seat: Seat, cabin: Cabin, hand: str, target: str, missed: float) -> SceneError:
+    """The error for a hand that does not get to its target (missed: m)."""
+    return SceneError(
+        f"{hand} of a person of {person.stature_m:.2f} m misses the {target} by {1e3 * missed:.0f} mm"
+        f" in the {seat.slot} seat of the {cabin.name}",
+        hint="choose another action, a taller person or a seat setting further forward",
+    )

@@ -1,0 +1,110 @@
+"""Where a person puts a seat: fore-aft, height and recline, chosen for the body, within the seat's ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.skeleton import INDEX
+from cabinpose.scene.body import Person
+from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
+from cabinpose.synth.posture.seat_fit import fit_seat
+
+Array = NDArray[np.float64]
+
+# Preferred driving posture (Porter and Gyi 1998, "Exploring the optimum posture for driver comfort"): knee 121 deg
+# and elbow 128 deg between the segments, with the spread of their 55 drivers.
+_KNEE, _KNEE_SPREAD = np.radians(59.0), np.radians(10.0)
+_ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
+_RECLINE_SPREAD = np.radians(3.0)
+_BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
+_PALM_REACH_M = 0.075  # wrist to the rim in the hand
+_SHORT_M, _TALL_M = 1.50, 1.90  # statures that put the seat at its highest and lowest
+_STEPS, _RECLINES = 21, 5
+_VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m) and recline (rad)
+
+
+def choose_setting(
+    person: Person, seat: Seat, cabin: Cabin, *, rng: np.random.Generator | None = None, variation: float = 0.0
+) -> SeatSetting:
+    """The setting at which this person would sit here: deterministic, or spread by `variation` (1: as people differ).
+
+    A driver's legs, arms and belly decide; other seats go back with stature. `rng` is needed where variation > 0.
+    """
+    low, high = seat.ranges
+    tallness = float(np.clip((person.stature_m - _SHORT_M) / (_TALL_M - _SHORT_M), 0.0, 1.0))
+    height = high.height_m + tallness * (low.height_m - high.height_m)
+    if seat.foot_support == "pedals" and cabin.steering_wheel is not None:
+        setting = _driver_setting(person, seat, cabin, height)
+    else:
+        fore_aft = float(np.interp(tallness, (0.0, 0.5, 1.0), (0.35 * high.fore_aft_m, 0.0, low.fore_aft_m)))
+        setting = SeatSetting(fore_aft, 0.5 * height, seat.default.torso_angle)
+    if variation > 0.0:
+        if rng is None:
+            raise ValueError("a variation of the seat needs rng")
+        change = variation * np.asarray(_VARIATION) * rng.standard_normal(3)
+        setting = SeatSetting(setting.fore_aft_m + change[0], setting.height_m + change[1], setting.torso_angle + change[2])
+    recline = float(np.clip(setting.torso_angle, low.torso_angle, high.torso_angle))
+    return SeatSetting(
+        float(np.clip(setting.fore_aft_m, low.fore_aft_m, high.fore_aft_m)),
+        float(np.clip(setting.height_m, low.height_m, high.height_m)),
+        # Whole degrees where the range allows it, so that fits are shared between occupants.
+        float(np.clip(np.radians(round(np.degrees(recline))), low.torso_angle, high.torso_angle)) if variation > 0.0 else recline,
+    )
+
+
+def _driver_setting(person: Person, seat: Seat, cabin: Cabin, height: float) -> SeatSetting:
+    """The least discomfort over fore-aft and recline, in closed form in side view."""
+    low, high = seat.ranges
+    wheel = cabin.steering_wheel
+    assert wheel is not None
+    pad = cabin.pedals["accelerator"]
+    rest, lengths = person.rest, person.segment_lengths
+    thigh, shin = lengths["thigh"], lengths["shin"]
+    arm, forearm = lengths["upper_arm"], lengths["forearm"]
+    sole = rest.soles[1]
+    ball = rest.joint_offset[INDEX["rfoot"], 0] - sole[0, 3]
+    # The ankle of a foot that lies on the pad with its heel on the floor.
+    along, out = pad[:3, 0], pad[:3, 2]
+    heel = pad[:3, 3] - (pad[2, 3] - seat.floor_z) / along[2] * along
+    ankle = heel - sole[0, 3] * along - sole[2, 3] * out
+    slack = max(0.0, ball - 0.23)  # very long feet bring the ankle back
+    ankle = ankle - slack * along * (1.0, 0.0, 0.0)
+    grip = 0.5 * (wheel.grip_point(np.pi / 2) + wheel.grip_point(-np.pi / 2))
+    rim_bottom = wheel.grip_point(np.pi)
+    best, best_cost = seat.default, np.inf
+    reclines = np.radians(np.unique(np.clip(
+        np.degrees(seat.default.torso_angle) + np.array([-6.0, -3.0, 0.0, 2.0, 4.0]), *np.degrees((low.torso_angle, high.torso_angle))
+    )))  # fmt: skip
+    for recline in reclines[:_RECLINES]:
+        fit = fit_seat(person, seat, recline)
+        for fore_aft in np.linspace(low.fore_aft_m, high.fore_aft_m, _STEPS):
+            setting = SeatSetting(float(fore_aft), height, float(recline))
+            h = seat.h_point(setting)
+            hip = h + fit.seat_from_root[:3, 3]
+            leg = np.hypot(*(ankle - hip)[[0, 2]])
+            knee = _flexion(thigh, shin, leg)
+            shoulder = h + fit.shoulders.mean(axis=0)
+            reach = np.hypot(
+                np.hypot(*(grip - shoulder)[[0, 2]]), wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
+            )
+            elbow = _flexion(arm, forearm, reach - _PALM_REACH_M)
+            front = fit.front + h
+            level = np.abs(front[:, 2] - rim_bottom[2]) < 0.06
+            gap = rim_bottom[0] - front[level, 0].max() if level.any() else 1.0
+            cost = (
+                ((knee - _KNEE) / _KNEE_SPREAD) ** 2
+                + ((elbow - _ELBOW) / _ELBOW_SPREAD) ** 2
+                + ((recline - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2
+                + (max(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
+                + (max(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
+            )
+            if cost < best_cost:
+                best, best_cost = setting, cost
+    return best
+
+
+def _flexion(upper: float, lower: float, distance: float) -> float:
+    """Flexion (rad) of the hinge between two segments whose ends are `distance` apart; 0 where it is too far."""
+    cosine = (upper * upper + lower * lower - distance * distance) / (2 * upper * lower)
+    return float(np.pi - np.arccos(np.clip(cosine, -1.0, 1.0)))

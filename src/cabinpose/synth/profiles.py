@@ -1,0 +1,208 @@
+"""Motion profiles: how an occupant departs from the posture that was solved for the seat.
+
+Three kinds, chosen by `kind` in a configuration: `gaussian` (a truncated normal distribution per degree of freedom),
+`incremental` (every combination of steps within the range of motion) and `mocap` (a recording, retargeted). Angles are
+degrees here, at the user's edge, and radians in everything that leaves this module. The one degree of freedom without
+a unit, `{l,r}hand.grip` (0 open .. 1 fist), stays as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from scipy.special import ndtr, ndtri
+
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.scene.body import DOF_INDEX, DOFS
+
+_LIMIT_SLACK_DEG = 1e-6  # a limit written in degrees may round outwards by this much
+
+
+def dof_scale(name: str) -> float:
+    """What turns a user's value of this degree of freedom into ours: pi/180, or 1 for the grip."""
+    return 1.0 if name.endswith(".grip") else math.pi / 180.0
+
+
+def limits_deg(name: str) -> tuple[float, float]:
+    """Lower and upper limit of a degree of freedom at the user's edge; ConfigError where the name is unknown."""
+    if name not in DOF_INDEX:
+        raise unknown_name("degree of freedom", name, list(DOF_INDEX))
+    dof = DOFS[DOF_INDEX[name]]
+    scale = dof_scale(name)
+    return dof.lower / scale, dof.upper / scale
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class GaussianAxis(_Model):
+    """A normal distribution of one degree of freedom, truncated to [min_deg, max_deg]."""
+
+    mean_deg: float | None = Field(None, description="Mean; left out: the value of the solved posture.")
+    sigma_deg: float = Field(ge=0.0, description="Standard deviation before truncation.")
+    min_deg: float | None = Field(None, description="Lower truncation; left out: the joint's lower limit.")
+    max_deg: float | None = Field(None, description="Upper truncation; left out: the joint's upper limit.")
+
+
+class IncrementalAxis(_Model):
+    """The values min_deg, min_deg + step_deg, ... not above max_deg of one degree of freedom."""
+
+    min_deg: float | None = Field(None, description="First value; left out: the joint's lower limit.")
+    max_deg: float | None = Field(None, description="Bound of the last value; left out: the joint's upper limit.")
+    step_deg: float = Field(gt=0.0, description="Distance between neighbouring values.")
+
+
+def _checked_range(name: str, axis: GaussianAxis | IncrementalAxis) -> tuple[float, float]:
+    """The axis' range (degrees), with limits filled in; ConfigError outside the limits or where min > max."""
+    lower, upper = limits_deg(name)
+    low = lower if axis.min_deg is None else axis.min_deg
+    high = upper if axis.max_deg is None else axis.max_deg
+    if low > high:
+        raise ConfigError(f"{name}: min_deg {low:g} is above max_deg {high:g}", hint="swap the two")
+    if low < lower - _LIMIT_SLACK_DEG or high > upper + _LIMIT_SLACK_DEG:
+        raise ConfigError(
+            f"{name}: the range {low:g} .. {high:g} leaves the joint's limits",
+            hint=f"the range of motion is {lower:g} .. {upper:g}",
+        )
+    return max(low, lower), min(high, upper)
+
+
+def truncated_normal(
+    mean: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    *,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Draw from normal distributions truncated to [lower, upper], by inversion: one uniform number per element.
+
+    Where sigma is 0 the result is the mean, moved into the range. Inverting through the nearer tail keeps precision
+    when the range lies many sigmas from the mean.
+    """
+    uniform = rng.random(mean.shape)
+    safe = np.where(sigma > 0, sigma, 1.0)
+    a, b = (lower - mean) / safe, (upper - mean) / safe
+    flip = a + b > 0  # more mass below: work with the mirrored distribution, whose cdf does not round to 1
+    a, b = np.where(flip, -b, a), np.where(flip, -a, b)
+    u = np.where(flip, 1.0 - uniform, uniform)
+    low, high = ndtr(a), ndtr(b)
+    z = ndtri(np.clip(low + u * (high - low), np.finfo(float).tiny, None))
+    z = np.where(flip, -z, z)
+    return np.clip(np.where(sigma > 0, mean + safe * z, mean), lower, upper)
+
+
+class GaussianProfile(_Model):
+    """Every named degree of freedom is drawn from its own truncated normal distribution; the others stay."""
+
+    kind: Literal["gaussian"] = "gaussian"
+    axes: Mapping[str, GaussianAxis] = Field(default_factory=dict, description="By degree of freedom, e.g. lelbow.flexion.")
+
+    @field_validator("axes")
+    @classmethod
+    def _check(cls, axes: Mapping[str, GaussianAxis]) -> Mapping[str, GaussianAxis]:
+        for name, axis in axes.items():
+            low, high = _checked_range(name, axis)
+            if axis.mean_deg is not None and not low - _LIMIT_SLACK_DEG <= axis.mean_deg <= high + _LIMIT_SLACK_DEG:
+                raise ConfigError(
+                    f"{name}: the mean {axis.mean_deg:g} lies outside {low:g} .. {high:g}",
+                    hint="choose a mean within the range",
+                )
+        return axes
+
+    @cached_property
+    def _table(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Indices (K,), and mean (NaN: the posture's), sigma, lower, upper (4, K) in radians, with the scale (K,)."""
+        names = sorted(self.axes, key=DOF_INDEX.__getitem__)
+        scale = np.array([dof_scale(n) for n in names])
+        rows = []
+        for name in names:
+            axis = self.axes[name]
+            mean = math.nan if axis.mean_deg is None else axis.mean_deg
+            rows.append((mean, axis.sigma_deg, *_checked_range(name, axis)))
+        values = np.array(rows, dtype=np.float64).reshape(-1, 4).T * scale
+        return np.array([DOF_INDEX[n] for n in names], dtype=np.int64), values, scale
+
+    def apply(self, q: NDArray[np.float64], *, rng: np.random.Generator) -> NDArray[np.float64]:
+        """A copy of the posture q (D,) rad with this profile's degrees of freedom drawn anew, within their ranges."""
+        index, (mean, sigma, lower, upper), _ = self._table
+        result = q.copy()
+        result[index] = truncated_normal(np.where(np.isnan(mean), q[index], mean), sigma, lower, upper, rng=rng)
+        return result
+
+
+class IncrementalProfile(_Model):
+    """Every combination of the axes' values, in lexicographic order: the axis named last varies fastest."""
+
+    kind: Literal["incremental"] = "incremental"
+    axes: Mapping[str, IncrementalAxis] = Field(min_length=1, description="By degree of freedom, e.g. lelbow.flexion.")
+
+    @field_validator("axes")
+    @classmethod
+    def _check(cls, axes: Mapping[str, IncrementalAxis]) -> Mapping[str, IncrementalAxis]:
+        for name, axis in axes.items():
+            _checked_range(name, axis)
+        return axes
+
+    @cached_property
+    def values(self) -> dict[str, NDArray[np.float64]]:
+        """The values of every axis (rad), in the order of the configuration."""
+        result = {}
+        for name, axis in self.axes.items():
+            low, high = _checked_range(name, axis)
+            steps = math.floor((high - low) / axis.step_deg + 1e-9)  # the slack keeps 0 .. 0.3 by 0.1 at four values
+            result[name] = np.minimum(low + axis.step_deg * np.arange(steps + 1), high) * dof_scale(name)
+        return result
+
+    @cached_property
+    def count(self) -> int:
+        """The number of combinations."""
+        return math.prod(len(v) for v in self.values.values())
+
+    def combination(self, index: int) -> dict[str, float]:
+        """Combination `index` (0 .. count - 1) as value (rad) by degree of freedom, without walking through the others."""
+        if not 0 <= index < self.count:
+            raise ConfigError(
+                f"combination {index} does not exist: the profile has {self.count}",
+                hint="ask for at most that many frames, or make a step smaller",
+            )
+        result = {}
+        for name, values in reversed(self.values.items()):
+            index, k = divmod(index, len(values))
+            result[name] = float(values[k])
+        return dict(reversed(result.items()))
+
+    def apply(self, q: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+        """A copy of the posture q (D,) rad with combination `index` in it."""
+        result = q.copy()
+        for name, value in self.combination(index).items():
+            result[DOF_INDEX[name]] = value
+        return result
+
+
+class MocapProfile(_Model):
+    """A recording in BVH, retargeted: its upper body onto the seated posture, or the whole body where one stands."""
+
+    kind: Literal["mocap"] = "mocap"
+    path: str = Field(description="A BVH file with the joint names of the CMU database.")
+    unit_m: float = Field(0.0254 / 0.45, gt=0.0, description="Metres of the file's length unit; CMU: inches times 0.45.")
+    up: Literal["y", "z"] = Field("y", description="The file's vertical axis.")
+    start_s: float = Field(0.0, ge=0.0, description="Where in the recording to begin.")
+    end_s: float | None = Field(None, gt=0.0, description="Where to end; left out: at its end.")
+    rate_hz: float = Field(30.0, gt=0.0, description="Poses taken from a second of the recording.")
+
+    @model_validator(mode="after")
+    def _check(self) -> MocapProfile:
+        if self.end_s is not None and self.end_s <= self.start_s:
+            raise ConfigError(f"mocap: end_s {self.end_s:g} is not after start_s {self.start_s:g}", hint="choose a later end")
+        return self
+
+
+Profile = Annotated[GaussianProfile | IncrementalProfile | MocapProfile, Field(discriminator="kind")]
