@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -99,6 +100,17 @@ def truncated_normal(
     return np.clip(np.where(sigma > 0, mean + safe * z, mean), lower, upper)
 
 
+@dataclass(frozen=True, eq=False)
+class _GaussianTable:
+    """index: (K,) degrees of freedom · mean (NaN: the posture's), sigma, lower, upper: (K,) each, in our units."""
+
+    index: NDArray[np.int64]
+    mean: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+
 class GaussianProfile(_Model):
     """Every named degree of freedom is drawn from its own truncated normal distribution; the others stay."""
 
@@ -118,8 +130,7 @@ class GaussianProfile(_Model):
         return axes
 
     @cached_property
-    def _table(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Indices (K,), and mean (NaN: the posture's), sigma, lower, upper (4, K) in radians, with the scale (K,)."""
+    def _table(self) -> _GaussianTable:
         names = sorted(self.axes, key=DOF_INDEX.__getitem__)
         scale = np.array([dof_scale(n) for n in names])
         rows = []
@@ -128,13 +139,14 @@ class GaussianProfile(_Model):
             mean = math.nan if axis.mean_deg is None else axis.mean_deg
             rows.append((mean, axis.sigma_deg, *_checked_range(name, axis)))
         values = np.array(rows, dtype=np.float64).reshape(-1, 4).T * scale
-        return np.array([DOF_INDEX[n] for n in names], dtype=np.int64), values, scale
+        return _GaussianTable(np.array([DOF_INDEX[n] for n in names], dtype=np.int64), *values)
 
     def apply(self, q: NDArray[np.float64], *, rng: np.random.Generator) -> NDArray[np.float64]:
         """A copy of the posture q (D,) rad with this profile's degrees of freedom drawn anew, within their ranges."""
-        index, (mean, sigma, lower, upper), _ = self._table
+        t = self._table
         result = q.copy()
-        result[index] = truncated_normal(np.where(np.isnan(mean), q[index], mean), sigma, lower, upper, rng=rng)
+        mean = np.where(np.isnan(t.mean), q[t.index], t.mean)
+        result[t.index] = truncated_normal(mean, t.sigma, t.lower, t.upper, rng=rng)
         return result
 
 
@@ -152,13 +164,13 @@ class IncrementalProfile(_Model):
         return axes
 
     @cached_property
-    def values(self) -> dict[str, NDArray[np.float64]]:
+    def values(self) -> dict[str, tuple[float, ...]]:
         """The values of every axis (rad), in the order of the configuration."""
         result = {}
         for name, axis in self.axes.items():
             low, high = _checked_range(name, axis)
             steps = math.floor((high - low) / axis.step_deg + 1e-9)  # the slack keeps 0 .. 0.3 by 0.1 at four values
-            result[name] = np.minimum(low + axis.step_deg * np.arange(steps + 1), high) * dof_scale(name)
+            result[name] = tuple(min(low + axis.step_deg * k, high) * dof_scale(name) for k in range(steps + 1))
         return result
 
     @cached_property
@@ -176,7 +188,7 @@ class IncrementalProfile(_Model):
         result = {}
         for name, values in reversed(self.values.items()):
             index, k = divmod(index, len(values))
-            result[name] = float(values[k])
+            result[name] = values[k]
         return dict(reversed(result.items()))
 
     def apply(self, q: NDArray[np.float64], index: int) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
 _PALM_REACH_M = 0.075  # wrist to the rim in the hand
 _SHORT_M, _TALL_M = 1.50, 1.90  # statures that put the seat at its highest and lowest
-_STEPS, _RECLINES = 21, 5
+_STEPS, _RECLINES_DEG = 21, (-6.0, -3.0, 0.0, 2.0, 4.0)
 _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m) and recline (rad)
 
 
@@ -73,10 +73,8 @@ def _driver_setting(person: Person, seat: Seat, cabin: Cabin, height: float) -> 
     grip = 0.5 * (wheel.grip_point(np.pi / 2) + wheel.grip_point(-np.pi / 2))
     rim_bottom = wheel.grip_point(np.pi)
     best, best_cost = seat.default, np.inf
-    reclines = np.radians(np.unique(np.clip(
-        np.degrees(seat.default.torso_angle) + np.array([-6.0, -3.0, 0.0, 2.0, 4.0]), *np.degrees((low.torso_angle, high.torso_angle))
-    )))  # fmt: skip
-    for recline in reclines[:_RECLINES]:
+    reclines = seat.default.torso_angle + np.radians(_RECLINES_DEG)
+    for recline in np.unique(np.clip(reclines, low.torso_angle, high.torso_angle)):
         fit = fit_seat(person, seat, recline)
         for fore_aft in np.linspace(low.fore_aft_m, high.fore_aft_m, _STEPS):
             setting = SeatSetting(float(fore_aft), height, float(recline))
