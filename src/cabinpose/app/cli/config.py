@@ -50,7 +50,7 @@ def _check(action: ConfigCheck) -> None:
     print(f"camera   {config.camera.sensor}, views {', '.join(config.camera.views)}")
     random = f" and {config.people.random.count} drawn at random" if config.people.random else ""
     print(f"people   {len(config.people.subjects)} named{random}")
-    print(f"noise    {config.noise.name}")
+    print(f"noise    {config.noise.kind}")
 
 
 def _scene(config: SynthConfig) -> str:

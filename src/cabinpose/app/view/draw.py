@@ -1,0 +1,128 @@
+"""Pictures of one frame: depth in colours, amplitude, labels, skeletons, point clouds from two sides. RGB uint8."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import INDEX, LIMBS
+
+Image = NDArray[np.uint8]  # (H, W, 3) RGB
+Colour = tuple[int, int, int]
+
+VISIBILITY_COLOUR: MappingProxyType[Visibility, Colour] = MappingProxyType(
+    {
+        Visibility.VISIBLE: (46, 204, 113),
+        Visibility.SELF_OCCLUDED: (255, 196, 61),
+        Visibility.OCCLUDED: (255, 94, 87),
+        Visibility.OUTSIDE_IMAGE: (150, 156, 166),
+    }
+)
+# By person; told apart by people with any colour vision (Okabe and Ito 2008, without black and grey).
+PERSON_COLOUR: tuple[Colour, ...] = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167), (213, 94, 0))
+INVALID: Colour = (38, 40, 46)
+_GAMMA = 0.5
+
+
+@lru_cache
+def colour_map() -> NDArray[np.uint8]:
+    """(256, 3) viridis, even in lightness, bright = near."""
+    ramp = np.arange(255, -1, -1, dtype=np.uint8)[:, None]
+    return np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]).astype(np.uint8)
+
+
+def depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> Image:
+    """Depth (H, W) in the colours of `colour_map`, dark grey where invalid."""
+    share = (depth_m - near_m) / max(far_m - near_m, 1e-6)
+    image = colour_map()[(np.clip(np.nan_to_num(share), 0, 1) * 255).astype(np.uint8)]
+    image[np.isnan(depth_m)] = INVALID
+    return image
+
+
+def amplitude_image(amplitude: NDArray[np.uint16], white: float) -> Image:
+    """Amplitude (H, W) in grey, with gamma 1/2 so that what is dark can be seen; `white` is the amplitude of white."""
+    grey = (np.clip(amplitude / max(white, 1.0), 0, 1) ** _GAMMA * 255).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=-1)
+
+
+def draw_skeleton(image: Image, uv: NDArray[np.float32], visibility: NDArray[np.uint8], scale: float = 1.0) -> None:
+    """Draw one person's limbs, and the joints in the colours of their visibility, into `image`, which is `scale` x the frame."""
+    shift = 4  # OpenCV draws at 1/16 pixel
+    points = (uv.astype(np.float64) + 0.5) * scale - 0.5
+    usable = np.isfinite(points).all(axis=1) & (np.abs(points) < 8 * max(image.shape)).all(axis=1)
+    fixed = np.where(usable[:, None], points * 2**shift, 0).round().astype(int)
+    for colour, width in (((16, 18, 22), round(3 * scale)), ((235, 238, 242), max(round(1.3 * scale), 1))):
+        for a, b in LIMBS:
+            i, j = INDEX[a], INDEX[b]
+            if usable[i] and usable[j]:
+                cv2.line(image, fixed[i].tolist(), fixed[j].tolist(), colour, width, cv2.LINE_AA, shift)
+    for i in np.flatnonzero(usable).tolist():
+        state = Visibility(int(visibility[i]))
+        if state in VISIBILITY_COLOUR:
+            colour = VISIBILITY_COLOUR[state]
+            radius = round(2.6 * scale * 2**shift)
+            cv2.circle(image, fixed[i].tolist(), radius + 2**shift, (16, 18, 22), -1, cv2.LINE_AA, shift)
+            cv2.circle(image, fixed[i].tolist(), radius, colour, -1, cv2.LINE_AA, shift)
+
+
+def cloud_colours(instance: NDArray[np.uint8], amplitude: NDArray[np.uint16], white: float) -> NDArray[np.uint8]:
+    """(H, W, 3) colours for a point cloud: the world in grey by amplitude, each person in a colour, shaded by it."""
+    shade = np.clip(amplitude / max(white, 1.0), 0, 1) ** _GAMMA
+    palette = np.array([(170, 178, 190), *PERSON_COLOUR], np.float64)
+    index = np.where(instance == 0, 0, 1 + (instance.astype(int) - 1) % len(PERSON_COLOUR))
+    floor = np.where(instance == 0, 0.35, 0.55)
+    return (palette[index] * (floor + (1 - floor) * shade)[..., None]).astype(np.uint8)
+
+
+def orthographic(
+    points: NDArray[np.float64],
+    colours: NDArray[np.uint8],
+    axes: NDArray[np.float64],
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    size: tuple[int, int],
+) -> Image:
+    """Points (n, 3) seen along the third of `axes` (3, 3: right, up, towards the eye), nearest on top.
+
+    bounds: lowest and highest corner (3,) of the box of points that fills the image of `size` (width, height).
+    """
+    width, height = size
+    image = np.full((height, width, 3), (24, 26, 31), np.uint8)
+    inside = ((points >= bounds[0]) & (points <= bounds[1])).all(axis=1)
+    seen, tints = points[inside], colours[inside]
+    u, v = to_view(seen, axes, bounds, size).astype(int).T
+    order = np.argsort(seen @ axes[2], kind="stable")
+    for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (0, -1)):  # wider than a pixel: points thin out with distance
+        x, y = u[order] + du, v[order] + dv
+        ok = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        image[y[ok], x[ok]] = tints[order][ok]
+    return image
+
+
+def to_view(
+    points: NDArray[np.float64],
+    axes: NDArray[np.float64],
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    size: tuple[int, int],
+) -> NDArray[np.float64]:
+    """Pixels (n, 2) of points (n, 3) in the picture that `orthographic` draws."""
+    width, height = size
+    corners = np.array(bounds) @ axes.T
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    scale = min(width / (high[0] - low[0]), height / (high[1] - low[1]))
+    seen, middle = points @ axes.T, (low + high) / 2
+    return np.stack((width / 2 + (seen[:, 0] - middle[0]) * scale, height / 2 - (seen[:, 1] - middle[1]) * scale), axis=-1)
+
+
+@lru_cache
+def _font() -> cv2.FontFace:
+    return cv2.FontFace("sans")
+
+
+def text(image: Image, words: str, xy: tuple[int, int], colour: Colour = (32, 36, 44), size: int = 14, weight: int = 400) -> None:
+    """Write words with their baseline's left end at `xy`."""
+    cv2.putText(image, words, xy, colour, _font(), size, weight)
