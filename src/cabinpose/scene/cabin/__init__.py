@@ -1,5 +1,6 @@
 """Parametric car interiors from SAE J1100 dimensions, and the user's own car meshes in their place."""
 
+from cabinpose.scene.cabin.belt import belt_surface
 from cabinpose.scene.cabin.build import build_cabin
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Part, Seat, SeatSetting, SteeringWheel, ViewAnchor
@@ -16,5 +17,6 @@ __all__ = [
     "SeatSetting",
     "SteeringWheel",
     "ViewAnchor",
+    "belt_surface",
     "build_cabin",
 ]

@@ -155,11 +155,11 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         parts.extend(made)
         h = np.array([layout.h_rear[0], y, layout.h_rear[2]])
         side = -1.0 if y < 0 else 1.0
-        half = shape.width / 2
+        reach = float(np.clip(shape.width / 2, 0.21, 0.23))
         upper_y = side * (float(layout.half_width(h[0] - 0.3, h[2] + 0.6)) - 0.05) if abs(y) > 0.1 else 0.16
         belt = BeltAnchors(
             np.array([h[0] - 0.36, upper_y, min(h[2] + 0.62, float(layout.rail_z(h[0] - 0.36)) - 0.02)]),
-            h + (-0.11, -side * (min(half, 0.21)), -0.09), h + (-0.13, side * min(half, 0.23), -0.12), rides_seat=False,
+            h + (-0.11, -side * reach, -0.09), h + (-0.13, side * reach, -0.12), rides_seat=False,
         )  # fmt: skip
         room = float(layout.half_width(h[0], layout.belt_z)) - abs(y)
         lateral = 2 * min(room, w20 / 2 if three else w20) if abs(y) > 0.1 else w20

@@ -28,9 +28,9 @@ _ALL = (
     ),
     CabinDimensions(
         name="coupe", h30_mm=180, l53_mm=900, w20_mm=370, a40_deg=26, a27_deg=17, h61_mm=950, w3_mm=1390, l50_mm=730,
-        h30_2_mm=225, w20_2_mm=310, a40_2_deg=25, h61_2_mm=875, w3_2_mm=1290, rear_places=2, w9_mm=360, a18_deg=21,
+        h30_2_mm=225, w20_2_mm=310, a40_2_deg=25, h61_2_mm=895, w3_2_mm=1290, rear_places=2, w9_mm=360, a18_deg=21,
         l11_mm=440, h17_mm=610, clutch=True, h25_mm=480, a121_1_deg=64, a121_2_deg=73, a122_deg=24, header_mm=430, tail_mm=330,
-        roof_drop_mm=110, b_pillar_mm=420, tunnel_mm=170, seat_style="sport", rear_style="plus2", dash_style="driver",
+        roof_drop_mm=95, b_pillar_mm=420, tunnel_mm=170, seat_style="sport", rear_style="plus2", dash_style="driver",
         console_style="high", door_style="sport", leather=True,
     ),
     CabinDimensions(

@@ -58,8 +58,8 @@ STYLES = {
                        back_height=0.64, headrest="wing", headrest_width=0.26, lumbar=0.016, back_depth=0.09),
     "captain": SeatShape(width=0.505, bolster_cushion=0.018, bolster_back=0.030, insert=0.170, back_height=0.62, top_width=0.45,
                          front=0.375, shell="pedestal", armrests=True, headrest_width=0.29, back_depth=0.095),
-    "plus2": SeatShape(width=0.47, bolster_cushion=0.030, bolster_back=0.040, insert=0.13, back_height=0.50, top_width=0.36, front=0.33,
-                       back_depth=0.09, headrest="integral", head_height=0.09, headrest_width=0.25, shell="box"),
+    "plus2": SeatShape(width=0.47, bolster_cushion=0.030, bolster_back=0.040, insert=0.13, back_height=0.50, top_width=0.36,
+                       front=0.33, back_depth=0.09, headrest="integral", head_height=0.09, headrest_width=0.25, shell="box"),
     "bench": SeatShape(width=0.48, bolster_cushion=0.012, bolster_back=0.020, insert=0.150, back_height=0.57, top_width=0.46,
                        front=0.375, shell="box", lumbar=0.006, headrest_width=0.25),
 }  # fmt: skip
