@@ -142,6 +142,41 @@ def test_flying_pixels_are_the_phase_of_the_phasor_sum(frequencies: tuple[float,
     assert measured[column + 1] == pytest.approx(far * factor[column + 1], abs=1e-4)
 
 
+def test_inconsistent_phases_are_invalid() -> None:
+    """Dark trim before a white wall in one pixel: the phases that the sums have belong to no single distance."""
+    sensor = small_sensor(frequencies_hz=(80e6, 60e6))
+    near, far, column = 0.65, 1.65, 40
+    split = step_edge(sensor, near, far, 2 * column + 1)
+    split.material[:, : 2 * column + 1] = ID["soft_trim"]
+    mixed = {"flying_pixels": True, "wrapping": True, "reflectance": True}
+    rho = [MATERIALS[ID[name]].reflectance for name in ("soft_trim", WHITE)]
+    row = sensor.camera.height // 2
+    sub = sensor.camera.scaled(2).range_over_depth[2 * row : 2 * row + 2, 2 * column : 2 * column + 2]
+    ranges = sub * [near, far]
+    t1, t2 = (np.angle(np.sum(rho * np.exp(4j * np.pi * f * ranges / C) / ranges**2)) / (2 * np.pi) for f in (80e6, 60e6))
+    difference = 4 * t2 - 3 * t1
+    assert abs(difference - round(difference)) > 0.25
+    kept = ranges_of(sensor, split, only(**mixed))[0, row]
+    dropped = ranges_of(sensor, split, only(**mixed, consistency=True))[0, row]
+    assert np.isfinite(kept).all()
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(dropped)), [column])
+
+
+def test_blur_spreads_light_and_keeps_its_sum() -> None:
+    sensor = small_sensor()
+    shape = (sensor.camera.height, sensor.camera.width)
+    ranges = np.full(shape, 2.0)
+    ranges[30, 40] = 0.25
+    share = 0.1
+    lit = sphere_of_range(sensor, ranges)
+    sharp, soft = (simulate(lit, sensor, only(blur=b), rng=generator(1, 1)).amplitude.astype(float) for b in (0.0, share))
+    kernel = np.outer((share, 1 - 2 * share, share), (share, 1 - 2 * share, share))
+    spot = sharp[30, 40]
+    # In phase the spot's light adds to what its neighbours have; at a quarter and less of the spot's they stay small beside it.
+    np.testing.assert_allclose(soft[29:32, 39:42] / spot, kernel, atol=0.02)
+    np.testing.assert_allclose(soft[:25], sharp[:25], atol=1)
+
+
 def test_without_flying_pixels_no_depth_lies_between() -> None:
     sensor = small_sensor()
     depth = simulate(step_edge(sensor, 0.7, 1.1, 81), sensor, NO_EFFECTS, rng=generator(1, 1)).depth_m
@@ -257,7 +292,7 @@ def test_window_panes_return_next_to_nothing() -> None:
     assert np.isfinite(without.depth_m).mean() > 3 * np.isfinite(with_glass.depth_m).mean()
     # Square to the ray the pane is a mirror: a spot that saturates, in the middle and nowhere else.
     facing = simulate(flat, sensor, only(glass=True, full_well=True), rng=generator(1, 1))
-    assert np.isnan(facing.depth_m[140:147, 172:180]).all()
+    assert np.isnan(facing.depth_m[141:146, 173:179]).all()
     assert np.isnan(facing.depth_m).mean() < 0.02
 
 
@@ -288,10 +323,10 @@ def test_stray_light_pulls_dark_pixels_towards_the_mean() -> None:
 # ------------------------------------------------------------------------------------------------------------ switches
 
 SWITCHES: dict[str, object] = {
-    "shot_noise": False, "read_noise": False, "full_well": False, "flying_pixels": False, "wrapping": False,
-    "second_frequency": False, "wiggling": 0.0, "stray_light": 0.0, "ambient": 0.0, "daylight": 0.0, "reflectance": False,
-    "incidence": False, "vignetting": False, "glass": False, "range_window": False, "low_amplitude": False,
-    "circular_field": False,
+    "shot_noise": False, "read_noise": False, "full_well": False, "flying_pixels": False, "blur": 0.0, "wrapping": False,
+    "second_frequency": False, "consistency": False, "wiggling": 0.0, "stray_light": 0.0, "ambient": 0.0, "daylight": 0.0,
+    "reflectance": False, "incidence": False, "vignetting": False, "glass": False, "range_window": False,
+    "low_amplitude": False, "circular_field": False,
 }  # fmt: skip
 
 

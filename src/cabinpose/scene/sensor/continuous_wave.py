@@ -57,10 +57,9 @@ def _light_of_row(
     zero, one = F32(0.0), F32(1.0)
     for x in range(depth.size):
         m = material[x]
-        z = depth[x]
+        r = depth[x] * range_over_depth[x]  # NaN outside the lens model
         c = cos_incidence[x]
-        if z > zero:
-            r = z * range_over_depth[x]
+        if r > zero:
             gloss = max(zero, one - (one - c) * inverse_gloss)
             e = (table[m, 0] * (c if lambert else one) + table[m, 1] * gloss * gloss) / (r * r)
             ambient = table[m, 2]
@@ -153,6 +152,40 @@ def collect_phasors(
 
 
 @njit(cache=True, nogil=True)
+def _spread_row(row: Row, share: np.float32, out: Row) -> None:
+    keep = F32(1.0) - share - share
+    last = row.size - 1
+    for u in range(1, last):
+        out[u] = keep * row[u] + share * (row[u - 1] + row[u + 1])
+    out[0] = (keep + share) * row[0] + share * row[min(1, last)]
+    out[last] = (keep + share) * row[last] + share * row[max(last - 1, 0)]
+
+
+@njit(cache=True, nogil=True)
+def _spread_column(above: Row, here: Row, below: Row, share: np.float32, out: Row) -> None:
+    keep = F32(1.0) - share - share
+    for u in range(out.size):
+        out[u] = keep * here[u] + share * (above[u] + below[u])
+
+
+@njit(cache=True, nogil=True)
+def spread(image: Image, share: float) -> None:
+    """Blurs an image in place: each pixel gives `share` of its light to the neighbour on each side, rows and columns."""
+    height, width = image.shape
+    part = F32(share)
+    above, here, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    _spread_row(image[0], part, here)
+    above[:] = here
+    for v in range(height):
+        if v + 1 < height:
+            _spread_row(image[v + 1], part, below)
+        else:
+            below[:] = here
+        _spread_column(above, here, below, part, image[v])
+        above, here, below = here, below, above
+
+
+@njit(cache=True, nogil=True)
 def mean_light(energy: Image, phasor: Image, gain: Image, mean: NDArray[np.float64]) -> None:
     """Mean over the image of the light (electrons) and its phasors: `mean` (1 + 2 F,). `gain` is 0 outside the lens."""
     height, width = energy.shape
@@ -231,11 +264,14 @@ def phases_of_row(x: Row, y: Row, turns: Row, amplitude: Row) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _unwrap_row(turns_1: Row, turns_2: Row, p: int, q: int, wavelength_1: np.float32, weight_1: np.float32, out: Row) -> None:
+def _unwrap_row(
+    turns_1: Row, turns_2: Row, p: int, q: int, wavelength_1: np.float32, weight_1: np.float32, tolerance: np.float32, out: Row
+) -> None:  # fmt: skip
     """Range from the phases of two frequencies in the ratio p : q, by the Chinese remainder theorem.
 
     With range = (t1 + n1) w1 = (t2 + n2) w2: q n1 - p n2 = round(p t2 - q t1), which gives n1 modulo p and then n2.
-    The mean of both is weighted by the square of the frequency, the inverse of its variance.
+    The mean of both is weighted by the square of the frequency, the inverse of its variance. NaN where p t2 - q t1 is
+    farther than `tolerance` from a whole number: no single surface has such phases.
     """
     inverse_q = 0
     for candidate in range(p):
@@ -244,13 +280,15 @@ def _unwrap_row(turns_1: Row, turns_2: Row, p: int, q: int, wavelength_1: np.flo
     fp, fq, inverse = F32(p), F32(q), F32(inverse_q)
     first = weight_1 * wavelength_1
     second = (F32(1.0) - weight_1) * wavelength_1 * fp / fq
-    half = F32(0.5)
+    half, invalid = F32(0.5), F32(np.nan)
     for u in range(out.size):
-        remainder = np.floor(fp * turns_2[u] - fq * turns_1[u] + half)
+        difference = fp * turns_2[u] - fq * turns_1[u]
+        remainder = np.floor(difference + half)
         n1 = remainder * inverse
         n1 -= fp * np.floor(n1 / fp)
         n2 = (fq * n1 - remainder) / fp
-        out[u] = first * (turns_1[u] + n1) + second * (turns_2[u] + n2)
+        r = first * (turns_1[u] + n1) + second * (turns_2[u] + n2)
+        out[u] = r if abs(difference - remainder) <= tolerance else invalid
 
 
 @njit(cache=True, nogil=True)
@@ -297,6 +335,7 @@ def decode(
     near: float,
     far: float,
     wrapping: bool,
+    tolerance: float,
     depth_out: Image,
     amplitude_out: NDArray[np.uint16],
     confidence_out: NDArray[np.uint8],
@@ -340,7 +379,7 @@ def decode(
             phases_of_row(x, y, turns[k], amplitude)
         if n_frequencies == 2:
             amplitude *= F32(0.5)
-            _unwrap_row(turns[0], turns[1], ratio[0], ratio[1], wavelength_1, weight_1, ranges)
+            _unwrap_row(turns[0], turns[1], ratio[0], ratio[1], wavelength_1, weight_1, F32(tolerance), ranges)
         else:
             for u in range(width):
                 ranges[u] = turns[0, u] * wavelength_1

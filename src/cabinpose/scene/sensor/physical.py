@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.continuous_wave import collect_phasors, decode, mean_light
+from cabinpose.scene.sensor.continuous_wave import collect_phasors, decode, mean_light, spread
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT, Sensor
@@ -33,12 +33,16 @@ class PhysicalNoise(BaseModel):
     read_noise: bool = Field(default=True, description="Read noise of the taps.")
     full_well: bool = Field(default=True, description="Taps clip at their full well; a clipped pixel is invalid.")
     flying_pixels: bool = Field(default=True, description="Average the phasors of a pixel's samples; off: take one sample.")
+    blur: float = Field(
+        default=0.1, ge=0, le=0.25, description="Share of a pixel's light that the lens spills to its neighbour on each side."
+    )
     wrapping: bool = Field(
         default=True, description="The phase repeats beyond the unambiguous range; off: it is unwrapped perfectly."
     )
     second_frequency: bool = Field(
         default=True, description="Use the sensor's second modulation frequency, where it has one, to unwrap."
     )
+    consistency: bool = Field(default=True, description="Pixels whose two phases belong to no single distance are invalid.")
     wiggling: float = Field(
         default=0.1,
         ge=0,
@@ -65,10 +69,14 @@ class PhysicalNoise(BaseModel):
 
 
 NO_EFFECTS = PhysicalNoise(
-    shot_noise=False, read_noise=False, full_well=False, flying_pixels=False, wrapping=False, wiggling=0.0, stray_light=0.0,
-    ambient=0.0, daylight=0.0, reflectance=False, incidence=False, vignetting=False, glass=False, range_window=False,
-    low_amplitude=False, circular_field=False,
+    shot_noise=False, read_noise=False, full_well=False, flying_pixels=False, blur=0.0, wrapping=False, consistency=False,
+    wiggling=0.0, stray_light=0.0, ambient=0.0, daylight=0.0, reflectance=False, incidence=False, vignetting=False,
+    glass=False, range_window=False, low_amplitude=False, circular_field=False,
 )  # fmt: skip
+
+# Of p t2 - q t1 from a whole number, in turns; half a turn is the most there can be, and makes the unwrapping wrong. Phases
+# at the sensor's floor are two sigma inside; mixtures of a dim near and a bright far surface may be outside.
+_PHASE_TOLERANCE = 0.25
 
 
 @lru_cache(maxsize=8)
@@ -105,6 +113,9 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
         noise.incidence, table, GLOSS_WIDTH,
         (2.0 * frequencies / SPEED_OF_LIGHT).astype(np.float32), noise.wiggling, energy, moment, daylight, phasor,
     )  # fmt: skip
+    if noise.blur > 0:
+        for image in (energy, moment, daylight, *phasor):
+            spread(image, noise.blur)
     stray = np.zeros(1 + len(phasor))
     if noise.stray_light > 0:
         mean_light(energy, phasor, gain, stray)
@@ -119,6 +130,7 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
         frequencies, sensor.frequency_ratio if len(frequencies) == 2 else (1, 1), SPEED_OF_LIGHT, sensor.contrast,
         noise.shot_noise, sensor.read_noise_e if noise.read_noise else 0.0, sensor.full_well_e if noise.full_well else np.inf,
         sensor.min_amplitude_e if noise.low_amplitude else 0.0, near, far, noise.wrapping,
+        _PHASE_TOLERANCE if noise.consistency else 0.5,
         frame.depth_m, frame.amplitude, frame.confidence,
     )  # fmt: skip
     return frame

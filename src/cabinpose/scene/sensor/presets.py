@@ -156,11 +156,12 @@ def _presets() -> Mapping[str, Sensor]:
         contrast=0.6,
         signal_e_per_s=12.0e6,
         read_noise_e=20.0,
+        min_amplitude_e=150.0,
     )
     # 110 degrees of lens whose barrel distortion leaves 100 on the 320 columns.
     sensors["evk75123"] = Sensor(
         name="evk75123",
-        camera=Camera(320, 240, 163.05, 163.05, 159.5, 119.5, (-0.155, 0.0273, 0.0, 0.0, 0.0)),
+        camera=Camera(320, 240, 160.800, 160.800, 159.5, 119.5, (-0.155, 0.0273, 0.0, 0.0, 0.0)),
         range_m=(0.2, 3.0),
         fps=30,
         integration_s=1.0e-3,
@@ -168,6 +169,7 @@ def _presets() -> Mapping[str, Sensor]:
         contrast=0.7,
         signal_e_per_s=9.0e6,
         read_noise_e=15.0,
+        min_amplitude_e=120.0,
         illumination_exponent=-1.0,
         field_radius_px=172.0,
     )

@@ -1,0 +1,124 @@
+"""The camera against OpenCV, and its round trips."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
+
+PLAIN = Camera(320, 240, 285.714, 285.714, 160.0, 120.0)
+BARREL = Camera(352, 287, 173.6, 173.6, 175.5, 143.0, (-0.133684, 0.02, 0.0, 0.0, 0.0))
+FULL = Camera(640, 480, 510.0, 505.0, 322.4, 236.1, (0.08, -0.17, 0.0012, -0.0008, 0.05))
+CAMERAS = (PLAIN, BARREL, FULL)
+
+distortion = st.tuples(
+    st.floats(-0.15, 0.15), st.floats(-0.02, 0.02), st.floats(-0.005, 0.005), st.floats(-0.005, 0.005), st.floats(-0.002, 0.002)
+)
+
+
+def points_before(rng: np.random.Generator, count: int = 200) -> NDArray[np.float64]:
+    xy = rng.uniform(-0.6, 0.6, (count, 2))
+    z = rng.uniform(0.3, 4.0, (count, 1))
+    return np.concatenate((xy * z, z), axis=1)
+
+
+@given(dist=distortion, seed=st.integers(0, 1000))
+@settings(max_examples=50, deadline=None)
+def test_projection_is_opencvs(dist: tuple[float, float, float, float, float], seed: int) -> None:
+    camera = Camera(320, 240, 210.0, 214.0, 158.3, 121.7, dist)
+    points = points_before(np.random.default_rng(seed))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.k, np.array(dist))
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_undistortion_is_opencvs(camera: Camera) -> None:
+    rng = np.random.default_rng(1)
+    uv = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (300, 2))
+    expected = cv2.undistortPoints(
+        uv[:, None], camera.k, np.array(camera.dist), criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-13)
+    )[:, 0]
+    np.testing.assert_allclose(camera.unproject(uv, np.ones(300))[:, :2], expected, atol=1e-8)
+
+
+@given(dist=distortion, seed=st.integers(0, 1000))
+@settings(max_examples=50, deadline=None)
+def test_project_and_unproject_are_inverse(dist: tuple[float, float, float, float, float], seed: int) -> None:
+    camera = Camera(320, 240, 210.0, 214.0, 158.3, 121.7, dist)
+    points = points_before(np.random.default_rng(seed))
+    np.testing.assert_allclose(camera.unproject(camera.project(points), points[:, 2]), points, atol=1e-7)
+
+
+def test_points_behind_the_camera_have_no_pixel() -> None:
+    assert np.isnan(FULL.project([(0.1, 0.1, 0.0), (0.1, 0.1, -1.0)])).all()
+    assert not FULL.contains(FULL.project((0.0, 0.0, -1.0)))
+
+
+def test_rays_beyond_the_lens_model_are_nan() -> None:
+    steep = Camera(400, 300, 100.0, 100.0, 199.5, 149.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
+    rays = steep.rays
+    corner, centre = rays[0, 0], rays[150, 200]
+    assert np.isnan(corner).all()
+    np.testing.assert_allclose(centre, (0.005, 0.005), atol=1e-6)
+    seen = np.isfinite(rays[..., 0])
+    assert 0 < seen.mean() < 1
+    # r (1 - 0.2 r^2) turns back at r^2 = 5/3, where it has reached 0.8607 of a focal length.
+    v, u = np.mgrid[:300, :400]
+    radius = np.hypot(u - 199.5, v - 149.5) / 100
+    np.testing.assert_array_equal(seen[np.abs(radius - 0.8607) > 1e-3], (radius < 0.8607)[np.abs(radius - 0.8607) > 1e-3])
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_depth_and_range_are_tied_by_the_ray(camera: Camera) -> None:
+    depth = np.random.default_rng(2).uniform(0.3, 4, (camera.height, camera.width))
+    points = camera.points(depth)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=-1), camera.range_from_depth(depth), rtol=1e-12)
+    np.testing.assert_allclose(camera.depth_from_range(camera.range_from_depth(depth)), depth, rtol=1e-12)
+    v, u = np.mgrid[: camera.height, : camera.width]
+    np.testing.assert_allclose(camera.project(points), np.stack((u, v), axis=-1), atol=1e-6)
+    assert camera.range_over_depth.min() >= 1
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("factor", [2, 3])
+def test_a_scaled_camera_cuts_pixels_into_equal_parts(camera: Camera, factor: int) -> None:
+    points = points_before(np.random.default_rng(3))
+    scaled = camera.scaled(factor)
+    np.testing.assert_allclose(scaled.project(points) + 0.5, factor * (camera.project(points) + 0.5), atol=1e-9)
+    assert (scaled.width, scaled.height) == (factor * camera.width, factor * camera.height)
+    if factor == 3:  # the middle one of three samples looks along the pixel's own ray
+        np.testing.assert_allclose(scaled.rays[1::3, 1::3], camera.rays, atol=1e-9)
+
+
+def test_field_of_view_runs_from_edge_to_edge() -> None:
+    camera = Camera.from_fov(320, 240, np.radians(90), np.radians(70))
+    edges = camera.unproject([(-0.5, 119.5), (319.5, 119.5), (159.5, -0.5), (159.5, 239.5)], np.ones(4))
+    angles = np.degrees(np.arctan(edges[:, :2]))
+    np.testing.assert_allclose((angles[1, 0] - angles[0, 0], angles[3, 1] - angles[2, 1]), (90, 70), atol=1e-9)
+    square = Camera.from_fov(320, 240, np.radians(90))
+    assert square.fx == square.fy == pytest.approx(160.0)
+
+
+def test_pixels_of_the_image_are_half_open() -> None:
+    uv = [(-0.5, -0.5), (319.49, 239.49), (319.5, 0), (0, 239.5), (-0.51, 0), (np.nan, 0)]
+    np.testing.assert_array_equal(PLAIN.contains(uv), [True, True, False, False, False, False])
+
+
+def test_itops_intrinsics() -> None:
+    """ITOP gives x = (u - 160) d 0.0035 and y = (120 - v) d 0.0035, y upwards."""
+    point = PLAIN.unproject((200.0, 90.0), 2.5)
+    np.testing.assert_allclose(point, ((200 - 160) * 2.5 * 0.0035, -(120 - 90) * 2.5 * 0.0035, 2.5), rtol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [{"width": 0}, {"height": -1}, {"fx": 0.0}, {"fy": float("nan")}])
+def test_impossible_cameras_are_refused(bad: dict[str, float]) -> None:
+    good: dict[str, float] = {"width": 4, "height": 4, "fx": 2.0, "fy": 2.0, "cx": 1.5, "cy": 1.5}
+    with pytest.raises(ConfigError) as error:
+        Camera(**(good | bad))  # type: ignore[arg-type]
+    assert error.value.hint
