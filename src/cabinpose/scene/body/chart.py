@@ -1,8 +1,11 @@
-"""Where each vertex lies on the body: coordinates along the limbs, segments and part labels. Worked out once, on the
-average adult, for the topology that all people share."""
+"""Where each vertex lies on the body: coordinates along the limbs, segments and part labels.
+
+Worked out once, on the average adult, for the topology that all people share.
+"""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -46,7 +49,7 @@ def _along(points: Array, chain: list[Array]) -> Array:
     """Position along a polyline, 1 per piece, by the nearest piece; beyond its ends in lengths of the end pieces."""
     best = np.full(len(points), np.inf)
     result = np.zeros(len(points))
-    for k, (a, b) in enumerate(zip(chain[:-1], chain[1:], strict=True)):
+    for k, (a, b) in enumerate(itertools.pairwise(chain)):
         t = (points - a) @ (b - a) / ((b - a) @ (b - a))
         low = -np.inf if k == 0 else 0.0
         high = np.inf if k == len(chain) - 2 else 1.0
@@ -62,7 +65,7 @@ def load_chart() -> Chart:
     """The chart of the packaged topology."""
     space = load_shape_space()
     skin, heads = space.shape(Phenotype())
-    rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
+    _, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
     points = skin - origin
     dense = np.zeros((len(points), len(BONES)))
     np.put_along_axis(dense, space.bone_index.astype(np.int64), 0.0, axis=1)
@@ -109,15 +112,25 @@ def vertex_segments() -> NDArray[np.uint8]:
     return np.array([SEGMENTS.index(n) for n in names], np.uint8)
 
 
+def face_mean(values: NDArray[np.generic]) -> Array:
+    """Vertex values (V, ...) averaged over each face's quad, (F, ...).
+
+    Faces 2k and 2k + 1 are the halves of a quad of the original mesh, and regions are cut along the edges of quads, which
+    run round the limbs.
+    """
+    per_face = values.astype(np.float64)[load_shape_space().faces].mean(axis=1)
+    return np.repeat((per_face[::2] + per_face[1::2]) / 2, 2, axis=0)
+
+
 @cache
 def face_labels() -> NDArray[np.uint8]:
     """(F,) ids of `scene.labels` of the bare body, by the face's middle."""
     faces = load_shape_space().faces
     c = load_chart()
     arm, leg, neck, head, along_arm, along_leg, up = (
-        values[faces].mean(axis=1) for values in (c.arm, c.leg, c.neck, c.head, c.along_arm, c.along_leg, c.up)
+        face_mean(values) for values in (c.arm, c.leg, c.neck, c.head, c.along_arm, c.along_leg, c.up)
     )
-    middle = c.rest[faces].mean(axis=1)
+    middle = face_mean(c.rest)
     left = middle[:, 1] > 0
     result = np.zeros(len(faces), np.uint8)
 

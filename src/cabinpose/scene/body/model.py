@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache, cached_property
 from types import MappingProxyType
 
@@ -10,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix
-from cabinpose.scene import materials
-from cabinpose.scene.body.chart import face_labels, vertex_segments
+from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
+from cabinpose.scene.body.chart import load_chart, vertex_segments
+from cabinpose.scene.body.dress import Dressed, dress
 from cabinpose.scene.body.kinematics import (
-    RestArrays,
     end_frames_into,
     joints_into,
     main_frames,
@@ -32,18 +31,6 @@ Array32 = NDArray[np.float32]
 BODY_DENSITY = 985.0  # kg/m3, whole body at mid breath (Durnin & Womersley 1974 give 1.02 to 1.07 without lung air)
 
 
-@dataclass(frozen=True)
-class Dressed:
-    """What the camera sees at rest: `rest` (N, 3) m with its own skinning weights and faces."""
-
-    rest: Array32
-    bone_index: NDArray[np.uint8]
-    bone_weight: Array32
-    faces: NDArray[np.int32]
-    label: NDArray[np.uint8]
-    material: NDArray[np.uint8]
-
-
 class Person:
     """One person: a shape and an outfit, ready to be posed. Made by `BodyModel.person`."""
 
@@ -52,7 +39,11 @@ class Person:
         self.outfit = outfit
         self._space = space
         skin, heads = space.shape(phenotype)
+        if phenotype.stature_m is not None:
+            scale = phenotype.stature_m / float(np.ptp(skin[:, 2]))
+            skin, heads = skin * np.float32(scale), heads * scale
         self.rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
+        self.rest.soles[:, :3, 3] -= (HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0)
         self.rest_skin: Array32 = (skin - origin).astype(np.float32)
         self.eyes_rest: Array = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
         self.stature_m = float(np.ptp(skin[:, 2]))
@@ -90,8 +81,8 @@ class Person:
     @cached_property
     def dressed(self) -> Dressed:
         """The surface the camera sees, at rest."""
-        skin = np.full(len(self.skin_faces), materials.ID["skin"], np.uint8)
-        return Dressed(self.rest_skin, self._space.bone_index, self._space.bone_weight, self.skin_faces, face_labels(), skin)
+        size = self.stature_m / float(np.ptp(load_chart().rest[:, 2]))
+        return dress(self._space, self.rest_skin, self.rest, self.eyes_rest, self.outfit, size)
 
     def joints(self, q: Array, vehicle_from_root: Matrix) -> Array:
         """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""

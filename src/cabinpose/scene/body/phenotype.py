@@ -1,21 +1,37 @@
-"""What a person's shape is made of: six numbers from 0 to 1, and ways to draw them."""
+"""What a person's shape is made of: six numbers from 0 to 1 and a stature, and ways to draw them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
+from types import MappingProxyType
 
 import numpy as np
 
 from cabinpose.core.errors import ConfigError, unknown_name
 
+STATURE_LIMITS_M = (0.9, 2.3)
+# Drawn from these unless the user says otherwise: people as they are met, not the corners of the shape space.
+DEFAULT_RANGES = MappingProxyType(
+    {
+        "gender": (0.0, 1.0), "age": (0.3, 1.0), "muscle": (0.1, 0.7), "weight": (0.35, 1.0), "height": (0.38, 0.48),
+        "proportions": (0.0, 0.6),
+    }
+)  # fmt: skip
+# Mean and standard deviation of adults' stature (m), men and women, and what is left of it at ten and at eighty years:
+# Fryar et al. 2021 (NHANES 2015-2018), Vital and Health Statistics 3-46.
+_STATURE_M = ((1.754, 0.075), (1.615, 0.071))
+_OF_ADULT = (0.80, 1.0, 0.97)
+
 
 @dataclass(frozen=True)
 class Phenotype:
-    """Shape parameters, each from 0 to 1 (Anny's, after MakeHuman's macro details).
+    """Shape parameters, each from 0 to 1 (Anny's, after MakeHuman's macro details), and a stature.
 
     gender: 0 male, 1 female · age: 0 child of about ten, 0.5 young adult, 1 old · muscle and weight: 0.5 average ·
-    height: for the other five as they are · proportions: 0 uncommon, 1 ideal. Raises ConfigError outside.
+    height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon · stature_m: the body is scaled
+    evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the woman). Raises ConfigError
+    outside.
     """
 
     gender: float = 0.5
@@ -24,25 +40,43 @@ class Phenotype:
     weight: float = 0.5
     height: float = 0.5
     proportions: float = 0.5
+    stature_m: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
+        for name in DEFAULT_RANGES:
+            value = getattr(self, name)
             if not 0.0 <= value <= 1.0:
                 raise ConfigError(f"phenotype {name} is {value}", hint="each phenotype parameter lies between 0 and 1")
+        low, high = STATURE_LIMITS_M
+        if self.stature_m is not None and not low <= self.stature_m <= high:
+            raise ConfigError(f"a stature of {self.stature_m} m", hint=f"statures from {low} to {high} m")
 
     @classmethod
     def random(cls, ranges: Mapping[str, tuple[float, float]] | None = None, *, rng: np.random.Generator) -> Phenotype:
-        """Parameters drawn evenly from `ranges` (name -> (least, greatest)), from 0 to 1 where none is given.
+        """Parameters drawn evenly from `ranges` (name -> (least, greatest)), from `DEFAULT_RANGES` where none is given.
 
-        Six numbers are drawn whatever the ranges. Raises ConfigError for unknown names and for ranges that are turned
-        round or leave [0, 1].
+        The stature is normally distributed around the mean of the gender and age within 2.5 standard deviations, unless
+        `ranges` has `stature_m`. Eight numbers are drawn whatever the ranges. Raises ConfigError for unknown names, for
+        ranges that are turned round and for those outside the limits.
         """
         names = tuple(field.name for field in fields(cls))
+        chosen = dict(DEFAULT_RANGES)
         for name, (low, high) in (ranges or {}).items():
             if name not in names:
                 raise unknown_name("phenotype parameter", name, names)
-            if not 0.0 <= low <= high <= 1.0:
-                raise ConfigError(f"range of phenotype {name} is ({low}, {high})", hint="give 0 <= least <= greatest <= 1")
-        limits = np.array([(ranges or {}).get(name, (0.0, 1.0)) for name in names])
-        values = limits[:, 0] + rng.random(len(names)) * (limits[:, 1] - limits[:, 0])
-        return cls(**dict(zip(names, values.tolist(), strict=True)))
+            least, greatest = STATURE_LIMITS_M if name == "stature_m" else (0.0, 1.0)
+            if not least <= low <= high <= greatest:
+                raise ConfigError(
+                    f"range of phenotype {name} is ({low}, {high})", hint=f"give {least} <= least <= greatest <= {greatest}"
+                )
+            chosen[name] = (low, high)
+        u, normal = rng.random(7), rng.standard_normal()
+        drawn = {name: low + x * (high - low) for x, (name, (low, high)) in zip(u[:6], list(chosen.items())[:6], strict=True)}
+        if "stature_m" in chosen:
+            low, high = chosen["stature_m"]
+            stature = low + u[6] * (high - low)
+        else:
+            (male, male_sd), (female, female_sd) = _STATURE_M
+            mean, sd = male + drawn["gender"] * (female - male), male_sd + drawn["gender"] * (female_sd - male_sd)
+            stature = (mean + sd * float(np.clip(normal, -2.5, 2.5))) * float(np.interp(drawn["age"], (0.0, 0.5, 1.0), _OF_ADULT))
+        return cls(**drawn, stature_m=float(np.clip(stature, *STATURE_LIMITS_M)))

@@ -30,6 +30,9 @@ _JOINT = {
     "ankle": ("foot", "foot"), "foot": ("foot", "toe3_1"),
 }  # fmt: skip
 # Full curl (deg) of the phalanges, thumb first, then each finger's MCP, PIP and DIP joint.
+_CLOSING = 1.1  # share of their spread by which fingers close up over the whole curl
+# The rim's axis: this share of the way from the wrist to the knuckles, and this far in front of them besides its radius.
+_RIM_BELOW, _PALM_DEPTH = 0.84, 0.21
 _CURL_DEG = ((30.0, 40.0, 60.0), (90.0, 100.0, 70.0))
 
 
@@ -37,11 +40,16 @@ def _unit(v: Array) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
+def _cross(a: Array, b: Array) -> Array:
+    # np.cross spends most of its time on axes; a person needs about forty products
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def _frame(z: Array, y: Array) -> Array:
     """Right-handed axes (columns) with this z and the y nearest to the given one."""
     z = _unit(z)
-    x = _unit(np.cross(y, z))
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    x = _unit(_cross(y, z))
+    return np.stack([x, _cross(z, x), z], axis=1)
 
 
 def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[RestArrays, Array]:
@@ -70,16 +78,16 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
         shoulder, elbow, wrist, hip, knee, ankle = (
             head(side, b) for b in ("upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")
         )
-        elbow_axis = -np.cross(elbow - shoulder, wrist - elbow)
+        elbow_axis = -_cross(elbow - shoulder, wrist - elbow)
         frames[BONE_INDEX[side + "upperarm"]] = _frame(shoulder - elbow, elbow_axis)
         forearm = frames[BONE_INDEX[side + "forearm"]] = _frame(elbow - wrist, elbow_axis)
         knuckles = [head(side, f"finger{f}_1") for f in (2, 3, 4, 5)]
         long = wrist - knuckles[1]
-        hand = _frame(long, np.cross(long, knuckles[0] - knuckles[3]))
+        hand = _frame(long, _cross(long, knuckles[0] - knuckles[3]))
         frames[BONE_INDEX[side + "hand"]] = hand
         pronation[number] = -s * np.arctan2(hand[:, 0] @ forearm[:, 1], hand[:, 0] @ forearm[:, 0])
         heading = (head(side, "toe3_1") - ankle) * (1, 1, 0)
-        knee_axis = np.cross((0.0, 0.0, 1.0), heading)
+        knee_axis = _cross(np.array([0.0, 0.0, 1.0]), heading)
         frames[BONE_INDEX[side + "thigh"]] = _frame(hip - knee, knee_axis)
         frames[BONE_INDEX[side + "shank"]] = _frame(knee - ankle, knee_axis)
         foot = frames[BONE_INDEX[side + "foot"]] = _frame(np.array([0.0, 0.0, 1.0]), knee_axis)
@@ -92,8 +100,12 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
                 axes[f] = hand @ _unit(np.array([-0.2, s * 0.5, -s * 0.9]))
                 curl[f] = np.radians(_CURL_DEG[0][phalanx])
             else:
-                axes[f] = hand @ np.array([-s, 0.0, 0.0])
-                curl[f] = np.radians(_CURL_DEG[1][phalanx])
+                curled = np.array([-s * np.radians(_CURL_DEG[1][phalanx]), 0.0, 0.0])
+                if phalanx == 0:  # spread fingers close up while they curl
+                    along = hand.T @ (head(side, f"finger{finger + 1}_2") - head(side, f"finger{finger + 1}_1"))
+                    curled[1] = np.arctan2(along[0], -along[2]) * _CLOSING
+                curl[f] = np.linalg.norm(curled)
+                axes[f] = hand @ curled / curl[f]
     offsets = np.zeros((N_MAIN, 3))
     for name in MAIN_BONES[1:]:
         b, parent = BONE_INDEX[name], BONE_INDEX[PARENT[name]]
@@ -108,13 +120,15 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
 
 
 def _palm(hand: Array, wrist: Array, knuckles: list[Array], s: float) -> Array:
-    """hand_from_palm: origin on the axis of a rim of 30 mm that lies in the palm below the knuckles."""
+    """hand_from_palm: origin on the axis (y) of a rim of 30 mm that lies in the palm, along and below the knuckles."""
     middle = np.mean(knuckles, axis=0) - wrist
     size = np.linalg.norm(middle)
-    result = np.eye(4)
     normal = np.array([0.0, -s, 0.0])
-    result[:3, :3] = np.stack([(0.0, 0.0, -1.0), np.cross(normal, (0.0, 0.0, -1.0)), normal], axis=1)
-    result[:3, 3] = hand.T @ middle * 0.9 + normal * (0.16 * size + RIM_RADIUS_M)
+    along = hand.T @ (knuckles[3] - knuckles[0]) * (1, 0, 1)  # index to little finger
+    x = _unit(_cross(normal, along)) * s
+    result = np.eye(4)
+    result[:3, :3] = np.stack([x, _cross(normal, x), normal], axis=1)
+    result[:3, 3] = hand.T @ middle * _RIM_BELOW + normal * (_PALM_DEPTH * size + RIM_RADIUS_M)
     return result
 
 

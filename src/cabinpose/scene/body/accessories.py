@@ -1,0 +1,267 @@
+"""Things worn that are not a layer off the skin: shoes, hair that hangs or is tied up, a cap's visor, glasses.
+
+Each is built on the person's own measures at rest and moves with one or two bones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.scene import labels, materials
+from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.kinematics import RestArrays
+from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.rig import BONE_INDEX
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+SOLE_M = {"none": 0.0, "trainers": 0.025, "leather": 0.020}
+HEEL_BACK_M = 0.008  # how far a shoe reaches behind the heel
+
+
+@dataclass(frozen=True)
+class Accessory:
+    """A mesh at rest (N, 3) m in root axes with faces (F, 3), bound to `bones` with weights (N, len(bones))."""
+
+    vertices: Array
+    faces: Faces
+    bones: tuple[str, ...]
+    weights: Array
+    label: NDArray[np.uint8]
+    material: NDArray[np.uint8]
+
+
+def _rigid(vertices: Array, faces: Faces, bone: str, label: str, material: str) -> Accessory:
+    count = len(faces)
+    return Accessory(
+        vertices, faces, (bone,), np.ones((len(vertices), 1)), np.full(count, labels.ID[label], np.uint8),
+        np.full(count, materials.ID[material], np.uint8),
+    )  # fmt: skip
+
+
+def _grid_faces(rows: int, columns: int, *, closed: bool) -> Faces:
+    """Triangles of a grid of vertices in row order; `closed`: the last column joins the first."""
+    quads = []
+    for i in range(rows - 1):
+        for j in range(columns if closed else columns - 1):
+            a, b = i * columns + j, i * columns + (j + 1) % columns
+            quads += [(a, b, b + columns), (a, b + columns, a + columns)]
+    return np.array(quads, np.int32)
+
+
+def _closing_faces(rows: int, columns: int) -> Faces:
+    """Triangles between the last row of a closed grid and its first, which make it a ring."""
+    j = np.arange(columns)
+    last, first, step = (rows - 1) * columns + j, j, (j + 1) % columns
+    return np.concatenate(
+        [np.stack([last, (rows - 1) * columns + step, step], axis=1), np.stack([last, step, first], axis=1)]
+    ).astype(np.int32)
+
+
+def _tube(sections: Array) -> tuple[Array, Faces]:
+    """Closed surface through sections (n, m, 3), with a lid at both ends."""
+    n, m, _ = sections.shape
+    vertices = np.concatenate([sections.reshape(-1, 3), sections[[0, -1]].mean(axis=1)])
+    j = np.arange(m)
+    first = np.stack([(j + 1) % m, j, np.full(m, n * m)], axis=1)
+    last = np.stack([(n - 1) * m + j, (n - 1) * m + (j + 1) % m, np.full(m, n * m + 1)], axis=1)
+    return vertices, np.concatenate([_grid_faces(n, m, closed=True), first, last]).astype(np.int32)
+
+
+def _sheet(outer: Array, inner: Array) -> tuple[Array, Faces]:
+    """Closed thin surface between two grids (n, m, 3), with strips along the four borders."""
+    n, m, _ = outer.shape
+    faces = _grid_faces(n, m, closed=False)
+    index = np.arange(n * m).reshape(n, m)
+    border = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+    following = np.roll(border, -1)
+    strips = [(a, b, a + n * m) for a, b in zip(border, following, strict=True)]
+    strips += [(b, b + n * m, a + n * m) for a, b in zip(border, following, strict=True)]
+    vertices = np.concatenate([outer.reshape(-1, 3), inner.reshape(-1, 3)])
+    return vertices, np.concatenate([faces[:, ::-1], faces + n * m, strips]).astype(np.int32)
+
+
+def _outward(vertices: Array, faces: Faces) -> Faces:
+    """The faces of a closed mesh, turned so that its volume is positive."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return faces if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else np.ascontiguousarray(faces[:, ::-1])
+
+
+def foot_faces_hidden(faces: Faces) -> NDArray[np.bool_]:
+    """(F,) faces of the skin that lie inside a shoe."""
+    c = load_chart()
+    inside = (c.leg > 0.5) & (c.rest[:, 2] < c.heads["lfoot"][2] - 0.012)
+    return np.asarray(inside[faces].all(axis=1))
+
+
+def shoe(skin: Array, rest: RestArrays, side: str, kind: str) -> Accessory:
+    """A shoe about the foot: rounded sections from heel to toe, each as wide and high as the foot there."""
+    s = 1 if side == "l" else -1
+    bone = BONE_INDEX[side + "foot"]
+    frame, origin = rest.frames[bone], rest.heads[bone]
+    local = (skin - origin) @ frame
+    foot = local[(skin[:, 1] * s > 0) & (local[:, 2] < -0.005) & (load_chart().leg > 0.5)]
+    floor = foot[:, 2].min()
+    back, front = foot[:, 0].min() - HEEL_BACK_M, foot[:, 0].max() + 0.012
+    length = front - back
+    t = np.array([0.0, 0.02, 0.07, 0.15, 0.25, 0.38, 0.5, 0.62, 0.74, 0.85, 0.93, 0.98, 1.0])
+    x = back + t * length
+    low, high, top = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
+    for k, at in enumerate(np.clip(x, foot[:, 0].min() + 0.01, foot[:, 0].max() - 0.012)):
+        near = foot[np.abs(foot[:, 0] - at) < 0.018]
+        low[k], high[k], top[k] = near[:, 1].min(), near[:, 1].max(), near[:, 2].max()
+    round_off = np.sqrt(np.clip(1 - np.clip((t - 0.72) / 0.28, 0, 1) ** 2.4, 0, 1)) * np.sqrt(
+        np.clip(1 - np.clip((0.16 - t) / 0.16, 0, 1) ** 2.4, 0, 1)
+    )
+    middle = np.interp(t, t, (low + high) / 2)
+    half = np.maximum((high - low) / 2 + 0.007, 0.3 * (high - low).max()) * np.maximum(round_off, 0.35)
+    collar = (-0.012 if kind == "trainers" else -0.022) + 0.0 * t
+    upper = np.minimum(np.maximum(top + 0.008, floor + 0.030), collar)
+    toe_spring = 0.012 * np.clip((t - 0.75) / 0.25, 0, 1) ** 2
+    bottom = floor - SOLE_M[kind] + toe_spring
+    upper = np.maximum(upper - 0.01 * np.clip((t - 0.9) / 0.1, 0, 1) ** 2, bottom + 0.03)
+    # Rounded outline: flat sole, straight walls, domed top.
+    outline = np.array(
+        [(-0.8, 0.0), (0.8, 0.0), (0.97, 0.06), (1.0, 0.25), (0.98, 0.5), (0.88, 0.75), (0.66, 0.92), (0.3, 1.0)]
+        + [(-0.3, 1.0), (-0.66, 0.92), (-0.88, 0.75), (-0.98, 0.5), (-1.0, 0.25), (-0.97, 0.06)]
+    )
+    sections = np.empty((len(t), len(outline), 3))
+    sections[:, :, 0] = x[:, None]
+    sections[:, :, 1] = middle[:, None] + half[:, None] * outline[:, 0]
+    sections[:, :, 2] = bottom[:, None] + (upper - bottom)[:, None] * outline[:, 1]
+    vertices, faces = _tube(sections)
+    material = "synthetic_fabric" if kind == "trainers" else "leather_shoe"
+    part = "foot_left" if side == "l" else "foot_right"
+    made = _rigid(vertices @ frame.T + origin, _outward(vertices, faces), side + "foot", part, material)
+    sole = vertices[faces][:, :, 2].max(axis=1) < bottom.max() + 0.012
+    return Accessory(
+        made.vertices, made.faces, made.bones, made.weights, made.label,
+        np.where(sole, materials.ID["rubber"], made.material).astype(np.uint8),
+    )  # fmt: skip
+
+
+def _head_box(skin: Array, eyes: Array) -> tuple[float, float, float, float]:
+    """Half width, front, back and top of the head relative to the point between the eyes, m."""
+    head = skin[load_chart().head > 0.9] - eyes
+    above = head[head[:, 2] > 0.035]
+    return float(above[:, 1].max()), float(above[:, 0].max()), float(above[:, 0].min()), float(above[:, 2].max())
+
+
+def bun(skin: Array, eyes: Array) -> Accessory:
+    """A knot of hair at the back of the head."""
+    _, _, back, top = _head_box(skin, eyes)
+    radius = 0.038 * top / 0.116
+    u, v = np.linspace(0.15, np.pi - 0.15, 8), np.linspace(0, 2 * np.pi, 14, endpoint=False)
+    shape = np.stack([np.sin(u)[:, None] * np.cos(v), np.sin(u)[:, None] * np.sin(v), np.cos(u)[:, None] * np.ones(14)], axis=2)
+    vertices, faces = _tube(shape * radius * (0.9, 1.1, 1.0) + eyes + (back - 0.6 * radius, 0.0, 0.45 * top))
+    return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "hair", "hair")
+
+
+def hanging_hair(skin: Array, eyes: Array, neck: Array) -> Accessory:
+    """Long hair: a thick sheet round the back of the head from temple to temple, down to below the shoulders."""
+    half, _, back, top = _head_box(skin, eyes)
+    middle_x = back * 0.5
+    columns, rows = 18, 9
+    angle = np.linspace(np.radians(62), np.radians(298), columns)
+    height = np.linspace(0.35 * top, neck[2] - eyes[2] - 0.10, rows)
+    drop = np.linspace(0, 1, rows)
+    wide = (half + 0.016) * (1 - 0.12 * np.sin(np.pi * drop) + 0.18 * drop)
+    deep = (middle_x - back + 0.018) * (1 - 0.06 * np.sin(np.pi * drop) + 0.12 * drop)
+    sheets = []
+    for inner in (0.0, 0.028):
+        x = middle_x + (deep[:, None] - inner) * np.cos(angle) - 0.012 * drop[:, None]
+        y = (wide[:, None] - inner) * np.sin(angle)
+        sheets.append(np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=2))
+    vertices, faces = _sheet(sheets[0] + eyes, sheets[1] + eyes)
+    weight_neck = np.tile(np.repeat(0.8 * np.clip(drop * 1.6 - 0.6, 0, 1), columns), 2)
+    count = len(faces)
+    return Accessory(
+        vertices, _outward(vertices - vertices.mean(axis=0), faces), ("head", "spine01"),
+        np.stack([1 - weight_neck, weight_neck], axis=1), np.full(count, labels.ID["hair"], np.uint8),
+        np.full(count, materials.ID["hair"], np.uint8),
+    )  # fmt: skip
+
+
+def visor(skin: Array, eyes: Array) -> Accessory:
+    """The visor of a cap: a bent plate over the brow."""
+    half, front, _, top = _head_box(skin, eyes)
+    size = top / 0.116
+    across, out = np.linspace(-1, 1, 15), np.linspace(0, 1, 5)
+    reach = 0.072 * size * np.sqrt(1 - 0.75 * across**2)
+    base_x = front + 0.012 - (1 - np.sqrt(1 - (0.92 * across) ** 2)) * half * 0.85
+    x = base_x + out[:, None] * reach
+    y = np.broadcast_to(across * (half + 0.004), x.shape)
+    z = 0.052 * size - 0.020 * across**2 - 0.012 * out[:, None] + np.zeros_like(x)
+    above = np.stack([x, y, z], axis=2) + eyes
+    below = above - (0, 0, 0.005)
+    vertices, faces = _sheet(above, below)
+    return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "headwear", "cotton")
+
+
+def glasses(skin: Array, eyes: Array) -> list[Accessory]:
+    """Two framed lenses before the eyes and their temples: lenses let infrared through, frames do not."""
+    half, _, _, top = _head_box(skin, eyes)
+    size = top / 0.116
+    face = skin[load_chart().head > 0.9] - eyes
+    bridge = face[(np.abs(face[:, 1]) < 0.008) & (np.abs(face[:, 2]) < 0.012)][:, 0].max()
+    x = bridge + 0.004
+    lens_w, lens_h, centre = 0.025 * size, 0.019 * size, 0.032 * size
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    outline = np.stack(
+        [np.sign(np.cos(turn)) * np.abs(np.cos(turn)) ** 0.7, np.sign(np.sin(turn)) * np.abs(np.sin(turn)) ** 0.7], axis=1
+    )
+    parts = []
+    for s in (1.0, -1.0):
+        rim = np.stack(
+            [x - 0.004 * np.abs(outline[:, 0] + 0.5 * s), s * centre + lens_w * outline[:, 0], lens_h * outline[:, 1] - 0.003],
+            axis=1,
+        )
+        middle = rim.mean(axis=0) + (0.002, 0, 0)
+        j = np.arange(24)
+        lens = np.stack([j, (j + 1) % 24, np.full(24, 24)], axis=1).astype(np.int32)
+        parts.append(_rigid(np.concatenate([rim, middle[None]]) + eyes, lens, "head", "glasses", "spectacle_lens"))
+        section = ((0.0, 0.0018), (0.0032, 0.0018), (0.0032, -0.0018), (0.0, -0.0018))
+        ring = np.stack([_ring(rim, middle, grow, shift) for grow, shift in section]).reshape(-1, 3)
+        faces = np.concatenate([_grid_faces(4, 24, closed=True), _closing_faces(4, 24)])
+        parts.append(_rigid(ring + eyes, _outward(ring, faces), "head", "glasses", "hard_plastic"))
+        ear_x, ear_y = -0.088 * size, half + 0.004
+        parts.append(
+            _bar(np.array([x - 0.003, s * (centre + lens_w), 0.006]) + eyes, np.array([ear_x, s * ear_y, 0.004]) + eyes, 0.002)
+        )
+    parts.append(_bar(np.array([x, centre - lens_w, 0.004]) + eyes, np.array([x, lens_w - centre, 0.004]) + eyes, 0.0016))
+    return parts
+
+
+def _ring(rim: Array, middle: Array, grow: float, shift: float) -> Array:
+    away = rim - middle
+    return np.asarray(rim + away / np.linalg.norm(away, axis=1)[:, None] * grow + (shift, 0, 0))
+
+
+def _bar(a: Array, b: Array, radius: float) -> Accessory:
+    """A square bar from a to b."""
+    along = (b - a) / np.linalg.norm(b - a)
+    side = np.cross(along, (0.0, 0.0, 1.0))
+    side /= np.linalg.norm(side)
+    up = np.cross(side, along)
+    corners = [side + up, side - up, -side - up, -side + up]
+    vertices, faces = _tube(np.array([[end + radius * k for k in corners] for end in (a, b)]))
+    return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "glasses", "hard_plastic")
+
+
+def accessories(skin: Array, rest: RestArrays, eyes: Array, outfit: Outfit) -> list[Accessory]:
+    """All of an outfit, for the bare skin (V, 3) at rest, m, root axes."""
+    made: list[Accessory] = []
+    if outfit.shoes != "none":
+        made += [shoe(skin, rest, side, outfit.shoes) for side in "lr"]
+    if outfit.hair == "bun":
+        made.append(bun(skin, eyes))
+    if outfit.hair == "long":
+        made.append(hanging_hair(skin, eyes, rest.heads[BONE_INDEX["neck01"]]))
+    if outfit.cap:
+        made.append(visor(skin, eyes))
+    if outfit.glasses:
+        made += glasses(skin, eyes)
+    return made

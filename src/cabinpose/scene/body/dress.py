@@ -1,0 +1,70 @@
+"""The surface that the camera sees: dressed skin and accessories in one mesh at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.scene import labels, materials
+from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
+from cabinpose.scene.body.chart import face_labels
+from cabinpose.scene.body.garments import layer
+from cabinpose.scene.body.kinematics import RestArrays
+from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body.shape import ShapeSpace
+
+Array32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Dressed:
+    """What the camera sees at rest: the first V vertices of `rest` (N, 3) m are the skin's, dressed; accessories follow.
+
+    bone_index, bone_weight: (N, 6) · faces: (F, 3) · label, material: (F,) uint8.
+    """
+
+    rest: Array32
+    bone_index: NDArray[np.uint8]
+    bone_weight: Array32
+    faces: NDArray[np.int32]
+    label: NDArray[np.uint8]
+    material: NDArray[np.uint8]
+
+
+def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.float64], outfit: Outfit, size: float) -> Dressed:
+    """The outfit on a person's skin (V, 3) at rest, root axes; size: stature over the average adult's."""
+    worn = layer(skin, outfit, size)
+    label = face_labels().copy()
+    material = np.full(len(label), materials.ID["skin"], np.uint8)
+    for covered, name, is_label in worn.regions:
+        material[covered] = materials.ID[name]
+        if is_label is not None:
+            label[covered] = labels.ID[is_label]
+    faces = space.faces
+    if outfit.shoes != "none":
+        seen = ~foot_faces_hidden(faces)
+        faces, label, material = faces[seen], label[seen], material[seen]
+    vertices, index, weight = [worn.vertices], [space.bone_index], [space.bone_weight]
+    all_faces, all_labels, all_materials = [faces], [label], [material]
+    count = len(skin)
+    for part in accessories(skin.astype(np.float64), rest, eyes, outfit):
+        rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
+        shares = np.zeros(rows.shape, np.float32)
+        order = np.argsort(-part.weights, axis=1, kind="stable")
+        bones = np.array([BONE_INDEX[b] for b in part.bones], np.uint8)
+        rows[:, : len(bones)] = bones[order]
+        shares[:, : len(bones)] = np.take_along_axis(part.weights, order, axis=1)
+        vertices.append(part.vertices.astype(np.float32))
+        index.append(rows)
+        weight.append(shares)
+        all_faces.append(part.faces + np.int32(count))
+        all_labels.append(part.label)
+        all_materials.append(part.material)
+        count += len(part.vertices)
+    return Dressed(
+        np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces).astype(np.int32),
+        np.concatenate(all_labels), np.concatenate(all_materials),
+    )  # fmt: skip
