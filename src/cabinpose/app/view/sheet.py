@@ -27,6 +27,7 @@ from cabinpose.store import points_m
 from cabinpose.store.convert.frames import label_colours, people
 
 _PAPER, _INK, _GREY = (247, 248, 250), (32, 36, 44), (104, 112, 124)
+_PANEL_WIDTH = 240  # smaller frames are enlarged by a whole factor
 _GAP, _MARGIN, _HEAD, _FOOT, _CAPTION = 10, 24, 96, 72, 24
 # right, up, towards the eye, in the vehicle frame (x forward, y left, z up)
 _AXES = MappingProxyType(
@@ -40,7 +41,8 @@ _COLUMNS = ("depth", "amplitude and skeleton", "labels", *_AXES)
 
 def contact_sheet(dataset: xr.Dataset, indices: NDArray[np.int64], title: str, report: Callable[[int], None]) -> Image:
     """The sheet of the frames at `indices` of a dataset, RGB; `report` is called with the number of rows drawn."""
-    height, width = dataset["depth"].shape[1:]
+    zoom = max(1, -(-_PANEL_WIDTH // dataset.sizes["x"]))
+    height, width = dataset.sizes["y"] * zoom, dataset.sizes["x"] * zoom
     rows = len(indices)
     columns = len(_COLUMNS)
     sheet = np.full(
@@ -55,7 +57,7 @@ def contact_sheet(dataset: xr.Dataset, indices: NDArray[np.int64], title: str, r
         frame = dataset.isel(frame=index).load()
         top = _HEAD + row * (height + _CAPTION + _GAP)
         text(sheet, caption(frame), (_MARGIN, top + 15), size=14)
-        for column, panel in enumerate(panels(frame, near, far, white, colours)):
+        for column, panel in enumerate(panels(frame, near, far, white, colours, zoom)):
             left = _MARGIN + column * (width + _GAP)
             sheet[top + _CAPTION : top + _CAPTION + height, left : left + width] = panel
         report(row + 1)
@@ -78,26 +80,28 @@ def caption(frame: xr.Dataset) -> str:
     return f"frame {int(frame['frame'])}   {frame['car'].item()}, {frame['pov'].item()} view   {who}"
 
 
-def panels(frame: xr.Dataset, near: float, far: float, white: float, colours: NDArray[np.uint8]) -> list[Image]:
-    """The pictures of one frame in the order of the columns."""
+def panels(frame: xr.Dataset, near: float, far: float, white: float, colours: NDArray[np.uint8], zoom: int) -> list[Image]:
+    """The pictures of one frame in the order of the columns, each `zoom` times as large as the frame."""
     depth = frame["depth"].values
     amplitude = frame["amplitude"].values if "amplitude" in frame else np.full(depth.shape, white, np.uint16)
     persons = people(frame)
-    overlaid = amplitude_image(amplitude, white)
+    images = (depth_image(depth, near, far), amplitude_image(amplitude, white), colours[frame["labels"].values])
+    pictures = [image.repeat(zoom, axis=0).repeat(zoom, axis=1) for image in images]
     for person in persons:
-        draw_skeleton(overlaid, person.joints_2d, person.visibility)
-    pictures = [depth_image(depth, near, far), overlaid, colours[frame["labels"].values]]
+        draw_skeleton(pictures[1], person.joints_2d, person.visibility, zoom)
+    size = (depth.shape[1] * zoom, depth.shape[0] * zoom)
     valid = np.isfinite(depth)
     vehicle_from_camera = frame["vehicle_from_camera"].values
     cloud = apply(vehicle_from_camera, points_m(frame).values[valid])
     tints = cloud_colours(frame["instance"].values, amplitude, white)[valid]
-    joints = np.concatenate([p.joints_3d[p.visibility > Visibility.OUTSIDE_IMAGE] for p in persons] or [np.empty((0, 3))])
+    shown = [p.joints_3d[p.visibility > Visibility.OUTSIDE_IMAGE] for p in persons]
+    joints = np.concatenate(shown) if shown else np.empty((0, 3), np.float32)
     box = _box(cloud, apply(vehicle_from_camera, joints))
     for axes in _AXES.values():
-        picture = orthographic(cloud, tints, axes, box, (depth.shape[1], depth.shape[0]))
+        picture = orthographic(cloud, tints, axes, box, size)
         for person in persons:
             joints = apply(vehicle_from_camera, person.joints_3d)
-            uv = to_view(joints, axes, box, (depth.shape[1], depth.shape[0]))
+            uv = to_view(joints, axes, box, size)
             draw_skeleton(picture, uv.astype(np.float32), person.visibility)
         pictures.append(picture)
     return pictures

@@ -301,16 +301,16 @@ function histogram(shares, bin) {
   svg.setAttribute("viewBox", "0 0 300 130");
   let last = shares.length;
   while (last > 1 && shares[last - 1] < 1e-4) last--;
-  const used = shares.slice(0, last), most = Math.max(1e-9, ...used), width = 290 / used.length;
+  const used = shares.slice(0, last), most = Math.max(1e-9, ...used), width = 278 / used.length;
   used.forEach((share, i) => {
     const rect = document.createElementNS(ns, "rect");
-    for (const [name, value] of Object.entries({ x: 5 + i * width, y: 105 - 100 * share / most, width: Math.max(0.5, width - 0.6), height: 100 * share / most })) rect.setAttribute(name, value);
+    for (const [name, value] of Object.entries({ x: 8 + i * width, y: 105 - 100 * share / most, width: Math.max(0.5, width - 0.6), height: 100 * share / most })) rect.setAttribute(name, value);
     svg.append(rect);
   });
   const every = Math.max(1, Math.ceil(used.length * bin / 6 / 0.25)) * 0.25;
   for (let m = 0; m <= used.length * bin; m += every) {
     const label = document.createElementNS(ns, "text");
-    label.setAttribute("x", 5 + m / bin * width); label.setAttribute("y", 122); label.setAttribute("text-anchor", m ? "middle" : "start");
+    label.setAttribute("x", 8 + m / bin * width); label.setAttribute("y", 122); label.setAttribute("text-anchor", "middle");
     label.textContent = `${Number(m.toFixed(2))}`;
     svg.append(label);
   }

@@ -1,0 +1,228 @@
+"""The command line: exit codes, what goes to stdout and what to stderr, errors with their hint."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from cabinpose.app.cli import output
+from cabinpose.store import open_dataset
+from cabinpose.synth.config import SynthConfig, room_preset
+
+Run = Callable[..., "tuple[int, str, str]"]
+VERBS = ("synth", "config", "info", "view", "export")
+
+
+def test_help_names_every_verb(run: Run) -> None:
+    code, out, err = run("--help")
+    assert code == 0
+    assert all(verb in out for verb in VERBS)
+    assert err == ""
+    assert run() == (code, out, err)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help(run: Run, verb: str) -> None:
+    code, out, _ = run(verb, "--help")
+    assert code == 0
+    assert f"usage: cabinpose {verb}" in out
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom cabinpose.app.cli import main\n"
+        "try:\n    main(['synth', '--help'])\nexcept SystemExit:\n    pass\n"
+        "print(*sorted({m.split('.')[0] for m in sys.modules}), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert not {"numpy", "numba", "xarray", "zarr", "dask", "cv2", "scipy", "pydantic"} & set(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("synth", "--config", "a", "--frames", "1", "--out", "b", "--frame-rate", "3"),
+        ("synth", "--config", "a", "--frames", "many", "--out", "b"),
+        ("info",),
+        ("inform", "x"),
+        ("config",),
+    ],
+)
+def test_wrong_usage_exits_with_2(run: Run, arguments: tuple[str, ...]) -> None:
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert out == ""
+    assert err
+
+
+def test_errors_carry_one_hint(run: Run, tmp_path: Path) -> None:
+    code, out, err = run("info", tmp_path)
+    assert (code, out) == (2, "")
+    assert err.splitlines() == [
+        f"error: {tmp_path} holds no dataset: dataset.yaml is missing",
+        "hint: give the folder that holds dataset.yaml",
+    ]
+
+
+def test_info(run: Run, dataset_folder: Path) -> None:
+    code, out, err = run("info", dataset_folder)
+    assert (code, err) == (0, "")
+    for words in (
+        "5 in 3 of 3 parts",
+        "64x48",
+        "sedan 2, van 2, coupe 1",
+        "driver 3, front_row 2",
+        "driver 5, front_passenger 3",
+    ):
+        assert words in out
+    assert "35.7 % of 14 poses; rejected: car 6, self 3" in out
+
+
+def test_info_json_is_one_object(run: Run, dataset_folder: Path) -> None:
+    code, out, err = run("info", dataset_folder, "--json", "--verify")
+    assert (code, err) == (0, "")
+    assert out.count("\n") == 1
+    data = json.loads(out)
+    assert data["frames"] == 5
+    assert data["by_subject"] == {"S01": 3, "S02": 2, "S03": 2, "S04": 2}
+    assert data["by_people"] == {"1": 2, "2": 2, "3": 1}
+    assert data["acceptance"] == pytest.approx(5 / 14)
+    assert sum(data["depth_histogram"]) == pytest.approx(1, abs=1e-4)
+    assert data["verified"] is True
+
+
+def test_info_counts_missing_parts(run: Run, spheres: ModuleType, tmp_path: Path) -> None:
+    import shutil
+
+    spheres.write(tmp_path, spheres.manifest())
+    shutil.rmtree(tmp_path / "part-00001.zarr")
+    code, out, _ = run("info", tmp_path)
+    assert code == 0
+    assert "3 in 2 of 3 parts of 5 planned: go on with --resume" in out
+
+
+def test_info_verify_finds_a_flipped_bit(run: Run, spheres: ModuleType, tmp_path: Path) -> None:
+    spheres.write(tmp_path, spheres.manifest())
+    shard = tmp_path / "part-00001.zarr" / "confidence" / "c" / "0" / "0" / "0"
+    data = bytearray(shard.read_bytes())
+    data[100] ^= 1
+    shard.write_bytes(data)
+    code, _, err = run("info", tmp_path, "--verify")
+    assert code == 2
+    assert "part-00001.zarr is damaged: cannot read confidence" in err
+
+
+@pytest.mark.parametrize("scene", ["cabin", "room"])
+def test_config_init_is_the_default(run: Run, tmp_path: Path, scene: str) -> None:
+    path = tmp_path / "scene.yaml"
+    code, out, _ = run("config", "init", path, "--scene", scene)
+    assert (code, out) == (0, "")
+    assert SynthConfig.load(path) == (room_preset() if scene == "room" else SynthConfig())
+    assert "# " in path.read_text()
+    assert run("config", "init", "--scene", scene)[1] == path.read_text()
+    code, out, _ = run("config", "check", path)
+    assert code == 0
+    assert "is valid" in out
+    code, _, err = run("config", "init", path)
+    assert code == 2
+    assert "exists" in err
+
+
+def test_config_check_names_the_key(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("camera:\n  jiter_m: 0.1\n")
+    code, out, err = run("config", "check", path)
+    assert (code, out) == (2, "")
+    assert "camera.jiter_m: unknown key" in err
+    assert "hint: did you mean jitter_m" in err
+    assert run("config", "check", tmp_path / "absent.yaml")[0] == 2
+
+
+def test_config_schema_is_json(run: Run) -> None:
+    code, out, _ = run("config", "schema")
+    assert code == 0
+    assert set(SynthConfig.model_fields) == set(json.loads(out)["properties"])
+
+
+def test_export(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "coco"
+    code, text, err = run("export", "--format", "coco", "--out", out, dataset_folder, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(text) == {"out": str(out), "format": "coco", "frames": 5}
+    assert (out / "annotations" / "person_keypoints.json").exists()
+    code, _, err = run("export", "--format", "coco", "--out", out, dataset_folder)
+    assert code == 2
+    assert "hint: --overwrite" in err
+    code, _, err = run("export", "--format", "coc", "--out", tmp_path / "x", dataset_folder)
+    assert code == 2
+    assert "hint: known: coco, itop, ply, png-json" in err
+
+
+def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("train: {car: [sedan, van]}\ntest: {car: [coupe]}\n")
+    out = tmp_path / "ply"
+    code, _, _ = run("export", "--format", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "test")
+    assert code == 0
+    assert [p.name for p in out.iterdir()] == ["00000002.ply"]
+    code, _, err = run("export", "--format", "ply", "--out", out, dataset_folder, "--splits", splits)
+    assert code == 2
+    assert "--split NAME" in err
+    code, _, err = run("export", "--format", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "val")
+    assert code == 2
+    assert "known: test, train" in err
+
+
+def test_synth_refuses_before_any_work(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    config = tmp_path / "scene.yaml"
+    config.write_text("version: 1\n")
+    before = open_dataset(dataset_folder).sizes["frame"]
+    cases = [
+        (("--workers", "2", "--scheduler", "tcp://x:1"), "one of --workers and --scheduler"),
+        (("--resume", "--overwrite"), "one of --resume and --overwrite"),
+        ((), "--resume goes on with it"),
+        (("--resume",), "resume with the same configuration"),
+        (("--frames", "0"), "at least 1 frame"),
+    ]
+    for flags, hint in cases:
+        arguments = ["synth", "--config", config, "--out", dataset_folder, *flags]
+        code, out, err = run(*arguments, *(() if "--frames" in flags else ("--frames", "5")))
+        assert (code, out) == (2, ""), err
+        assert hint in err
+    assert open_dataset(dataset_folder).sizes["frame"] == before
+
+
+def test_progress_is_silent_for_short_work_and_speaks_for_long(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(output.time, "monotonic", lambda: now[0])
+    with output.progress(1000, "frames", start=200) as report:
+        for seconds, done in ((1.0, 300), (1.5, 350), (2.5, 450), (3.0, 500), (13.0, 900)):
+            now[0] = 100.0 + seconds
+            report(done, "7 rejected")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.splitlines() == [
+        "450/1000 frames, 100.0 frames/s, 6 s left, 7 rejected",
+        "900/1000 frames, 53.8 frames/s, 2 s left, 7 rejected",
+    ]
+
+
+def test_version_and_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch, dataset_folder: Path) -> None:
+    import cabinpose
+    from cabinpose.app.cli import info
+
+    assert run("--version") == (0, f"{cabinpose.__version__}\n", "")
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(info, "summarise", interrupt)
+    assert run("info", dataset_folder) == (130, "", "interrupted\n")
