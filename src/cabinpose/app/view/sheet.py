@@ -100,8 +100,8 @@ def panels(frame: xr.Dataset, near: float, far: float, white: float, colours: ND
     for axes in _AXES.values():
         picture = orthographic(cloud, tints, axes, box, size)
         for person in persons:
-            joints = apply(vehicle_from_camera, person.joints_3d)
-            uv = to_view(joints, axes, box, size)
+            p_vehicle = apply(vehicle_from_camera, person.joints_3d)
+            uv = to_view(p_vehicle, axes, box, size)
             draw_skeleton(picture, uv.astype(np.float32), person.visibility)
         pictures.append(picture)
     return pictures
