@@ -3,6 +3,7 @@
 from cabinpose.scene.cabin.belt import belt_surface
 from cabinpose.scene.cabin.build import build_cabin
 from cabinpose.scene.cabin.dimensions import CabinDimensions
+from cabinpose.scene.cabin.imported import CabinFile, load_cabin
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Part, Seat, SeatSetting, SteeringWheel, ViewAnchor
 from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
 
@@ -12,6 +13,7 @@ __all__ = [
     "BeltAnchors",
     "Cabin",
     "CabinDimensions",
+    "CabinFile",
     "Part",
     "Seat",
     "SeatSetting",
@@ -19,4 +21,5 @@ __all__ = [
     "ViewAnchor",
     "belt_surface",
     "build_cabin",
+    "load_cabin",
 ]

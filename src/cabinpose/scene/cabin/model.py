@@ -179,6 +179,7 @@ class Cabin:
     pedals: Mapping[str, Matrix]
     reach_targets: Mapping[str, Vector]
     views: Mapping[str, ViewAnchor]
+    notes: tuple[str, ...] = ()  # what was found in a user's mesh, and how
     bounds: NDArray[np.float64] = field(init=False)
     _template: Surface = field(init=False, repr=False)
     _groups: tuple[_Group, ...] = field(init=False, repr=False)

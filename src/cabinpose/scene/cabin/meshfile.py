@@ -1,0 +1,292 @@
+"""Reads a car's mesh file (glTF, GLB, OBJ, STL, PLY) into named triangle meshes in metres, vehicle axes.
+
+Up axis, front and unit are as given, or found with a reason; what cannot be read as it was meant is refused.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import DependencyError, MeshError
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+AXES = {f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i] for i, axis in enumerate("xyz") for sign in ("", "-")}
+SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply")
+MAX_TRIANGLES = 1_000_000
+_LENGTH = (1.2, 8.0)  # longest side of an interior or a whole car, m
+_HEIGHT = (0.9, 2.2)  # shortest side; the range is narrower than inch / cm, so that only one unit fits
+_GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+_DRACO = "KHR_draco_mesh_compression"
+_UNREADABLE = {
+    "EXT_meshopt_compression": "its vertices are compressed with meshopt",
+    "KHR_meshopt_compression": "its vertices are compressed with meshopt",
+    "KHR_mesh_quantization": "its vertices are quantised integers",
+}
+
+
+@dataclass(frozen=True)
+class NamedMesh:
+    """vertices (V, 3) float64 m, vehicle axes; faces (F, 3) int32; name "node/geometry/material", for patterns."""
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """The meshes of a file, `vehicle_from_mesh` (4x4 with scale), and how unit and axes were found."""
+
+    meshes: tuple[NamedMesh, ...]
+    vehicle_from_mesh: NDArray[np.float64]
+    notes: tuple[str, ...]
+
+
+def read_mesh(
+    path: Path, *, up_axis: str = "auto", front_axis: str = "auto", unit: str = "auto", scale: float = 1.0,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> MeshFile:  # fmt: skip
+    """The file's meshes in the vehicle frame.
+
+    up_axis, front_axis: 'x', '-x', 'y' ... or 'auto' · unit: m, cm, mm, inch or 'auto' · scale: applied on top of the
+    unit · origin: the vehicle's origin in the file's own coordinates. Raises MeshError for a file that is missing,
+    broken, empty, not finite or of nonsensical size, DependencyError where Draco needs DracoPy.
+    """
+    raw = _read(path)
+    points = np.concatenate([m.vertices for m in raw])
+    extent = points.max(axis=0) - points.min(axis=0)
+    notes: list[str] = []
+    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    up = AXES[_up_axis(path, up_axis, extent, is_gltf, notes)]
+    front = AXES[_front_axis(path, front_axis, up, extent, is_gltf, notes)]
+    if abs(float(up @ front)) > 0.5:
+        raise MeshError(
+            f"{path}: up axis '{up_axis}' and front axis '{front_axis}' are one line", hint="choose two different axes"
+        )
+    factor = _unit(path, unit, extent, scale, notes)
+    rotation = np.stack((front, np.cross(up, front), up))
+    matrix = np.eye(4)
+    matrix[:3, :3] = factor * rotation
+    matrix[:3, 3] = -factor * rotation @ np.asarray(origin, dtype=np.float64)
+    meshes = tuple(NamedMesh(m.name, m.vertices @ matrix[:3, :3].T + matrix[:3, 3], m.faces) for m in raw)
+    return MeshFile(meshes, matrix, tuple(notes))
+
+
+def _up_axis(path: Path, given: str, extent: NDArray[np.float64], is_gltf: bool, notes: list[str]) -> str:
+    if given != "auto":
+        return _known_axis(path, given)
+    if is_gltf:
+        notes.append("up axis y: glTF says so")
+        return "y"
+    order = np.argsort(extent)
+    low, middle = extent[order[0]], extent[order[1]]
+    axis = "xyz"[order[0]]
+    if low > 0.92 * middle:
+        raise MeshError(
+            f"{path}: which axis is up cannot be told from its extents {_sizes(extent)}",
+            hint="set up_axis to x, y or z in the YAML",
+        )
+    notes.append(f"up axis {axis}: a car is lowest that way, extents {_sizes(extent)}")
+    return axis
+
+
+def _front_axis(
+    path: Path, given: str, up: NDArray[np.float64], extent: NDArray[np.float64], is_gltf: bool, notes: list[str]
+) -> str:
+    if given != "auto":
+        return _known_axis(path, given)
+    if is_gltf and abs(up[1]) > 0.5:
+        notes.append("front axis z: glTF assets face +z")
+        return "z"
+    flat = np.where(np.abs(up) > 0.5, -1.0, extent)
+    axis = "xyz"[int(np.argmax(flat))]
+    notes.append(f"front axis {axis}: a car is longest that way (set front_axis to -{axis} if it looks backwards)")
+    return axis
+
+
+def _known_axis(path: Path, name: str) -> str:
+    if name not in AXES:
+        raise MeshError(f"{path}: unknown axis '{name}'", hint=f"known: auto, {', '.join(AXES)}")
+    return name
+
+
+def _unit(path: Path, given: str, extent: NDArray[np.float64], scale: float, notes: list[str]) -> float:
+    """Metres per unit of the file."""
+    low, high = float(extent.min()), float(extent.max())
+    fitting = [
+        name for name, f in UNITS.items()
+        if _LENGTH[0] <= high * f * scale <= _LENGTH[1] and _HEIGHT[0] <= low * f * scale <= _HEIGHT[1]
+    ]  # fmt: skip
+    if given == "auto":
+        if len(fitting) != 1:
+            raise MeshError(
+                f"{path}: no unit makes a car of its extents {_sizes(extent)}",
+                hint=f"set unit to one of {', '.join(UNITS)}, or scale",
+            )
+        notes.append(f"unit {fitting[0]}: only so are its extents {_sizes(extent)} those of a car")
+        return UNITS[fitting[0]] * scale
+    if given not in UNITS:
+        raise MeshError(f"{path}: unknown unit '{given}'", hint=f"known: auto, {', '.join(UNITS)}")
+    factor = UNITS[given] * scale
+    if not 0.5 * _LENGTH[0] <= high * factor <= 2 * _LENGTH[1]:
+        better = f"unit {fitting[0]} would fit" if fitting else "check unit and scale"
+        raise MeshError(f"{path}: in '{given}' it is {high * factor:.4g} m long, which is no car", hint=better)
+    return factor
+
+
+def _sizes(extent: NDArray[np.float64]) -> str:
+    return " x ".join(f"{e:.4g}" for e in extent)
+
+
+def _read(path: Path) -> list[NamedMesh]:
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeshError(f"{path}: a mesh of this kind is not read", hint=f"convert it to one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise MeshError(f"there is no mesh file {path}", hint="the path in the YAML counts from the YAML's folder")
+    try:
+        if path.suffix.lower() in (".glb", ".gltf"):
+            document, buffers = _gltf(path)
+            _refuse_unreadable(path, document)
+            scene = trimesh.load_scene(_without_draco(path, document, buffers), file_type="glb")
+        else:
+            scene = trimesh.load_scene(path, process=False)
+    except (MeshError, DependencyError):
+        raise
+    except Exception as error:  # readers of foreign files fail in every way there is
+        raise MeshError(f"{path} cannot be read: {error}", hint="open it in a mesh viewer and export it anew") from error
+    meshes = []
+    for node in scene.graph.nodes_geometry:
+        matrix, key = scene.graph[node]
+        geometry = scene.geometry[key]
+        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+            continue
+        material = getattr(getattr(geometry.visual, "material", None), "name", None) or ""
+        vertices = np.asarray(geometry.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        faces = np.asarray(geometry.faces, dtype=np.int32)
+        if np.linalg.det(matrix[:3, :3]) < 0:
+            faces = np.ascontiguousarray(faces[:, ::-1])
+        name = f"{node}/{key}/{material}"
+        if not np.isfinite(vertices).all():
+            bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+            raise MeshError(f"{path}: mesh '{name}' has {bad} vertices that are not numbers", hint="repair the export")
+        meshes.append(NamedMesh(name, vertices, faces))
+    count = sum(len(m.faces) for m in meshes)
+    if count == 0:
+        raise MeshError(f"{path} holds no triangles", hint="export faces, not points, lines or an empty scene")
+    if count > MAX_TRIANGLES:
+        raise MeshError(f"{path} holds {count} triangles, more than {MAX_TRIANGLES}", hint="decimate it to some 100 000 first")
+    points = np.concatenate([m.vertices for m in meshes])
+    if float(np.ptp(points, axis=0).min()) <= 1e-9 * float(np.ptp(points, axis=0).max()):
+        raise MeshError(f"{path} is flat: all vertices lie in a plane or a point", hint="export the whole cabin")
+    return meshes
+
+
+def _gltf(path: Path) -> tuple[dict[str, Any], list[bytes]]:
+    """The JSON of a glTF or GLB file, and its buffers."""
+    data = path.read_bytes()
+    chunk = b""
+    if path.suffix.lower() == ".glb":
+        if len(data) < 20 or struct.unpack_from("<I", data)[0] != _GLB_MAGIC:
+            raise MeshError(f"{path} is not a GLB file", hint="its first four bytes should be 'glTF'")
+        position, text = 12, b""
+        while position + 8 <= len(data):
+            length, kind = struct.unpack_from("<II", data, position)
+            body = data[position + 8 : position + 8 + length]
+            if len(body) < length:
+                raise MeshError(f"{path} ends in the middle of a chunk", hint="copy or export it again")
+            if kind == _JSON_CHUNK:
+                text = body
+            elif kind == _BIN_CHUNK:
+                chunk = body
+            position += 8 + length
+        data = text
+    document = json.loads(data)
+    buffers = []
+    for buffer in document.get("buffers", []):
+        uri = buffer.get("uri")
+        if uri is None:
+            buffers.append(chunk)
+        elif uri.startswith("data:"):
+            buffers.append(base64.b64decode(uri.partition(",")[2]))
+        else:
+            buffers.append((path.parent / unquote(uri)).read_bytes())
+    return document, buffers
+
+
+def _refuse_unreadable(path: Path, document: dict[str, Any]) -> None:
+    used = set(document.get("extensionsUsed", [])) | set(document.get("extensionsRequired", []))
+    for extension, why in _UNREADABLE.items():
+        if extension in used:
+            raise MeshError(f"{path} uses {extension}: {why}, which is not read", hint="export it without, or with Draco")
+
+
+def _without_draco(path: Path, document: dict[str, Any], buffers: list[bytes]) -> io.BytesIO:
+    """The file as one GLB in memory, with Draco's primitives decoded to plain positions and indices."""
+    blob = bytearray()
+    views = document.setdefault("bufferViews", [])
+
+    def append(data: bytes) -> int:
+        while len(blob) % 4:
+            blob.append(0)
+        start = len(blob)
+        blob.extend(data)
+        return start
+
+    starts = [append(b) for b in buffers]
+    for view in views:
+        view["byteOffset"] = starts[view.get("buffer", 0)] + view.get("byteOffset", 0)
+        view["buffer"] = 0
+
+    primitives = list(itertools.chain.from_iterable(mesh.get("primitives", []) for mesh in document.get("meshes", [])))
+    for primitive in primitives:
+        draco = primitive.get("extensions", {}).pop(_DRACO, None)
+        if draco is None:
+            continue
+        view = views[draco["bufferView"]]
+        points, faces = _decode_draco(path, bytes(blob[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]))
+        for accessor, array, component in (
+            (primitive["attributes"]["POSITION"], points, 5126),
+            (primitive.get("indices"), faces.reshape(-1), 5125),
+        ):
+            entry = document["accessors"][accessor]
+            raw = array.tobytes()
+            views.append({"buffer": 0, "byteOffset": append(raw), "byteLength": len(raw)})
+            entry.update(bufferView=len(views) - 1, byteOffset=0, componentType=component, count=len(array))
+        primitive["attributes"] = {"POSITION": primitive["attributes"]["POSITION"]}
+    for key in ("extensionsUsed", "extensionsRequired"):
+        if key in document:
+            document[key] = [e for e in document[key] if e != _DRACO]
+    while len(blob) % 4:
+        blob.append(0)
+    document["buffers"] = [{"byteLength": len(blob)}]
+    for key in ("images", "textures", "samplers", "animations", "skins"):  # what is seen has no texture, and stands still
+        document.pop(key, None)
+    document["materials"] = [{"name": m.get("name", "")} for m in document.get("materials", [])]
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + len(blob)
+    header = struct.pack("<III", _GLB_MAGIC, 2, total) + struct.pack("<II", len(text), _JSON_CHUNK)
+    return io.BytesIO(header + text + struct.pack("<II", len(blob), _BIN_CHUNK) + bytes(blob))
+
+
+def _decode_draco(path: Path, data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    try:
+        import DracoPy  # noqa: PLC0415 - only such files need it
+    except ImportError:
+        raise DependencyError(
+            f"{path} is Draco-compressed, and DracoPy, which decodes it, is not installed", hint="pip install DracoPy"
+        ) from None
+    mesh = DracoPy.decode(data)
+    return np.ascontiguousarray(mesh.points, dtype="<f4"), np.ascontiguousarray(mesh.faces, dtype="<u4")
