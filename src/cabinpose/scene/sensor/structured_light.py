@@ -37,7 +37,7 @@ class StructuredLightNoise(BaseModel):
         default=80.0, gt=0, le=90, description="Angle of incidence beyond which the pattern is not matched (degrees)."
     )
     min_return: float = Field(
-        default=0.006,
+        default=0.0015,
         ge=0,
         description="Light returned, relative to a white surface facing the camera at 1 m, below which no dot is seen.",
     )
