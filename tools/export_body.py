@@ -237,28 +237,39 @@ def merged_weights(anny: dict[str, Any], kept: NDArray[np.int64], bones: list[st
 
 
 def through_halves(dense: Array, bones: list[str]) -> Array:
-    """Blends between two segments go through the bone that turns half: piecewise linear in the share of the far one."""
+    """Blends between two segments go through the bone that turns half: piecewise linear in the share of the far one.
+
+    The pelvis is near both thighs; each gets the part of its weight that its own thigh has of both.
+    """
     result = dense.copy()
-    for side in "lr":
-        for before, helper, after in HALVES:
+    for before, helper, after in HALVES:
+        blocks = []
+        for side in "lr":
             near = [bones.index(b if b in bones else side + b) for b in before]
-            far = [bones.index(side + b) for b in after]
-            half = bones.index(side + helper)
-            a, b = result[:, near].sum(1), result[:, far].sum(1)
+            blocks.append((near, [bones.index(side + b) for b in after], bones.index(side + helper)))
+        far_sum = [result[:, far].sum(1) for _, far, _ in blocks]
+        shared = blocks[0][0] == blocks[1][0]
+        change = np.zeros_like(result)
+        for number, (near, far, half) in enumerate(blocks):
+            b = far_sum[number]
+            mine = np.divide(b, sum(far_sum), out=np.zeros_like(b), where=sum(far_sum) > 0) if shared else np.ones_like(b)
+            a = result[:, near].sum(1) * mine
             total = a + b
             share = np.divide(b, total, out=np.zeros_like(b), where=total > 0)
-            to_half = total * 2 * np.minimum(share, 1 - share)
             keep_near = np.divide(total * np.maximum(1 - 2 * share, 0), a, out=np.ones_like(a), where=a > 0)
             keep_far = np.divide(total * np.maximum(2 * share - 1, 0), b, out=np.ones_like(b), where=b > 0)
-            result[:, near] *= keep_near[:, None]
-            result[:, far] *= keep_far[:, None]
-            result[:, half] += to_half
-    return result
+            change[:, near] += result[:, near] * (mine * (keep_near - 1))[:, None]
+            change[:, far] += result[:, far] * (keep_far - 1)[:, None]
+            change[:, half] += total * 2 * np.minimum(share, 1 - share)
+        result += change
+    return np.maximum(result, 0)
 
 
-def packed_weights(dense: Array, width: int = 6) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+def packed_weights(dense: Array, width: int = 8) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
     """The `width` strongest bones of every vertex and their weights in 1/65535, which sum to 65535."""
-    order = np.argsort(-dense, axis=1, kind="stable")[:, :width]
+    lost = np.sort(dense, axis=1)[:, :-width].sum(axis=1).max()
+    print(f"weights beyond the {width} strongest sum to {lost:.4f} at most")
+    order = np.argsort(-dense.round(9), axis=1, kind="stable")[:, :width]
     weight = np.take_along_axis(dense, order, axis=1)
     weight[weight < 0.004] = 0
     weight /= weight.sum(axis=1, keepdims=True)

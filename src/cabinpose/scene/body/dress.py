@@ -23,7 +23,7 @@ Array32 = NDArray[np.float32]
 class Dressed:
     """What the camera sees at rest: the first V vertices of `rest` (N, 3) m are the skin's, dressed; accessories follow.
 
-    bone_index, bone_weight: (N, 6) · faces: (F, 3) · label, material: (F,) uint8.
+    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8.
     """
 
     rest: Array32

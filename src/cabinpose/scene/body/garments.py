@@ -200,11 +200,11 @@ def scalp_mask(over_ears: bool) -> Array:
     x, z, _ = _head_coordinates()
     hairline = np.interp(x, (-0.16, -0.105, -0.085, -0.06, -0.035, -0.01, 0.02), (-0.085, -0.075, -0.02, 0.0, 0.03, 0.062, 0.068))
     mask = _step(z - hairline, 0.0, 0.012) * _step(c.head + c.neck, 0.5, 0.3)
-    return np.where(_ear_mask(), 1.0 if over_ears else 0.0, mask)
+    return np.where(ear_mask(), 1.0 if over_ears else 0.0, mask)
 
 
 @cache
-def _ear_mask() -> NDArray[np.bool_]:
+def ear_mask() -> NDArray[np.bool_]:
     """(V,) the ears, as they stand off the head."""
     c = load_chart()
     x, z, y = _head_coordinates()
@@ -269,11 +269,11 @@ def layer(skin: Array32, outfit: Outfit, size: float) -> Layer:
     outwards = np.maximum(np.einsum("ij,ij->i", smooth - skin, normals), 0.0) * bridged
     moved = skin + normals * (outwards + offset).astype(np.float32)[:, None]
     if outfit.hair in ("medium", "long"):  # ears vanish under the hair
-        flat = _smoothed(smooth, start, near, _ear_mask().astype(np.float32), 5 * _SMOOTHING_STEPS)
-        moved = np.where(_ear_mask()[:, None], flat + normals * np.float32(0.4 * HAIR_DEPTH_M[outfit.hair]), moved)
+        flat = _smoothed(smooth, start, near, ear_mask().astype(np.float32), 5 * _SMOOTHING_STEPS)
+        moved = np.where(ear_mask()[:, None], flat + normals * np.float32(0.4 * HAIR_DEPTH_M[outfit.hair]), moved)
     # Where smoothed and bare normals part, keep at least half the depth off the skin.
     lack = 0.5 * offset.astype(np.float32) - np.einsum("ij,ij->i", moved - skin, skin_normals)
     if outfit.hair in ("medium", "long"):
-        lack[_ear_mask()] = 0
+        lack[ear_mask()] = 0
     moved += skin_normals * np.maximum(lack, 0.0)[:, None]
     return Layer(moved.astype(np.float32), tuple(regions))

@@ -73,7 +73,6 @@ SPINE_SHARES = MappingProxyType(
     }
 )
 SCAPULOHUMERAL = 0.2  # rad of clavicle elevation per unit of 1 - cos(arm elevation): 11 deg at 90 deg, after Inman 1944
-RIM_GRIP = 0.42  # `hand.grip` at which the fingers touch a rim of 30 mm through the palm frame's origin
 
 # Skin segments of the contact tests.
 SEGMENTS: tuple[str, ...] = (

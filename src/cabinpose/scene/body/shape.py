@@ -26,7 +26,7 @@ class ShapeSpace:
 
     Anny's shape is multilinear in the phenotypes between the corners of a grid (2 genders, 3 ages, 3 muscles, 3 weights,
     2 heights, 2 proportions); `coefficients` (216, rank) are those of the corners. faces: (F, 3) · bone_index,
-    bone_weight: (V, 6), strongest first · mirror: (V,) each vertex's image on the other side.
+    bone_weight: (V, 8), strongest first · mirror: (V,) each vertex's image on the other side.
     """
 
     mean: Array32

@@ -30,10 +30,11 @@ _JOINT = {
     "ankle": ("foot", "foot"), "foot": ("foot", "toe3_1"),
 }  # fmt: skip
 # Full curl (deg) of the phalanges, thumb first, then each finger's MCP, PIP and DIP joint.
+_THUMB_Y = (0.1, 0.6, 0.6)  # the thumb's base swings out of the palm, its other joints bend towards the fingers
 _CLOSING = 1.1  # share of their spread by which fingers close up over the whole curl
 # The rim's axis: this share of the way from the wrist to the knuckles, and this far in front of them besides its radius.
 _RIM_BELOW, _PALM_DEPTH = 0.84, 0.21
-_CURL_DEG = ((30.0, 40.0, 60.0), (90.0, 100.0, 70.0))
+_CURL_DEG = ((60.0, 40.0, 60.0), (90.0, 100.0, 70.0))
 
 
 def _unit(v: Array) -> Array:
@@ -97,7 +98,7 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
             finger, phalanx = divmod(k, 3)
             f = 15 * number + k
             if finger == 0:
-                axes[f] = hand @ _unit(np.array([-0.2, s * 0.5, -s * 0.9]))
+                axes[f] = hand @ _unit(np.array([-s * 0.2, _THUMB_Y[phalanx], -s * 0.9]))
                 curl[f] = np.radians(_CURL_DEG[0][phalanx])
             else:
                 curled = np.array([-s * np.radians(_CURL_DEG[1][phalanx]), 0.0, 0.0])
