@@ -11,8 +11,10 @@ import trimesh
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, Outfit, Phenotype
 from cabinpose.scene.body.accessories import accessories
-from cabinpose.scene.body.chart import face_labels, load_chart, vertex_segments
+from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.garments import ear_mask, layer
+from cabinpose.scene.body.parts import cut_skin
+from cabinpose.scene.body.shape import load_shape_space
 
 BARE = Outfit("none", "none", "none", "bald")
 AREA_SHARE = {"torso": (0.1, 0.35), "thigh": (0.1, 0.3), "head": (0.04, 0.15), "hand": (0.02, 0.1), "foot": (0.02, 0.1)}
@@ -50,14 +52,29 @@ def test_every_part_is_there_and_in_its_place() -> None:
 
 def test_labels_are_in_one_piece() -> None:
     """Each part is one patch of skin (scraps of a few faces aside)."""
-    body = BodyModel.load().person(Phenotype())
-    mesh = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
-    label = face_labels()
+    rest = BodyModel.load().person(Phenotype()).rest_skin
+    cut = cut_skin()
+    mesh = trimesh.Trimesh(np.concatenate([rest, cut.blend @ rest]), cut.faces, process=False)
+    label = cut.label
     for value in np.unique(label):
         part = label == value
         inside = part[mesh.face_adjacency].all(axis=1)
         pieces = trimesh.graph.connected_components(mesh.face_adjacency[inside], nodes=np.flatnonzero(part))
         assert max(len(p) for p in pieces) > 0.95 * part.sum(), value
+
+
+def test_cutting_keeps_the_skin() -> None:
+    """The cut skin is the same closed surface: volume, area, weights that sum to 1, and no slivers."""
+    body = BodyModel.load().person(Phenotype())
+    cut = cut_skin()
+    whole = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
+    mesh = trimesh.Trimesh(np.concatenate([body.rest_skin, cut.blend @ body.rest_skin]), cut.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume == pytest.approx(whole.volume, rel=1e-6)
+    assert mesh.area == pytest.approx(whole.area, rel=1e-6)
+    assert len(cut.faces) < 1.25 * len(load_shape_space().faces)
+    np.testing.assert_allclose(cut.bone_weight.sum(axis=1), 1, atol=1e-5)
 
 
 def test_segments_partition_the_skin() -> None:

@@ -1,4 +1,4 @@
-"""Where each vertex lies on the body: coordinates along the limbs, segments and part labels.
+"""Where each vertex lies on the body: coordinates along the limbs, and the skin's segments.
 
 Worked out once, on the average adult, for the topology that all people share.
 """
@@ -13,7 +13,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.scene import labels
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, SEGMENTS
 from cabinpose.scene.body.shape import load_shape_space
@@ -120,39 +119,3 @@ def face_mean(values: NDArray[np.generic]) -> Array:
     """
     per_face = values.astype(np.float64)[load_shape_space().faces].mean(axis=1)
     return np.repeat((per_face[::2] + per_face[1::2]) / 2, 2, axis=0)
-
-
-@cache
-def face_labels() -> NDArray[np.uint8]:
-    """(F,) ids of `scene.labels` of the bare body, by the face's middle."""
-    faces = load_shape_space().faces
-    c = load_chart()
-    arm, leg, neck, head, along_arm, along_leg, up = (
-        face_mean(values) for values in (c.arm, c.leg, c.neck, c.head, c.along_arm, c.along_leg, c.up)
-    )
-    middle = face_mean(c.rest)
-    left = middle[:, 1] > 0
-    result = np.zeros(len(faces), np.uint8)
-
-    def put(mask: NDArray[np.bool_], name: str) -> None:
-        for side, own in (("left", left), ("right", ~left)):
-            result[mask & own] = labels.ID[f"{name}_{side}"]
-
-    put(np.ones(len(faces), bool), "torso")
-    hip_width = abs(c.heads["lupperleg01"][1])
-    put((up < 0.16) | (leg > 0.5), "hip")
-    result[(up < 0.16) & (np.abs(middle[:, 1]) < 0.55 * hip_width) & ((leg < 0.75) | (along_leg < 0.2))] = labels.ID["hip_center"]
-    shoulder = np.stack([c.heads["lupperarm01"]] * len(faces)) * np.where(left, 1, -1)[:, None] ** np.array([0, 1, 0])
-    reach = np.linalg.norm(middle - shoulder, axis=1) / np.linalg.norm(c.heads["lupperarm01"] - c.heads["llowerarm01"])
-    put(((reach < 0.36) & (arm + neck > 0.12) & (neck < 0.3)) | (arm > 0.5), "shoulder")
-    on_arm = arm > 0.5
-    for low, name in ((0.36, "upper_arm"), (0.84, "elbow"), (1.15, "forearm"), (1.86, "wrist"), (2.12, "hand")):
-        put(on_arm & (along_arm >= low), name)
-    on_leg = leg > 0.5
-    for low, name in ((0.22, "thigh"), (0.85, "knee"), (1.15, "shin"), (1.85, "ankle"), (2.25, "foot")):
-        put(on_leg & (along_leg >= low), name)
-    toes = on_leg & (along_leg > 1.8) & (middle[:, 0] > c.heads["lfoot"][0] + 0.06)
-    put(toes, "foot")
-    result[neck > 0.5] = labels.ID["neck"]
-    put(head >= 0.5, "head")
-    return result

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
-from cabinpose.scene.body.chart import face_labels
 from cabinpose.scene.body.garments import layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import ShapeSpace
 
@@ -21,7 +21,8 @@ Array32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Dressed:
-    """What the camera sees at rest: the first V vertices of `rest` (N, 3) m are the skin's, dressed; accessories follow.
+    """What the camera sees at rest: the first V vertices of `rest` (N, 3) m are the skin's, dressed; then come cuts
+    along the borders of the parts, then accessories.
 
     bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8.
     """
@@ -37,19 +38,22 @@ class Dressed:
 def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.float64], outfit: Outfit, size: float) -> Dressed:
     """The outfit on a person's skin (V, 3) at rest, root axes; size: stature over the average adult's."""
     worn = layer(skin, outfit, size)
-    label = face_labels().copy()
+    cut = cut_skin()
+    label = cut.label.copy()
     material = np.full(len(label), materials.ID["skin"], np.uint8)
-    for covered, name, is_label in worn.regions:
+    for region, name, is_label in worn.regions:
+        covered = region[cut.source]
         material[covered] = materials.ID[name]
         if is_label is not None:
             label[covered] = labels.ID[is_label]
-    faces = space.faces
+    faces = cut.faces
     if outfit.shoes != "none":
-        seen = ~foot_faces_hidden(faces)
+        seen = ~foot_faces_hidden(space.faces)[cut.source]
         faces, label, material = faces[seen], label[seen], material[seen]
-    vertices, index, weight = [worn.vertices], [space.bone_index], [space.bone_weight]
+    vertices = [worn.vertices, (cut.blend @ worn.vertices).astype(np.float32)]
+    index, weight = [cut.bone_index], [cut.bone_weight]
     all_faces, all_labels, all_materials = [faces], [label], [material]
-    count = len(skin)
+    count = len(cut.bone_index)
     for part in accessories(skin.astype(np.float64), rest, eyes, outfit):
         rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
         shares = np.zeros(rows.shape, np.float32)

@@ -1,0 +1,176 @@
+"""Body parts on the skin: the mesh is cut along their borders, so that a border runs smoothly across the faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, identity, vstack
+
+from cabinpose.scene import labels
+from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.shape import load_shape_space
+
+Array = NDArray[np.float64]
+_SNAP = 0.15  # a border that passes this near to a vertex (share of an edge) goes through it: no slivers
+
+# Borders, in the units of the chart: along the arm and the leg, up the trunk, and shares.
+_ARM = ((0.36, "upper_arm"), (0.84, "elbow"), (1.15, "forearm"), (1.86, "wrist"), (2.12, "hand"))
+_LEG = ((0.22, "thigh"), (0.85, "knee"), (1.15, "shin"), (1.85, "ankle"), (2.25, "foot"))
+_WAIST, _HIP_CENTRE, _SHOULDER_Y, _SHOULDER_REACH = 0.16, 0.55, 0.84, 0.45
+
+
+@dataclass(frozen=True)
+class CutSkin:
+    """The skin's faces, cut along the parts' borders.
+
+    faces: (F, 3); vertices from V on are on edges · source: (F,) the skin's face that each is a piece of · blend:
+    (N, V) the new vertices as blends of the skin's · bone_index, bone_weight: (V + N, 8) · label: (F,) ids.
+    """
+
+    faces: NDArray[np.int32]
+    source: NDArray[np.int64]
+    blend: csr_matrix
+    bone_index: NDArray[np.uint8]
+    bone_weight: NDArray[np.float32]
+    label: NDArray[np.uint8]
+
+
+class _Cutter:
+    """Faces while they are being cut; `every` (M, V) blends the skin's vertices into all so far."""
+
+    def __init__(self, faces: NDArray[np.int32], count: int) -> None:
+        self.faces = faces.astype(np.int64)
+        self.source = np.arange(len(faces))
+        self.every = identity(count, format="csr")
+
+    def cut(self, field: Array, where: NDArray[np.bool_]) -> None:
+        """Cut along field = 0 (field (V,) on the skin's vertices), in faces whose corners are all in `where` (V,)."""
+        value = self.every @ field
+        inside = ((self.every @ where.astype(np.float64)) > 0.99)[self.faces].all(axis=1)
+        value = _snapped(value, self.faces[inside])
+        count = self.every.shape[0]
+        edge = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2)  # (F, 3, 2): edge k from corner k to the next
+        key = edge.min(axis=2) * count + edge.max(axis=2)
+        crossing = value[edge[:, :, 0]] * value[edge[:, :, 1]] < 0
+        # A face outside that shares a cut edge is split as well, or a crack would open there.
+        parted = crossing & np.isin(key, np.unique(key[inside][crossing[inside]]))
+        crossed = parted.any(axis=1)
+        if not crossed.any():
+            return
+        known: dict[tuple[int, int], int] = {}
+
+        def between(a: int, b: int) -> int:
+            return known.setdefault((min(a, b), max(a, b)), count + len(known))
+
+        pieces, sources = [], []
+        for face, cut_edges, source in zip(self.faces[crossed], parted[crossed], self.source[crossed], strict=True):
+            # Turn the face so that its first corner is alone on its side, or opposite the only cut edge.
+            alone = int(np.flatnonzero(~cut_edges)[0]) + 2 if cut_edges.sum() == 2 else int(np.flatnonzero(cut_edges)[0]) + 2
+            a, b, c = (int(face[(alone + k) % 3]) for k in range(3))
+            if cut_edges.sum() == 2:
+                m, n = between(a, b), between(a, c)
+                made = [(a, m, n), (m, b, c), (m, c, n)]
+            else:
+                m = between(b, c)
+                made = [(a, b, m), (a, m, c)]
+            pieces += made
+            sources += [source] * len(made)
+        pairs = np.array(list(known))
+        t = value[pairs[:, 0]] / (value[pairs[:, 0]] - value[pairs[:, 1]])
+        rows = np.arange(len(pairs))
+        mix = csr_matrix((np.concatenate([1 - t, t]), (np.concatenate([rows, rows]), pairs.T.ravel())), shape=(len(pairs), count))
+        self.every = vstack([self.every, mix @ self.every], format="csr")
+        self.faces = np.concatenate([self.faces[~crossed], np.array(pieces)])
+        self.source = np.concatenate([self.source[~crossed], np.array(sources)])
+
+
+def _snapped(value: Array, faces: NDArray[np.int64]) -> Array:
+    """Values set to 0 at vertices that a border passes by closely."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    a, b = value[edges[:, 0]], value[edges[:, 1]]
+    crossing = a * b < 0
+    edges, share = edges[crossing], a[crossing] / (a[crossing] - b[crossing])
+    result = value.copy()
+    result[edges[share < _SNAP, 0]] = 0
+    result[edges[share > 1 - _SNAP, 1]] = 0
+    return result
+
+
+def _fields() -> tuple[dict[str, Array], float]:
+    """Chart values (V,) by name, and half the distance between the hip joints (m)."""
+    c = load_chart()
+    shoulder = c.heads["lupperarm01"]
+    mirrored = c.rest * np.where(c.rest[:, 1:2] < 0, (1, -1, 1), (1, 1, 1))
+    length = np.linalg.norm(c.heads["llowerarm01"] - shoulder)
+    fields = {
+        "arm": c.arm, "leg": c.leg, "neck": c.neck, "head": c.head, "along_arm": c.along_arm, "along_leg": c.along_leg,
+        "up": c.up, "y": c.rest[:, 1], "x": c.rest[:, 0], "aside": mirrored[:, 1] / shoulder[1],
+        "reach": np.linalg.norm(mirrored - shoulder, axis=1) / length,
+    }  # fmt: skip
+    return fields, float(c.heads["lupperleg01"][1])
+
+
+def _labels(value: dict[str, Array], hip: float) -> NDArray[np.uint8]:
+    """Part of each point, by its chart values."""
+    left = value["y"] > 0
+    result = np.zeros(len(left), np.uint8)
+
+    def put(mask: NDArray[np.bool_], name: str) -> None:
+        for side, own in (("left", left), ("right", ~left)):
+            result[mask & own] = labels.ID[f"{name}_{side}"]
+
+    arm, leg, up = value["arm"], value["leg"], value["up"]
+    put(np.ones(len(left), bool), "torso")
+    on_leg = leg > 0.5
+    put(((up < _WAIST) & (arm < 0.5)) | on_leg, "hip")
+    on_thigh = on_leg & (value["along_leg"] >= _LEG[0][0])
+    result[(up < _WAIST) & (np.abs(value["y"]) < _HIP_CENTRE * hip) & ~on_thigh & (arm < 0.5)] = labels.ID["hip_center"]
+    put(((value["aside"] > _SHOULDER_Y) & (value["reach"] < _SHOULDER_REACH) & (value["neck"] < 0.3)) | (arm > 0.5), "shoulder")
+    for low, name in _ARM:
+        put((arm > 0.5) & (value["along_arm"] >= low), name)
+    for low, name in _LEG:
+        put(on_leg & (value["along_leg"] >= low), name)
+    put(on_leg & (value["along_leg"] > 1.8) & (value["x"] > load_chart().heads["lfoot"][0] + 0.06), "foot")
+    result[value["neck"] > 0.5] = labels.ID["neck"]
+    put(value["head"] >= 0.5, "head")
+    return result
+
+
+@cache
+def cut_skin() -> CutSkin:
+    """The packaged skin, cut and labelled; once per process."""
+    space = load_shape_space()
+    value, hip = _fields()
+    cutter = _Cutter(space.faces, space.vertex_count)
+    trunk, on_arm, on_leg = value["arm"] < 0.5, value["arm"] > 0.5, value["leg"] > 0.5
+    cutter.cut(value["head"] - 0.5, np.ones_like(trunk))
+    cutter.cut(value["neck"] - 0.5, np.ones_like(trunk))
+    cutter.cut(value["up"] - _WAIST, trunk & (value["leg"] < 0.9))
+    cutter.cut(np.abs(value["y"]) - _HIP_CENTRE * hip, (value["up"] < _WAIST + 0.05) & (value["along_leg"] < 0.5) & trunk)
+    cutter.cut(value["aside"] - _SHOULDER_Y, (value["reach"] < _SHOULDER_REACH + 0.1) & (value["arm"] < 0.9))
+    cutter.cut(value["reach"] - _SHOULDER_REACH, (value["aside"] > _SHOULDER_Y - 0.1) & (value["arm"] < 0.9))
+    cutter.cut(value["arm"] - 0.5, (value["aside"] < _SHOULDER_Y + 0.2) | (value["reach"] > _SHOULDER_REACH - 0.15))
+    for low, _ in _ARM:
+        cutter.cut(value["along_arm"] - low, on_arm)
+    for low, _ in _LEG:
+        cutter.cut(value["along_leg"] - low, on_leg)
+    cutter.cut(value["leg"] - 0.5, (value["along_leg"] > 0) & (value["up"] < 0.2))
+    count = space.vertex_count
+    blend = cutter.every[count:].tocsr()
+    dense = np.zeros((count, int(space.bone_index.max()) + 1))
+    for k in range(space.bone_index.shape[1]):
+        np.add.at(dense, (np.arange(count), space.bone_index[:, k]), space.bone_weight[:, k])
+    mixed = blend @ dense
+    width = space.bone_index.shape[1]
+    order = np.argsort(-mixed.round(9), axis=1, kind="stable")[:, :width]
+    weight = np.take_along_axis(mixed, order, axis=1)
+    weight /= weight.sum(axis=1, keepdims=True)
+    at = {name: (cutter.every @ field)[cutter.faces].mean(axis=1) for name, field in value.items()}
+    return CutSkin(
+        cutter.faces.astype(np.int32), cutter.source, blend.astype(np.float32),
+        np.concatenate([space.bone_index, np.where(weight > 0, order, 0).astype(np.uint8)]),
+        np.concatenate([space.bone_weight, weight.astype(np.float32)]), _labels(at, hip),
+    )  # fmt: skip
