@@ -1,0 +1,268 @@
+"""The configuration of a generated dataset: plain data, checked before any work starts.
+
+Angles are degrees and their names say so; everything else is SI. A file is YAML; relative paths in it are taken from
+the folder of the file.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.scene.body import SUBJECTS, Phenotype
+from cabinpose.scene.cabin import PRESETS
+from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, StructuredLightNoise
+from cabinpose.synth.posture import ACTIONS
+from cabinpose.synth.profiles import Profile
+
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+Vector = tuple[float, float, float]
+
+
+class Model(BaseModel):
+    """Base of all configuration: frozen, unknown keys refused, defaults checked as well."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+
+class Range(Model):
+    """Bounds of a uniform draw."""
+
+    min: float
+    max: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Range:
+        if self.min > self.max:
+            raise ConfigError(f"min {self.min:g} is above max {self.max:g}", hint="swap the two")
+        return self
+
+
+class RandomPeople(Model):
+    """A crowd of people drawn once for the dataset, named R0000, R0001, ..."""
+
+    count: int = Field(100, ge=1, le=100_000)
+    ranges: Mapping[str, Range] = Field(
+        {}, description="Ranges of gender, age, muscle, weight, height, proportions (0..1) and stature_m, where not the defaults."
+    )
+
+    @field_validator("ranges")
+    @classmethod
+    def _known(cls, ranges: Mapping[str, Range]) -> Mapping[str, Range]:
+        Phenotype.random({n: (r.min, r.max) for n, r in ranges.items()}, rng=frame_rng(0, 0))
+        return ranges
+
+
+class People(Model):
+    """Who can take part."""
+
+    subjects: tuple[str, ...] = Field(tuple(SUBJECTS), description="Named people of the package, S01 .. S18.")
+    random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
+
+    @model_validator(mode="after")
+    def _known(self) -> People:
+        for name in self.subjects:
+            if name not in SUBJECTS:
+                raise unknown_name("subject", name, list(SUBJECTS))
+        if not self.subjects and self.random is None:
+            raise ConfigError("nobody can take part", hint="name subjects, or ask for random people")
+        return self
+
+
+class CameraPose(Model):
+    """A camera pose of the user's own, in the vehicle frame (room: world frame)."""
+
+    position_m: Vector
+    look_at_m: Vector
+    roll_deg: float = 0.0
+
+
+class Camera(Model):
+    """Which sensor looks from where."""
+
+    sensor: str = Field("pico_monstar_105", description="A preset, with its use case after a slash where it has several.")
+    views: Mapping[str, Probability | CameraPose] = Field(
+        {"driver": 0.5, "front_row": 0.5},
+        description="Weights of the cabin's views (driver, front_row, rear), or own poses by name (each of weight 1).",
+    )
+    jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="The position moves by up to this along each of the camera's axes.")
+    jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="The orientation turns by up to this about each of its axes.")
+    supersample: int = Field(2, ge=1, le=4, description="Sub-pixels a side of every pixel (flying pixels need 2).")
+
+    @field_validator("sensor")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in SENSORS:
+            raise unknown_name("sensor", name, list(SENSORS))
+        return name
+
+    @field_validator("views")
+    @classmethod
+    def _some(cls, views: Mapping[str, float | CameraPose]) -> Mapping[str, float | CameraPose]:
+        if not any(isinstance(v, CameraPose) or v > 0 for v in views.values()):
+            raise ConfigError("no view has a weight above 0", hint="give at least one of driver, front_row, rear a weight")
+        return views
+
+
+class CabinScene(Model):
+    """People in cars."""
+
+    kind: Literal["cabin"] = "cabin"
+    cars: tuple[str, ...] = Field(PRESETS, min_length=1, description="Presets, or paths to YAML files of own car meshes.")
+    right_hand_drive: Probability = Field(0.15, description="Share of cars with the wheel on the right.")
+    occupancy: Mapping[str, Probability] = Field(
+        {"driver": 0.95, "front_passenger": 0.5, "rear_left": 0.15, "rear_center": 0.05, "rear_right": 0.15},
+        description="How likely each seat is taken, where the car has it; at least one always is.",
+    )
+    motion: Mapping[str, Mapping[str, Probability]] = Field(
+        {}, description="Weights of the actions by seat; left out: every action that makes sense there, equally."
+    )
+    profile: Profile | None = Field(None, description="A motion profile for everyone, in place of the actions' own.")
+    seat_variation: float = Field(
+        1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
+    )
+    person_jitter_m: float = Field(0.01, ge=0.0, le=0.1, description="Standard deviation of where a person sits, sideways.")
+    person_jitter_deg: float = Field(3.0, ge=0.0, le=30.0, description="Standard deviation of a person's turn on the seat.")
+    belted: Probability = Field(0.9, description="Share of occupants who wear the seat belt.")
+
+    @model_validator(mode="after")
+    def _known(self) -> CabinScene:
+        for car in self.cars:
+            if car not in PRESETS and not car.endswith((".yaml", ".yml")):
+                raise unknown_name("car", car, [*PRESETS, "<path to a .yaml of your own mesh>"])
+        for slot in (*self.occupancy, *self.motion):
+            if slot not in OCCUPANT_SLOTS:
+                raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
+        if not any(self.occupancy.values()):
+            raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
+        for weights in self.motion.values():
+            for action in weights:
+                if action not in ACTIONS:
+                    raise unknown_name("action", action, list(ACTIONS))
+            if not any(weights.values()):
+                raise ConfigError("no action has a weight above 0", hint="give at least one action a weight")
+        return self
+
+
+class RoomScene(Model):
+    """One person standing and moving freely in a room."""
+
+    kind: Literal["room"] = "room"
+    rooms: int = Field(64, ge=1, description="Different rooms, drawn once for the dataset.")
+    facing_deg: float = Field(35.0, ge=0.0, description="Standard deviation of the person's turn away from the camera.")
+    profile: Profile | None = Field(None, description="A motion profile in place of the free standing poses.")
+
+
+class Output(Model):
+    """What is written and how it is cut."""
+
+    frames_per_part: int = Field(100, ge=1, le=1000)
+    licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
+
+
+class Limits(Model):
+    """When the search for a valid scene ends."""
+
+    poses_per_person: int = Field(60, ge=1, description="Poses tried for a person before the whole scene is drawn anew.")
+    scenes_per_frame: int = Field(25, ge=1, description="Scenes drawn for a frame before the run ends with an error.")
+
+
+class SynthConfig(Model):
+    """Everything that a generated dataset depends on, beside its seed and number of frames."""
+
+    version: Literal[1] = 1
+    scene: Annotated[CabinScene | RoomScene, Field(discriminator="kind")] = CabinScene()
+    people: People = People()
+    camera: Camera = Camera()
+    noise: NoiseModel = PhysicalNoise()
+    output: Output = Output()
+    limits: Limits = Limits()
+
+    @classmethod
+    def load(cls, path: Path) -> SynthConfig:
+        """Read and check a YAML file; ConfigError names the key, the reason and the remedy."""
+        try:
+            text = path.read_text(encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(
+                f"cannot read {path}: {error.strerror}", hint="`cabinpose config init` writes a first one"
+            ) from error
+        try:
+            data = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigError(
+                f"{path} is not YAML: {error}", hint="`cabinpose config init` writes a file to start from"
+            ) from error
+        return cls.parse(data if data is not None else {}, base=path.parent)
+
+    @classmethod
+    def parse(cls, data: Any, *, base: Path = Path()) -> SynthConfig:
+        """Check plain data; relative paths of car meshes and recordings are resolved against `base`."""
+        if not isinstance(data, dict):
+            raise ConfigError("a configuration is a mapping of keys to values", hint="`cabinpose config schema` lists the keys")
+        try:
+            return cls.model_validate(_with_paths(data, base))
+        except ValidationError as error:
+            raise explain(error, cls) from error
+
+
+def room_preset() -> SynthConfig:
+    """One person standing in a room before a Kinect-class camera, in ITOP's geometry."""
+    return SynthConfig(
+        scene=RoomScene(),
+        camera=Camera(sensor="kinect_v1", views={"room": 1.0}, jitter_m=0.0, jitter_deg=0.0),
+        noise=StructuredLightNoise(),
+    )
+
+
+def _with_paths(data: dict[str, Any], base: Path) -> dict[str, Any]:
+    """A copy in which the paths of own cars and recordings are absolute."""
+    scene = data.get("scene")
+    if not isinstance(scene, dict):
+        return data
+    scene = dict(scene)
+    if isinstance(scene.get("cars"), list):
+        scene["cars"] = [
+            str((base / c).resolve()) if isinstance(c, str) and c.endswith((".yaml", ".yml")) else c for c in scene["cars"]
+        ]
+    profile = scene.get("profile")
+    if isinstance(profile, dict) and isinstance(profile.get("path"), str):
+        scene["profile"] = {**profile, "path": str((base / profile["path"]).resolve())}
+    return {**data, "scene": scene}
+
+
+def explain(error: ValidationError, model: type[BaseModel]) -> ConfigError:
+    """One `ConfigError` of pydantic's findings: every path with its reason, and close matches of unknown keys."""
+    lines, hint = [], None
+    for finding in error.errors():
+        where = ".".join(str(p) for p in finding["loc"]) or "configuration"
+        if finding["type"] == "extra_forbidden":
+            key = str(finding["loc"][-1])
+            close = difflib.get_close_matches(key, sorted(_keys(model)), n=3)
+            lines.append(f"{where}: unknown key")
+            hint = hint or (f"did you mean {' or '.join(close)}?" if close else "`cabinpose config schema` lists the keys")
+        else:
+            lines.append(f"{where}: {finding['msg'][0].lower()}{finding['msg'][1:]}, not {finding['input']!r}")
+    return ConfigError("; ".join(lines), hint=hint or "`cabinpose config schema` lists what each key takes")
+
+
+def _keys(model: type[BaseModel]) -> set[str]:
+    """The names of all fields of a model and of the models within."""
+    schema = model.model_json_schema()
+    keys = set(schema.get("properties", {}))
+    for definition in schema.get("$defs", {}).values():
+        keys |= set(definition.get("properties", {}))
+    return keys
+
+
+def frame_rng(seed: int, frame_index: int) -> np.random.Generator:
+    """The generator of one frame: the same numbers whatever made the frame, and when."""
+    return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64)))

@@ -1,0 +1,356 @@
+"""Scenes drawn at random and kept only when they are possible.
+
+A scene is drawn in two rings. The inner one poses a person, again and again until the pose holds against the body
+itself, the people already seated and the car. Where that fails for too long the outer ring draws everything anew
+(car, seats, people); where that fails too the run ends with an error that names the cause. Only the person whose pose
+failed is posed again: the others were valid and stay, so full cars cost little more than the sum of their people.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.errors import ConfigError, SceneError, unknown_name
+from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Outfit, Person, Phenotype, PosedBody
+from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, build_cabin, load_cabin
+from cabinpose.scene.contact import ContactField
+from cabinpose.scene.room import Room, furnish_room, place_room_camera
+from cabinpose.scene.sensor import jittered, place_camera
+from cabinpose.scene.surface import Surface, merge
+from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng
+from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, random_action, sample_pose
+from cabinpose.synth.profiles import IncrementalProfile
+from cabinpose.synth.standing import sample_standing
+from cabinpose.synth.validate import Validator
+
+STANDING_SLOT = "standing"
+DriveSide = Literal["left", "right"]
+# Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
+_PEOPLE_STREAM = 2**64 - 1
+_ROOM_STREAM = 2**63
+_LENS_M = 0.01  # free space a lens needs around it
+_FACE_M = 0.08  # nothing alive is nearer to a lens than this
+
+
+def person_slots(config: SynthConfig) -> tuple[str, ...]:
+    """The entries of the dataset's `person` coordinate."""
+    return (STANDING_SLOT,) if config.scene.kind == "room" else OCCUPANT_SLOTS
+
+
+@dataclass(frozen=True)
+class ScenePerson:
+    """Somebody in a scene: which slot, who, doing what, and the posed body; a seat belt where one is worn."""
+
+    slot: str
+    subject: str
+    action: str
+    person: Person
+    posed: PosedBody
+    belt: Surface | None = None
+
+    def itop_joints(self) -> NDArray[np.float64]:
+        """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
+
+        ITOP's neck lies midway between the shoulders and its torso midway between neck and hips (both hold on its
+        ground truth to a few millimetres); its head is the middle of the head.
+        """
+        joints = self.posed.joints
+        at = {name: joints[INDEX[name]] for name in INDEX}
+        head = self.posed.skin[self.person.skin_segment == SEGMENTS.index("head")].mean(axis=0, dtype=np.float64)
+        neck = (at["lshoulder"] + at["rshoulder"]) / 2
+        hips = (at["lpelvis"] + at["rpelvis"]) / 2
+        special = {"head": head, "neck": neck, "torso": (neck + hips) / 2}
+        ours = {"hip": "pelvis", "foot": "ankle"}
+        return np.stack([special.get(n, at.get(n[0] + ours.get(n[1:], n[1:]), head)) for n in ITOP_JOINTS])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A valid scene. Its frame is the vehicle's, or the room's world frame.
+
+    backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
+    proposals, rejections: how many poses were tried for it and why they failed.
+    """
+
+    backdrop: Surface
+    people: tuple[ScenePerson, ...]
+    world_from_camera: Matrix
+    place: str
+    pov: str
+    slots: tuple[str, ...]
+    proposals: int = 0
+    rejections: Mapping[str, int] = field(default_factory=dict)
+
+    def surface(self) -> Surface:
+        """Everything that can be seen, in the scene's frame."""
+        parts = [self.backdrop]
+        for person in self.people:
+            parts.append(person.posed.surface(1 + self.slots.index(person.slot)))
+            if person.belt is not None:
+                parts.append(person.belt)
+        return merge(parts)
+
+
+class SceneSampler:
+    """Draws the scenes of one dataset. Holds the bodies, cabins and rooms used last, a bounded number of each."""
+
+    def __init__(self, config: SynthConfig, seed: int) -> None:
+        self._config = config
+        self._seed = seed
+        self._model = BodyModel.load()
+        self._subjects = subject_names(config)
+        self._slots = person_slots(config)
+        self._person = lru_cache(maxsize=64)(self._make_person)
+        self._cabin = lru_cache(maxsize=16)(_judged_cabin)
+        self._room = lru_cache(maxsize=16)(self._make_room)
+        self._bodies = Validator(None)
+
+    def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
+        """The scene of frame `index`. Raises SceneError where none is found within the configured limits."""
+        scene = self._config.scene
+        causes: Counter[str] = Counter()
+        proposals = 0
+        for _ in range(self._config.limits.scenes_per_frame):
+            if isinstance(scene, CabinScene):
+                found, tried = self._seated(scene, index, causes, rng)
+            else:
+                found, tried = self._standing(scene, index, causes, rng)
+            proposals += tried
+            if found is not None:
+                return replace(found, proposals=proposals, rejections=_by_cause(causes))
+        raise no_valid_scene(index, proposals, causes)
+
+    def _make_person(self, subject: str) -> Person:
+        return self._model.person(*subject_body(self._config, self._seed, subject))
+
+    def _make_room(self, number: int) -> Room:
+        return furnish_room(rng=frame_rng(self._seed, _ROOM_STREAM + number))
+
+    def _seated(self, scene: CabinScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
+        """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
+        car = scene.cars[rng.integers(len(scene.cars))]
+        cabin, validator = self._cabin(car, "right" if rng.random() < scene.right_hand_drive else "left")
+        taken = _occupied(scene, cabin, rng)
+        names = [self._subjects[i] for i in _distinct(len(self._subjects), len(taken), rng)]
+        people = {slot: self._person(name) for slot, name in zip(taken, names, strict=True)}
+        settings = {
+            slot: choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
+            if slot in people
+            else seat.default
+            for slot, seat in cabin.seats.items()
+        }
+        seated: list[ScenePerson] = []
+        wheel_angle, proposals = 0.0, 0
+        for slot, name in zip(taken, names, strict=True):
+            for _ in range(self._config.limits.poses_per_person):
+                proposals += 1
+                try:
+                    pose = self._pose(scene, index, people[slot], cabin, slot, settings[slot], rng)
+                except SceneError:
+                    causes["reach"] += 1
+                    continue
+                posed = people[slot].pose(pose.q, pose.vehicle_from_root)
+                angle = wheel_angle if pose.wheel_angle is None else pose.wheel_angle
+                others = [(p.slot, p.person, p.posed) for p in seated]
+                verdict = validator.check([*others, (slot, people[slot], posed)], settings, angle)
+                if verdict.ok:
+                    wheel_angle = angle
+                    seated.append(ScenePerson(slot, name, pose.action, people[slot], posed))
+                    break
+                causes[f"{verdict.cause}: {verdict.detail}"] += 1
+            else:
+                return None, proposals
+        pov, camera = self._cabin_camera(cabin, rng)
+        if _blocked(camera[:3, 3], seated, validator, settings, wheel_angle):
+            causes["camera"] += 1
+            return None, proposals
+        seated = [self._belted(p, scene, cabin, settings, rng) for p in seated]
+        backdrop = cabin.surface(settings, wheel_angle=wheel_angle)
+        return Scene(backdrop, tuple(seated), camera, _place_name(car), pov, self._slots), proposals
+
+    def _pose(
+        self,
+        scene: CabinScene,
+        index: int,
+        person: Person,
+        cabin: Cabin,
+        slot: str,
+        setting: SeatSetting,
+        rng: np.random.Generator,
+    ) -> OccupantPose:
+        seat = cabin.seats[slot]
+        weights = scene.motion.get(slot)
+        action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng)
+        return sample_pose(person, seat, setting, cabin, action, scene.profile, index=index, rng=rng)
+
+    def _cabin_camera(self, cabin: Cabin, rng: np.random.Generator) -> tuple[str, Matrix]:
+        """The view's name and `vehicle_from_camera`, jittered."""
+        camera = self._config.camera
+        name = _weighted({n: 1.0 if isinstance(v, CameraPose) else v for n, v in camera.views.items()}, rng)
+        own = camera.views[name]
+        if isinstance(own, CameraPose):
+            upright = place_camera(own.position_m, own.look_at_m, rng=rng)
+            rolled = upright @ transform(Rotation.from_euler("z", own.roll_deg, degrees=True))
+        else:
+            view = cabin.view(name)
+            rolled = place_camera(view.eye, view.target, rng=rng)
+        return name, jittered(rolled, translation_jitter=camera.jitter_m, rotation_jitter=np.radians(camera.jitter_deg), rng=rng)
+
+    def _belted(
+        self, person: ScenePerson, scene: CabinScene, cabin: Cabin, settings: Mapping[str, SeatSetting], rng: np.random.Generator
+    ) -> ScenePerson:
+        seat = cabin.seats[person.slot]
+        if rng.random() >= scene.belted or seat.belt is None:
+            return person
+        clothed = person.posed.surface(0)
+        belt = belt_surface(clothed.vertices, clothed.faces, person.posed.joints, seat, settings[person.slot], cabin)
+        return replace(person, belt=belt)
+
+    def _standing(self, scene: RoomScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
+        """One draw of the outer ring: a person in a room, or None, and the number of poses it took."""
+        number = int(rng.integers(scene.rooms))
+        room = self._room(number)
+        subject = self._subjects[rng.integers(len(self._subjects))]
+        person = self._person(subject)
+        camera = place_room_camera(rng=rng)
+        spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))
+        heading = (
+            np.arctan2(camera[1, 3] - spot[1], camera[0, 3] - spot[0]) + np.radians(scene.facing_deg) * rng.standard_normal()
+        )
+        for proposals in range(1, self._config.limits.poses_per_person + 1):
+            pose = sample_standing(person, scene.profile, index=index, rng=rng)
+            world_from_root = transform(Rotation.from_euler("z", heading), spot) @ pose.floor_from_root
+            posed = person.pose(pose.q, world_from_root)
+            verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
+            if verdict.ok:
+                somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed)
+                return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", "room", self._slots), proposals
+            causes[f"{verdict.cause}: {verdict.detail}"] += 1
+        return None, self._config.limits.poses_per_person
+
+
+def subject_names(config: SynthConfig) -> tuple[str, ...]:
+    """Everybody who can take part, named people first."""
+    crowd = config.people.random
+    return (*config.people.subjects, *(f"R{i:04d}" for i in range(crowd.count if crowd else 0)))
+
+
+def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
+    """Shape and clothes of a person of this dataset: the same whoever asks, in whatever order."""
+    if subject in SUBJECTS:
+        return SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit
+    crowd = config.people.random
+    if crowd is None or not subject.startswith("R"):
+        raise unknown_name("subject", subject, list(subject_names(config)))
+    rng = frame_rng(seed, _PEOPLE_STREAM - int(subject[1:]))
+    phenotype = Phenotype.random({name: (r.min, r.max) for name, r in crowd.ranges.items()}, rng=rng)
+    return phenotype, Outfit.random(rng=rng)
+
+
+def preflight(config: SynthConfig, *, frames: int) -> None:
+    """Finds before any work starts what would fail in the middle of it: meshes, views, actions, recordings, counts."""
+    scene = config.scene
+    profile = scene.profile
+    if isinstance(profile, IncrementalProfile) and frames > profile.count:
+        raise ConfigError(
+            f"{frames} frames from an incremental profile of {profile.count} combinations",
+            hint=f"ask for at most {profile.count} frames, or make a step smaller",
+        )
+    if isinstance(scene, RoomScene):
+        return
+    for car in scene.cars:
+        cabin = _open_cabin(car, "left")
+        if not any(scene.occupancy.get(slot, 0.0) > 0 for slot in cabin.seats):
+            raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(cabin.seats)} an occupancy")
+        for slot, weights in scene.motion.items():
+            if slot in cabin.seats:
+                known = actions_for(cabin.seats[slot], cabin)
+                wrong = [name for name, weight in weights.items() if weight > 0 and name not in known]
+                if wrong:
+                    raise ConfigError(
+                        f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
+                    )
+        placed = ContactField(cabin).at({slot: seat.default for slot, seat in cabin.seats.items()}, 0.0)
+        for name, view in config.camera.views.items():
+            if isinstance(view, CameraPose) or view > 0:
+                eye = np.asarray(view.position_m if isinstance(view, CameraPose) else cabin.view(name).eye, dtype=np.float64)
+                if placed.clearance(eye[None])[0] < _LENS_M:
+                    raise ConfigError(
+                        f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
+                        hint="move it into the free space of the cabin",
+                    )
+
+
+def no_valid_scene(index: int, proposals: int, causes: Counter[str]) -> SceneError:
+    """The error of a frame for which no valid scene was found, with the causes that came up most."""
+    common = "; ".join(f"{cause} ({count})" for cause, count in causes.most_common(4))
+    return SceneError(
+        f"frame {index}: none of {proposals} poses made a valid scene: {common}",
+        hint="narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
+    )
+
+
+def _by_cause(causes: Counter[str]) -> dict[str, int]:
+    """Rejections by cause alone, without the detail."""
+    totals: Counter[str] = Counter()
+    for cause, count in causes.items():
+        totals[cause.partition(":")[0]] += count
+    return dict(sorted(totals.items()))
+
+
+def _open_cabin(car: str, drive_side: DriveSide) -> Cabin:
+    return build_cabin(car, drive_side=drive_side) if car in PRESETS else load_cabin(car)
+
+
+def _judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+    cabin = _open_cabin(car, drive_side)
+    return cabin, Validator(cabin)
+
+
+def _place_name(car: str) -> str:
+    return car if car in PRESETS else Path(car).stem
+
+
+def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:
+    """A name drawn by weight."""
+    names = list(weights)
+    p = np.array([weights[name] for name in names], dtype=np.float64)
+    return names[int(rng.choice(len(names), p=p / p.sum()))]
+
+
+def _occupied(scene: CabinScene, cabin: Cabin, rng: np.random.Generator) -> list[str]:
+    """The seats taken, in the standard's order: each by its own probability, at least one."""
+    chances = {slot: scene.occupancy.get(slot, 0.0) for slot in cabin.seats}
+    draws = rng.random(len(OCCUPANT_SLOTS))
+    taken = [slot for i, slot in enumerate(OCCUPANT_SLOTS) if draws[i] < chances.get(slot, 0.0)]
+    return taken or [_weighted(chances, rng)]
+
+
+def _distinct(available: int, wanted: int, rng: np.random.Generator) -> Sequence[int]:
+    """`wanted` different indices below `available`; with repetition only where there are too few."""
+    return [int(i) for i in rng.choice(available, size=wanted, replace=wanted > available)]
+
+
+def _blocked(
+    eye: NDArray[np.float64],
+    people: Sequence[ScenePerson],
+    validator: Validator,
+    settings: Mapping[str, SeatSetting],
+    wheel_angle: float,
+) -> bool:
+    """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
+    if validator.contact is not None and validator.contact.clearance(eye[None], settings, wheel_angle)[0] < _LENS_M:
+        return True
+    return any(np.min(np.sum((p.posed.skin - eye.astype(np.float32)) ** 2, axis=1)) < _FACE_M**2 for p in people)

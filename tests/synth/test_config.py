@@ -1,0 +1,93 @@
+"""Configurations: round trips, and every refusal with its reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cabinpose.core.errors import ConfigError
+from cabinpose.synth.config import SynthConfig, frame_rng, room_preset
+
+
+def refused(data: object) -> ConfigError:
+    with pytest.raises(ConfigError) as caught:
+        SynthConfig.parse(data)
+    assert caught.value.hint
+    return caught.value
+
+
+@pytest.mark.parametrize("config", [SynthConfig(), room_preset()])
+def test_yaml_round_trip(config: SynthConfig, tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
+    assert SynthConfig.load(path) == config
+
+
+def test_an_empty_file_means_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("", encoding="utf-8")
+    assert SynthConfig.load(path) == SynthConfig()
+
+
+def test_unknown_key_names_its_path_and_close_matches() -> None:
+    error = refused({"camera": {"sensr": "kinect_v1"}})
+    assert "camera.sensr" in str(error)
+    assert "sensor" in str(error.hint)
+
+
+@pytest.mark.parametrize(
+    ("data", "word"),
+    [
+        ({"camera": {"sensor": "kinect_v9"}}, "kinect_v9"),
+        ({"camera": {"views": {"driver": 0.0}}}, "view"),
+        ({"camera": {"supersample": 9}}, "supersample"),
+        ({"people": {"subjects": ["S99"]}}, "S99"),
+        ({"people": {"subjects": []}}, "nobody"),
+        ({"people": {"random": {"ranges": {"age": {"min": 0.9, "max": 0.1}}}}}, "above"),
+        ({"people": {"random": {"ranges": {"age": {"min": 0.0, "max": 7.0}}}}}, "age"),
+        ({"people": {"random": {"ranges": {"shoe": {"min": 0.0, "max": 1.0}}}}}, "shoe"),
+        ({"scene": {"kind": "cabin", "cars": ["tank"]}}, "tank"),
+        ({"scene": {"kind": "cabin", "occupancy": {"roof": 1.0}}}, "roof"),
+        ({"scene": {"kind": "cabin", "occupancy": {"driver": 0.0}}}, "occupancy"),
+        ({"scene": {"kind": "cabin", "motion": {"driver": {"moonwalk": 1.0}}}}, "moonwalk"),
+        ({"scene": {"kind": "boat"}}, "boat"),
+        ({"noise": {"kind": "perlin"}}, "perlin"),
+        ({"limits": {"poses_per_person": 0}}, "poses_per_person"),
+        ([1, 2], "mapping"),
+    ],
+)
+def test_refusals(data: object, word: str) -> None:
+    assert word in str(refused(data))
+
+
+def test_profile_outside_the_range_of_motion() -> None:
+    axes = {"lelbow.flexion": {"sigma_deg": 5.0, "min_deg": -90.0}}
+    error = refused({"scene": {"kind": "cabin", "profile": {"kind": "gaussian", "axes": axes}}})
+    assert "lelbow.flexion" in str(error)
+
+
+def test_missing_and_broken_files(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot read"):
+        SynthConfig.load(tmp_path / "nowhere.yaml")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("scene: [", encoding="utf-8")
+    with pytest.raises(ConfigError, match="not YAML"):
+        SynthConfig.load(broken)
+
+
+def test_paths_are_taken_from_the_files_folder(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("scene: {kind: cabin, cars: [mine.yaml, sedan]}", encoding="utf-8")
+    config = SynthConfig.load(path)
+    assert config.scene.kind == "cabin"
+    assert config.scene.cars == (str((tmp_path / "mine.yaml").resolve()), "sedan")
+
+
+def test_frame_generators_differ_and_repeat() -> None:
+    draws = {key: frame_rng(*key).random(4).tobytes() for key in [(0, 0), (0, 1), (1, 0), (1, 1)]}
+    assert len(set(draws.values())) == 4
+    assert draws[0, 1] == frame_rng(0, 1).random(4).tobytes()
+    assert frame_rng(0, 2**64 - 1).random() != np.float64(0)

@@ -1,0 +1,188 @@
+"""Generation end to end: the same bytes however it is run, killed or not; refusals before any work; honest counts."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from synth_scenes import PART, fingerprint, small_config
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError, DatasetError, SceneError
+from cabinpose.core.pose import OCCUPANT_SLOTS, Visibility
+from cabinpose.scene.labels import FIRST_BODY_ID, LAST_BODY_ID
+from cabinpose.store import open_dataset
+from cabinpose.synth.config import Limits, Output, SynthConfig, room_preset
+from cabinpose.synth.generate import generate
+
+FRAMES = 3 * PART
+SCRIPT = """
+import sys
+from pathlib import Path
+from cabinpose.synth.generate import generate
+from synth_scenes import small_config
+if __name__ == "__main__":
+    out, workers, resume = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "resume"
+    generate(small_config(), int(sys.argv[4]), out, seed=7, workers=workers, resume=resume,
+             progress=lambda p: print("done", p.frames_done, flush=True))
+"""
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset made in one go by one worker."""
+    out = tmp_path_factory.mktemp("reference") / "dataset"
+    report = generate(small_config(), FRAMES, out, seed=7, workers=1)
+    assert report.frames == report.frames_total == FRAMES
+    return out
+
+
+def start(script: Path, out: Path, workers: int, mode: str = "fresh", frames: int = FRAMES) -> subprocess.Popen[str]:
+    """Runs `generate` in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    script.write_text(SCRIPT, encoding="utf-8")
+    command = [sys.executable, str(script), str(out), str(workers), mode, str(frames)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True)
+
+
+def test_two_workers_write_the_same_bytes(reference: Path, tmp_path: Path) -> None:
+    process = start(tmp_path / "run.py", tmp_path / "two", workers=2)
+    assert process.wait(timeout=300) == 0
+    assert fingerprint(tmp_path / "two") == fingerprint(reference)
+
+
+def test_killed_and_resumed_writes_the_same_bytes(reference: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    process = start(tmp_path / "run.py", out, workers=1)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("done")  # the first part is on disk, the second has begun
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait(timeout=60)
+    done = sorted(p.name for p in out.glob("part-*.zarr"))
+    assert 1 <= len(done) < FRAMES // PART
+    with pytest.raises(DatasetError):
+        generate(small_config(), FRAMES, out, seed=7, workers=1)
+    report = generate(small_config(), FRAMES, out, seed=7, workers=1, resume=True)
+    assert report.frames == FRAMES - PART * len(done)
+    assert fingerprint(out) == fingerprint(reference)
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_is_replaced(reference: Path, tmp_path: Path) -> None:
+    process = start(tmp_path / "run.py", tmp_path / "wounded", workers=2)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("done")
+    python = [p for p in psutil.Process(process.pid).children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
+    assert python, "no worker process found"
+    python[-1].kill()
+    assert process.wait(timeout=300) == 0
+    assert fingerprint(tmp_path / "wounded") == fingerprint(reference)
+
+
+def test_another_seed_makes_other_frames(reference: Path, tmp_path: Path) -> None:
+    generate(small_config(), PART, tmp_path / "other", seed=8, workers=1)
+    ours, theirs = open_dataset(reference), open_dataset(tmp_path / "other")
+    assert not np.array_equal(ours.depth[0].values, theirs.depth[0].values, equal_nan=True)
+
+
+def test_frames_hold_together(reference: Path) -> None:
+    dataset = open_dataset(reference)
+    assert dataset.sizes["frame"] == FRAMES
+    for index in range(FRAMES):
+        frame = dataset.isel(frame=index)
+        k = frame.camera_k.values
+        camera = Camera(352, 287, k[0, 0], k[1, 1], k[0, 2], k[1, 2], tuple(frame.camera_dist.values))
+        joints, pixels, state = (frame[name].values for name in ("joints_3d", "joints_2d", "visibility"))
+        seated = np.flatnonzero(frame.subject.values != "")
+        assert [OCCUPANT_SLOTS[i] for i in seated] == ["driver"]
+        np.testing.assert_allclose(camera.project(joints[seated]), pixels[seated], atol=0.02)
+        assert np.isnan(joints[1:]).all()
+        assert (state[1:] == Visibility.ABSENT).all()
+        assert (state[0] != Visibility.ABSENT).all()
+        labels, instance = frame.labels.values, frame.instance.values
+        is_body = (labels >= FIRST_BODY_ID) & (labels <= LAST_BODY_ID)
+        assert set(np.unique(instance)) == {0, 1}
+        np.testing.assert_array_equal(instance > 0, is_body)
+        assert is_body.mean() > 0.05
+        clean, noisy = frame.depth_clean.values, frame.depth.values
+        both = ~np.isnan(clean) & ~np.isnan(noisy) & is_body
+        assert both.sum() > 0.5 * is_body.sum()
+        assert np.median(np.abs(clean[both] - noisy[both])) < 0.02
+        # A visible joint lies under the skin seen at its pixel: behind it, but not deeper than a body is thick.
+        for u, v, z in np.c_[pixels[0], joints[0, :, 2]][state[0] == Visibility.VISIBLE]:
+            assert -0.03 < z - clean[round(v), round(u)] < 0.25
+
+
+def test_a_finished_dataset_is_neither_overwritten_nor_mixed(reference: Path) -> None:
+    before = fingerprint(reference)
+    for config, options in [(small_config(), {}), (small_config(belted=0.0), {"resume": True})]:
+        with pytest.raises(DatasetError) as caught:
+            generate(config, FRAMES, reference, seed=7, workers=1, **options)
+        assert caught.value.hint
+    assert fingerprint(reference) == before
+
+
+def test_a_scene_that_cannot_be_ends_with_its_cause(tmp_path: Path) -> None:
+    # The forearm goes straight through the chest in every pose.
+    axes = {
+        "lshoulder.flexion": {"mean_deg": 30.0, "sigma_deg": 0.0},
+        "lshoulder.abduction": {"mean_deg": 0.0, "sigma_deg": 0.0},
+        "lshoulder.rotation": {"mean_deg": 70.0, "sigma_deg": 0.0},
+        "lelbow.flexion": {"mean_deg": 120.0, "sigma_deg": 0.0},
+    }
+    config = small_config(profile={"kind": "gaussian", "axes": axes})
+    config = config.model_copy(update={"limits": Limits(poses_per_person=4, scenes_per_frame=2)})
+    with pytest.raises(SceneError) as caught:
+        generate(config, PART, tmp_path / "impossible", workers=1)
+    assert "frame 0" in str(caught.value)
+    assert "self" in str(caught.value)
+    assert not list((tmp_path / "impossible").glob("part-*"))
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "word"),
+    [
+        (0, {}, "0 frames"),
+        (1, {"workers": 0}, "0 workers"),
+        (1, {"seed": -1}, "seed"),
+        (1, {"scheduler": "tcp://127.0.0.1:9"}, "127.0.0.1:9"),
+    ],
+)
+def test_bad_numbers(frames: int, options: dict[str, int], word: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=word):
+        generate(small_config(), frames, tmp_path / "out", **options)
+
+
+def test_a_camera_inside_a_seat_is_refused_before_work(tmp_path: Path) -> None:
+    config = small_config(cars=("sedan",))
+    seat = {"position_m": (-1.0, 0.37, 0.35), "look_at_m": (0.0, 0.0, 1.0)}
+    config = SynthConfig.parse(config.model_dump(mode="json") | {"camera": {"views": {"mine": seat}}})
+    with pytest.raises(ConfigError, match="mine"):
+        generate(config, 1, tmp_path / "out", workers=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_more_frames_than_combinations_are_refused(tmp_path: Path) -> None:
+    profile = {"kind": "incremental", "axes": {"lelbow.flexion": {"min_deg": 20.0, "max_deg": 60.0, "step_deg": 20.0}}}
+    with pytest.raises(ConfigError, match="3 combinations"):
+        generate(small_config(profile=profile), 4, tmp_path / "out", workers=1)
+
+
+def test_a_room_with_somebody_in_it(tmp_path: Path) -> None:
+    config = room_preset().model_copy(update={"output": Output(frames_per_part=4)})
+    started = time.perf_counter()
+    report = generate(config, 4, tmp_path / "room", workers=1)
+    assert report.seconds <= time.perf_counter() - started
+    dataset = open_dataset(tmp_path / "room")
+    assert dataset.sizes["person"] == 1
+    itop = dataset.itop_joints_3d.values[:, 0]
+    assert np.isfinite(itop).all()
+    assert (np.abs(itop[:, 8] - (itop[:, 1] + (itop[:, 9] + itop[:, 10]) / 2) / 2) < 1e-3).all()  # the torso's definition
+    assert ((itop[..., 2] > 1.2) & (itop[..., 2] < 5.0)).all()

@@ -1,0 +1,48 @@
+"""The furnished room: the same for the same numbers, and free where people stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from cabinpose.core.frames import is_rigid
+from cabinpose.scene.room import furnish_room, place_room_camera
+from cabinpose.synth.config import frame_rng
+
+
+def test_same_numbers_same_room() -> None:
+    one, two, other = (furnish_room(rng=frame_rng(3, i)) for i in (5, 5, 6))
+    assert one.surface.vertices.tobytes() == two.surface.vertices.tobytes()
+    assert one.surface.vertices.tobytes() != other.surface.vertices.tobytes()
+
+
+def test_nothing_stands_where_people_stand() -> None:
+    for i in range(40):
+        room = furnish_room(rng=frame_rng(0, i))
+        assert room.stand_x[0] < room.stand_x[1]
+        # Rays straight up from the places to stand must meet the ceiling first; straight ahead, nothing within reach.
+        mesh = trimesh.Trimesh(room.surface.vertices, room.surface.faces, process=False)
+        x, y = np.meshgrid(np.linspace(*room.stand_x, 5), np.linspace(*room.stand_y, 5))
+        feet = np.stack((x.ravel(), y.ravel(), np.full(x.size, 0.01)), axis=1)
+        hits, _, _ = mesh.ray.intersects_location(feet, np.tile((0.0, 0.0, 1.0), (len(feet), 1)), multiple_hits=False)
+        assert len(hits) == len(feet)
+        assert hits[:, 2].min() > 2.4
+
+
+def test_normals_are_those_of_the_triangles() -> None:
+    surface = furnish_room(rng=frame_rng(0, 1)).surface
+    corners = surface.vertices[surface.faces].astype(np.float64)
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    assert np.einsum("fk,fk->f", flat, surface.normals[surface.faces[:, 0]]).min() > 0.999
+
+
+def test_camera_is_level_high_and_looks_into_the_room() -> None:
+    for i in range(50):
+        pose = place_room_camera(rng=frame_rng(1, i))
+        assert is_rigid(pose)
+        assert 1.1 <= pose[2, 3] <= 1.5
+        forward, down = pose[:3, 2], pose[:3, 1]
+        assert forward[0] > 0.97
+        assert -np.sin(np.radians(9.1)) <= forward[2] <= -np.sin(np.radians(0.9))
+        assert down[2] < -0.97
