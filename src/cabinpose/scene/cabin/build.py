@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import Matrix
+from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.cabin import cockpit, shell
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.layout import Layout
@@ -26,6 +26,8 @@ from cabinpose.scene.cabin.model import (
 )
 from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
 from cabinpose.scene.cabin.seats import STYLES, seat_parts
+from cabinpose.scene.cabin.shading import to_surface
+from cabinpose.scene.cabin.shapes import block, join, tube
 from cabinpose.scene.surface import Surface
 
 DriveSide = Literal["left", "right"]
@@ -60,6 +62,7 @@ def _build(d: CabinDimensions, drive_side: DriveSide) -> Cabin:
         console_parts, knob = cockpit.console(layout, STYLES[d.seat_style].width)
         parts += wheel_parts + console_parts
         targets["gear_lever"] = knob
+    parts += _belt_fittings(seats)
     targets |= _reach_targets(layout, seats)
     views = _views(layout)
 
@@ -119,6 +122,23 @@ def _flip(backward: bool, offset: tuple[float, float, float]) -> Vector:
     return np.array(offset) * ((-1.0, 1.0, 1.0) if backward else (1.0, 1.0, 1.0))
 
 
+def _belt_fittings(seats: dict[str, Seat]) -> list[Part]:
+    """Buckles on their stalks, and D-rings or shoulder exits, where the belts hang from."""
+    parts = []
+    rings = []
+    for seat in seats.values():
+        if seat.belt is None:
+            continue
+        rings.append(block((0.018, 0.030, 0.055)).shifted(*seat.belt.upper))
+        local = apply(invert(seat.vehicle_from_seat(seat.default)), seat.belt.buckle)
+        stalk = tube([local + (-0.025, 0, -0.05), local], 0.007, 6)
+        buckle = block((0.030, 0.022, 0.06)).turned("y", 0.4).shifted(*local)
+        group = f"seat:{seat.slot}/base"
+        parts.append(Part(f"{seat.slot} buckle", to_surface(join([stalk, buckle]), "trim", "hard_plastic"), group))
+    parts.append(Part("belt guides", to_surface(join(rings), "trim", "hard_plastic")))
+    return parts
+
+
 def _d_ring(layout: Layout, h: Vector, side: float, fixed: bool) -> Vector:
     """The upper belt anchor: on the B-pillar above the shoulder, or at the top of a seat that is not beside a pillar."""
     if fixed:
@@ -150,7 +170,7 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         sides = (1.0, 1.0) if style != "bench" else {"rear_left": (2.4, 0.3), "rear_right": (0.3, 2.4)}.get(slot, (0.2, 0.2))
         made, shape = seat_parts(
             slot, style, cushion_angle=layout.cushion_2, seat_height=d.h30_2_mm / 1000, half_travel=0.0, leather=d.leather,
-            width=width, sides=sides, headrest="none" if slot == "rear_center" and d.name == "hatchback" else None,
+            width=width, sides=sides, headrest="none" if slot == "rear_center" and d.name == "hatchback" else None, fine=False,
         )  # fmt: skip
         parts.extend(made)
         h = np.array([layout.h_rear[0], y, layout.h_rear[2]])

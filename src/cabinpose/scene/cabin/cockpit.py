@@ -10,7 +10,7 @@ from cabinpose.core.frames import Matrix
 from cabinpose.scene.cabin.layout import PEDAL_LENGTH, Layout
 from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import Points, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
+from cabinpose.scene.cabin.shapes import Points, block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,12 @@ def dashboard(layout: Layout) -> list[Part]:
             (face + 0.5 * shape.tilt, lower + 0.05), (face + shape.tilt, lower + 0.005), (face + shape.tilt + 0.03, lower),
             (0.4 * front + 0.6 * (face + shape.tilt), lower + 0.04),
         ]  # fmt: skip
-        curve = smooth_curve(points, 30, closed=True)
+        curve = smooth_curve(points, 26, closed=True)
         rings.append(np.stack((curve[:, 0], np.full(len(curve), y), curve[:, 1]), axis=-1))
     parts = [Part("dashboard", to_surface(loft(np.stack(rings)), "trim", "soft_trim"))]
 
     details = []
-    vent = rounded_box((0.03, 0.11, 0.052), (0.008, 0.016, 0.016), (1, 1, 1), corner=1)
+    vent = block((0.03, 0.11, 0.052))
     mid_z = top_z - 0.095
     for y in (layout.h_front[1] + 0.27, -layout.h_front[1] - 0.22):
         x = face_x + 0.03 + (shape.passenger if y < 0 else 0.0)

@@ -37,6 +37,7 @@ class SeatShape:
     cushion_depth: float = 0.125
     back_depth: float = 0.105
     back_height: float = 0.605  # top of the backrest above the H-point along the torso line
+    back_low: float = -0.10  # its lower edge
     top_width: float = 0.42
     bolster_cushion: float = 0.030
     bolster_back: float = 0.045
@@ -55,7 +56,7 @@ STYLES = {
                          front=0.365, top_width=0.30, back_height=0.63, headrest="integral", headrest_width=0.25),
     "comfort": SeatShape(),
     "sport": SeatShape(width=0.535, bolster_cushion=0.055, bolster_back=0.075, insert=0.150, front=0.40, top_width=0.36,
-                       back_height=0.64, headrest="wing", headrest_width=0.26, lumbar=0.016, back_depth=0.09),
+                       back_height=0.64, headrest="wing", headrest_width=0.26, lumbar=0.016, back_depth=0.09, back_low=-0.05),
     "captain": SeatShape(width=0.505, bolster_cushion=0.018, bolster_back=0.030, insert=0.170, back_height=0.62, top_width=0.45,
                          front=0.375, shell="pedestal", armrests=True, headrest_width=0.29, back_depth=0.095),
     "plus2": SeatShape(width=0.47, bolster_cushion=0.030, bolster_back=0.040, insert=0.13, back_height=0.50, top_width=0.36,
@@ -70,11 +71,13 @@ def _towards_edges(y: Points, half: float) -> Points:
     return np.asarray(np.sign(y) * half * (np.abs(y) / half) ** 0.72)
 
 
-def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float]) -> Solid:
-    """The cushion; sides: bolster of the left and right edge, 1 = full height."""
+def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float], fine: bool, floor: float) -> Solid:
+    """The cushion; sides: bolster of the left and right edge, 1 = full height; its underside stays above `floor`."""
     rear = -0.215
     length, mid = shape.front - rear, (shape.front + rear) / 2
-    box = rounded_box((length, shape.width, shape.cushion_depth), (0.050, 0.040, 0.046), (7, 8, 1), corner=1)
+    box = rounded_box(
+        (length, shape.width, shape.cushion_depth), (0.050, 0.040, 0.046), (7, 8, 1) if fine else (6, 5, 1), corner=1
+    )
 
     def bend(p: Points) -> Points:
         x, y, z = p.T
@@ -90,16 +93,16 @@ def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float]) -> Soli
         slope = np.tan(angle) * x_
         z_ = z - shape.cushion_depth / 2 - shape.cushion_below_h + slope + top * (rise + dish + fall)
         z_ = z_ + (1 - top) * 0.035 * smoothstep(-s, -0.55, 0.0)  # thinner at the rear: room for feet behind
-        return np.stack((x_, y * narrow, z_), axis=-1)
+        return np.stack((x_, y * narrow, np.where(top < 0.98, np.maximum(z_, floor + 0.012 * top), z_)), axis=-1)
 
     return box.deformed(bend)
 
 
-def _back(shape: SeatShape, sides: tuple[float, float]) -> Solid:
+def _back(shape: SeatShape, sides: tuple[float, float], fine: bool) -> Solid:
     """The backrest in the back frame."""
-    low, high = -0.10, shape.back_height + (shape.head_height if shape.headrest == "integral" else 0.0)
+    low, high = shape.back_low, shape.back_height + (shape.head_height if shape.headrest == "integral" else 0.0)
     height, mid = high - low, (high + low) / 2
-    box = rounded_box((shape.back_depth, shape.width, height), (0.042, 0.042, 0.060), (1, 8, 10), corner=1)
+    box = rounded_box((shape.back_depth, shape.width, height), (0.042, 0.042, 0.060), (1, 8, 10) if fine else (1, 5, 8), corner=1)
 
     def bend(p: Points) -> Points:
         x, y, z = p.T
@@ -148,7 +151,7 @@ def _headrest(shape: SeatShape) -> tuple[Solid, Solid | None]:
 def _back_shell(shape: SeatShape) -> Solid:
     """The hard cover behind the backrest."""
     height = shape.back_height - 0.02
-    box = rounded_box((0.022, shape.width * 0.90, height), (0.010, 0.05, 0.05), (1, 4, 6), corner=1)
+    box = rounded_box((0.022, shape.width * 0.90, height), (0.010, 0.05, 0.05), (1, 3, 4), corner=1)
 
     def bend(p: Points) -> Points:
         x, y, z = p.T
@@ -166,7 +169,7 @@ def _under(shape: SeatShape, angle: float, height: float, half_travel: float) ->
     floor = -height + half_travel + 0.006
     top = -shape.cushion_below_h - shape.cushion_depth
     if shape.shell == "pedestal":
-        column = rounded_box((0.26, 0.28, 0.14), 0.03, corner=1).shifted(0.08, 0, floor + 0.07)
+        column = block((0.26, 0.28, 0.14)).shifted(0.08, 0, floor + 0.07)
         pan = rounded_box((0.46, 0.42, max(top - floor - 0.09, 0.05)), 0.03, (3, 1, 1), corner=1)
         return [column, pan.shifted(0.08, 0, (top + floor + 0.11) / 2)]
     if shape.shell == "box":
@@ -179,13 +182,12 @@ def _under(shape: SeatShape, angle: float, height: float, half_travel: float) ->
 
         def bend(p: Points, y: float = y) -> Points:
             x, side_y, z = p.T
-            return np.stack((x + 0.0, side_y + y, z + top + 0.025 + np.tan(angle) * x), axis=-1)
+            return np.stack((x, side_y + y, np.maximum(z + top + 0.025 + np.tan(angle) * x, floor + 0.1 * z)), axis=-1)
 
         solids.append(shield.deformed(bend))
         for x in (-0.13, 0.23):
-            foot = block((0.06, 0.05, max(top + 0.05 + np.tan(angle) * x - floor, 0.03)))
-            z = (top + 0.05 + np.tan(angle) * x + floor) / 2
-            solids.append(foot.shifted(x, side * (shape.width / 2 - 0.07), z))
+            tall = max(top + 0.05 + np.tan(angle) * x - floor, 0.03)
+            solids.append(block((0.06, 0.05, tall)).shifted(x, side * (shape.width / 2 - 0.07), floor + tall / 2))
     return solids
 
 
@@ -193,19 +195,19 @@ def _armrests(shape: SeatShape) -> Solid:
     """Folding armrests on both sides, in the seat frame: they stay level when the back reclines."""
     arms = []
     for side in (-1, 1):
-        pad = rounded_box((0.40, 0.055, 0.05), (0.03, 0.022, 0.022), (4, 1, 1), corner=1)
+        pad = rounded_box((0.40, 0.055, 0.05), (0.03, 0.022, 0.022), (2, 1, 1), corner=1)
         arms.append(pad.shifted(-0.01, side * (shape.width / 2 + 0.030), 0.175))
     return join(arms)
 
 
 def seat_parts(
     slot: str, style: str, *, cushion_angle: float, seat_height: float, half_travel: float, leather: bool,
-    width: float | None = None, sides: tuple[float, float] = (1.0, 1.0), headrest: str | None = None,
+    width: float | None = None, sides: tuple[float, float] = (1.0, 1.0), headrest: str | None = None, fine: bool = True,
 ) -> tuple[list[Part], SeatShape]:  # fmt: skip
     """The parts of one place to sit, and the shape they were made from.
 
     width: m, instead of the style's · sides: bolster factors of the left and right edge · headrest: instead of the
-    style's; "none" leaves it out.
+    style's; "none" leaves it out · fine: more facets, for seats that a camera is close to.
     """
     shape = STYLES[style]
     changes: dict[str, object] = {}
@@ -220,8 +222,13 @@ def seat_parts(
     base, back, rest = (f"seat:{slot}/{g}" for g in ("base", "back", "headrest"))
     under = join(_under(shape, cushion_angle, seat_height, half_travel))
     parts = [
-        Part(f"{slot} cushion", to_surface(_cushion(shape, cushion_angle, sides), "seat", cover), base, CUSHION_GIVE),
-        Part(f"{slot} backrest", to_surface(_back(shape, sides), "seat", cover), back, BACK_GIVE),
+        Part(
+            f"{slot} cushion",
+            to_surface(_cushion(shape, cushion_angle, sides, fine, half_travel + 0.012 - seat_height), "seat", cover),
+            base,
+            CUSHION_GIVE,
+        ),
+        Part(f"{slot} backrest", to_surface(_back(shape, sides, fine), "seat", cover), back, BACK_GIVE),
         Part(f"{slot} seat base", to_surface(under, "seat", "hard_plastic"), base),
     ]
     if shape.shell != "box":

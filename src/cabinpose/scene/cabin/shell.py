@@ -9,7 +9,19 @@ import numpy as np
 from cabinpose.scene.cabin.layout import WALL, Layout
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import Points, Solid, block, ellipse, join, rounded_box, slab, smooth_curve, smoothstep, sweep
+from cabinpose.scene.cabin.shapes import (
+    Points,
+    Solid,
+    block,
+    ellipse,
+    join,
+    loft,
+    rounded_box,
+    slab,
+    smooth_curve,
+    smoothstep,
+    sweep,
+)
 
 Line = Callable[[Points], Points]
 
@@ -80,6 +92,37 @@ def _armrest(layout: Layout, h_x: float, seat_z: float, length: float) -> Solid:
     return box.deformed(bend)
 
 
+def _on_door(layout: Layout, solid: Solid, x: float, z: float) -> Solid:
+    """A solid around the origin, set on the left door's trim at (x, z) with its middle in the clear half width."""
+
+    def bend(p: Points) -> Points:
+        x_, z_ = p[:, 0] + x, p[:, 2] + z
+        return np.stack((x_, p[:, 1] + layout.half_width(x_, z_), z_), axis=-1)
+
+    return solid.deformed(bend)
+
+
+def _door_fittings(layout: Layout) -> list[Solid]:
+    """Map pockets, release handles and, where the style has them, loudspeakers, on both rows' doors."""
+    style = layout.d.door_style
+    rows = [(layout.h_front, 0.30)] + ([(layout.h_rear, 0.16)] if style != "sport" else [])
+    solids = []
+    for h, ahead in rows:
+        release = block((0.095, 0.045, 0.034))
+        solids.append(_on_door(layout, release, h[0] + ahead + 0.10, layout.belt_z - 0.10))
+        if style in ("pocket", "sweep", "upright"):
+            pocket = rounded_box((0.42, 0.11, 0.15), (0.07, 0.03, 0.03), (3, 1, 1), corner=1)
+            solids.append(_on_door(layout, pocket, h[0] + ahead - 0.06, 0.17))
+        if style in ("sweep", "sport"):
+            ring = 0.075 * np.stack([np.cos(np.arange(14) * np.pi / 7), np.sin(np.arange(14) * np.pi / 7)], axis=-1)
+            rings = [
+                np.stack((r * ring[:, 0], np.full(14, y), r * ring[:, 1]), axis=-1)
+                for r, y in ((1, 0.03), (1, -0.045), (0.8, -0.055))
+            ]
+            solids.append(_on_door(layout, loft(np.stack(rings)), h[0] + ahead + 0.20, 0.30))
+    return solids
+
+
 def doors(layout: Layout) -> list[Part]:
     """Trim, armrests, sills and side structure below the belt line, and the pillars and glass above it."""
     parts: list[Part] = []
@@ -104,6 +147,7 @@ def doors(layout: Layout) -> list[Part]:
         if layout.d.door_style != "sport":
             armrests.append(_armrest(layout, layout.h_rear[0], layout.h_rear[2], 0.40))
         add("armrests", join(armrests), give=0.01)
+        add("door fittings", join(_door_fittings(layout)), material="hard_plastic")
 
     x = np.linspace(door_front, rear_cut, 8)
     path = np.stack((x, layout.half_width(x, 0.05 + 0 * x) + 0.015, np.full_like(x, 0.035)), axis=-1)
@@ -116,7 +160,7 @@ def doors(layout: Layout) -> list[Part]:
     )
     for name, front, rear in windows:
         x, z, _, _ = _upper_grid(layout, front, rear, (6, 4))
-        add(name, _side_patch(layout, x, z, -0.008), "glass", "glass")
+        add(name, _side_patch(layout, x, z, -0.008, WALL + 0.02), "glass", "glass")
 
     z = np.linspace(0.02, float(layout.rail_z(b)) + 0.03, 9)
     path = np.stack((layout.b_line(z), layout.half_width(layout.b_line(z), z) + 0.012, z), axis=-1)
@@ -193,7 +237,7 @@ def roof(layout: Layout) -> list[Part]:
     parts.append(Part("windscreen", to_surface(_end_glass(layout, front=True), "glass", "glass")))
     parts.append(Part("backlight", to_surface(_end_glass(layout, front=False), "glass", "glass")))
     seat_top_x = layout.h_rear[0] - 0.16 - 0.42 * np.sin(layout.torso_2)
-    if not layout.facing and seat_top_x - 0.05 > layout.shelf_end_x:
+    if layout.d.door_style != "upright" and not layout.facing and seat_top_x - 0.05 > layout.shelf_end_x:
         x = np.linspace(seat_top_x, layout.shelf_end_x - 0.02, 6)
         xg, vg = np.meshgrid(x, np.linspace(-1, 1, 9), indexing="ij")
         y = vg * layout.half_width(xg, np.full_like(xg, layout.belt_z))
