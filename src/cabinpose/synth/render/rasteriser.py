@@ -14,7 +14,10 @@ from cabinpose.core.frames import Matrix
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.sensor.buffers import GeometryBuffers
 from cabinpose.scene.surface import Surface
-from cabinpose.synth.render import zbuffer
+from cabinpose.synth.render.lanes import BLOCK, LANES, X, Y
+from cabinpose.synth.render.projection import Lens, project, to_camera
+from cabinpose.synth.render.shading import classify, shade
+from cabinpose.synth.render.zbuffer import TILE_COLUMNS, TILE_ROWS, Lattice, Work, rasterise
 
 SEE_THROUGH: tuple[int, ...] = (MATERIAL["spectacle_lens"],)
 
@@ -37,7 +40,7 @@ class Rasteriser:
     """Z-buffer of one camera, with working memory that is reused from frame to frame.
 
     Every sample lies on the camera's exact ray, lens distortion included. Triangles are seen from both sides; the nearest
-    one beyond `zbuffer.NEAR_M` wins, and of equally near ones the first in the surface. Rays that the distortion model
+    one beyond `NEAR_M` wins, and of equally near ones the first in the surface. Rays that the distortion model
     cannot undo (NaN in `Camera.rays`) see nothing.
 
     The pixel images sample the pixel's centre. The buffers sample the centres of supersample x supersample equal parts of
@@ -51,63 +54,90 @@ class Rasteriser:
             raise ConfigError(f"supersampling by {supersample} is out of range", hint="use 1 to 8 sub-pixels a side")
         self.camera = camera
         self.supersample = supersample
-        self._sub = camera.scaled(supersample)
-        self._intrinsics = np.array([self._sub.fx, self._sub.fy, self._sub.cx, self._sub.cy])
-        self._dist = np.array(camera.dist)
-        self._rays = camera.rays
-        self._sub_rays = self._sub.rays
-        self._shading_rays = self._sub_rays.astype(np.float32)
-        self._ray_length = self._sub.range_over_depth.astype(np.float32)
-        self._box = _ray_box(self._sub)
-        self._curvature = _projection_curvature(self._sub, self._box)
+        fine = camera.scaled(supersample)
+        box = _ray_box(fine)
+        self._lens = Lens(fine.fx, fine.fy, fine.cx, fine.cy, np.array(camera.dist), box, _projection_curvature(fine, box))
+        self._sub = _lattice(fine, 0.0, 1.0)
+        self._centre = _lattice(camera, (supersample - 1) / 2, float(supersample))
+        self._tiles = np.empty((-(-camera.height // TILE_ROWS), -(-camera.width // TILE_COLUMNS)), np.float32)
         self._see_through = np.zeros(256, np.uint8)
         self._see_through[list(see_through)] = 1
-        shape, sub_shape = (camera.height, camera.width), (self._sub.height, self._sub.width)
-        self._inverse_z = np.empty(shape, np.float32)
-        self._sub_inverse_z = np.empty(sub_shape, np.float32)
-        self._sub_nearest = np.empty(sub_shape, np.int32)
+        shape = (fine.height, fine.width)
         self._buffers = GeometryBuffers(
-            supersample, np.empty(sub_shape, np.float32), np.empty(sub_shape, np.float32), np.empty(sub_shape, np.uint8)
+            supersample, np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8)
         )
-        self._p_camera = np.empty((0, 3), np.float32)
-        self._uvw = np.empty((0, 3))
-        self._coefficients = np.empty((0, 9), np.float32)
-        self._shaded = np.empty(0, np.int32)
         self._frame = 0
+        self._vertices = _VertexMemory.of(0)
+        self._faces = _FaceMemory.of(0)
 
     def render(self, surface: Surface, camera_from_vehicle: Matrix) -> RenderedFrame:
         """The view of a surface given in the vehicle frame."""
-        self._reserve(len(surface.vertices), len(surface.faces))
+        if len(surface.vertices) > len(self._vertices.outside):
+            self._vertices = _VertexMemory.of(max(len(surface.vertices), len(self._vertices.outside) * 3 // 2))
+        if len(surface.faces) > len(self._faces.shaded):
+            self._faces = _FaceMemory.of(max(len(surface.faces), len(self._faces.shaded) * 3 // 2))
         self._frame += 1
-        p_camera = self._p_camera[: len(surface.vertices)]
-        uvw = self._uvw[: len(surface.vertices)]
+        n = len(surface.vertices)
+        p_camera, projected, outside = (array[:n] for array in self._vertices)
+        faces = surface.faces.view(np.uint32)  # unsigned: no test for negative indices in the kernels
         matrix = np.ascontiguousarray(camera_from_vehicle, dtype=np.float64)
-        zbuffer.to_camera(surface.vertices, matrix, p_camera)
-        zbuffer.project(p_camera, self._intrinsics, self._dist, self._box, uvw)
-        nearest = np.empty((self.camera.height, self.camera.width), np.int32)
-        zbuffer.rasterise(
-            p_camera, uvw, surface.faces, self._see_through[surface.material], self.supersample, self._intrinsics, self._dist,
-            self._box, self._curvature, self._sub_rays, self._sub_inverse_z, self._sub_nearest, self._rays, self._inverse_z,
-            nearest,
+        to_camera(surface.vertices, matrix, p_camera)
+        project(p_camera, self._lens, projected, outside)
+        memory = self._faces
+        work = Work(memory.candidate, memory.bucket, memory.order, memory.bounds, self._tiles)
+        hidden = self._see_through[surface.material]
+        rasterise(p_camera, projected, outside, faces, hidden, self.supersample, self._lens, self._sub, self._centre, work)
+        shade(
+            self._sub, p_camera, surface.normals, matrix[:3, :3], faces, surface.material, memory.coefficients, memory.shaded,
+            self._frame, self._buffers.depth_m, self._buffers.cos_incidence, self._buffers.material,
         )  # fmt: skip
-        zbuffer.shade(
-            self._sub_nearest, self._sub_inverse_z, self._shading_rays, self._ray_length, p_camera, surface.normals,
-            matrix[:3, :3], surface.faces, surface.material, self._coefficients, self._shaded, self._frame,
-            self._buffers.depth_m, self._buffers.cos_incidence, self._buffers.material,
-        )  # fmt: skip
-        depth = np.empty(nearest.shape, np.float32)
-        labels, instance = np.empty(nearest.shape, np.uint8), np.empty(nearest.shape, np.uint8)
-        zbuffer.classify(nearest, self._inverse_z, surface.label, surface.instance, depth, labels, instance)
-        return RenderedFrame(depth, labels, instance, nearest, self._buffers)
+        shape = (self.camera.height, self.camera.width)
+        face_id, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
+        labels, instance = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        classify(self._centre, surface.label, surface.instance, face_id, depth, labels, instance)
+        return RenderedFrame(depth, labels, instance, face_id, self._buffers)
 
-    def _reserve(self, vertices: int, faces: int) -> None:
-        """Room for a surface; grows by half at least, so that a run of like scenes stops growing early."""
-        if vertices > len(self._p_camera):
-            size = max(vertices, len(self._p_camera) * 3 // 2)
-            self._p_camera, self._uvw = np.empty((size, 3), np.float32), np.empty((size, 3))
-        if faces > len(self._shaded):
-            size = max(faces, len(self._shaded) * 3 // 2)
-            self._coefficients, self._shaded = np.empty((size, 9), np.float32), np.zeros(size, np.int32)
+
+class _VertexMemory(NamedTuple):
+    """What the kernels note of each vertex."""
+
+    p_camera: NDArray[np.float32]
+    projected: NDArray[np.float32]
+    outside: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, size: int) -> _VertexMemory:
+        return cls(np.empty((size, 3), np.float32), np.empty((size, 5), np.float32), np.empty(size, np.uint8))
+
+
+class _FaceMemory(NamedTuple):
+    """What the kernels note of each face."""
+
+    candidate: NDArray[np.int32]
+    bucket: NDArray[np.uint8]
+    order: NDArray[np.int32]
+    bounds: NDArray[np.float32]
+    coefficients: NDArray[np.float32]
+    shaded: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, size: int) -> _FaceMemory:
+        return cls(
+            np.empty(size, np.int32), np.empty(size, np.uint8), np.empty(size, np.int32), np.empty((size, 5), np.float32),
+            np.empty((size, 9), np.float32), np.zeros(size, np.int32),
+        )  # fmt: skip
+
+
+def _lattice(camera: Camera, origin: float, step: float) -> Lattice:
+    """A camera's pixels as a lattice; rows are filled up with rays of NaN to whole vectors."""
+    row_blocks = -(-camera.width // LANES)
+    padding = ((0, 0), (0, row_blocks * LANES - camera.width))
+    samples = np.zeros((camera.height * row_blocks, BLOCK), np.float32)
+    for k, offset in ((0, X), (1, Y)):
+        padded = np.pad(camera.rays[..., k], padding, constant_values=np.nan)
+        samples[:, offset : offset + LANES] = padded.reshape(-1, LANES)
+    flat = samples.ravel()
+    return Lattice(origin, step, camera.width, camera.height, row_blocks, flat, flat.view(np.int32))
 
 
 def _ray_box(camera: Camera) -> NDArray[np.float64]:

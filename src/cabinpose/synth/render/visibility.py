@@ -32,7 +32,7 @@ from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.surface import Surface
-from cabinpose.synth.render.zbuffer import NEAR_M, to_camera
+from cabinpose.synth.render.projection import NEAR_M, to_camera
 
 _WORN_ON_HEAD = ("hair", "headwear", "glasses")
 _SIDED_PARTS = {
@@ -141,7 +141,7 @@ def _first_hits(
     """Depth z and index of the first face on each segment from the camera to a target (n, 3); -1 where there is none.
 
     Faces are tested against the rays of the tiles of the image plane that they touch; the test is that of the z-buffer
-    (`zbuffer.scan_rays`).
+    (`zbuffer`).
     """
     n = len(targets)
     x, y = targets[:, 0] / targets[:, 2], targets[:, 1] / targets[:, 2]

@@ -1,0 +1,139 @@
+"""The inner steps of the z-buffer on eight samples at a time, as vector instructions.
+
+Samples lie in memory as blocks of eight neighbours in a row: their rays' x and y, their 1/z and their nearest face, four
+vectors of 32 bits, so that a triangle that touches a block touches two cache lines. `index` finds a sample in the flat array.
+
+Written as LLVM vectors because a compiler may not vectorise such loops by itself: it cannot know that reads and writes do not
+overlap. Eight float32 lanes exist or are split on every processor, each product and sum is fused by definition, and nothing is
+reordered, so results do not depend on the processor.
+"""
+
+# ruff: noqa: ARG001 - numba reads the names of an intrinsic's arguments; their values arrive in `args`
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+LANES = 8
+BLOCK = 4 * LANES  # 32-bit words: x, y, 1/z, face
+X, Y, INVERSE_Z, FACE = 0, LANES, 2 * LANES, 3 * LANES  # offsets in a block
+_LONG = ir.IntType(64)
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_INTS = ir.VectorType(ir.IntType(32), LANES)
+_FMA = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def index(row: int, column: int, row_blocks: int) -> int:
+    """Where the x of a sample lies in the flat array; add Y, INVERSE_Z or FACE for the rest."""
+    return (row * row_blocks + column // LANES) * BLOCK + column % LANES
+
+
+def _vector_at(builder: Any, base: Any, block: Any, offset: int, vector: Any) -> Any:
+    word = builder.add(builder.mul(block, ir.Constant(_LONG, BLOCK)), ir.Constant(_LONG, offset))
+    return builder.bitcast(builder.gep(base, [word]), vector.as_pointer())
+
+
+def _splat(builder: Any, value: Any, vector: Any) -> Any:
+    undefined = ir.Constant(vector, ir.Undefined)
+    first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(_INTS, [0] * LANES))
+
+
+def _data(context: Any, builder: Any, array_type: Any, value: Any) -> Any:
+    return context.make_array(array_type)(context, builder, value=value).data
+
+
+@intrinsic
+def clear(typing_context: Any, samples: Any, blocks: Any) -> Any:
+    """Forget what the first `blocks` blocks have seen: 1/z 0 and face -1; infinite 1/z where the ray is NaN and never hits."""
+    signature = types.void(samples, types.int64)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        base = _data(context, builder, signature.args[0], args[0])
+        zero, infinite = (ir.Constant(_FLOATS, [v] * LANES) for v in (0.0, float("inf")))
+        with cgutils.for_range(builder, args[1]) as loop:
+            x = builder.load(_vector_at(builder, base, loop.index, X, _FLOATS), align=4)
+            seen = builder.select(builder.fcmp_ordered("ord", x, x), zero, infinite)
+            builder.store(seen, _vector_at(builder, base, loop.index, INVERSE_Z, _FLOATS), align=4)
+            nobody = ir.Constant(_INTS, [-1] * LANES)
+            builder.store(nobody, _vector_at(builder, base, loop.index, FACE, _INTS), align=4)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def least(typing_context: Any, samples: Any, start: Any, stride: Any, rows: Any, blocks: Any) -> Any:
+    """The least 1/z of the blocks start + stride * i + j, i < rows, j < blocks; at most infinite."""
+    signature = types.float32(samples, types.int64, types.int64, types.int64, types.int64)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        base = _data(context, builder, signature.args[0], args[0])
+        low = cgutils.alloca_once_value(builder, ir.Constant(_FLOATS, [float("inf")] * LANES))
+        with cgutils.for_range(builder, args[3]) as row:
+            first = builder.add(args[1], builder.mul(row.index, args[2]))
+            with cgutils.for_range(builder, args[4]) as column:
+                at = _vector_at(builder, base, builder.add(first, column.index), INVERSE_Z, _FLOATS)
+                w, so_far = builder.load(at, align=4), builder.load(low)
+                builder.store(builder.select(builder.fcmp_ordered("<", w, so_far), w, so_far), low)
+        lanes = builder.load(low)
+        result = builder.extract_element(lanes, ir.Constant(ir.IntType(32), 0))
+        for k in range(1, LANES):
+            lane = builder.extract_element(lanes, ir.Constant(ir.IntType(32), k))
+            result = builder.select(builder.fcmp_ordered("<", lane, result), lane, result)
+        return result
+
+    return signature, generate
+
+
+@intrinsic
+def cover(
+    typing_context: Any, samples: Any, start: Any, stride: Any, rows: Any, blocks: Any, edges: Any, plane: Any, limit: Any,
+    face: Any,
+) -> Any:  # fmt: skip
+    """Note 1/z and `face` at the samples of the blocks start + stride * i + j where the triangle is hit and nearest.
+
+    i < rows, j < blocks · edges: nine float32, for each edge the (a, b, c) of a x + b y + c, not negative inside · plane:
+    three float32, the same for 1/z · limit: float32, the greatest 1/z that is seen · face: int32, the lower one wins at equal
+    1/z. A NaN ray hits nothing.
+    """
+    long = types.int64
+    signature = types.void(samples, long, long, long, long, edges, plane, limit, face)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        base = _data(context, builder, signature.args[0], args[0])
+        fma = cgutils.get_or_insert_function(builder.module, _FMA, "llvm.fma.v8f32")
+        zero = ir.Constant(_FLOATS, [0.0] * LANES)
+        edge = [_splat(builder, builder.extract_value(args[5], k), _FLOATS) for k in range(9)]
+        depth_plane = [_splat(builder, builder.extract_value(args[6], k), _FLOATS) for k in range(3)]
+        farthest, number = _splat(builder, args[7], _FLOATS), _splat(builder, args[8], _INTS)
+        with cgutils.for_range(builder, args[3]) as row:
+            first = builder.add(args[1], builder.mul(row.index, args[2]))
+            with cgutils.for_range(builder, args[4]) as column:
+                block = builder.add(first, column.index)
+                x = builder.load(_vector_at(builder, base, block, X, _FLOATS), align=4)
+                y = builder.load(_vector_at(builder, base, block, Y, _FLOATS), align=4)
+                w_at = _vector_at(builder, base, block, INVERSE_Z, _FLOATS)
+                face_at = _vector_at(builder, base, block, FACE, _INTS)
+                w, nearest = builder.load(w_at, align=4), builder.load(face_at, align=4)
+
+                def linear(a: Any, b: Any, c: Any, x: Any = x, y: Any = y) -> Any:
+                    return builder.call(fma, [a, x, builder.call(fma, [b, y, c])])
+
+                depth = linear(*depth_plane)
+                tie = builder.and_(builder.fcmp_ordered("==", depth, w), builder.icmp_signed("<", number, nearest))
+                mask = builder.or_(builder.fcmp_ordered(">", depth, w), tie)
+                mask = builder.and_(mask, builder.fcmp_ordered("<=", depth, farthest))
+                for k in range(0, 9, 3):
+                    mask = builder.and_(mask, builder.fcmp_ordered(">=", linear(*edge[k : k + 3]), zero))
+                builder.store(builder.select(mask, depth, w), w_at, align=4)
+                builder.store(builder.select(mask, number, nearest), face_at, align=4)
+        return context.get_dummy_value()
+
+    return signature, generate
