@@ -93,7 +93,7 @@ def _outward(vertices: Array, faces: Faces) -> Faces:
 def foot_faces_hidden(faces: Faces) -> NDArray[np.bool_]:
     """(F,) faces of the skin that lie inside a shoe."""
     c = load_chart()
-    inside = (c.leg > 0.5) & (c.rest[:, 2] < c.heads["lfoot"][2] - 0.012)
+    inside = (c.leg > 0.5) & (c.rest[:, 2] < c.heads["lfoot"][2] - 0.040)
     return np.asarray(inside[faces].all(axis=1))
 
 

@@ -23,12 +23,15 @@ from cabinpose.scene.body.skinning import vertex_normals
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
-_SMOOTHING_STEPS = 20
+_SMOOTHING_STEPS = 20  # for what has no garment's own: hair, caps, bare skin
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """A garment: ends of its regions (chart units), thickness, looseness at fit 1 and depth of folds (m), material."""
+    """A garment: ends of its regions (chart units), thickness, looseness at fit 1 and depth of folds (m), material.
+
+    bridge: steps of smoothing, more for cloth that spans wider hollows.
+    """
 
     thickness: float
     loose: float
@@ -38,13 +41,14 @@ class _Cut:
     hem: float = 0.0  # up
     collar: float = 0.0  # share of the neck's weights that stays free
     leg: float = 0.0  # along_leg
+    bridge: int = 20
 
 
 TOPS = {
-    "t_shirt": _Cut(0.002, 0.030, 0.011, "cotton", sleeve=0.62, hem=-0.06, collar=0.25),
-    "long_sleeve": _Cut(0.002, 0.026, 0.010, "cotton", sleeve=1.93, hem=-0.05, collar=0.35),
-    "jumper": _Cut(0.006, 0.032, 0.012, "wool", sleeve=1.96, hem=-0.02, collar=0.45),
-    "jacket": _Cut(0.010, 0.034, 0.014, "synthetic_fabric", sleeve=2.0, hem=-0.10, collar=0.75),
+    "t_shirt": _Cut(0.002, 0.030, 0.011, "cotton", sleeve=0.62, hem=-0.06, collar=0.25, bridge=25),
+    "long_sleeve": _Cut(0.002, 0.026, 0.010, "cotton", sleeve=1.93, hem=-0.05, collar=0.35, bridge=25),
+    "jumper": _Cut(0.006, 0.032, 0.012, "wool", sleeve=1.96, hem=-0.02, collar=0.45, bridge=50),
+    "jacket": _Cut(0.010, 0.034, 0.014, "synthetic_fabric", sleeve=2.0, hem=-0.10, collar=0.75, bridge=80),
 }
 BOTTOMS = {
     "trousers": _Cut(0.002, 0.030, 0.010, "cotton", leg=1.99),
@@ -261,7 +265,8 @@ def layer(skin: Array32, outfit: Outfit, size: float) -> Layer:
         offset = np.where(mask > 0, CAP_DEPTH_M * mask, offset)
         bridged = np.maximum(bridged, mask)
         regions.append((_covered(_cap_mask), "cotton", "headwear"))
-    smooth = _smoothed(skin, start, near, bridged.astype(np.float32), _SMOOTHING_STEPS)
+    steps = TOPS[outfit.top].bridge if outfit.top in TOPS else _SMOOTHING_STEPS
+    smooth = _smoothed(skin, start, near, bridged.astype(np.float32), steps)
     faces = load_shape_space().faces
     skin_normals, normals = np.empty_like(skin), np.empty_like(skin)
     vertex_normals(skin, faces, skin_normals)

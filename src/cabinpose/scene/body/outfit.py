@@ -62,11 +62,6 @@ class Outfit:
             folds=int(rng.integers(1 << 16)),
         )
 
-    @property
-    def bare(self) -> bool:
-        """Whether nothing is worn at all."""
-        return self == Outfit("none", "none", "none", "bald", fit=self.fit, folds=self.folds)
-
     def as_dict(self) -> dict[str, object]:
         """Plain data for files."""
         return asdict(self)
