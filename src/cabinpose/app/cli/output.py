@@ -52,7 +52,7 @@ class ProgressReport:
         """`done` of all items are there; `note` is shown beside the rate of those that this run made."""
         now = time.monotonic()
         rate = (done - self._start) / max(now - self._began, 1e-9)
-        text = f"{rate:.1f} {self._unit}/s"
+        text = f"{rate:.1f} {self._unit}/s" if rate >= 1 or rate == 0 else f"{1 / rate:.1f} s each"
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, rate=text, note=note)
         elif now - self._logged >= LOG_EVERY_S:
