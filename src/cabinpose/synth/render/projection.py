@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
 
 NEAR_M = 0.01  # surfaces closer to the camera plane than this are not seen
 MAX_CORNERS = 8  # of a triangle cut by five planes
@@ -30,6 +34,16 @@ class Lens(NamedTuple):
     dist: F64
     box: F64
     curvature: float
+
+
+@lru_cache(maxsize=64)
+def ray_box(camera: Camera) -> F64:
+    """(x min, y min, x max, y max) of the ideal rays of an image, widened by a pixel."""
+    rays = camera.rays.reshape(-1, 2)
+    if np.isnan(rays).all():
+        raise ConfigError("no pixel of this camera has a ray", hint="check the distortion coefficients and the focal length")
+    margin = 1.0 / min(camera.fx, camera.fy)
+    return np.concatenate((np.nanmin(rays, axis=0) - margin, np.nanmax(rays, axis=0) + margin))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -15,7 +15,7 @@ from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.sensor.buffers import GeometryBuffers
 from cabinpose.scene.surface import Surface
 from cabinpose.synth.render.lanes import BLOCK, LANES, X, Y
-from cabinpose.synth.render.projection import Lens, project, to_camera
+from cabinpose.synth.render.projection import Lens, project, ray_box, to_camera
 from cabinpose.synth.render.shading import classify, shade
 from cabinpose.synth.render.zbuffer import TILE_COLUMNS, TILE_ROWS, Lattice, Work, rasterise
 
@@ -55,7 +55,7 @@ class Rasteriser:
         self.camera = camera
         self.supersample = supersample
         fine = camera.scaled(supersample)
-        box = _ray_box(fine)
+        box = ray_box(fine)
         self._lens = Lens(fine.fx, fine.fy, fine.cx, fine.cy, np.array(camera.dist), box, _projection_curvature(fine, box))
         self._sub = _lattice(fine, 0.0, 1.0)
         self._centre = _lattice(camera, (supersample - 1) / 2, float(supersample))
@@ -138,15 +138,6 @@ def _lattice(camera: Camera, origin: float, step: float) -> Lattice:
         samples[:, offset : offset + LANES] = padded.reshape(-1, LANES)
     flat = samples.ravel()
     return Lattice(origin, step, camera.width, camera.height, row_blocks, flat, flat.view(np.int32))
-
-
-def _ray_box(camera: Camera) -> NDArray[np.float64]:
-    """(x min, y min, x max, y max) of the ideal rays of an image, a little widened."""
-    rays = camera.rays.reshape(-1, 2)
-    if np.isnan(rays).all():
-        raise ConfigError("no pixel of this camera has a ray", hint="check the distortion coefficients and the focal length")
-    margin = 1.0 / min(camera.fx, camera.fy)
-    return np.concatenate((np.nanmin(rays, axis=0) - margin, np.nanmax(rays, axis=0) + margin))
 
 
 def _projection_curvature(camera: Camera, box: NDArray[np.float64]) -> float:

@@ -19,6 +19,7 @@ The ray is exact (no pixel grid), so the answer does not depend on the resolutio
 
 from __future__ import annotations
 
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
@@ -32,7 +33,7 @@ from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.surface import Surface
-from cabinpose.synth.render.projection import NEAR_M, to_camera
+from cabinpose.synth.render.projection import NEAR_M, Lens, project, ray_box, to_camera
 
 _WORN_ON_HEAD = ("hair", "headwear", "glasses")
 _SIDED_PARTS = {
@@ -74,8 +75,10 @@ _REACH_M = {
 REACH_M = MappingProxyType({joint: _REACH_M[joint if joint in _REACH_M else joint[1:]] for joint in JOINTS})
 
 _TILES = 64  # the index of rays: tiles a side
+_SLACK = 1e-5  # ideal coordinates around the rays, so that each lies inside a tile
 
 
+@cache
 def visibility_tables() -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
     """(own (20, 256) by joint and label, reach (20,) m, passed-over labels (256,), passed-over materials (256,))."""
     own = np.zeros((len(JOINTS), 256), np.bool_)
@@ -106,7 +109,7 @@ def joint_visibility(
         p_camera = np.empty((len(surface.vertices), 3), np.float32)
         to_camera(surface.vertices, np.ascontiguousarray(camera_from_vehicle, dtype=np.float64), p_camera)
         passed = labels[surface.label] | materials[surface.material]
-        hit_z, hit_face = _first_hits(flat[rays], p_camera, surface.faces, passed)
+        hit_z, hit_face = _first_hits(flat[rays], p_camera, surface.faces.view(np.uint32), passed)
         hit = hit_face >= 0
         face = np.where(hit, hit_face, 0)
         joint = rays % joints.shape[-2]
@@ -127,16 +130,15 @@ def _in_image(p_camera: NDArray[np.float64], camera: Camera) -> NDArray[np.bool_
     with np.errstate(invalid="ignore"):
         inside = (p_camera[:, 2] > 0) & camera.contains(camera.project(p_camera))
         if camera.is_distorted:
-            rays = camera.rays.reshape(-1, 2)
-            margin = 1 / min(camera.fx, camera.fy)
+            box = ray_box(camera)
             xy = p_camera[:, :2] / p_camera[:, 2:]
-            inside &= ((xy >= np.nanmin(rays, axis=0) - margin) & (xy <= np.nanmax(rays, axis=0) + margin)).all(axis=1)
+            inside &= ((xy >= box[:2]) & (xy <= box[2:])).all(axis=1)
     return np.asarray(inside)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _first_hits(
-    targets: NDArray[np.float64], p_camera: NDArray[np.float32], faces: NDArray[np.int32], passed: NDArray[np.bool_]
+    targets: NDArray[np.float64], p_camera: NDArray[np.float32], faces: NDArray[np.uint32], passed: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Depth z and index of the first face on each segment from the camera to a target (n, 3); -1 where there is none.
 
@@ -145,37 +147,33 @@ def _first_hits(
     """
     n = len(targets)
     x, y = targets[:, 0] / targets[:, 2], targets[:, 1] / targets[:, 2]
-    x0, y0 = x.min(), y.min()
-    per_x, per_y = _TILES / (x.max() - x0 + 1e-6), _TILES / (y.max() - y0 + 1e-6)
+    box = np.array([x.min() - _SLACK, y.min() - _SLACK, x.max() + _SLACK, y.max() + _SLACK])
+    per_x, per_y = _TILES / (box[2] - box[0]), _TILES / (box[3] - box[1])
+    tiles = Lens(per_x, per_y, -box[0] * per_x, -box[1] * per_y, np.zeros(5), box, 0.0)  # projects to tiles
+    projected, outside = np.empty((len(p_camera), 5), np.float32), np.empty(len(p_camera), np.uint8)
+    project(p_camera, tiles, projected, outside)
     words = (n + 63) // 64
     columns, rows = np.zeros((_TILES, words), np.uint64), np.zeros((_TILES, words), np.uint64)
     for i in range(n):
         bit = np.uint64(1) << np.uint64(i % 64)
-        columns[min(int((x[i] - x0) * per_x), _TILES - 1), i // 64] |= bit
-        rows[min(int((y[i] - y0) * per_y), _TILES - 1), i // 64] |= bit
-    grid = np.empty((len(p_camera), 2), np.float32)  # tile coordinates of the vertices, NaN where not in front
-    for i in range(len(p_camera)):
-        z = np.float64(p_camera[i, 2])
-        grid[i, 0] = (p_camera[i, 0] / z - x0) * per_x if z >= NEAR_M else np.nan
-        grid[i, 1] = (p_camera[i, 1] / z - y0) * per_y
+        columns[int((x[i] - box[0]) * per_x), i // 64] |= bit
+        rows[int((y[i] - box[1]) * per_y), i // 64] |= bit
     best, face = np.full(n, np.inf), np.full(n, -1)
     for f in range(len(faces)):
-        if passed[f]:
+        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        if outside[i0] & outside[i1] & outside[i2] or passed[f]:
             continue
-        i0, i1, i2 = faces[f]
-        a0, a1, a2 = grid[i0, 0], grid[i1, 0], grid[i2, 0]
-        if a0 + a1 + a2 != a0 + a1 + a2:  # crosses the camera plane, or lies behind it
-            if p_camera[i0, 2] < NEAR_M and p_camera[i1, 2] < NEAR_M and p_camera[i2, 2] < NEAR_M:
+        c0, c1, r0, r1 = 0, _TILES - 1, 0, _TILES - 1  # cut by the near limit: perhaps everywhere
+        if (outside[i0] | outside[i1] | outside[i2]) & 1 == 0:
+            # A hundredth of a tile covers float32.
+            left = min(projected[i0, 3], projected[i1, 3], projected[i2, 3]) - 0.01
+            right = max(projected[i0, 3], projected[i1, 3], projected[i2, 3]) + 0.01
+            top = min(projected[i0, 4], projected[i1, 4], projected[i2, 4]) - 0.01
+            bottom = max(projected[i0, 4], projected[i1, 4], projected[i2, 4]) + 0.01
+            if right < 0.0 or bottom < 0.0:
                 continue
-            c0, c1, r0, r1 = 0, _TILES - 1, 0, _TILES - 1
-        else:
-            b0, b1, b2 = grid[i0, 1], grid[i1, 1], grid[i2, 1]
-            left, right, top, bottom = min(a0, a1, a2), max(a0, a1, a2), min(b0, b1, b2), max(b0, b1, b2)
-            if right < -1.0 or left > _TILES or bottom < -1.0 or top > _TILES:
-                continue
-            # A hundredth of a tile covers the float32 rounding of the grid.
-            c0, c1 = int(max(left - 0.01, 0.0)), int(min(max(right + 0.01, 0.0), _TILES - 1.0))
-            r0, r1 = int(max(top - 0.01, 0.0)), int(min(max(bottom + 0.01, 0.0), _TILES - 1.0))
+            c0, c1 = int(max(left, 0.0)), int(min(right, _TILES - 1.0))
+            r0, r1 = int(max(top, 0.0)), int(min(bottom, _TILES - 1.0))
         for word in range(words):
             in_columns, in_rows = np.uint64(0), np.uint64(0)
             for c in range(c0, c1 + 1):
@@ -186,9 +184,9 @@ def _first_hits(
             i = word * 64
             while bits:
                 if bits & np.uint64(1):
-                    z = _hit(p_camera[i0], p_camera[i1], p_camera[i2], x[i], y[i])
+                    z = np.float64(_hit(p_camera, i0, i1, i2, x[i], y[i]))
                     if NEAR_M <= z < targets[i, 2] and z < best[i]:
-                        best[i] = np.float64(z)
+                        best[i] = z
                         face[i] = f
                 bits >>= np.uint64(1)
                 i += 1
@@ -196,11 +194,11 @@ def _first_hits(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _hit(v0: NDArray[np.float32], v1: NDArray[np.float32], v2: NDArray[np.float32], x: float, y: float) -> float:
+def _hit(p_camera: NDArray[np.float32], i0: int, i1: int, i2: int, x: float, y: float) -> float:
     """Depth z where the ray (x, y, 1) meets a triangle; 0 where it does not."""
-    ax, ay, az = np.float64(v0[0]), np.float64(v0[1]), np.float64(v0[2])
-    bx, by, bz = np.float64(v1[0]), np.float64(v1[1]), np.float64(v1[2])
-    cx, cy, cz = np.float64(v2[0]), np.float64(v2[1]), np.float64(v2[2])
+    ax, ay, az = np.float64(p_camera[i0, 0]), np.float64(p_camera[i0, 1]), np.float64(p_camera[i0, 2])
+    bx, by, bz = np.float64(p_camera[i1, 0]), np.float64(p_camera[i1, 1]), np.float64(p_camera[i1, 2])
+    cx, cy, cz = np.float64(p_camera[i2, 0]), np.float64(p_camera[i2, 1]), np.float64(p_camera[i2, 2])
     e0 = (by * cz - bz * cy) * x + (bz * cx - bx * cz) * y + (bx * cy - by * cx)
     e1 = (cy * az - cz * ay) * x + (cz * ax - cx * az) * y + (cx * ay - cy * ax)
     e2 = (ay * bz - az * by) * x + (az * bx - ax * bz) * y + (ax * by - ay * bx)

@@ -1,0 +1,177 @@
+"""Visibility of joints: hand-made scenes with known answers, and an independent ray test on people in cars."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from render_scenes import BARREL, Embree, ball, cabin_view, person, rod, room, small_camera
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.frames import Matrix, apply, invert, look_at
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import INDEX, JOINTS
+from cabinpose.scene.labels import BODY_PARTS
+from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.surface import Surface, merge
+from cabinpose.synth.render import OWN_PARTS, REACH_M, joint_visibility
+
+FORWARD = invert(look_at((0, 0, 0), (1, 0, 0)))
+
+
+def state(joint: str, at: tuple[float, float, float], parts: list[Surface], instance: int = 1) -> Visibility:
+    """The state of one joint of person `instance` at a place of the vehicle frame, the camera at the origin looking along x."""
+    joints = np.full((1, len(JOINTS), 3), np.nan)
+    joints[0, INDEX[joint]] = apply(FORWARD, at)
+    result = joint_visibility(joints, [instance], merge(parts), FORWARD, small_camera())
+    others = np.delete(result[0], INDEX[joint])
+    assert (others == Visibility.ABSENT).all()
+    return Visibility(result[0, INDEX[joint]])
+
+
+def test_every_joint_has_its_own_parts_and_a_reach() -> None:
+    names = {label.name for label in BODY_PARTS}
+    assert tuple(OWN_PARTS) == JOINTS == tuple(REACH_M)
+    for joint in JOINTS:
+        assert set(OWN_PARTS[joint]) <= names
+        if joint[0] in "lr":
+            assert not any(part.endswith("_left" if joint[0] == "r" else "_right") for part in OWN_PARTS[joint])
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_a_joint_inside_its_own_part_is_visible(joint: str) -> None:
+    assert state(joint, (1.0, 0, 0), [ball((1.0, 0, 0), 0.08, OWN_PARTS[joint][0], instance=1)]) == Visibility.VISIBLE
+
+
+def test_the_five_states() -> None:
+    elbow = ball((1.0, 0, 0), 0.05, "elbow_left", instance=1)
+    head = ball((0.6, 0, 0), 0.08, "head_left", instance=1)
+    seat = ball((0.5, 0, 0), 0.1, "seat")
+    other = ball((0.5, 0, 0), 0.1, "elbow_left", instance=2)
+    at = (1.0, 0.0, 0.0)
+    assert state("lelbow", at, [elbow]) == Visibility.VISIBLE
+    assert state("lelbow", at, [elbow, head]) == Visibility.SELF_OCCLUDED
+    assert state("lelbow", at, [elbow, seat]) == Visibility.OCCLUDED
+    assert state("lelbow", at, [elbow, other]) == Visibility.OCCLUDED  # the same part, but of another person
+    assert state("lelbow", at, [elbow, head, seat]) == Visibility.OCCLUDED  # what the camera sees there decides
+    assert state("lelbow", (-1.0, 0, 0), [elbow]) == Visibility.OUTSIDE_IMAGE
+    assert state("lelbow", (0.1, 5.0, 0), [elbow]) == Visibility.OUTSIDE_IMAGE
+    assert state("lelbow", at, [ball((2.0, 0, 0), 0.1)]) == Visibility.VISIBLE  # nothing in front
+
+
+def test_the_other_arm_does_not_show_the_joint() -> None:
+    elbow, crossed = ball((1.0, 0, 0), 0.05, "elbow_left", instance=1), ball((0.9, 0, 0), 0.05, "forearm_right", instance=1)
+    assert state("lelbow", (1.0, 0, 0), [elbow, crossed]) == Visibility.SELF_OCCLUDED
+
+
+def test_a_knee_behind_the_length_of_its_own_thigh_is_not_visible() -> None:
+    for length, expected in ((0.1, Visibility.VISIBLE), (0.45, Visibility.SELF_OCCLUDED)):
+        thigh = rod((1.0 - length, 0, 0), (1.05, 0, 0), 0.08, "thigh_left", instance=1)
+        assert state("lknee", (1.0, 0, 0), [thigh]) == expected
+
+
+def test_belts_windows_and_lenses_are_passed_over() -> None:
+    chest = ball((1.0, 0, 0), 0.15, "torso_left", instance=1)
+    pane = ball((0.5, 0, 0), 0.05)
+    at = (1.0, 0.0, 0.0)
+    belt = replace(pane, label=np.full(len(pane.faces), LABEL["seat_belt"], np.uint8))
+    assert state("chest", at, [chest, belt]) == Visibility.VISIBLE
+    for material in ("glass", "spectacle_lens"):
+        clear = replace(pane, material=np.full(len(pane.faces), MATERIAL[material], np.uint8))
+        assert state("chest", at, [chest, clear]) == Visibility.VISIBLE
+    assert state("chest", at, [chest, pane]) == Visibility.OCCLUDED
+
+
+def test_a_joint_that_the_lens_folds_into_the_image_is_outside() -> None:
+    folding = Camera(100, 100, 60.0, 60.0, 49.5, 49.5, (-0.3, 0.0, 0.0, 0.0, 0.0))
+    far_out = np.full((1, 20, 3), np.nan)
+    far_out[0, 0] = (1.79, 0.0, 1.0)  # distorts to 0.07, near the centre
+    assert folding.contains(folding.project(far_out[0, 0]))
+    assert joint_visibility(far_out, [1], room(), np.eye(4), folding)[0, 0] == Visibility.OUTSIDE_IMAGE
+
+
+def by_rays(joints: NDArray[np.float64], instances: list[int], scene: Surface, view: Matrix, camera: Camera) -> NDArray[np.uint8]:
+    """The definition of docs/visibility.md once more, on Embree's first hits."""
+    glass = np.isin(scene.material, [MATERIAL["glass"], MATERIAL["spectacle_lens"]])
+    keep = ~(glass | (scene.label == LABEL["seat_belt"]))
+    solid = replace(
+        scene,
+        faces=np.ascontiguousarray(scene.faces[keep]),
+        label=scene.label[keep],
+        material=scene.material[keep],
+        instance=scene.instance[keep],
+    )
+    embree = Embree(solid, view)
+    name = {label.id: label.name for label in BODY_PARTS}
+    states = np.zeros(joints.shape[:2], np.uint8)
+    for p, instance in enumerate(instances):
+        for j, joint in enumerate(JOINTS):
+            target = joints[p, j]
+            if np.isnan(target).any():
+                continue
+            uv = camera.project(target)
+            if not camera.contains(uv):
+                states[p, j] = Visibility.OUTSIDE_IMAGE
+                continue
+            z, face = embree.cast((target[:2] / target[2])[None])
+            if face[0] < 0 or z[0] >= target[2]:
+                states[p, j] = Visibility.VISIBLE
+            elif solid.instance[face[0]] != instance:
+                states[p, j] = Visibility.OCCLUDED
+            else:
+                distance = np.linalg.norm(target * (1 - z[0] / target[2]))
+                own = name.get(int(solid.label[face[0]])) in OWN_PARTS[joint] and distance <= REACH_M[joint]
+                states[p, j] = Visibility.VISIBLE if own else Visibility.SELF_OCCLUDED
+    return states
+
+
+def test_agrees_with_a_ray_test_on_random_points_of_crude_people() -> None:
+    rng = np.random.default_rng(7)
+    scene = merge([room(subdivide=1), person(1), person(2, (1.9, -0.4, 0.6))])
+    view = cabin_view()
+    joints = apply(view, rng.uniform((-0.5, -0.6, 0.4), (2.0, 0.7, 1.4), (50, 20, 3)))
+    instances = [1, 2] * 25
+    for camera in (small_camera(), small_camera(BARREL)):
+        ours = joint_visibility(joints, instances, scene, view, camera)
+        expected = by_rays(joints, instances, scene, view, camera)
+        assert (ours == expected).mean() >= 0.999
+        assert all((expected == value).sum() > 10 for value in (1, 2, 3, 4))
+
+
+def test_agrees_with_a_ray_test_on_people_in_cars() -> None:
+    from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel
+    from cabinpose.scene.cabin import build_cabin
+    from cabinpose.scene.sensor import SENSORS
+
+    rng = np.random.default_rng(3)
+    model, camera = BodyModel.load(), SENSORS["pico_monstar_105"].camera
+    people = [model.person(s.phenotype, s.outfit) for s in list(SUBJECTS.values())[:3]]
+    agree = total = 0
+    for preset in ("city_car", "sedan", "van"):
+        cabin = build_cabin(preset)
+        settings = {slot: seat.default for slot, seat in cabin.seats.items()}
+        for view_name in ("driver", "front_row"):
+            parts, joints = [cabin.surface(settings)], []
+            for k, slot in enumerate(("driver", "front_passenger")):
+                q = np.zeros(len(DOFS))
+                for side in "lr":
+                    for dof, low, high in (
+                        ("hip.flexion", 70, 100), ("knee.flexion", 60, 90), ("shoulder.flexion", 0, 80),
+                        ("elbow.flexion", 10, 100), ("shoulder.rotation", 0, 40),
+                    ):  # fmt: skip
+                        q[DOF_INDEX[f"{side}{dof}"]] = np.deg2rad(rng.uniform(low, high))
+                body = people[(k + len(preset)) % 3].pose(q, cabin.seats[slot].vehicle_from_seat(settings[slot]))
+                parts.append(body.surface(k + 1))
+                joints.append(body.joints)
+            anchor = cabin.view(view_name)
+            view = invert(look_at(anchor.eye, anchor.target))
+            in_camera = apply(view, np.array(joints))
+            scene = merge(parts)
+            ours = joint_visibility(in_camera, [1, 2], scene, view, camera)
+            agree += (ours == by_rays(in_camera, [1, 2], scene, view, camera)).sum()
+            total += ours.size
+    assert total == 240
+    assert agree >= 0.999 * total
