@@ -113,7 +113,7 @@ def by_rays(joints: NDArray[np.float64], instances: list[int], scene: Surface, v
             if np.isnan(target).any():
                 continue
             uv = camera.project(target)
-            if not camera.contains(uv):
+            if not camera.contains(uv) or not np.allclose(camera.unproject(uv, target[2]), target, atol=1e-3):  # folded
                 states[p, j] = Visibility.OUTSIDE_IMAGE
                 continue
             z, face = embree.cast((target[:2] / target[2])[None])
