@@ -82,20 +82,17 @@ def belt_surface(
     ends = joints[_BONES]
     bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
     ribbons = (
-        (len(_TRUNK) - 2, anchors.upper, collar, anchors.buckle, 0.4 * ahead + 0.6 * frame[:, 0]),  # not around thighs
-        (len(_TRUNK), anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up),
+        (anchors.upper, collar, anchors.buckle, 0.4 * ahead + 0.6 * frame[:, 0]),
+        (anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up),
     )
     return merge([_ribbon(vertices, faces, bones, *r, gap_m) for r in ribbons])
 
 
 def _ribbon(
     skin: NDArray[np.float32], faces: NDArray[np.int32], bones: NDArray[np.float64],
-    trunk: int, start: Vector, through: Vector, end: Vector, front: Vector, gap: float,
+    start: Vector, through: Vector, end: Vector, front: Vector, gap: float,
 ) -> Surface:  # fmt: skip
-    """One ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body that `front` points to.
-
-    Only triangles nearest to the first `trunk` bones hold it.
-    """
+    """One ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body that `front` points to."""
     x = (end - start) / np.linalg.norm(end - start)
     y = (through - start) - x * float((through - start) @ x)
     y = y / np.linalg.norm(y)
@@ -104,7 +101,7 @@ def _ribbon(
     axes = np.stack((x, y, normal))
     goal = np.array([float((end - start) @ x), 0.0])
     offsets = np.array([-0.5, 0.0, 0.5]) * WEBBING_WIDTH
-    lines = _lines(skin, faces, bones, _GIRTH, trunk, axes, start, offsets, goal, toward, STEPS, gap)
+    lines = _lines(skin, faces, bones, _GIRTH, len(_TRUNK), axes, start, offsets, goal, toward, STEPS, gap)
     middle = start + offsets[None, :, None] * normal + lines @ axes[:2]  # (STEPS, 3, 3)
     along = np.empty_like(middle)
     along[1:-1], along[0], along[-1] = middle[2:] - middle[:-2], middle[1] - middle[0], middle[-1] - middle[-2]

@@ -25,7 +25,7 @@ from cabinpose.scene.cabin.model import (
     in_slot_order,
 )
 from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
-from cabinpose.scene.cabin.seats import STYLES, seat_parts
+from cabinpose.scene.cabin.seats import STYLES, SeatShape, seat_parts
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, join, tube
 from cabinpose.scene.surface import Surface
@@ -105,10 +105,13 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         parts.extend(made)
         h = layout.h_front * (1.0, side, 1.0)
         room = float(layout.half_width(h[0], layout.belt_z)) - d.w20_mm / 1000
+        upper = _shoulder_exit(h, shape, default.torso_angle, side, True) if fixed else _d_ring(layout, h, side)
         belt = BeltAnchors(
-            _d_ring(layout, h, side, fixed), h + _flip(fixed, (-0.10, -side * (shape.width / 2 + 0.02), -0.09)),
-            h + _flip(fixed, (-0.14, side * (shape.width / 2 + 0.015), -0.14)), rides_seat=not fixed,
-        )  # fmt: skip
+            upper,
+            h + _flip(fixed, (-0.10, -side * (shape.width / 2 + 0.02), -0.09)),
+            h + _flip(fixed, (-0.14, side * (shape.width / 2 + 0.015), -0.14)),
+            rides_seat=not fixed,
+        )
         heel = np.array([0.0, h[1], 0.0])
         seats[slot] = Seat(
             slot, h, np.pi if fixed else 0.0, default, (low, high), float(layout.cushion), heel,
@@ -139,13 +142,22 @@ def _belt_fittings(seats: dict[str, Seat]) -> list[Part]:
     return parts
 
 
-def _d_ring(layout: Layout, h: Vector, side: float, fixed: bool) -> Vector:
-    """The upper belt anchor: on the B-pillar above the shoulder, or at the top of a seat that is not beside a pillar."""
-    if fixed:
-        return h + (0.30, side * 0.20, 0.60)
+def _d_ring(layout: Layout, h: Vector, side: float) -> Vector:
+    """The upper belt anchor on the B-pillar, above the shoulder."""
     z = float(min(h[2] + 0.66, layout.rail_z(layout.b_pillar_x) - 0.05))
     x = float(min(layout.b_line(np.array(z)), h[0] - 0.24))
     return np.array([x, side * (float(layout.half_width(x, z)) - 0.035), z])
+
+
+def _shoulder_exit(h: Vector, shape: SeatShape, torso: float, side: float, backward: bool) -> Vector:
+    """Where the belt leaves the top of a backrest that is not beside a pillar."""
+    up, behind = shape.back_height + 0.012, shape.back_behind_h + 0.6 * shape.back_depth
+    offset = (
+        -np.sin(torso) * up - np.cos(torso) * behind,
+        side * 0.36 * shape.top_width,
+        np.cos(torso) * up - np.sin(torso) * behind,
+    )
+    return np.asarray(h + _flip(backward, offset))
 
 
 def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
@@ -176,9 +188,13 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         h = np.array([layout.h_rear[0], y, layout.h_rear[2]])
         side = -1.0 if y < 0 else 1.0
         reach = float(np.clip(shape.width / 2, 0.21, 0.23))
-        upper_y = side * (float(layout.half_width(h[0] - 0.3, h[2] + 0.6)) - 0.05) if abs(y) > 0.1 else 0.16
+        if layout.facing or slot == "rear_center":
+            upper = _shoulder_exit(h, shape, default.torso_angle, side, False)
+        else:
+            z = min(h[2] + 0.62, float(layout.rail_z(h[0] - 0.36)) - 0.02)
+            upper = np.array([h[0] - 0.36, side * (float(layout.half_width(h[0] - 0.36, z)) - 0.04), z])
         belt = BeltAnchors(
-            np.array([h[0] - 0.36, upper_y, min(h[2] + 0.62, float(layout.rail_z(h[0] - 0.36)) - 0.02)]),
+            upper,
             h + (-0.11, -side * reach, -0.09), h + (-0.13, side * reach, -0.12), rides_seat=False,
         )  # fmt: skip
         room = float(layout.half_width(h[0], layout.belt_z)) - abs(y)

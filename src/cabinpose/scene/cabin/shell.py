@@ -117,7 +117,7 @@ def _door_fittings(layout: Layout) -> list[Solid]:
             ring = 0.075 * np.stack([np.cos(np.arange(14) * np.pi / 7), np.sin(np.arange(14) * np.pi / 7)], axis=-1)
             rings = [
                 np.stack((r * ring[:, 0], np.full(14, y), r * ring[:, 1]), axis=-1)
-                for r, y in ((1, 0.03), (1, -0.045), (0.8, -0.055))
+                for r, y in ((1, 0.03), (1, -0.024), (0.8, -0.030))
             ]
             solids.append(_on_door(layout, loft(np.stack(rings)), h[0] + ahead + 0.20, 0.30))
     return solids
