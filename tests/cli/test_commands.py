@@ -179,7 +179,10 @@ def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> No
     assert "known: test, train" in err
 
 
-def test_synth_refuses_before_any_work(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+def test_synth_refuses_before_any_work(run: Run, dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cabinpose.synth import generate
+
+    monkeypatch.setattr(generate, "preflight", lambda *_, **__: None)  # the scene is not the subject, and takes seconds
     config = tmp_path / "scene.yaml"
     config.write_text("version: 1\n")
     before = open_dataset(dataset_folder).sizes["frame"]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,6 +30,12 @@ def test_nobody_of_another_split_is_seen(dataset_folder: Path) -> None:
     assert parts["train"].frame.values.tolist() == [0, 4]
     assert parts["test"].frame.values.tolist() == [3]
     assert parts["train"].depth[1].values.shape == (48, 64)
+
+
+def test_empty_frames_belong_to_no_selection_of_people() -> None:
+    subject = np.array([["", ""], ["S01", ""], ["S01", "S02"]], object)
+    dataset = xr.Dataset({"subject": (("frame", "person"), subject)})
+    assert frame_mask(dataset, {"subject": ("S01",)}).tolist() == [False, True, False]
 
 
 def test_yaml_round_trip(tmp_path: Path) -> None:
