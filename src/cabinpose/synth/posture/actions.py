@@ -98,7 +98,6 @@ _ANYWHERE = (
         trunk={"lumbar.lateral": (10.0, 4.0), "thorax.lateral": (6.0, 3.0), "lumbar.flexion": (2.0, 2.0)},
     ),
     Action("belt", "belt", "thigh", _HAND, weight=0.7),
-    Action("buckle", "reach", "thigh", _HAND, ("buckle_{slot}",), weight=0.5),
     Action(
         "sleep", "thigh", "thigh", Gaze((0.0, 18.0), (-30.0, 6.0), tilt=13.0),
         trunk={"thorax.flexion": (4.0, 3.0), "lumbar.flexion": (3.0, 2.0), "lumbar.lateral": (0.0, 3.0)},

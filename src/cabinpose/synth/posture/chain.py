@@ -6,8 +6,8 @@ frame. With angles q (rad), base_from_tool = fixed[0] R(axes[0], q[0]) fixed[1] 
 
 The solver is Levenberg-Marquardt with a diagonal damping (Marquardt 1963; Wampler 1986 for manipulators) and an active set
 for the limits: a hinge at its limit whose gradient points outwards is held, steps are cut to the box, and a step is
-taken only where it lowers the cost. A prior pulls towards a comfortable posture; it is taken away for the last
-iterations, so that it chooses among solutions and does not bias the one that is found.
+taken only where it lowers the cost. A prior pulls towards a comfortable posture; for the last iterations it is taken
+away, or down to a share, so that it chooses among solutions and hardly biases the one that is found.
 """
 
 from __future__ import annotations
@@ -203,9 +203,11 @@ def solve_chain(
     stiffness: Array,
     q: Array,
     iterations: int,
+    kept: float,
 ) -> tuple[float, float]:
     """Improve q (N,) rad in place so that the tool meets the target; never leaves the limits.
 
+    For the last iterations only the share `kept` of the prior's stiffness stays at work: 0 leaves no bias.
     Returns the unweighted position (m) and rotation (rad) error over the directions with a weight.
     """
     n = len(q)
@@ -224,10 +226,10 @@ def solve_chain(
     cost = task + _prior_cost(q, prior, stiffness, share)
     with_prior = int(_PRIOR_SHARE * iterations)
     for iteration in range(iterations):
-        if iteration >= with_prior and share > 0.0:
-            share, damping = 0.0, _DAMPING[0]
-            cost = task
-        if share == 0.0 and cost < 1e-14:
+        if iteration >= with_prior and share > kept:
+            share, damping = kept, _DAMPING[0]
+            cost = task + _prior_cost(q, prior, stiffness, share)
+        if share <= kept and cost < 1e-14:
             break
         _jacobian(frames, axes, target, wp, wr, jac)
         for i in range(n):
@@ -259,7 +261,7 @@ def solve_chain(
             damping = damping * 6.0
             chain_tool(fixed, axes, q, frames)
         if damping > _DAMPING[2] or largest < 1e-9:
-            if share == 0.0:
+            if share <= kept:
                 break
             with_prior = iteration + 1
     position = rotation = 0.0
@@ -276,7 +278,7 @@ def solve(chain: Chain, task: Task, start: Array, *, iterations: int = 40) -> tu
     q = np.array(start, dtype=np.float64)
     position, rotation = solve_chain(
         chain.fixed, chain.axes, chain.lower, chain.upper,
-        task.base_from_target, task.position_weight, task.rotation_weight, task.prior, task.stiffness, q, iterations,
+        task.base_from_target, task.position_weight, task.rotation_weight, task.prior, task.stiffness, q, iterations, 0.0,
     )  # fmt: skip
     return q, Residual(position, rotation)
 

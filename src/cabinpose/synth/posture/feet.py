@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,20 +14,27 @@ from cabinpose.core.frames import Matrix, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.body.kinematics import RestArrays
+from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.chain import Residual
-from cabinpose.synth.posture.limbs import LimbTask, solve_leg
+from cabinpose.synth.posture.limbs import LimbTask, frames, solve_leg
 from cabinpose.synth.posture.seat_fit import SeatFit
 
 Array = NDArray[np.float64]
 
-SHOE_M = 0.012  # of a shoe's sole between the foot and what it stands on
+GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
+_PEDAL_M = 0.006  # between sole and pad
+_ASIDE_M = {"accelerator": -0.018}  # clear of the brake, which stands proud of it
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
 _STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.01])
-_FREE_KNEE = np.radians((88.0, 6.0, 0.0, 80.0, 0.0, 0.0))
-_PEDAL_KNEE = np.radians((78.0, 8.0, 0.0, 60.0, 5.0, 0.0))
-_SHIN_BEHIND = 0.06  # how far an ankle may stand behind the knee: what the seat's base leaves
+_FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
+_PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
+_SHIN_LEAN = math.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
+_SHORT_BEHIND_SEAT_M = 0.04
+_SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front seat) leaves no more
+_KNEES_OUT_M = 0.03  # feet from below the hips to the sides
+_SHIN_BEHIND = 0.0  # how far an ankle may stand behind the knee: what the seat's base leaves
 
 
 class FootPlan(NamedTuple):
@@ -52,16 +60,17 @@ def _ball_frames(rest: RestArrays) -> tuple[RestArrays, tuple[float, float]]:
     return rest._replace(soles=soles), (lengths[0], lengths[1])
 
 
-def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, floor_z: float) -> Residual:
+def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, floor_z: float, aside: float = 0.0) -> Residual:
     """Put the ball of a foot on a pad (vehicle_from_pad), sole along it and heel on the floor, in place of q.
 
-    The foot slides down the pad by what it is shorter than the 200 mm from heel to ball of SAE J4004.
+    The foot slides down the pad by what it is shorter than the 200 mm from heel to ball of SAE J4004, and stands `aside` m
+    to the left of its middle.
     """
     rest, lengths = _ball_frames(person.rest)
     along, out = pad[:3, 0], pad[:3, 2]
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
-    target = transform(Rotation.from_matrix(np.stack([along, pad[:3, 1], out], axis=1)), pad[:3, 3] + SHOE_M * out)
-    target[:3, 3] += min(lengths[side] - to_floor, 0.03) * along
+    target = transform(Rotation.from_matrix(np.stack([along, pad[:3, 1], out], axis=1)), pad[:3, 3] + _PEDAL_M * out)
+    target[:3, 3] += min(lengths[side] - to_floor, 0.03) * along + aside * pad[:3, 1]
     weights = np.array([5.0, 4.0, 5.0]), np.array([0.05, 0.06, 0.05])
     return solve_leg(q, rest, root, side, LimbTask(target, *weights, _PEDAL_KNEE, _STIFFNESS))
 
@@ -77,30 +86,39 @@ def on_floor(
     s = 1.0 - 2.0 * side
     vehicle_from_seat = seat.vehicle_from_seat(setting)
     seat_from_vehicle = np.linalg.inv(vehicle_from_seat)
-    hip = (seat_from_vehicle @ root @ np.array([0.0, s * 0.09, 0.0, 1.0]))[:3]
+    hip_half = float(person.rest.offsets[BONE_INDEX["lthigh"], 1])
+    hip = (seat_from_vehicle @ root @ np.array([0.0, s * hip_half, 0.0, 1.0]))[:3]
     lengths = person.segment_lengths
     knee = hip + lengths["thigh"] * np.array([np.cos(fit.thigh_angle), 0.0, np.sin(fit.thigh_angle)])
     sole = person.rest.soles[side]
-    ankle_height = SHOE_M - float(sole[2, 3])
+    ankle_height = GROUND_M - float(sole[2, 3])
     floor = seat.floor_z - vehicle_from_seat[2, 3]
     drop = knee[2] - floor - ankle_height
     heel_x = float((seat_from_vehicle[:3, :3] @ (seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
-    reach = heel_x + 0.06 - float(sole[0, 3])  # of the ankle
+    behind_seat = seat.slot.startswith("rear") and abs(heel_x) < 0.48
+    reach = heel_x - (_SHORT_BEHIND_SEAT_M if behind_seat else _SHORT_OF_HEEL_M) - float(sole[0, 3])  # of the ankle
     shin = lengths["shin"]
     if drop >= shin:  # the floor is out of reach
         ankle = knee + np.array([0.12 * shin + plan.forward, 0.0, -shin * 0.99])
         pitch, fixed = np.radians(12.0), 0.2
     else:
-        ankle_x = min(knee[0] + np.sqrt(shin * shin - drop * drop), max(reach, knee[0] - _SHIN_BEHIND))
+        lean = min(np.sqrt(shin * shin - drop * drop), _SHIN_LEAN * shin)
+        ankle_x = min(knee[0] + lean, max(reach, knee[0] - _SHIN_BEHIND))
         ankle = np.array([max(ankle_x + plan.forward, knee[0] - _SHIN_BEHIND), 0.0, floor + ankle_height])
         pitch, fixed = 0.0, 1.0
-    rotation = Rotation.from_euler("ZY", [-s * plan.toe_out, pitch])
-    ankle[1] = s * (0.09 + 0.035 + plan.out)
+    rotation = Rotation.from_euler("ZY", [s * plan.toe_out, pitch])
+    ankle[1] = s * (hip_half + _KNEES_OUT_M + plan.out)
     target = vehicle_from_seat @ transform(rotation, ankle + rotation.apply(sole[:3, 3]))
     rotations = np.array([0.06, 0.06, 0.04]) * fixed
     task = LimbTask(target, np.full(3, 4.0), rotations, _FREE_KNEE, _STIFFNESS)
     residual = solve_leg(q, person.rest, root, side, task)
-    return Residual(0.0, 0.0) if drop >= shin else residual
+    if drop >= shin:
+        return Residual(0.0, 0.0)
+    if frames(q, person.rest, root).soles[side][2, 0] < -0.01:  # the ankle gives no more: the heel lifts, not the toes sink
+        rest, ball = _ball_frames(person.rest)
+        task.target[:3, 3] += ball[side] * task.target[:3, 0]
+        residual = solve_leg(q, rest, root, side, task)
+    return residual
 
 
 def place_feet(
@@ -117,7 +135,7 @@ def place_feet(
         if plan.pedal is None:
             residual = on_floor(q, person, root, side, seat, setting, fit, plan)
         else:
-            residual = on_pedal(q, person, root, side, cabin.pedals[plan.pedal], seat.floor_z)
+            residual = on_pedal(q, person, root, side, cabin.pedals[plan.pedal], seat.floor_z, _ASIDE_M.get(plan.pedal, 0.0))
             if residual.position > MISS_M:
                 raise SceneError(
                     f"{name} of a person of {person.stature_m:.2f} m misses the {plan.pedal} by {1e3 * residual.position:.0f} mm"

@@ -40,7 +40,7 @@ def _turn_head(q: Array, rest: RestArrays, root: Array, target: Array, stiffness
     angles = np.zeros(6)
     zero, one, weak = np.zeros(6), np.ones(3), np.zeros(3)
     low, high = lower[_NECK : _NECK + 6], upper[_NECK : _NECK + 6]
-    _, missed = solve_chain(fixed, axes, low, high, target, weak, one, zero, stiffness, angles, 25)
+    _, missed = solve_chain(fixed, axes, low, high, target, weak, one, zero, stiffness, angles, 25, 0.0)
     q[_NECK : _NECK + 6] = angles
     return missed
 

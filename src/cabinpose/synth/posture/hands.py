@@ -6,31 +6,52 @@ of the palm; the thumb points along -y of a right hand and +y of a left one.
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.frames import Matrix, transform
-from cabinpose.scene.body import SEGMENTS, Person
+from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import SteeringWheel
-from cabinpose.synth.posture.limbs import Frames, LimbTask
+from cabinpose.synth.posture.limbs import LOWER, Frames, LimbTask, frames
 from cabinpose.synth.posture.seat_fit import SeatFit
 
 Array = NDArray[np.float64]
 
+_PRESSED_M = 0.001  # of the skin around a rim
+_RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
+_OVER_THIGH_M = 0.028  # of the palm's skin: fingers and trousers lie between
 PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
-_STIFFNESS = np.array([0.006, 0.012, 0.008, 0.001, 0.003, 0.012, 0.016])
+_STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.003, 0.012, 0.016])
+_STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.003, 0.012, 0.004])
 _FIRM = np.full(3, 5.0)
 
 # Comfortable arms, deg: shoulder flexion, abduction, rotation; elbow flexion, pronation; wrist flexion, radial.
-WHEEL_ARM = np.radians((42.0, 18.0, 12.0, 58.0, 10.0, -8.0, 0.0))
-LAP_ARM = np.radians((12.0, 14.0, 22.0, 62.0, 45.0, 0.0, 0.0))
+WHEEL_ARM = np.radians((42.0, 24.0, 14.0, 58.0, 10.0, -8.0, 0.0))
+LAP_ARM = np.radians((12.0, 9.0, 26.0, 62.0, 45.0, 0.0, 0.0))
 REACH_ARM = np.radians((65.0, 15.0, 10.0, 25.0, 40.0, 0.0, 0.0))
 SIDE_ARM = np.radians((10.0, 28.0, 0.0, 70.0, 45.0, 0.0, 0.0))
 FACE_ARM = np.radians((45.0, 25.0, 15.0, 125.0, 0.0, 0.0, 0.0))
 CROSS_ARM = np.radians((40.0, 0.0, 50.0, 95.0, 20.0, 0.0, 0.0))
 UP_ARM = np.radians((95.0, 25.0, 0.0, 45.0, 20.0, 0.0, 0.0))
+
+
+@lru_cache(maxsize=256)
+def elbow_room(person: Person) -> float:
+    """Abduction (rad) by which a person's upper arms clear the flanks when they hang before them."""
+    segment = person.skin_segment
+    trunk = np.isin(segment, [SEGMENTS.index(s) for s in ("abdomen", "thorax")])
+    skin = person.rest_skin.astype(np.float64)
+    upper_arm = person.segment_lengths["upper_arm"]
+    shoulder = frames(np.zeros(len(LOWER)), person.rest, np.eye(4)).bone("lupperarm")[:3, 3]
+    level = trunk & (skin[:, 2] < shoulder[2] - 0.35 * upper_arm) & (skin[:, 2] > shoulder[2] - 1.1 * upper_arm)
+    half = float(np.abs(skin[level, 1]).max())
+    return float(np.clip(math.atan2(half + 0.2 * upper_arm - shoulder[1], 0.75 * upper_arm), 0.1, 0.9))
 
 
 def palm_frame(origin: Array, normal: Array, fingers: Array) -> Matrix:
@@ -41,7 +62,36 @@ def palm_frame(origin: Array, normal: Array, fingers: Array) -> Matrix:
     return transform(Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)), origin)
 
 
-def on_rim(wheel: SteeringWheel, angle: float, lean: float = 0.5) -> LimbTask:
+class RimGrip(NamedTuple):
+    """How a person's hand closes around a rim: the fingers' curl, and the rim's axis in the palm frame (m along x and z)."""
+
+    grip: float
+    along: float
+    off: float
+
+
+@lru_cache(maxsize=256)
+def rim_grip(person: Person, section_m: float) -> RimGrip:
+    """The tightest grip around a rim of this section radius (m) that presses the skin by no more than `_PRESSED_M`."""
+    hand = person.skin_segment == SEGMENTS.index("lhand")
+    root, q = np.eye(4), np.zeros(len(LOWER))
+    best, best_cost = RimGrip(0.2, 0.0, 0.004), math.inf
+    for grip in np.arange(0.15, 0.5, 0.05):
+        q[DOF_INDEX["lhand.grip"]] = grip
+        posed = person.pose(q, root)
+        palm = posed.palms["l"]
+        local = (posed.skin[hand] - palm[:3, 3]) @ palm[:3, :3]
+        local = local[np.abs(local[:, 1]) < _RIM_REACH_M]
+        for along in (-0.004, 0.0, 0.004, 0.008, 0.012):
+            for off in (0.0, 0.004, 0.008, 0.012):
+                clear = float(np.hypot(local[:, 0] - along, local[:, 2] - off).min()) - section_m
+                cost = 60.0 * max(-_PRESSED_M - clear, 0.0) / _PRESSED_M - grip + 20.0 * (abs(along) + off)
+                if cost < best_cost:
+                    best, best_cost = RimGrip(float(grip), along, off), cost
+    return best
+
+
+def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5) -> LimbTask:
     """A hand closed around the rim at `angle` (rad from the top, + to the left, as the wheel stands now).
 
     The rim runs across the palm, thumb upwards at three and nine; the palm lies on it from outside, turned by `lean`
@@ -52,18 +102,23 @@ def on_rim(wheel: SteeringWheel, angle: float, lean: float = 0.5) -> LimbTask:
     inward = wheel.vehicle_from_wheel[:3, 3] - point
     inward = inward / np.linalg.norm(inward)
     normal = np.cos(lean) * inward - np.sin(lean) * axis
-    target = palm_frame(point, normal, np.cross(-tangent, normal))
-    return LimbTask(target, _FIRM, np.array([0.05, 0.015, 0.03]), WHEEL_ARM, _STIFFNESS)
+    fingers = np.cross(-tangent, normal)
+    target = palm_frame(point - hold.off * normal - hold.along * fingers, normal, fingers)
+    return LimbTask(target, _FIRM, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
 
 
-def on_thigh(frames: Frames, fit: SeatFit, femur: float, side: int, thigh: int, along: float, inward: float) -> LimbTask:
+def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int, along: float, inward: float) -> LimbTask:
     """A hand that rests on a thigh at the share `along` of its length, `inward` m from its ridge to the middle."""
-    bone = frames.bone("lr"[thigh] + "thigh")
+    bone = skeleton.bone("lr"[thigh] + "thigh")
     s = 1.0 - 2.0 * thigh
     up, down_leg, left = bone[:3, 0], -bone[:3, 2], bone[:3, 1]
-    top = float(np.interp(along, np.linspace(0.0, 1.0, len(fit.thigh_top)), fit.thigh_top))
+    stations = np.linspace(0.0, 1.0, len(fit.thigh_top))
+    heel_top, top, tip_top = (float(np.interp(along + d, stations, fit.thigh_top)) for d in (-0.2, 0.0, 0.15))
     drop = inward * inward / max(2.0 * top, 0.02)  # a thigh is round
-    point = bone[:3, 3] + along * femur * down_leg + (top - drop - PALM_M + 0.012) * up - s * inward * left
+    slope = math.atan2(tip_top - heel_top, 0.35 * femur)  # and a cone: the hand lies along its skin
+    origin = bone[:3, 3] + along * femur * down_leg
+    down_leg, up = math.cos(slope) * down_leg + math.sin(slope) * up, math.cos(slope) * up - math.sin(slope) * down_leg
+    point = origin + (top - drop - PALM_M + _OVER_THIGH_M) * up - s * inward * left
     tilt = np.clip(inward / max(top, 0.03), -0.8, 0.8)
     normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
     mine = 1.0 - 2.0 * side
@@ -73,7 +128,7 @@ def on_thigh(frames: Frames, fit: SeatFit, femur: float, side: int, thigh: int, 
 
 def on_surface(point: Array, fingers: Array, up: Array, prior: Array = SIDE_ARM) -> LimbTask:
     """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
-    target = palm_frame(point + (0.012 - PALM_M) * up, -up, fingers)
+    target = palm_frame(point + (0.03 - PALM_M) * up, -up, fingers)
     return LimbTask(target, _FIRM, np.array([0.03, 0.03, 0.01]), prior, _STIFFNESS)
 
 
@@ -85,9 +140,9 @@ def at_point(point: Array, shoulder: Array, up: Array, prior: Array = REACH_ARM,
     return LimbTask(target, _FIRM, np.array([0.008, 0.02, 0.02]), prior, _STIFFNESS)
 
 
-def at_ear(person: Person, frames: Frames, side: int, gap: float = 0.03) -> LimbTask:
+def at_ear(person: Person, skeleton: Frames, side: int, gap: float = 0.04) -> LimbTask:
     """A hand that holds a telephone `gap` m thick to its own ear."""
-    head = frames.bone("head")
+    head = skeleton.bone("head")
     s = 1.0 - 2.0 * side
     skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
     half = float(np.abs(skin[:, 1]).max())
@@ -99,23 +154,23 @@ def at_ear(person: Person, frames: Frames, side: int, gap: float = 0.03) -> Limb
     return LimbTask(target, _FIRM, np.array([0.02, 0.02, 0.02]), FACE_ARM, _STIFFNESS)
 
 
-def before_chest(frames: Frames, side: int, forward: float, out: float, up: float) -> LimbTask:
+def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: float) -> LimbTask:
     """A hand that holds a telephone before the chest: palm towards the face, at an offset (m) from the upper chest."""
-    thorax = frames.bone("spine01")
+    thorax = skeleton.bone("spine01")
     s = 1.0 - 2.0 * side
     point = thorax[:3, 3] + thorax[:3, :3] @ np.array([forward, s * out, up])
-    to_face = frames.bone("head")[:3, 3] - point
+    to_face = skeleton.bone("head")[:3, 3] - point
     fingers = thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35])
     return LimbTask(palm_frame(point, to_face, fingers), _FIRM, np.array([0.015, 0.015, 0.01]), FACE_ARM, _STIFFNESS)
 
 
-def at_belt(person: Person, frames: Frames, side: int, upper: Array) -> LimbTask:
+def at_belt(person: Person, skeleton: Frames, side: int, upper: Array) -> LimbTask:
     """A hand at the shoulder belt, in front of the opposite shoulder (towards the anchor `upper` (3,))."""
-    thorax = frames.bone("spine01")
+    thorax = skeleton.bone("spine01")
     local = thorax[:3, :3].T @ (upper - thorax[:3, 3])
     s = 1.0 if local[1] > 0.0 else -1.0
     skin = person.rest_skin[person.skin_segment == SEGMENTS.index("thorax")].astype(np.float64)
-    depth = float(skin[:, 0].max()) + 0.045
+    depth = float(skin[:, 0].max()) + 0.065
     point = thorax[:3, 3] + thorax[:3, :3] @ np.array([depth, s * 0.07, 0.03])
     back = thorax[:3, :3] @ np.array([-1.0, 0.0, 0.15])
     fingers = thorax[:3, :3] @ np.array([0.15, s * 0.8, 0.6])
@@ -123,3 +178,8 @@ def at_belt(person: Person, frames: Frames, side: int, upper: Array) -> LimbTask
     if mine == s:  # the hand of the same side comes from below, its fingers to the middle
         fingers = thorax[:3, :3] @ np.array([0.1, -s * 0.6, 0.8])
     return LimbTask(palm_frame(point, back, fingers), _FIRM, np.array([0.01, 0.01, 0.006]), CROSS_ARM, _STIFFNESS)
+
+
+def anyhow(target: Matrix, prior: Array) -> LimbTask:
+    """A hand at the origin of `target`, turned as it comes, the arm near `prior` (7,) rad."""
+    return LimbTask(target, _FIRM, np.zeros(3), prior, _STIFFNESS)

@@ -37,6 +37,7 @@ _FOOT = tuple(BONE_INDEX[s + "foot"] for s in SIDES)
 N_ARM, N_LEG = 7, 6
 _ROUNDS = 4
 _SWIVELS = 36
+_KEPT = 0.5  # of the comfortable posture's pull at the end: it settles slants that a task leaves nearly free, for 0.3 mm
 _COMFORTABLE_REACH = 0.93  # of the arm's length; beyond it the shoulder girdle takes part
 
 
@@ -54,6 +55,11 @@ class Frames(NamedTuple):
         result = np.eye(4)
         result[:3, :3], result[:3, 3] = self.rotation[b], self.position[b]
         return result
+
+
+def arm_angles(q: Array, side: int) -> Array:
+    """The seven angles of an arm (0 left, 1 right), a copy."""
+    return q[_ARM[side] : _ARM[side] + N_ARM].copy()
 
 
 def frames(q: Array, rest: RestArrays, vehicle_from_root: Array) -> Frames:
@@ -126,7 +132,7 @@ def _arm_into(
         fixed, axes = arm_chain(rest, side, thorax, shoulder)
         if attempt == 0:
             seed_limb(fixed, axes, low, high, 0, target, oriented, prior, stiffness, _SWIVELS, angles)
-        errors = solve_chain(fixed, axes, low, high, target, wp, wr, prior, stiffness, angles, 30 if attempt == 0 else 12)
+        errors = solve_chain(fixed, axes, low, high, target, wp, wr, prior, stiffness, angles, 30 if attempt == 0 else 12, _KEPT)
         q[first : first + N_ARM] = angles
         if attempt == 0:
             # The palm's own place stands for the wrist's: half the hand is a small part of the reach.
@@ -181,7 +187,7 @@ def _leg_into(
         knee_chain, np.ascontiguousarray(axes[:4]), low[:4], high[:4], 0, ankle, False, prior[:4], stiffness[:4], _SWIVELS, four
     )
     angles[:4] = four
-    errors = solve_chain(fixed, axes, low, high, target, wp, wr, prior, stiffness, angles, 40)
+    errors = solve_chain(fixed, axes, low, high, target, wp, wr, prior, stiffness, angles, 40, _KEPT)
     q[first : first + N_LEG] = angles
     return errors
 

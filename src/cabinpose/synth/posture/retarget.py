@@ -126,21 +126,40 @@ def ball_from_direction(direction: Array, sign: float) -> tuple[Array, Array]:
     return flexion, abduction
 
 
-def _ball(q: Array, name: str, direction: Array, sign: float) -> Array:
-    """Set flexion and abduction of a ball joint; returns its rotation (F, 3, 3) before twist.
+def _ball(
+    q: Array, name: str, direction: Array, distal: Array, recorded: Array, sign: float, bends: float
+) -> tuple[Array, Array]:
+    """Set the three angles of a shoulder or hip, and return its rotation (F, 3, 3) and the flexion of the hinge behind it.
 
-    A limb raised backwards of the lower limit of flexion is the same as one abducted beyond a right angle: of the two
-    the one within the limits is taken.
+    direction, distal: (F, 3) of the two segments in the near one's frame · recorded: (F, 3, 3) the recorded rotation,
+    for the twist of a straight limb · bends: +1 where the hinge brings the far segment forward (elbow), -1 back (knee).
+    A direction is reached with abduction below or beyond a right angle: of the two the one that leaves the limits
+    less, twist included, is taken.
     """
     flexion, abduction = ball_from_direction(direction, sign)
-    dof = DOFS[DOF_INDEX[f"{name}.flexion"]]
-    other_flexion = np.where(flexion > 0, flexion - np.pi, flexion + np.pi)
-    other_abduction = np.pi - abduction
-    reach = DOFS[DOF_INDEX[f"{name}.abduction"]].upper
-    swap = ((flexion < dof.lower) | (flexion > dof.upper)) & (other_abduction <= reach)
-    flexion, abduction = np.where(swap, other_flexion, flexion), np.where(swap, other_abduction, abduction)
-    _set(q, f"{name}.flexion", flexion)
-    _set(q, f"{name}.abduction", abduction)
+    dofs = [DOFS[DOF_INDEX[f"{name}.{axis}"]] for axis in ("flexion", "abduction", "rotation")]
+    best, best_beyond = np.zeros((len(direction), 3)), np.full(len(direction), np.inf)
+    hinge = np.zeros(len(direction))
+    other = np.where(flexion > 0, flexion - np.pi, flexion + np.pi)
+    for f, a in ((flexion, abduction), (other, np.pi - abduction)):
+        raised = _raised(f, a, sign)
+        w = (np.swapaxes(raised, 1, 2) @ distal[:, :, None])[:, :, 0]
+        hinge = np.arccos(np.clip(-w[:, 2], -1.0, 1.0))
+        turn = _relative(raised, recorded)
+        from_record = -sign * np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+        twist = _blend(np.arctan2(-sign * bends * w[:, 1], bends * w[:, 0]), from_record, hinge)
+        twist = (twist + np.pi) % (2 * np.pi) - np.pi
+        angles = np.stack((f, a, twist), axis=1)
+        beyond = sum(np.maximum(d.lower - angles[:, k], 0) + np.maximum(angles[:, k] - d.upper, 0) for k, d in enumerate(dofs))
+        better = beyond < best_beyond - 1e-9
+        best[better], best_beyond = angles[better], np.minimum(beyond, best_beyond)
+    for k, dof in enumerate(dofs):
+        _set(q, dof.name, best[:, k])
+    rotation = _raised(best[:, 0], best[:, 1], sign) @ Rotation.from_euler("Z", -sign * best[:, 2:]).as_matrix()
+    return rotation, hinge
+
+
+def _raised(flexion: Array, abduction: Array, sign: float) -> Array:
     return Rotation.from_euler("YX", np.stack((-flexion, sign * abduction), axis=1)).as_matrix()
 
 
@@ -155,16 +174,10 @@ def _arm(q: Array, clip: Clip, joint: Mapping[str, int], side: str, sign: float)
     thorax = clip.rotations[:, joint["thorax"]]
     upper = _directions(clip, thorax, joint[side + "shoulder"], joint[side + "elbow"])
     lower = _directions(clip, thorax, joint[side + "elbow"], joint[side + "wrist"])
-    raised = _ball(q, side + "shoulder", upper, sign)
-    w = (np.swapaxes(raised, 1, 2) @ lower[:, :, None])[:, :, 0]
-    elbow = np.arccos(np.clip(-w[:, 2], -1.0, 1.0))
-    recorded = _relative(raised, _relative(thorax, clip.rotations[:, joint[side + "shoulder"]]))
-    recorded_twist = -sign * np.arctan2(recorded[:, 1, 0] - recorded[:, 0, 1], recorded[:, 0, 0] + recorded[:, 1, 1])
-    twist = _blend(np.arctan2(-sign * w[:, 1], w[:, 0]), recorded_twist, elbow)
-    _set(q, side + "shoulder.rotation", twist)
+    recorded = _relative(thorax, clip.rotations[:, joint[side + "shoulder"]])
+    humerus, elbow = _ball(q, side + "shoulder", upper, lower, recorded, sign, 1.0)
     _set(q, side + "elbow.flexion", elbow)
-    humerus = raised @ Rotation.from_euler("Z", -sign * twist).as_matrix()
-    forearm = humerus @ Rotation.from_euler("Y", -elbow).as_matrix()
+    forearm = humerus @ Rotation.from_euler("Y", -elbow[:, None]).as_matrix()
     hand = _relative(thorax, clip.rotations[:, joint[side + "wrist"]])
     angles = Rotation.from_matrix(_relative(forearm, hand)).as_euler("ZXY")
     _set(q, side + "elbow.pronation", -sign * angles[:, 0])
@@ -176,16 +189,10 @@ def _leg(q: Array, clip: Clip, joint: Mapping[str, int], side: str, sign: float)
     pelvis = clip.rotations[:, joint["pelvis"]]
     thigh = _directions(clip, pelvis, joint[side + "hip"], joint[side + "knee"])
     shank_direction = _directions(clip, pelvis, joint[side + "knee"], joint[side + "ankle"])
-    raised = _ball(q, side + "hip", thigh, sign)
-    w = (np.swapaxes(raised, 1, 2) @ shank_direction[:, :, None])[:, :, 0]
-    knee = np.arccos(np.clip(-w[:, 2], -1.0, 1.0))
-    recorded = _relative(raised, _relative(pelvis, clip.rotations[:, joint[side + "hip"]]))
-    recorded_twist = -sign * np.arctan2(recorded[:, 1, 0] - recorded[:, 0, 1], recorded[:, 0, 0] + recorded[:, 1, 1])
-    twist = _blend(np.arctan2(sign * w[:, 1], -w[:, 0]), recorded_twist, knee)
-    _set(q, side + "hip.rotation", twist)
+    recorded = _relative(pelvis, clip.rotations[:, joint[side + "hip"]])
+    femur, knee = _ball(q, side + "hip", thigh, shank_direction, recorded, sign, -1.0)
     _set(q, side + "knee.flexion", knee)
-    femur = raised @ Rotation.from_euler("Z", -sign * twist).as_matrix()
-    shank = femur @ Rotation.from_euler("Y", knee).as_matrix()
+    shank = femur @ Rotation.from_euler("Y", knee[:, None]).as_matrix()
     toe = (np.swapaxes(shank, 1, 2) @ _directions(clip, pelvis, joint[side + "ankle"], joint[side + "toe"])[:, :, None])[:, :, 0]
     rest = clip.rest_positions[joint[side + "toe"]] - clip.rest_positions[joint[side + "ankle"]]
     slope = np.arctan2(rest[2], np.hypot(rest[0], rest[1]))  # the toe's fall below the ankle in the reference pose

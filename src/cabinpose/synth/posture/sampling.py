@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, apply, invert, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.synth.posture import hands as at
@@ -29,18 +29,23 @@ from cabinpose.synth.posture.actions import (
 )
 from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, lean_to_reach, look_angles, turn_head
-from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, frames, solve_arm
+from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, arm_angles, frames, solve_arm
+from cabinpose.synth.posture.motion import upper_body_onto
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
-from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile
+from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]
 
-_CLOCKS_DEG, _CLOCK_SHARES = (90.0, 62.0, 112.0), (0.5, 0.3, 0.2)  # nine-three, ten-two, eight-four
-_WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(13.0), math.radians(40.0)
-_GRIP: Mapping[str, float] = {"wheel": 0.72, "thigh": 0.22, "armrest": 0.25, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
+_CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
+_WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
+_GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
+_BESIDE_DOOR_M = 0.055  # of a palm's middle from the door's armrest point, for half a hand's width
+_OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
+_GRIP_SIGMA = 0.025
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
+_LAP_GAP_M, _DOOR_GAP_M, _BEHIND_M = 0.04, 0.09, 0.05  # of a recording's hands: over the thighs, from the door, before the hips
 _TRUNK = tuple(DOF_INDEX[f"{joint}.{axis}"] for joint in ("lumbar", "thorax") for axis in ("flexion", "lateral", "rotation"))
 
 
@@ -112,13 +117,15 @@ def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, among: 
 
 def sample_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: GaussianProfile | IncrementalProfile | None = None, *, index: int = 0, rng: np.random.Generator,
+    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
     """A pose of `person` in `seat`: the action, and then the profile on top of it.
 
     A profile that moves the trunk leaves hands where they belong: arms whose own degrees of freedom it does not name are
-    solved again and so stay on the rim or in the lap. `index` is the combination of an incremental profile. Raises
-    ConfigError for an action that makes no sense here, SceneError where a target is out of reach.
+    solved again and so stay on the rim or in the lap. A mocap profile puts the recording's upper body onto the action's
+    legs, with hands that would go through seat or door held at the lap or inside the door. `index` is the combination of
+    an incremental profile, or the pose of a recording. Raises ConfigError for an action that makes no sense here,
+    SceneError where a target is out of reach, MocapError for an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -145,8 +152,15 @@ def sample_pose(
     _look(q, s, chosen, hands, side_sign, rng)
     missed |= _solve_hands(q, s, hands, chosen, (0, 1))
     for side, hand in enumerate(hands):
-        q[DOF_INDEX["lr"[side] + "hand.grip"]] = float(np.clip(_GRIP[hand.place] + 0.06 * rng.standard_normal(), 0.0, 1.0))
-    if profile is not None:
+        grip = _GRIP[hand.place]
+        if wheel is not None and hand.place == "wheel":
+            grip = at.rim_grip(person, wheel.rim_section_m).grip - _GRIP_SIGMA
+        q[DOF_INDEX["lr"[side] + "hand.grip"]] = float(np.clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0))
+    if isinstance(profile, MocapProfile):
+        q = upper_body_onto(q, profile, index)
+        _keep_hands_above_seat(q, s)
+        action = profile.kind
+    elif profile is not None:
         before = q.copy()
         q = profile.apply(q, index) if isinstance(profile, IncrementalProfile) else profile.apply(q, rng=rng)
         if any(q[d] != before[d] for d in _TRUNK):
@@ -178,7 +192,7 @@ def _intents(
             if drives:
                 place = "wheel" if other != "wheel" and chance < 0.8 else "thigh"
             else:
-                place = "armrest" if side != inboard and chance < 0.35 else "thigh"
+                place = "armrest" if side != inboard and chance < 0.2 else "thigh"
         if place == "armrest" and armrest_point_name(seat, cabin) is None:
             place = "thigh"
         noise = tuple(float(v) for v in np.clip(rng.standard_normal(3), -2.0, 2.0))
@@ -216,9 +230,11 @@ def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Gener
 def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
     """Feet that differ from frame to frame: another pedal, a foot drawn back or put forward, knees apart."""
     plans = list(default_plans(seat, cabin))
-    chance, both = float(rng.random()), 0.03 * float(rng.standard_normal())
+    chance, both = float(rng.random()), 0.02 * float(rng.standard_normal())
     apart = max(0.02 * float(rng.standard_normal()), -0.02)
     draws = rng.standard_normal((2, 2))
+    if abs(float(seat.design_h_point[1])) < 0.05:
+        apart += _OVER_TUNNEL_M
     if plans[1].pedal == "accelerator":
         if chance < 0.25 and "brake" in cabin.pedals:
             plans[1] = FootPlan("brake")
@@ -226,9 +242,9 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
             plans[0] = FootPlan("clutch" if "clutch" in cabin.pedals and chance > 0.95 else None, -0.05)
         return plans[0], plans[1]
     for side in (0, 1):
-        forward = both + 0.02 * float(draws[side, 0])
+        forward = both + 0.015 * float(draws[side, 0])
         if chance < 0.15:  # one foot drawn back
-            forward -= 0.10 if side == 0 else 0.0
+            forward -= 0.05 if side == 0 else 0.0
         plans[side] = FootPlan(
             None, forward, apart + 0.01 * float(draws[side, 1]), math.radians(7.0 + 4.0 * float(draws[side, 1]))
         )
@@ -272,13 +288,15 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
     a, b, c = hand.noise
     shoulder = skeleton.bone("lr"[side] + "upperarm")[:3, 3]
     if hand.place == "wheel" and s.wheel is not None:
-        return at.on_rim(s.wheel, hand.clock + s.wheel_angle, 0.5 + 0.1 * b)
+        return at.on_rim(s.wheel, hand.clock + s.wheel_angle, at.rim_grip(s.person, s.wheel.rim_section_m), 0.5 + 0.1 * b)
     if hand.place == "armrest" and hand.point is not None:
-        return at.on_surface(hand.point + 0.03 * a * s.forward + 0.11 * s.forward, s.forward, s.up)
+        inward = s.seat.design_h_point - hand.point
+        beside = _BESIDE_DOOR_M * np.array([0.0, math.copysign(1.0, inward[1]), 0.0])
+        return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up)
     if hand.place == "ear":
         return at.at_ear(s.person, skeleton, side)
     if hand.place == "chest":
-        return at.before_chest(skeleton, side, 0.30 + 0.03 * a, 0.055 + 0.01 * b, -0.17 + 0.04 * c)
+        return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.12 + 0.03 * c)
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
     if hand.place == "reach" and hand.point is not None:
@@ -294,9 +312,29 @@ def _solve_hands(q: Array, s: _Situation, hands: tuple[_Hand, _Hand], action: Ac
     for side in sides:
         hand = hands[side]
         task = _task(s, hand, side, frames(q, s.person.rest, s.root))
-        task = task._replace(prior=task.prior + s.comfort[side])
+        prior = task.prior + s.comfort[side]
+        prior[1] = max(prior[1], at.elbow_room(s.person) + s.comfort[side, 1])
+        task = task._replace(prior=prior)
         name = "lr"[side] + "hand"
         missed[name] = solve_arm(q, s.person.rest, s.root, side, task).position
         if missed[name] > (HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M):
             raise unreachable(s.person, s.seat, s.cabin, name, f"place of the action '{action.name}'", missed[name])
     return missed
+
+
+def _keep_hands_above_seat(q: Array, s: _Situation) -> None:
+    """Lift and draw in hands that a recording of a free person would put through cushion, backrest, thighs or door."""
+    vehicle_from_seat = s.seat.vehicle_from_seat(s.setting)
+    seat_from_vehicle = invert(vehicle_from_seat)
+    hip = s.fit.seat_from_root[:3, 3]
+    half_width = 0.5 * s.seat.lateral_width_m - _DOOR_GAP_M
+    for side in (0, 1):
+        palm = frames(q, s.person.rest, s.root).palms[side]
+        place = apply(seat_from_vehicle, palm[:3, 3])
+        lap = hip[2] + math.tan(s.fit.thigh_angle) * max(place[0] - hip[0], 0.0) + float(s.fit.thigh_top.max()) + _LAP_GAP_M
+        kept = np.array([max(place[0], _BEHIND_M), np.clip(place[1], -half_width, half_width), max(place[2], lap)])
+        if np.array_equal(kept, place):
+            continue
+        target = palm.copy()
+        target[:3, 3] = apply(vehicle_from_seat, kept)
+        solve_arm(q, s.person.rest, s.root, side, at.anyhow(target, arm_angles(q, side)))

@@ -15,7 +15,7 @@ from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.feet import default_plans, place_feet
 from cabinpose.synth.posture.gaze import head_rotation, turn_head
-from cabinpose.synth.posture.hands import on_rim, on_thigh
+from cabinpose.synth.posture.hands import on_rim, on_thigh, rim_grip
 from cabinpose.synth.posture.limbs import frames, solve_arm
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Hands = Literal["wheel", "lap"]
 
 HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
-WHEEL_GRIP, REST_GRIP = 0.72, 0.22  # of the fingers' curl
+REST_GRIP = 0.06  # of the fingers' curl
 _LAP_ALONG, _LAP_INWARD = 0.62, 0.02
 _LEVEL_PITCH = np.radians(-4.0)
 
@@ -62,19 +62,22 @@ def solve_posture(
     missed |= place_feet(q, person, root, seat, setting, fit, cabin, default_plans(seat, cabin))
     turn_head(q, person.rest, root, head_rotation(seat.facing_yaw, _LEVEL_PITCH))
     for side, name in enumerate(("lhand", "rhand")):
+        grip = REST_GRIP
         if hands == "wheel":
             if cabin.steering_wheel is None or not has_wheel:
                 raise SceneError(
                     f"the {seat.slot} seat of the {cabin.name} has no steering wheel", hint="rest the hands in the lap"
                 )
-            task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2))
+            hold = rim_grip(person, cabin.steering_wheel.rim_section_m)
+            grip = hold.grip
+            task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2), hold)
         else:
             skeleton = frames(q, person.rest, root)
             task = on_thigh(skeleton, fit, person.segment_lengths["thigh"], side, side, _LAP_ALONG, _LAP_INWARD)
         missed[name] = solve_arm(q, person.rest, root, side, task).position
         if hands == "wheel" and missed[name] > HAND_MISS_M:
             raise unreachable(person, seat, cabin, name, "steering wheel", missed[name])
-        q[DOF_INDEX["lr"[side] + "hand.grip"]] = WHEEL_GRIP if hands == "wheel" else REST_GRIP
+        q[DOF_INDEX["lr"[side] + "hand.grip"]] = grip
     return SeatedPosture(q, root, missed, fit)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,9 @@ _KNEE, _KNEE_SPREAD = np.radians(59.0), np.radians(10.0)
 _ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
 _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
+_THIGH_GAP_M, _THIGH_SPREAD_M = 0.035, 0.012  # between the rim and the thighs
 _PALM_REACH_M = 0.075  # wrist to the rim in the hand
+_HEIGHT_SPREAD_M = 0.02
 _SHORT_M, _TALL_M = 1.50, 1.90  # statures that put the seat at its highest and lowest
 _STEPS, _RECLINES_DEG = 21, (-6.0, -3.0, 0.0, 2.0, 4.0)
 _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m) and recline (rad)
@@ -35,7 +39,7 @@ def choose_setting(
     tallness = float(np.clip((person.stature_m - _SHORT_M) / (_TALL_M - _SHORT_M), 0.0, 1.0))
     height = high.height_m + tallness * (low.height_m - high.height_m)
     if seat.foot_support == "pedals" and cabin.steering_wheel is not None:
-        setting = _driver_setting(person, seat, cabin, height)
+        setting = _driver_setting(person, cabin, seat.slot, height)
     else:
         fore_aft = float(np.interp(tallness, (0.0, 0.5, 1.0), (0.35 * high.fore_aft_m, 0.0, low.fore_aft_m)))
         setting = SeatSetting(fore_aft, 0.5 * height, seat.default.torso_angle)
@@ -53,11 +57,12 @@ def choose_setting(
     )
 
 
-def _driver_setting(person: Person, seat: Seat, cabin: Cabin, height: float) -> SeatSetting:
+@lru_cache(maxsize=512)
+def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> SeatSetting:
     """The least discomfort over fore-aft and recline, in closed form in side view."""
+    seat, wheel = cabin.seats[slot], cabin.steering_wheel
+    assert wheel is not None  # the caller saw to it
     low, high = seat.ranges
-    wheel = cabin.steering_wheel
-    assert wheel is not None
     pad = cabin.pedals["accelerator"]
     rest, lengths = person.rest, person.segment_lengths
     thigh, shin = lengths["thigh"], lengths["shin"]
@@ -72,12 +77,13 @@ def _driver_setting(person: Person, seat: Seat, cabin: Cabin, height: float) -> 
     ankle = ankle - slack * along * (1.0, 0.0, 0.0)
     grip = 0.5 * (wheel.grip_point(np.pi / 2) + wheel.grip_point(-np.pi / 2))
     rim_bottom = wheel.grip_point(np.pi)
-    best, best_cost = seat.default, np.inf
     reclines = seat.default.torso_angle + np.radians(_RECLINES_DEG)
+    best, best_cost = seat.default, np.inf
     for recline in np.unique(np.clip(reclines, low.torso_angle, high.torso_angle)):
         fit = fit_seat(person, seat, recline)
-        for fore_aft in np.linspace(low.fore_aft_m, high.fore_aft_m, _STEPS):
-            setting = SeatSetting(float(fore_aft), height, float(recline))
+        places = [(h, f) for h in sorted({low.height_m, height}) for f in np.linspace(low.fore_aft_m, high.fore_aft_m, _STEPS)]
+        for seat_height, fore_aft in places:
+            setting = SeatSetting(float(fore_aft), seat_height, float(recline))
             h = seat.h_point(setting)
             hip = h + fit.seat_from_root[:3, 3]
             leg = np.hypot(*(ankle - hip)[[0, 2]])
@@ -90,12 +96,15 @@ def _driver_setting(person: Person, seat: Seat, cabin: Cabin, height: float) -> 
             front = fit.front + h
             level = np.abs(front[:, 2] - rim_bottom[2]) < 0.06
             gap = rim_bottom[0] - front[level, 0].max() if level.any() else 1.0
+            thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
             cost = (
                 ((knee - _KNEE) / _KNEE_SPREAD) ** 2
                 + ((elbow - _ELBOW) / _ELBOW_SPREAD) ** 2
+                + ((seat_height - height) / _HEIGHT_SPREAD_M) ** 2
                 + ((recline - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2
                 + (max(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
                 + (max(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
+                + (max(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2
             )
             if cost < best_cost:
                 best, best_cost = setting, cost
@@ -106,3 +115,13 @@ def _flexion(upper: float, lower: float, distance: float) -> float:
     """Flexion (rad) of the hinge between two segments whose ends are `distance` apart; 0 where it is too far."""
     cosine = (upper * upper + lower * lower - distance * distance) / (2 * upper * lower)
     return float(np.pi - np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _under_rim(hip: Array, ankle: Array, thigh: float, shin: float, rim: Array, top: float) -> float:
+    """Height (m) of a point of the rim above the skin of a thigh, in side view: the knee from hip and ankle, upwards."""
+    x, z = (ankle - hip)[[0, 2]]
+    reach = min(float(np.hypot(x, z)), thigh + shin - 1e-6)
+    at_hip = np.arccos(np.clip((thigh * thigh + reach * reach - shin * shin) / (2 * thigh * reach), -1.0, 1.0))
+    angle = float(np.arctan2(z, x) + at_hip)  # of the femur, above the horizontal
+    along = float(np.clip((rim[0] - hip[0]) / max(np.cos(angle), 0.2), 0.0, thigh))
+    return float(rim[2] - hip[2] - along * np.sin(angle) - top * np.cos(angle))
