@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -15,8 +16,8 @@ from cabinpose.app.cli import output
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig, room_preset
 
-Run = Callable[..., "tuple[int, str, str]"]
-VERBS = ("synth", "config", "info", "view", "export")
+Run = Callable[..., Any]
+VERBS = ("synth", "config", "info", "view", "export", "bench")
 
 
 def test_help_names_every_verb(run: Run) -> None:
@@ -216,6 +217,24 @@ def test_progress_is_silent_for_short_work_and_speaks_for_long(
         "450/1000 frames, 100.0 frames/s, 6 s left, 7 rejected",
         "900/1000 frames, 53.8 frames/s, 2 s left, 7 rejected",
     ]
+
+
+def test_bench_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cabinpose.app.cli import bench
+
+    seen: dict[str, object] = {}
+
+    def measure(*, say: Callable[[str], None], **flags: object) -> dict[str, object]:
+        seen.update(flags)
+        say("warming up")
+        return {"frames_per_s": 123.4, "stages_ms": {"render": 5.0}}
+
+    monkeypatch.setattr(bench, "run_bench", measure)
+    code, out, err = run("bench", "synth", "--frames", "10", "--skip-blender", "--json")
+    assert (code, err) == (0, "warming up\n")
+    assert json.loads(out) == {"frames_per_s": 123.4, "stages_ms": {"render": 5.0}}
+    assert seen == {"frames": 10, "repeats": 3, "workers": 2, "blender": False, "memory_frames": 0}
+    assert run("bench", "synth").out.splitlines() == ["frames_per_s      123.4", "stages_ms.render  5.0"]
 
 
 def test_version_and_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch, dataset_folder: Path) -> None:

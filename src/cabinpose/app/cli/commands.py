@@ -125,14 +125,34 @@ class Export:
     as_json: JsonFlag = False
 
 
+@dataclass(frozen=True)
+class Bench:
+    """Measure what the package promises on this machine: frames a second, stages, acceptance, Blender on the same scenes."""
+
+    what: Annotated[Positional[Literal["synth"]], arg(metavar="synth")]
+    """What to measure: generation."""
+    frames: int = 400
+    """Frames of each timed run."""
+    repeats: int = 3
+    """Timed runs, of which the medians are reported."""
+    workers: int = 2
+    """Processes, and Blender's threads."""
+    skip_blender: bool = False
+    """Leave the comparison out; it needs an environment of its own with bpy."""
+    memory_frames: int = 0
+    """Frames of a long run of one worker whose memory is watched; 0 leaves it out."""
+    as_json: JsonFlag = False
+
+
 Command = (
     Annotated[Synth, subcommand("synth")]
     | Annotated[Config, subcommand("config")]
     | Annotated[Info, subcommand("info")]
     | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
+    | Annotated[Bench, subcommand("bench")]
 )
 
-RUNNERS = MappingProxyType({Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export"})
+RUNNERS = MappingProxyType({Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Bench: "bench"})
 
 STYLE = (FlagCreatePairsOff, OmitSubcommandPrefixes)
