@@ -31,10 +31,11 @@ _STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.01])
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
 _SHIN_LEAN = math.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
-_SHORT_BEHIND_SEAT_M = 0.04
+_SEAT_BASE_M = 0.18  # of a seat's base behind its H-point
+_FOOT_SHARE = 0.155  # length of a shoe, of the stature
 _SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front seat) leaves no more
 _KNEES_OUT_M = 0.03  # feet from below the hips to the sides
-_SHIN_BEHIND = 0.0  # how far an ankle may stand behind the knee: what the seat's base leaves
+_SHIN_BEHIND = 0.015  # how far an ankle may stand behind the knee: what the seat's base leaves
 
 
 class FootPlan(NamedTuple):
@@ -76,8 +77,9 @@ def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, flo
 
 
 def on_floor(
-    q: Array, person: Person, root: Matrix, side: int, seat: Seat, setting: SeatSetting, fit: SeatFit, plan: FootPlan
-) -> Residual:
+    q: Array, person: Person, root: Matrix, side: int, seat: Seat, setting: SeatSetting, fit: SeatFit, plan: FootPlan,
+    *, room: float = math.inf,
+) -> Residual:  # fmt: skip
     """Put a foot flat on the floor before the seat, in place of q, with the thigh on the cushion where the legs allow it.
 
     Where the shin is longer than the cushion is high the foot goes forward, up to a little past the seat's heel
@@ -95,8 +97,7 @@ def on_floor(
     floor = seat.floor_z - vehicle_from_seat[2, 3]
     drop = knee[2] - floor - ankle_height
     heel_x = float((seat_from_vehicle[:3, :3] @ (seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
-    behind_seat = seat.slot.startswith("rear") and abs(heel_x) < 0.48
-    reach = heel_x - (_SHORT_BEHIND_SEAT_M if behind_seat else _SHORT_OF_HEEL_M) - float(sole[0, 3])  # of the ankle
+    reach = min(heel_x - _SHORT_OF_HEEL_M, room - _FOOT_SHARE * person.stature_m) - float(sole[0, 3])  # of the ankle
     shin = lengths["shin"]
     if drop >= shin:  # the floor is out of reach
         ankle = knee + np.array([0.12 * shin + plan.forward, 0.0, -shin * 0.99])
@@ -133,7 +134,7 @@ def place_feet(
     for side, name in enumerate(("lfoot", "rfoot")):
         plan = plans[side]
         if plan.pedal is None:
-            residual = on_floor(q, person, root, side, seat, setting, fit, plan)
+            residual = on_floor(q, person, root, side, seat, setting, fit, plan, room=_room_ahead(seat, cabin))
         else:
             residual = on_pedal(q, person, root, side, cabin.pedals[plan.pedal], seat.floor_z, _ASIDE_M.get(plan.pedal, 0.0))
             if residual.position > MISS_M:
@@ -144,6 +145,13 @@ def place_feet(
                 )
         missed[name] = residual.position
     return missed
+
+
+def _room_ahead(seat: Seat, cabin: Cabin) -> float:
+    """How far (m) toes may reach ahead of the H-point before they meet the base of the seat in front."""
+    if not seat.slot.startswith("rear") or "driver" not in cabin.seats or cabin.seats["driver"].facing_yaw != seat.facing_yaw:
+        return math.inf
+    return float(cabin.seats["driver"].design_h_point[0] - seat.design_h_point[0]) - _SEAT_BASE_M
 
 
 def default_plans(seat: Seat, cabin: Cabin) -> tuple[FootPlan, FootPlan]:

@@ -128,7 +128,7 @@ def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int
 
 def on_surface(point: Array, fingers: Array, up: Array, prior: Array = SIDE_ARM) -> LimbTask:
     """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
-    target = palm_frame(point + (0.03 - PALM_M) * up, -up, fingers)
+    target = palm_frame(point + (0.045 - PALM_M) * up, -up, fingers)
     return LimbTask(target, _FIRM, np.array([0.03, 0.03, 0.01]), prior, _STIFFNESS)
 
 
