@@ -1,0 +1,108 @@
+"""Blender on the same scenes: its own virtual environment, the exported scenes, and whether its depth is ours."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import cabinpose.synth.render
+from cabinpose.core.camera import Camera
+from cabinpose.core.frames import invert
+from cabinpose.synth.render import Rasteriser
+from cabinpose.synth.sample import Scene
+
+REQUIREMENT = "bpy==4.5.*"  # the last with wheels for Python 3.11; it pins numpy 1.26
+_PEER = Path(cabinpose.synth.render.__file__).parent / "blender_peer.py"
+_AGREE_M = 1e-4
+
+
+def cache_folder() -> Path:
+    """Where the bench keeps Blender's environment: $XDG_CACHE_HOME or ~/.cache, under cabinpose."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cabinpose"
+
+
+def blender_python(folder: Path) -> tuple[Path | None, str | None]:
+    """The interpreter of an environment with Blender under `folder`, made at first use; or None, and why there is none."""
+    environment = folder / "blender-4.5"
+    python = environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    if _runs(python):
+        return python, None
+    if sys.version_info[:2] != (3, 11):
+        return None, f"bpy 4.5 needs Python 3.11, this is {sys.version_info[0]}.{sys.version_info[1]}"
+    for command in (
+        [sys.executable, "-m", "venv", "--clear", str(environment)],
+        [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", REQUIREMENT],
+    ):
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            return None, f"`{' '.join(command[1:])}` failed: {_last_line(done.stderr)}"
+    if not _runs(python):
+        return None, "bpy is installed but does not start without a display"
+    return python, None
+
+
+def compare(scenes: list[Scene], camera: Camera, *, threads: int, folder: Path | None = None) -> dict[str, Any]:
+    """Blender's seconds a frame on scenes, and how many of its pixels have our depth.
+
+    Both see the camera without its lens distortion, which Blender's camera lacks. Keys: seconds_per_frame (median of the
+    render calls alone, None where Blender does not run), reason, version, depth_agreement (share of pixels within 0.1 mm),
+    instance_agreement, scenes.
+    """
+    python, reason = blender_python(folder or cache_folder())
+    if python is None:
+        return {"seconds_per_frame": None, "reason": reason}
+    pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    rasteriser = Rasteriser(pinhole)
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        ours = []
+        for number, scene in enumerate(scenes):
+            surface = scene.surface()
+            ours.append(rasteriser.render(surface, invert(scene.world_from_camera)))
+            np.savez(
+                work / f"scene-{number:03d}.npz",
+                vertices=surface.vertices,
+                faces=surface.faces,
+                instance=surface.instance,
+                world_from_camera=scene.world_from_camera,
+                pinhole=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]),
+            )
+        done = subprocess.run([str(python), str(_PEER), name, str(threads)], capture_output=True, text=True, check=False)
+        answers = [line for line in done.stdout.splitlines() if line.startswith('{"blender"')]
+        if done.returncode != 0 or not answers:
+            return {"seconds_per_frame": None, "reason": f"Blender failed: {_last_line(done.stderr)}"}
+        answer = json.loads(answers[-1])
+        depth, instance = [], []
+        for number, frame in enumerate(ours):
+            peer = np.load(work / f"peer-{number:03d}.npz")
+            seen = np.where(peer["depth"] < 1e3, peer["depth"], 0.0)  # Blender's nothing is 1e10
+            depth.append(np.mean(np.abs(seen - frame.depth_clean) <= _AGREE_M))
+            instance.append(np.mean(np.maximum(peer["index"] - 1, 0) == frame.instance))
+    return {
+        "seconds_per_frame": float(np.median(answer["seconds"])),
+        "reason": None,
+        "version": answer["blender"],
+        "depth_agreement": float(np.mean(depth)),
+        "instance_agreement": float(np.mean(instance)),
+        "scenes": len(scenes),
+    }
+
+
+def _runs(python: Path) -> bool:
+    """Whether an interpreter exists and imports Blender 4.5."""
+    if not python.exists():
+        return False
+    code = "import bpy; assert bpy.app.version[:2] == (4, 5)"
+    return subprocess.run([str(python), "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def _last_line(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else "no message"
