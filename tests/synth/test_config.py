@@ -42,6 +42,8 @@ def test_unknown_key_names_its_path_and_close_matches() -> None:
     ("data", "word"),
     [
         ({"camera": {"sensor": "kinect_v9"}}, "kinect_v9"),
+        ({"camera": {"sensor": {"name": "mine", "range_m": [2.0, 1.0]}}}, "camera.sensor"),
+        ({"camera": {"sensor": "kinect_v1"}}, "physical"),
         ({"camera": {"views": {"driver": 0.0}}}, "view"),
         ({"camera": {"supersample": 9}}, "supersample"),
         ({"people": {"subjects": ["S99"]}}, "S99"),
@@ -84,6 +86,13 @@ def test_paths_are_taken_from_the_files_folder(tmp_path: Path) -> None:
     config = SynthConfig.load(path)
     assert config.scene.kind == "cabin"
     assert config.scene.cars == (str((tmp_path / "mine.yaml").resolve()), "sedan")
+
+
+def test_an_own_sensor() -> None:
+    own = SynthConfig().camera.sensor_model.model_copy(update={"name": "mine", "range_m": (0.2, 3.0)})
+    config = SynthConfig.parse({"camera": {"sensor": own.model_dump(mode="json")}})
+    assert config.camera.sensor_model == own
+    assert SynthConfig.model_validate_json(config.model_dump_json()) == config
 
 
 def test_frame_generators_differ_and_repeat() -> None:

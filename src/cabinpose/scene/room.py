@@ -1,7 +1,7 @@
 """A room for one standing person: floor, walls with a recess, ceiling, curtain, furniture.
 
 World frame: z up, origin on the floor under the camera, x forward from the camera into the room, y left. The
-default ranges follow what the published ITOP frames show (Haque et al. 2016): a camera about 1.3 m above the floor,
+default ranges follow what the published ITOP frames show (Haque et al. 2016): a camera about 1.5 m above the floor,
 pitched a few degrees down, a person at 2-4 m, a wall close behind with a recess, clutter at both sides.
 """
 
@@ -19,6 +19,7 @@ from cabinpose.scene import labels, materials
 from cabinpose.scene.surface import Surface, merge
 
 Interval = tuple[float, float]
+_CLUTTER_MATERIALS = ("wood", "painted_wall", "synthetic_fabric", "rubber")
 
 
 @dataclass(frozen=True)
@@ -116,12 +117,14 @@ def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> 
     for _ in range(rng.integers(1, 5)):
         px, py = rng.uniform(*x), side * (inner + rng.uniform(0.25, 0.9))
         kind = rng.random()
+        # Dark things return nothing to a structured-light camera: real frames have such holes at their sides.
+        surface = _CLUTTER_MATERIALS[rng.integers(len(_CLUTTER_MATERIALS))]
         if kind < 0.35:
             pieces += _chair(px, py, rng)
         elif kind < 0.75:  # a cupboard, a box, a desk
             half = rng.uniform(0.12, 0.3, 2)
             top = rng.uniform(0.3, 1.4)
-            pieces.append(_box((px - half[0], py - half[1], 0), (px + half[0], py + half[1], top), "furniture", "wood"))
+            pieces.append(_box((px - half[0], py - half[1], 0), (px + half[0], py + half[1], top), "furniture", surface))
         else:  # a plant or a heap: spheres of leaves on a pot
             stem = rng.uniform(0.5, 1.2)
             pieces.append(
@@ -134,7 +137,7 @@ def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> 
             for _ in range(8):
                 ball = trimesh.creation.icosphere(subdivisions=1, radius=rng.uniform(0.06, 0.16))
                 ball.apply_translation((px, py, stem) + rng.normal(0, 0.16, 3))
-                pieces.append(_solid(ball, "furniture", "synthetic_fabric"))
+                pieces.append(_solid(ball, "furniture", surface))
     return pieces
 
 
@@ -167,11 +170,11 @@ def furnish_room(*, rng: np.random.Generator) -> Room:
             )
         if rng.random() < 0.8:
             pieces += _clutter((1.6, wall_x - 0.2), side, free, rng)
-    return Room(merge(pieces), (2.2, max(wall_x - 0.75, 2.4)), (-0.45, 0.45))
+    return Room(merge(pieces), (2.3, max(wall_x - 0.75, 2.6)), (-0.4, 0.4))
 
 
 def place_room_camera(*, rng: np.random.Generator) -> NDArray[np.float64]:
-    """`world_from_camera` of a camera on a tripod or shelf: 1.1-1.5 m high, pitched 1-9 degrees down, nearly level."""
-    yaw, pitch, roll = np.radians((rng.normal(0, 2.0), rng.uniform(1.0, 9.0), rng.normal(0, 1.0)))
+    """`world_from_camera` of a camera on a tripod or shelf: 1.25-1.65 m high, pitched 0-7 degrees down, nearly level."""
+    yaw, pitch, roll = np.radians((rng.normal(0, 2.0), rng.uniform(0.0, 7.0), rng.normal(0, 1.0)))
     turn = Rotation.from_euler("ZYX", (yaw, pitch, roll))  # a positive turn about y (left) looks down
-    return transform(turn * FORWARD_FROM_CAMERA, (0.0, rng.normal(0, 0.05), rng.uniform(1.1, 1.5)))
+    return transform(turn * FORWARD_FROM_CAMERA, (0.0, rng.normal(0, 0.05), rng.uniform(1.25, 1.65)))

@@ -19,7 +19,7 @@ from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.body import SUBJECTS, Phenotype
 from cabinpose.scene.cabin import PRESETS
-from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, StructuredLightNoise
+from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import Profile
 
@@ -88,7 +88,10 @@ class CameraPose(Model):
 class Camera(Model):
     """Which sensor looks from where."""
 
-    sensor: str = Field("pico_monstar_105", description="A preset, with its use case after a slash where it has several.")
+    sensor: str | Sensor = Field(
+        "pico_monstar_105/5",
+        description="A preset (use case after a slash), or the mapping of an own sensor: see docs/sensor-model.md.",
+    )
     views: Mapping[str, Probability | CameraPose] = Field(
         {"driver": 0.5, "front_row": 0.5},
         description="Weights of the cabin's views (driver, front_row, rear), or own poses by name (each of weight 1).",
@@ -99,10 +102,10 @@ class Camera(Model):
 
     @field_validator("sensor")
     @classmethod
-    def _known(cls, name: str) -> str:
-        if name not in SENSORS:
-            raise unknown_name("sensor", name, list(SENSORS))
-        return name
+    def _known(cls, sensor: str | Sensor) -> str | Sensor:
+        if isinstance(sensor, str):
+            sensor_by_name(sensor)
+        return sensor
 
     @field_validator("views")
     @classmethod
@@ -110,6 +113,11 @@ class Camera(Model):
         if not any(isinstance(v, CameraPose) or v > 0 for v in views.values()):
             raise ConfigError("no view has a weight above 0", hint="give at least one of driver, front_row, rear a weight")
         return views
+
+    @property
+    def sensor_model(self) -> Sensor:
+        """The sensor itself, where `sensor` may only name it."""
+        return self.sensor if isinstance(self.sensor, Sensor) else SENSORS[self.sensor]
 
 
 class CabinScene(Model):
@@ -186,6 +194,16 @@ class SynthConfig(Model):
     output: Output = Output()
     limits: Limits = Limits()
 
+    @model_validator(mode="after")
+    def _noise_suits_the_sensor(self) -> SynthConfig:
+        sensor = self.camera.sensor_model
+        if isinstance(self.noise, PhysicalNoise) and sensor.principle != "time_of_flight":
+            raise ConfigError(
+                f"noise 'physical' describes Time-of-Flight, sensor '{sensor.name}' is none",
+                hint="choose noise kind structured_light or empirical",
+            )
+        return self
+
     @classmethod
     def load(cls, path: Path) -> SynthConfig:
         """Read and check a YAML file; ConfigError names the key, the reason and the remedy."""
@@ -215,11 +233,13 @@ class SynthConfig(Model):
 
 
 def room_preset() -> SynthConfig:
-    """One person standing in a room before a Kinect-class camera, in ITOP's geometry."""
+    """One person standing in a room before a Kinect-class camera, in ITOP's geometry: adults, as its subjects are."""
+    adults = {"age": Range(min=0.45, max=0.85), "stature_m": Range(min=1.6, max=1.95)}
     return SynthConfig(
         scene=RoomScene(),
+        people=People(subjects=(), random=RandomPeople(count=300, ranges=adults)),
         camera=Camera(sensor="kinect_v1", views={"room": 1.0}, jitter_m=0.0, jitter_deg=0.0),
-        noise=StructuredLightNoise(),
+        noise=StructuredLightNoise(fill_px=5),
     )
 
 

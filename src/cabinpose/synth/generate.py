@@ -20,7 +20,6 @@ import cabinpose
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
-from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import person_slots, preflight
@@ -99,7 +98,7 @@ def generate(
 
 def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     """What `dataset.yaml` says of a run."""
-    camera = SENSORS[config.camera.sensor].camera
+    camera = config.camera.sensor_model.camera
     standing = config.scene.kind == "room"
     images = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
     return Manifest(

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.scene.sensor import SENSORS, simulate
+from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.synth.config import SynthConfig, frame_rng
 from cabinpose.synth.render import Rasteriser, joint_visibility
@@ -43,7 +43,7 @@ class FrameMaker:
         self._config = config
         self._seed = seed
         self._sampler = SceneSampler(config, seed)
-        self._sensor = SENSORS[config.camera.sensor]
+        self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
         self._slots = person_slots(config)
         self._instances = np.arange(1, len(self._slots) + 1, dtype=np.uint8)
