@@ -45,8 +45,9 @@ def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
     segmentation_of = segmentation_table(dataset)
     subjects = sorted({str(s) for s in dataset["subject"].values.ravel() if s})
     with h5py.File(folder / "depth_map.h5", "w") as depth_file, h5py.File(folder / "labels.h5", "w") as label_file:
-        # No times in the files: equal datasets give equal bytes.
-        image = {"shape": (count, height, width), "chunks": (1, height, width), "compression": "lzf", "track_times": False}
+        # Equal datasets give equal bytes: no times in the files, and not LZF, whose output depends on stale memory.
+        image = {"shape": (count, height, width), "chunks": (1, height, width), "track_times": False}
+        image |= {"compression": "gzip", "compression_opts": 1, "shuffle": True}
         data = depth_file.create_dataset("data", dtype="f2", **image)
         segmentation = label_file.create_dataset("segmentation", dtype="i1", **image)
         ids = np.zeros(count, "S8")
