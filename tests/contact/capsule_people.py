@@ -24,7 +24,7 @@ STAND: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     }
 )  # fmt: skip
 CAPSULES = (
-    ("pelvis", "hip", "hip", 0.10), ("abdomen", "hip", "chest", 0.10), ("thorax", "chest", "chest", 0.15),
+    ("pelvis", "hip", "hip", 0.10), ("abdomen", "hip", "hip", 0.05), ("thorax", "chest", "chest", 0.15),
     ("neck", "neck", "head", 0.06), ("head", "head", "head", 0.10),
     ("upper_arm", "shoulder", "elbow", 0.045), ("forearm", "elbow", "wrist", 0.040), ("hand", "wrist", "hand", 0.030),
     ("thigh", "pelvis", "knee", 0.075), ("shin", "knee", "ankle", 0.050), ("foot", "ankle", "foot", 0.040),

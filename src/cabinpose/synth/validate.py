@@ -129,7 +129,7 @@ class Validator:
         clock = perf_counter()
         bodies = []
         for slot, person, posed in occupants:
-            body = PosedSolids.of(self._topology(person), posed.skin)
+            body = PosedSolids.of(self._topology(person, posed), posed.skin)
             bodies.append((slot, body, posed))
         clock = self._lap("solids", clock)
         for slot, body, posed in bodies:
@@ -159,9 +159,10 @@ class Validator:
         return Verdict(True)
 
     def _against_car(self, placed: PlacedField, slot: str, body: PosedSolids, posed: Posed) -> Verdict | None:
-        touched = placed.deepest(posed.skin, FLESH_M)
+        points, vertex = body.skin_points()
+        touched = placed.deepest(points, FLESH_M)
         if touched is not None:
-            solid = body.solid_of(touched.point)
+            solid = body.solid_of(vertex[touched.point])
             return Verdict(False, "car", f"{slot}: {solid} in {touched.part}", touched.depth_m, touched.where, slot)
         probed = placed.deepest_probe(body, FLESH_M)
         if probed is not None:
@@ -174,11 +175,11 @@ class Validator:
             return Verdict(False, "car", detail, pierced.depth_m, pierced.where, slot)
         return None
 
-    def _topology(self, person: Skinned) -> SolidTopology:
+    def _topology(self, person: Skinned, posed: Posed) -> SolidTopology:
         # People share the faces of their model: one cut serves them all, known by the array itself.
         known = self._topologies.get(id(person.skin_faces))
         if known is None:
-            topology = solid_topology(person.skin_faces, person.skin_segment, SEGMENTS)
+            topology = solid_topology(person.skin_faces, person.skin_segment, SEGMENTS, posed.skin)
             known = self._topologies[id(person.skin_faces)] = (person.skin_faces, topology)
         return known[1]
 

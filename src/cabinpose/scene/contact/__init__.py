@@ -1,11 +1,8 @@
 """Contact between bodies, and between bodies and the cabin: what yields, by how much, and what collides."""
 
 from cabinpose.scene.contact.field import BAND_M, OUTSIDE, Contact, ContactField, ContactScene, PlacedField
+from cabinpose.scene.contact.pairs import FLESH_M, PAIRS, SOLIDS, Pair
 from cabinpose.scene.contact.solids import (
-    FLESH_M,
-    PAIRS,
-    SOLIDS,
-    Pair,
     PosedSolids,
     SolidContact,
     SolidTopology,

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from cabinpose.core.frames import apply
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.contact.field import ContactScene
-from cabinpose.scene.contact.solids import FLESH_M, PAIRS, SOLIDS, PosedSolids, SolidTopology
+from cabinpose.scene.contact.pairs import FLESH_M, PAIRS, SOLIDS
+from cabinpose.scene.contact.solids import PosedSolids, SolidTopology
 
 
 class Penetration(NamedTuple):

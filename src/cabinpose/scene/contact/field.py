@@ -17,19 +17,22 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix, apply, invert
-from cabinpose.scene.contact.solids import SOLIDS, PosedSolids, SolidContact
-from cabinpose.scene.contact.triangles import (
-    TriangleMesh,
-    closest_on_triangle,
-    crossing,
-    edge_keys,
-    height_over,
-    triangle_mesh,
+from cabinpose.scene.contact.grid import (
+    balls_of,
+    fill,
+    merge_part,
+    points_below,
+    points_in_boxes,
+    reach_free,
+    sample,
+    splat,
+    winding_at_nodes,
 )
+from cabinpose.scene.contact.solids import PosedSolids, SolidContact
+from cabinpose.scene.contact.triangles import WELD_M, TriangleMesh, edge_keys, triangle_mesh
 from cabinpose.scene.surface import Surface
 
 STEP_M = 0.010  # grid step of static parts and seats
@@ -38,7 +41,9 @@ QUANTUM_M = 0.00075
 BAND_M = 127 * QUANTUM_M
 SEAL_M = 0.020  # gaps of the interior narrower than twice this count as closed
 SHARP = math.cos(math.radians(30.0))  # edges that bend more than this are probed as edges
-PROBE_M = 0.015  # spacing of probes along sharp edges
+PROBE_M = 0.015  # spacing of probes along sharp edges of hard parts
+SOFT_PROBE_M = 0.040  # and over soft ones
+FEW = 16  # points measured of a contact that is certain
 SEARCH_M = 0.3  # how deep a depth is still measured
 STATIC_GROUP = "body"
 WHEEL_GROUP = "wheel"
@@ -69,177 +74,6 @@ class ContactScene(Protocol):
     def group_transforms(self, settings: Mapping[str, Any], *, wheel_angle: float = 0.0) -> Mapping[str, Matrix]: ...
 
 
-@njit(cache=True, nogil=True)
-def _splat(corners, origin, step, reach, distance):  # type: ignore[no-untyped-def]
-    """Squared distance at the nodes within `reach` of each triangle."""
-    dims = distance.shape
-    low = np.empty(3, np.int64)
-    high = np.empty(3, np.int64)
-    for t in range(len(corners)):
-        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
-        for axis in range(3):
-            x = corners[t, :, axis]
-            low[axis] = max(math.ceil((x.min() - reach - origin[axis]) / step), 0)
-            high[axis] = min(math.floor((x.max() + reach - origin[axis]) / step), dims[axis] - 1)
-        nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-        ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-        nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        limit = reach * math.sqrt(nx * nx + ny * ny + nz * nz)
-        for i in range(low[0], high[0] + 1):
-            px = origin[0] + i * step
-            for j in range(low[1], high[1] + 1):
-                py = origin[1] + j * step
-                for k in range(low[2], high[2] + 1):
-                    pz = origin[2] + k * step
-                    if abs(nx * (px - a[0]) + ny * (py - a[1]) + nz * (pz - a[2])) > limit:
-                        continue
-                    d2 = closest_on_triangle(px, py, pz, a, b, c)[0]
-                    if d2 <= reach * reach and d2 < distance[i, j, k]:
-                        distance[i, j, k] = d2
-
-
-@njit(cache=True, nogil=True)
-def _fill(values, exact, step, band):  # type: ignore[no-untyped-def]
-    """Clearance at the nodes that are not exact, summed up step by step from those that are (chamfer, Borgefors 1986).
-
-    Two passes over half of the 26 neighbours each. A path over neighbours is never shorter than the straight way.
-    """
-    ni, nj, nk = values.shape
-    ways = np.empty((13, 3), np.int64)
-    length = np.empty(13, np.float32)
-    for n in range(13):
-        ways[n, 0], ways[n, 1], ways[n, 2] = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
-        length[n] = step * math.sqrt((ways[n] ** 2).sum())
-    for direction in (1, -1):
-        for i in range(ni) if direction > 0 else range(ni - 1, -1, -1):
-            for j in range(nj) if direction > 0 else range(nj - 1, -1, -1):
-                border = i in (0, ni - 1) or j in (0, nj - 1)
-                for k in range(nk) if direction > 0 else range(nk - 1, -1, -1):
-                    if exact[i, j, k]:
-                        continue
-                    size = min(abs(values[i, j, k]), band)
-                    checked = border or k in (0, nk - 1)
-                    for n in range(13):
-                        u, v, w = i + direction * ways[n, 0], j + direction * ways[n, 1], k + direction * ways[n, 2]
-                        if not checked or (0 <= u < ni and 0 <= v < nj and 0 <= w < nk):
-                            size = min(size, abs(values[u, v, w]) + length[n])
-                    values[i, j, k] = math.copysign(size, values[i, j, k])
-
-
-@njit(cache=True, nogil=True)
-def _winding(corners, origin, step, dims):  # type: ignore[no-untyped-def]
-    """How often the surface winds around each node, from its crossings with the vertical grid lines."""
-    winding = np.zeros((dims[0], dims[1], dims[2]), np.int8)
-    for t in range(len(corners)):
-        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
-        i0 = max(math.ceil((corners[t, :, 0].min() - origin[0]) / step), 0)
-        i1 = min(math.floor((corners[t, :, 0].max() - origin[0]) / step), dims[0] - 1)
-        j0 = max(math.ceil((corners[t, :, 1].min() - origin[1]) / step), 0)
-        j1 = min(math.floor((corners[t, :, 1].max() - origin[1]) / step), dims[1] - 1)
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                px, py = origin[0] + i * step, origin[1] + j * step
-                sense = crossing(px, py, a, b, c)
-                if sense != 0:
-                    top = min(math.floor((height_over(px, py, a, b, c) - origin[2]) / step), dims[2] - 1)
-                    if top >= 0:
-                        winding[i, j, top] += sense
-    for i in range(dims[0]):
-        for j in range(dims[1]):
-            for k in range(dims[2] - 2, -1, -1):
-                winding[i, j, k] += winding[i, j, k + 1]
-    return winding
-
-
-@njit(cache=True, nogil=True)
-def _merge(distance, winding, closed, offset, give, values, exact):  # type: ignore[no-untyped-def]
-    """Lowers the group's clearance to that of one part: its distance where one was measured, else far outside or inside."""
-    ni, nj, nk = distance.shape
-    for i in range(ni):
-        for j in range(nj):
-            for k in range(nk):
-                measured = distance[i, j, k] < np.inf
-                inside = closed and winding[i, j, k] > 0
-                if not measured and not inside:
-                    continue
-                d = math.sqrt(distance[i, j, k])
-                value = (-d if inside else d) + give
-                at = (i + offset[0], j + offset[1], k + offset[2])
-                if value < values[at]:
-                    values[at] = value
-                    exact[at] = measured
-
-
-@njit(cache=True, nogil=True)
-def _reach_free(values, seeds, free_level, pass_level, steps):  # type: ignore[no-untyped-def]
-    """Nodes reached from the seeds through the clear, and `steps` nodes on; and whether the grid's border was reached."""
-    ni, nj, nk = values.shape
-    free = np.zeros(values.shape, np.bool_)
-    queue = np.empty((values.size, 3), np.int16)
-    last = 0
-    for s in range(len(seeds)):
-        i, j, k = seeds[s]
-        if 0 <= i < ni and 0 <= j < nj and 0 <= k < nk and values[i, j, k] >= free_level and not free[i, j, k]:
-            free[i, j, k] = True
-            queue[last, 0], queue[last, 1], queue[last, 2] = i, j, k
-            last += 1
-    open_border = False
-    head = 0
-    while head < last:
-        i, j, k = np.int64(queue[head, 0]), np.int64(queue[head, 1]), np.int64(queue[head, 2])
-        head += 1
-        open_border = open_border or i == 0 or j == 0 or k == 0 or i == ni - 1 or j == nj - 1 or k == nk - 1
-        for n in range(6):
-            a, b, c = i, j, k
-            d = 1 - 2 * (n & 1)
-            if n < 2:
-                a += d
-            elif n < 4:
-                b += d
-            else:
-                c += d
-            if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk and not free[a, b, c] and values[a, b, c] >= free_level:
-                free[a, b, c] = True
-                queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
-                last += 1
-    first = 0
-    for _ in range(steps):
-        start = last
-        for n in range(first, start):
-            i, j, k = np.int64(queue[n, 0]), np.int64(queue[n, 1]), np.int64(queue[n, 2])
-            for a in range(max(i - 1, 0), min(i + 2, ni)):
-                for b in range(max(j - 1, 0), min(j + 2, nj)):
-                    for c in range(max(k - 1, 0), min(k + 2, nk)):
-                        if not free[a, b, c] and values[a, b, c] >= pass_level:
-                            free[a, b, c] = True
-                            queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
-                            last += 1
-        first = start
-    return free, open_border
-
-
-@njit(cache=True, nogil=True)
-def _sample(points, group_from_vehicle, origin, step, quantum, outside, values, clearance):  # type: ignore[no-untyped-def]
-    """Lowers `clearance` (N,) at points (N, 3) to the field's trilinear value; `outside` beyond the grid."""
-    ni, nj, nk = values.shape
-    m = group_from_vehicle
-    for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        u = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] - origin[0]) / step
-        v = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] - origin[1]) / step
-        w = (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3] - origin[2]) / step
-        if not (0.0 <= u < ni - 1 and 0.0 <= v < nj - 1 and 0.0 <= w < nk - 1):
-            clearance[n] = min(clearance[n], outside)
-            continue
-        i, j, k = int(u), int(v), int(w)
-        fu, fv, fw = u - i, v - j, w - k
-        low = (values[i, j, k] * (1.0 - fu) + values[i + 1, j, k] * fu) * (1.0 - fv)
-        low += (values[i, j + 1, k] * (1.0 - fu) + values[i + 1, j + 1, k] * fu) * fv
-        high = (values[i, j, k + 1] * (1.0 - fu) + values[i + 1, j, k + 1] * fu) * (1.0 - fv)
-        high += (values[i, j + 1, k + 1] * (1.0 - fu) + values[i + 1, j + 1, k + 1] * fu) * fv
-        clearance[n] = min(clearance[n], (low * (1.0 - fw) + high * fw) * quantum)
-
-
 @dataclass(frozen=True)
 class GroupPart:
     """One part of a group, for exact queries: its triangles and the depth to which it gives way.
@@ -258,8 +92,8 @@ class GroupField:
     """The clearance field of a group and its parts, in the group's frame.
 
     values: (ni, nj, nk) int8, quanta of clearance · origin: (3,) m of node 0 · bound_m: by how much an interpolated
-    value can exceed the true clearance · probes: (P, 3) m, vertices and points of sharp edges, with
-    their part and its give ·
+    value can exceed the true clearance · probes: (P, 3) m, points that `_probes` takes of the parts,
+    with their part and its give · part_low, part_high: (n, 3) m, the box of each part and its shell ·
     interior: what the occupants cannot reach counts as too deep ·
     sealed: and nothing leads out, so that what is beyond the grid is outside the car.
     """
@@ -272,6 +106,8 @@ class GroupField:
     probes: NDArray[np.float64]
     probe_part: NDArray[np.int32]
     probe_give: NDArray[np.float64]
+    part_low: NDArray[np.float64]
+    part_high: NDArray[np.float64]
     interior: bool
     sealed: bool
 
@@ -286,6 +122,11 @@ class GroupField:
         return self.step * math.sqrt(3.0) / 2.0 + QUANTUM_M
 
     @property
+    def outside_m(self) -> float:
+        """The clearance that stands for every point beyond the grid, m."""
+        return -BAND_M if self.sealed else BAND_M
+
+    @property
     def nbytes(self) -> int:
         """Memory of the grid and the triangles, bytes."""
         meshes = sum(p.mesh.corners.nbytes + p.mesh.normals.nbytes + p.mesh.vertices.nbytes for p in self.parts)
@@ -293,12 +134,31 @@ class GroupField:
 
     def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: NDArray[np.float64]) -> None:
         """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
-        outside = -BAND_M if self.sealed else BAND_M
-        _sample(points, group_from_vehicle, self.origin, self.step, QUANTUM_M, outside, self.values, clearance)
+        sample(points, group_from_vehicle, self.origin, self.step, QUANTUM_M, self.outside_m, self.values, clearance)
+
+    def below(
+        self, points: NDArray[np.floating], balls: NDArray[np.float64], group_from_vehicle: Matrix, threshold_m: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Numbers and clearance (m) of the points (N, 3) m, vehicle frame, with less clearance than `threshold_m`.
+
+        balls: `grid.balls_of(points)`.
+        """
+        m = group_from_vehicle
+        index, clearance = points_below(
+            points, balls, m, self.origin, self.step, QUANTUM_M, self.outside_m, self.values, threshold_m, SEAL_M
+        )
+        return index, clearance
 
 
-def _probes(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """The vertices, and points every `PROBE_M` along the edges that bend outwards sharply."""
+def _probes(part: GroupPart) -> NDArray[np.float64]:
+    """Points of a part that may go into a body unseen by the skin's own points.
+
+    Of hard parts the vertices, and points every `PROBE_M` along the edges that bend outwards sharply. Of soft parts the
+    whole surface: foam no thicker than twice its give has no depth beyond the give, but goes that deep into the body.
+    """
+    mesh = part.mesh
+    if part.give_m > 0.0:
+        return _sampled(mesh.corners, SOFT_PROBE_M)
     keys = edge_keys(mesh.faces, len(mesh.vertices)).reshape(-1)
     order = np.argsort(keys, kind="stable")
     paired = np.flatnonzero(keys[order][1:] == keys[order][:-1])
@@ -309,12 +169,27 @@ def _probes(mesh: TriangleMesh) -> NDArray[np.float64]:
     bend = (face[one // 3] * face[two // 3]).sum(axis=1)
     convex = (face[one // 3] * (apex - a)).sum(axis=1) < 0.0
     length = np.linalg.norm(b - a, axis=1)
-    chosen = np.flatnonzero((bend < SHARP) & convex & (length > PROBE_M))
     points = [mesh.vertices]
-    for e in chosen:
+    for e in np.flatnonzero((bend < SHARP) & convex & (length > PROBE_M)):
         t = np.arange(1, math.ceil(length[e] / PROBE_M)) / math.ceil(length[e] / PROBE_M)
         points.append(a[e] + t[:, None] * (b[e] - a[e]))
     return np.concatenate(points)
+
+
+def _sampled(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    """Points (N, 3) over triangles (F, 3, 3), no farther apart than `spacing`, those on shared edges once."""
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    pieces = np.ceil(longest / spacing).astype(int)
+    points = []
+    for n in np.unique(pieces):
+        i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
+        weights = np.stack((n - i - j, i, j), axis=1) / n
+        points.append((weights @ corners[pieces == n]).reshape(-1, 3))
+    every = np.concatenate(points)
+    _, first = np.unique(np.round(every / WELD_M), axis=0, return_index=True)
+    # In order of place: the nearest triangle of one point is then a good guess for the next.
+    every = every[np.sort(first)]
+    return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]
 
 
 def _lower_to_part(
@@ -327,9 +202,11 @@ def _lower_to_part(
     dims = tuple(int(n) for n in last - first + 1)
     corner = origin + first * step
     distance = np.full(dims, np.inf, np.float32)
-    _splat(part.mesh.corners, corner, step, reach, distance)
-    winding = _winding(part.mesh.corners, corner, step, np.array(dims)) if part.mesh.closed else np.zeros((1, 1, 1), np.int8)
-    _merge(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, values, exact)
+    splat(part.mesh.corners, corner, step, reach, distance)
+    winding = (
+        winding_at_nodes(part.mesh.corners, corner, step, np.array(dims)) if part.mesh.closed else np.zeros((1, 1, 1), np.int8)
+    )
+    merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, values, exact)
 
 
 def group_field(
@@ -352,20 +229,23 @@ def group_field(
     exact = np.zeros(shape, np.bool_)
     for part_ready in ready:
         _lower_to_part(part_ready, low, step, values, exact)
-    _fill(values, exact, step, BAND_M)
+    fill(values, exact, step, BAND_M)
     sealed = False
     if seeds is not None:
         nodes = np.round((seeds - low) / step).astype(np.int64)
-        free, open_border = _reach_free(values, nodes, SEAL_M, 0.5 * step, math.ceil(SEAL_M / step) + 2)
+        free, open_border = reach_free(values, nodes, SEAL_M, 0.5 * step, math.ceil(SEAL_M / step) + 2)
         if free.any():
             sealed = not open_border
             values[~free & (values >= 0.5 * step)] *= -1.0
     levels = np.clip(np.floor(values / QUANTUM_M), -127, 127).astype(np.int8)
-    probes = [_probes(p.mesh) for p in ready]
+    probes = [_probes(p) for p in ready]
     owner = np.repeat(np.arange(len(ready), dtype=np.int32), [len(p) for p in probes])
     give = np.array([p.give_m for p in ready])[owner]
+    part_low = np.array([p.mesh.low - p.shell_m for p in ready])
+    part_high = np.array([p.mesh.high + p.shell_m for p in ready])
+    interior = seeds is not None
     return GroupField(
-        name, tuple(ready), levels, low, step, np.concatenate(probes), owner, give, interior=seeds is not None, sealed=sealed
+        name, tuple(ready), levels, low, step, np.concatenate(probes), owner, give, part_low, part_high, interior, sealed
     )
 
 
@@ -408,6 +288,8 @@ class ContactField:
             parts = tuple(replace(g, name=p.name) for g, p in zip(built[key].parts, members, strict=True))
             fields.append(replace(built[key], name=name, parts=parts))
         self.groups: tuple[GroupField, ...] = tuple(fields)
+        self._half = np.array([(np.array(g.values.shape) - 1) * g.step / 2.0 for g in fields])
+        self._centre = np.array([g.origin for g in fields]) + self._half
 
     @property
     def nbytes(self) -> int:
@@ -417,7 +299,11 @@ class ContactField:
     def at(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> PlacedField:
         """The fields where these seat settings and this wheel angle (rad) put them."""
         transforms = self._cabin.group_transforms(settings, wheel_angle=wheel_angle)
-        return PlacedField(tuple((g, transforms[g.name], invert(transforms[g.name])) for g in self.groups))
+        vehicle_from_group = np.array([transforms[g.name] for g in self.groups])
+        centre = np.einsum("gij,gj->gi", vehicle_from_group[:, :3, :3], self._centre) + vehicle_from_group[:, :3, 3]
+        half = np.einsum("gij,gj->gi", np.abs(vehicle_from_group[:, :3, :3]), self._half)
+        groups = tuple(zip(self.groups, vehicle_from_group, invert(vehicle_from_group), strict=True))
+        return PlacedField(groups, centre - half, centre + half)
 
     def clearance(
         self, points: NDArray[np.floating], settings: Mapping[str, Any], wheel_angle: float = 0.0
@@ -428,9 +314,14 @@ class ContactField:
 
 @dataclass(frozen=True)
 class PlacedField:
-    """The groups of a cabin in one arrangement: field, vehicle_from_group, group_from_vehicle."""
+    """The groups of a cabin in one arrangement: field, vehicle_from_group, group_from_vehicle; the boxes of their grids.
+
+    low, high: (G, 3) m, vehicle frame.
+    """
 
     groups: tuple[tuple[GroupField, Matrix, Matrix], ...]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
 
     def clearance(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(N,) m that points (N, 3) m of the vehicle frame may still move before a part gives way no more.
@@ -450,13 +341,16 @@ class PlacedField:
         `give=False` takes soft parts for hard ones.
         """
         worst: Contact | None = None
-        for group, _, group_from_vehicle in self.groups:
+        balls = balls_of(points)
+        low, high = (balls[:, :3] - balls[:, 3:]).min(axis=0), (balls[:, :3] + balls[:, 3:]).max(axis=0)
+        in_reach = ((self.low < high) & (self.high > low)).all(axis=1)
+        for (group, _, group_from_vehicle), near in zip(self.groups, in_reach, strict=True):
+            if not (near or group.interior):
+                continue
             yielding = 0.0 if give else group.give_m
-            clearance = np.full(len(points), BAND_M)
-            group.lower(points, group_from_vehicle, clearance)
-            open_ = np.flatnonzero(clearance < group.bound_m - tolerance_m + yielding)
-            if len(open_):
-                found = _measure(group, points, open_, clearance[open_], group_from_vehicle, tolerance_m, give)
+            index, clearance = group.below(points, balls, group_from_vehicle, group.bound_m - tolerance_m + yielding)
+            if len(index):
+                found = _measure(group, points, index, clearance, group_from_vehicle, tolerance_m, give)
                 if found is not None and (worst is None or found.excess_m > worst.excess_m):
                     worst = found
         return worst
@@ -466,36 +360,22 @@ class PlacedField:
 
         Finds what passes between the skin's vertices: the wheel's rim in a forearm, a console's edge in a calf.
         """
-        for group, vehicle_from_group, _ in self.groups:
-            points, chosen = _probes_in(group.probes, vehicle_from_group, body.box)
+        # Nothing is deeper in a body than half its least extent: a hand need not be asked about foam.
+        reach = 0.5 * (body.boxes[:, 1] - body.boxes[:, 0]).min(axis=1)
+        in_reach = ((self.low < body.box[1]) & (self.high > body.box[0])).all(axis=1)
+        for (group, vehicle_from_group, _), near in zip(self.groups, in_reach, strict=True):
+            if not near:
+                continue
+            points, chosen, met = points_in_boxes(group.probes, vehicle_from_group, body.box, body.boxes)
             if not len(chosen):
                 continue
             limits = group.probe_give[chosen] + tolerance_m
             index = np.arange(len(chosen), dtype=np.int32)
-            for solid in range(len(SOLIDS)):
+            for solid in np.flatnonzero(met & (reach > limits.min())):
                 found = body.deepest(solid, points, index, limits)
                 if found is not None:
                     return group.parts[group.probe_part[chosen[found.point]]].name, found
         return None
-
-
-@njit(cache=True, nogil=True)
-def _probes_in(probes, vehicle_from_group, box):  # type: ignore[no-untyped-def]
-    """The probes that lie in a box of the vehicle frame, as (n, 3) float32 of that frame and by number."""
-    m = vehicle_from_group
-    points = np.empty((len(probes), 3), np.float32)
-    chosen = np.empty(len(probes), np.int32)
-    n = 0
-    for p in range(len(probes)):
-        x, y, z = probes[p, 0], probes[p, 1], probes[p, 2]
-        u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        w = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        if box[0, 0] < u < box[1, 0] and box[0, 1] < v < box[1, 1] and box[0, 2] < w < box[1, 2]:
-            points[n, 0], points[n, 1], points[n, 2] = u, v, w
-            chosen[n] = p
-            n += 1
-    return points[:n], chosen[:n]
 
 
 def _measure(
@@ -508,16 +388,23 @@ def _measure(
     give: bool,
 ) -> Contact | None:
     """The worst of the points that the grid left open, measured on the triangles."""
+    if clearance.min() < -tolerance - group.bound_m:
+        # Surely too deep somewhere: the deepest few tell which part, and the rest need no measuring.
+        deepest = np.argsort(clearance, kind="stable")[:FEW]
+        index, clearance = index[deepest], clearance[deepest]
     local = apply(group_from_vehicle, points[index])
     depth = np.full((len(group.parts), len(index)), -np.inf)
-    for row, part in zip(depth, group.parts, strict=True):
-        near = np.flatnonzero(((local > part.mesh.low - part.shell_m) & (local < part.mesh.high + part.shell_m)).all(axis=1))
-        if len(near):
-            radius = part.give_m + part.shell_m + tolerance + 2.0 * group.bound_m
-            distance = part.mesh.signed_distance(local[near], radius)
-            beyond = np.flatnonzero((distance == radius) & (clearance[near] < -tolerance - group.bound_m))
-            distance[beyond] = part.mesh.signed_distance(local[near[beyond]], SEARCH_M)
-            row[near] = part.shell_m - distance
+    inside_box = ((local > group.part_low[:, None]) & (local < group.part_high[:, None])).all(axis=2)
+    for row in np.flatnonzero(inside_box.any(axis=1)):
+        part, near = group.parts[row], np.flatnonzero(inside_box[row])
+        radius = part.give_m + part.shell_m + tolerance + 2.0 * group.bound_m
+        # What is nearer than allowed to a closed part is not too deep, on whichever side; to a sheet, near is deep.
+        enough = tolerance + (part.give_m if give else 0.0) if part.mesh.closed else 0.0
+        distance = part.mesh.signed_distance(local[near], radius, enough)
+        beyond = np.flatnonzero((distance == radius) & (clearance[near] < -tolerance - group.bound_m))
+        distance[beyond] = part.mesh.signed_distance(local[near[beyond]], SEARCH_M)
+        touching = part.mesh.closed & (np.abs(distance) <= enough)
+        depth[row, near] = np.where(touching, 0.0, part.shell_m - distance)
     allowed = np.array([p.give_m if give else 0.0 for p in group.parts]) + tolerance
     excess = depth - allowed[:, None]
     which, n = np.unravel_index(np.argmax(excess), excess.shape)

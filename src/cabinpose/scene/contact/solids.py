@@ -3,9 +3,6 @@
 The skin's triangles of a segment are closed by a fan over each open ring (to the ring's centre of mass), so that
 "inside" is the winding number along a vertical ray, exact for the posed triangles. Depth is the distance to the
 nearest triangle of the solid's own skin, the fans left out: it can only be overstated, so nothing too deep passes.
-
-Where bodies touch themselves flesh gives way, and linear-blend skinning lets it overlap instead; `PAIRS` states by how
-much and why.
 """
 
 from __future__ import annotations
@@ -13,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,70 +17,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cabinpose.core.skeleton import INDEX
+from cabinpose.scene.contact.pairs import FLESH_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
 from cabinpose.scene.contact.triangles import closest_on_triangle, crossing, height_over
 
-# Skin and what lies under it yield under a light touch: 5-10 mm over most of the body at a few newtons.
-FLESH_M = 0.008
-
-SOLIDS: tuple[str, ...] = (
-    "torso", "head",
-    "lupper_arm", "lforearm", "lhand", "rupper_arm", "rforearm", "rhand",
-    "lthigh", "lshin", "lfoot", "rthigh", "rshin", "rfoot",
-)  # fmt: skip
-SOLID_OF_SEGMENT = MappingProxyType(
-    {"pelvis": "torso", "abdomen": "torso", "thorax": "torso", "neck": "head", "head": "head"}
-    | {s + n: s + n for s in "lr" for n in ("upper_arm", "forearm", "hand", "thigh", "shin", "foot")}
-)
-
-
-class Pair(NamedTuple):
-    """Two solids of one body: the overlap allowed (m), and the zone around a shared joint that is left to the joint limits.
-
-    The zone is a sphere around `joint` with radius `zone` times the length from `joint` to `end`.
-    """
-
-    one: str
-    two: str
-    tolerance_m: float
-    joint: str = ""
-    end: str = ""
-    zone: float = 0.0
-
-
-def _pairs() -> tuple[Pair, ...]:
-    held_by_joint_limits = {frozenset(s + n for n in two) for s in "lr" for two in (
-        ("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))}  # fmt: skip
-    stated = [
-        # The chin meets the chest; skin of neck and chest is one sheet there.
-        Pair("torso", "head", 0.020, "neck", "head", 1.5),
-        # The thighs meet at the crotch and yield to each other.
-        Pair("lthigh", "rthigh", 0.030, "hip", "lpelvis", 1.2),
-    ]
-    for s in "lr":
-        stated += [
-            # Seated, the belly lies on the thighs: the fold of the groin is fat and bends by tens of millimetres.
-            Pair("torso", s + "thigh", 0.050, s + "pelvis", s + "knee", 0.45),
-            # A hanging arm lies against the side of the chest, and its muscle flattens there.
-            Pair("torso", s + "upper_arm", 0.030, s + "shoulder", s + "elbow", 0.40),
-            # An arm in the lap or crossed over the belly presses into it.
-            Pair("torso", s + "forearm", 0.020),
-            Pair("torso", s + "hand", 0.015),
-            # A raised arm pushes the deltoid and trapezius against the neck.
-            Pair("head", s + "upper_arm", 0.020, s + "shoulder", s + "elbow", 0.40),
-        ]
-        for t in "lr":
-            # Hands and forearms rest on the thighs, whose muscle is slack when seated.
-            stated += [Pair(s + "thigh", t + "forearm", 0.015), Pair(s + "thigh", t + "hand", 0.015)]
-    known = {frozenset((p.one, p.two)) for p in stated}
-    return tuple(stated) + tuple(
-        Pair(one, two, FLESH_M)
-        for i, one in enumerate(SOLIDS)
-        for two in SOLIDS[i + 1 :]
-        if frozenset((one, two)) not in known | held_by_joint_limits
-    )
-
-
-PAIRS: tuple[Pair, ...] = _pairs()
+SPACING_M = 0.025  # torso and thighs have edges up to 75 mm
+LEAF = 32  # triangles to a box in the search for the nearest
 
 
 @dataclass(frozen=True)
@@ -93,7 +30,8 @@ class SolidTopology:
 
     faces: (F, 3) int32 of all solids, their skin first, then their fans · skin_rows, all_rows: (S, 2) into faces ·
     vertices: skin vertices of each solid (for its box), vertex_rows (S, 2) · own: vertices that belong to one solid each,
-    own_rows (S, 2) · ring_vertices, ring_rows (C, 2): rings whose centres are vertices V, V+1, ...
+    own_rows (S, 2) · ring_vertices, ring_rows (C, 2): rings whose centres are vertices V, V+1, ... ·
+    edges: (E, 2) of the skin, each once · order: (V,) skin vertices, neighbours near each other
     """
 
     faces: NDArray[np.int32]
@@ -105,6 +43,8 @@ class SolidTopology:
     own_rows: NDArray[np.int64]
     ring_vertices: NDArray[np.int32]
     ring_rows: NDArray[np.int64]
+    edges: NDArray[np.int32]
+    order: NDArray[np.int32]
 
 
 def _rows(parts: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
@@ -119,6 +59,11 @@ def open_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     forward = edges[:, 0].astype(np.int64) * count + edges[:, 1]
     backward = edges[:, 1].astype(np.int64) * count + edges[:, 0]
     return np.asarray(edges[~np.isin(forward, backward)])
+
+
+def _edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    ends = np.sort(np.concatenate((faces[:, (0, 1)], faces[:, (1, 2)], faces[:, (2, 0)])), axis=1)
+    return np.ascontiguousarray(np.unique(ends, axis=0), np.int32)
 
 
 def _components(edges: NDArray[np.int32]) -> list[NDArray[np.int32]]:
@@ -137,8 +82,28 @@ def _components(edges: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     return [edges[roots == r] for r in np.unique(roots)]
 
 
-def solid_topology(faces: NDArray[np.int32], segment: NDArray[np.uint8], segments: Sequence[str]) -> SolidTopology:
-    """Cuts a skin (faces (F, 3), segment (V,) as index into `segments`) into `SOLIDS`, each closed by fans."""
+def _by_place(points: NDArray[np.floating], run: int = LEAF) -> NDArray[np.intp]:
+    """An order of points (N, 3) in which every run is close together: halves along the widest axis, again and again."""
+    order = np.arange(len(points))
+    pending = [(0, len(points))]
+    while pending:
+        start, end = pending.pop()
+        if end - start > run:
+            part = order[start:end]
+            axis = int(np.argmax(np.ptp(points[part], axis=0)))
+            order[start:end] = part[np.argsort(points[part, axis], kind="stable")]
+            middle = start + run * ((end - start) // (2 * run) or 1)
+            pending += [(start, middle), (middle, end)]
+    return order
+
+
+def solid_topology(
+    faces: NDArray[np.int32], segment: NDArray[np.uint8], segments: Sequence[str], skin: NDArray[np.floating]
+) -> SolidTopology:
+    """Cuts a skin (faces (F, 3), segment (V,) as index into `segments`) into `SOLIDS`, each closed by fans.
+
+    skin: (V, 3) m, the vertices of any pose, to list triangles near each other together; results do not depend on it.
+    """
     solid = np.array([SOLIDS.index(SOLID_OF_SEGMENT[name]) for name in segments])[segment]
     corner = solid[faces]
     # A face belongs where most of its corners do, one with three homes to the first.
@@ -146,24 +111,26 @@ def solid_topology(faces: NDArray[np.int32], segment: NDArray[np.uint8], segment
     skins, alls, vertices, owns, rings = [], [], [], [], []
     centre = len(segment)
     for s in range(len(SOLIDS)):
-        skin = faces[of_face == s]
-        closed = [skin]
-        if len(skin):
-            for ring in _components(open_edges(skin)):
+        own = faces[of_face == s]
+        own = own[_by_place(skin[own].mean(axis=1))]
+        closed = [own]
+        if len(own):
+            for ring in _components(open_edges(own)):
                 fan = np.column_stack((ring[:, 1], ring[:, 0], np.full(len(ring), centre)))
                 closed.append(fan.astype(np.int32))
                 rings.append(np.unique(ring).astype(np.int32))
                 centre += 1
-        skins.append(skin)
+        skins.append(own)
         alls.append(np.concatenate(closed))
-        vertices.append(np.unique(skin).astype(np.int32))
+        vertices.append(np.unique(own).astype(np.int32))
         owns.append(np.flatnonzero(solid == s).astype(np.int32))
-    all_rows = _rows(alls)
+    all_rows, edges = _rows(alls), _edges(faces)
     skin_rows = np.stack((all_rows[:, 0], all_rows[:, 0] + [len(p) for p in skins]), axis=1)
     return SolidTopology(
         np.ascontiguousarray(np.concatenate(alls), np.int32), skin_rows, all_rows,
         np.concatenate(vertices), _rows(vertices), np.concatenate(owns), _rows(owns),
         np.concatenate(rings) if rings else np.empty(0, np.int32), _rows(rings) if rings else np.empty((0, 2), np.int64),
+        edges[_by_place(skin[edges].mean(axis=1))], _by_place(skin).astype(np.int32),
     )  # fmt: skip
 
 
@@ -263,27 +230,39 @@ def _columns(vertices, faces, chosen, area, cell, nx, ny):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def _depth(x, y, z, vertices, faces, hint, enough):  # type: ignore[no-untyped-def]
+def _leaf_boxes(vertices, faces):  # type: ignore[no-untyped-def]
+    """Boxes (n, 2, 3) around every `LEAF` consecutive faces."""
+    boxes = np.empty(((len(faces) + LEAF - 1) // LEAF, 2, 3))
+    boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
+    for f in range(len(faces)):
+        for corner in range(3):
+            for axis in range(3):
+                x = vertices[faces[f, corner], axis]
+                boxes[f // LEAF, 0, axis] = min(boxes[f // LEAF, 0, axis], x)
+                boxes[f // LEAF, 1, axis] = max(boxes[f // LEAF, 1, axis], x)
+    return boxes
+
+
+@njit(cache=True, nogil=True)
+def _depth(x, y, z, vertices, faces, boxes, hint, enough):  # type: ignore[no-untyped-def]
     """Distance to the nearest face and its number; stops as soon as it is known to be at most `enough`."""
     a, b, c = vertices[faces[hint, 0]], vertices[faces[hint, 1]], vertices[faces[hint, 2]]
     best, face = closest_on_triangle(x, y, z, a, b, c)[0], hint
     stop = enough * enough
-    reach = math.sqrt(best)
-    for f in range(len(faces)):
+    for leaf in range(len(boxes)):
         if best <= stop:
             break
-        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-        if (
-            min(a[0], b[0], c[0]) - x < reach
-            and x - max(a[0], b[0], c[0]) < reach
-            and min(a[1], b[1], c[1]) - y < reach
-            and y - max(a[1], b[1], c[1]) < reach
-            and min(a[2], b[2], c[2]) - z < reach
-            and z - max(a[2], b[2], c[2]) < reach
-        ):
+        box = boxes[leaf]
+        dx = max(box[0, 0] - x, x - box[1, 0], 0.0)
+        dy = max(box[0, 1] - y, y - box[1, 1], 0.0)
+        dz = max(box[0, 2] - z, z - box[1, 2], 0.0)
+        if dx * dx + dy * dy + dz * dz >= best:
+            continue
+        for f in range(leaf * LEAF, min((leaf + 1) * LEAF, len(faces))):
+            a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
             d2 = closest_on_triangle(x, y, z, a, b, c)[0]
             if d2 < best:
-                best, face, reach = d2, f, math.sqrt(d2)
+                best, face = d2, f
     return math.sqrt(best), face
 
 
@@ -305,6 +284,7 @@ def _deepest(points, index, box, centre, radius, vertices, faces, skin_count, li
     nx, ny = int((area[2] - area[0]) / cell) + 1, int((area[3] - area[1]) / cell) + 1
     starts, entries = _columns(vertices, faces, over, area, cell, nx, ny)
     worst, worst_point, worst_depth, hint = 0.0, -1, 0.0, 0
+    boxes = np.empty((0, 2, 3))
     for v in inside_box:
         x, y, z = points[v, 0], points[v, 1], points[v, 2]
         row = min(int((x - area[0]) / cell), nx - 1) * ny + min(int((y - area[1]) / cell), ny - 1)
@@ -319,10 +299,42 @@ def _deepest(points, index, box, centre, radius, vertices, faces, skin_count, li
                 winding += sense
         if winding > 0:
             limit = limits[v] if len(limits) > 1 else limits[0]
-            depth, hint = _depth(x, y, z, vertices, faces[:skin_count], hint, limit + worst)
+            if len(boxes) == 0:
+                boxes = _leaf_boxes(vertices, faces[:skin_count])
+            depth, hint = _depth(x, y, z, vertices, faces[:skin_count], boxes, hint, limit + worst)
             if depth - limit > worst:
                 worst, worst_point, worst_depth = depth - limit, v, depth
     return worst, worst_point, worst_depth
+
+
+@njit(cache=True, nogil=True)
+def _sampled_skin(skin, order, edges, spacing):  # type: ignore[no-untyped-def]
+    """The vertices in `order`, then points along the edges longer than `spacing`; and a vertex near each point."""
+    count = len(order)
+    square = np.float32(spacing * spacing)
+    for e in range(len(edges)):
+        a, b = skin[edges[e, 0]], skin[edges[e, 1]]
+        s = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2
+        if s > square:
+            count += math.ceil(math.sqrt(s) / spacing) - 1
+    points = np.empty((count, 3), np.float32)
+    owner = np.empty(count, np.int32)
+    for n in range(len(order)):
+        owner[n] = order[n]
+        points[n, 0], points[n, 1], points[n, 2] = skin[order[n], 0], skin[order[n], 1], skin[order[n], 2]
+    at = len(order)
+    for e in range(len(edges)):
+        a, b = skin[edges[e, 0]], skin[edges[e, 1]]
+        s = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2
+        if s > square:
+            pieces = math.ceil(math.sqrt(s) / spacing)
+            for n in range(1, pieces):
+                t = n / pieces
+                for axis in range(3):
+                    points[at, axis] = a[axis] + t * (b[axis] - a[axis])
+                owner[at] = edges[e, 0]
+                at += 1
+    return points, owner
 
 
 class SolidContact(NamedTuple):
@@ -381,6 +393,11 @@ class PosedSolids:
         t = self.topology
         at = int(np.flatnonzero(t.own == vertex)[0])
         return SOLIDS[int(np.searchsorted(t.own_rows[:, 1], at, side="right"))]
+
+    def skin_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Points (N, 3) of the skin no farther apart than `SPACING_M` along its edges, and a vertex (N,) near each."""
+        points, vertex = _sampled_skin(self.vertices, self.topology.order, self.topology.edges, SPACING_M)
+        return points, vertex
 
     def own(self, solid: int) -> NDArray[np.int32]:
         """The skin vertices that belong to a solid."""

@@ -117,32 +117,46 @@ def _bin(corners, origin, cell, dims):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _nearest_signed(points, radius, corners, normals, closed, origin, cell, dims, starts, entries):  # type: ignore[no-untyped-def]
+def _nearest_in(row, px, py, pz, best, inside, corners, normals, starts, entries):  # type: ignore[no-untyped-def]
+    """The lesser of `best` (m²) and the squared distance to the triangles of a grid cell, and on which side of them."""
+    for e in range(starts[row], starts[row + 1]):
+        t = entries[e]
+        d2, qx, qy, qz, f = closest_on_triangle(px, py, pz, corners[t, 0], corners[t, 1], corners[t, 2])
+        if d2 < best:
+            best = d2
+            normal = normals[t, f]
+            inside = (px - qx) * normal[0] + (py - qy) * normal[1] + (pz - qz) * normal[2] < 0.0
+    return best, inside
+
+
+@njit(cache=True, nogil=True)
+def _nearest_signed(points, radius, enough, corners, normals, closed, origin, cell, dims, starts, entries):  # type: ignore[no-untyped-def]
     result = np.full(len(points), radius)
     low = np.empty(3, np.int64)
     high = np.empty(3, np.int64)
+    own = np.empty(3, np.int64)
+    stop = enough * enough
     for n in range(len(points)):
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
         for axis in range(3):
             low[axis] = max(math.floor((points[n, axis] - radius - origin[axis]) / cell), 0)
             high[axis] = min(math.floor((points[n, axis] + radius - origin[axis]) / cell), dims[axis] - 1)
-        best, inside = radius * radius, False
+            own[axis] = min(max(math.floor((points[n, axis] - origin[axis]) / cell), 0), dims[axis] - 1)
+        row = (own[0] * dims[1] + own[1]) * dims[2] + own[2]
+        best, inside = _nearest_in(row, px, py, pz, radius * radius, False, corners, normals, starts, entries)
         for i in range(low[0], high[0] + 1):
             dx = max(origin[0] + i * cell - px, px - origin[0] - (i + 1) * cell, 0.0)
+            if dx * dx >= best or best <= stop:
+                continue
             for j in range(low[1], high[1] + 1):
                 dy = max(origin[1] + j * cell - py, py - origin[1] - (j + 1) * cell, 0.0)
+                if dx * dx + dy * dy >= best or best <= stop:
+                    continue
                 for k in range(low[2], high[2] + 1):
                     dz = max(origin[2] + k * cell - pz, pz - origin[2] - (k + 1) * cell, 0.0)
-                    if dx * dx + dy * dy + dz * dz >= best:
-                        continue
-                    row = (i * dims[1] + j) * dims[2] + k
-                    for e in range(starts[row], starts[row + 1]):
-                        t = entries[e]
-                        d2, qx, qy, qz, f = closest_on_triangle(px, py, pz, corners[t, 0], corners[t, 1], corners[t, 2])
-                        if d2 < best:
-                            best = d2
-                            normal = normals[t, f]
-                            inside = (px - qx) * normal[0] + (py - qy) * normal[1] + (pz - qz) * normal[2] < 0.0
+                    if dx * dx + dy * dy + dz * dz < best and best > stop:
+                        row = (i * dims[1] + j) * dims[2] + k
+                        best, inside = _nearest_in(row, px, py, pz, best, inside, corners, normals, starts, entries)
         result[n] = -math.sqrt(best) if closed and inside else math.sqrt(best)
     return result
 
@@ -175,14 +189,15 @@ class TriangleMesh:
         """(3,) upper corner of the box around the triangles, m."""
         return np.asarray(self.vertices.max(axis=0))
 
-    def signed_distance(self, points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    def signed_distance(self, points: NDArray[np.float64], radius: float, enough: float = 0.0) -> NDArray[np.float64]:
         """(N,) distance of points (N, 3) to the surface, m, negative inside where closed.
 
-        Exact to rounding up to `radius`; `radius` stands for every point farther away than that, on either side.
+        Exact to rounding up to `radius`; `radius` stands for every point farther away than that, on either side. Where
+        a distance is found to be at most `enough`, it is not pursued: either sign and any size up to `enough` may stand.
         """
         return np.asarray(
             _nearest_signed(
-                np.ascontiguousarray(points, np.float64), radius, self.corners, self.normals, self.closed,
+                np.ascontiguousarray(points, np.float64), radius, enough, self.corners, self.normals, self.closed,
                 self._origin, CELL_M, self._dims, self._starts, self._entries,
             )
         )  # fmt: skip

@@ -1,0 +1,200 @@
+"""Verdicts on collisions made by hand: one of each cause, the order of the tests, and what may touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from capsule_people import StubCabin, StubPart, StubSeat, capsule, person, surface
+
+from cabinpose.core.frames import Matrix, transform
+from cabinpose.scene.contact import FLESH_M, OUTSIDE
+from cabinpose.scene.contact.exact import exact_penetrations
+from cabinpose.synth import validate
+from cabinpose.synth.validate import Validator
+
+FLOOR = StubPart("floor", surface(trimesh.creation.box((6, 6, 0.4)).apply_translation((0, 0, -0.2))))
+RIM = StubPart("rim", surface(trimesh.creation.torus(0.185, 0.015, 96, 24)), group="wheel")
+BACKREST = StubPart("backrest", surface(trimesh.creation.box((0.1, 0.5, 0.7))), group="seat:driver/back", give_m=0.05)
+FAR = {"wheel": transform(translation=(9, 0, 1)), "seat:driver/back": transform(translation=(9, 2, 1))}
+
+
+@pytest.fixture(scope="module")
+def validator() -> Validator:
+    return Validator(StubCabin((FLOOR, RIM, BACKREST)))
+
+
+def _at(group: str, x: float, y: float, z: float) -> dict[str, Matrix]:
+    return FAR | {group: transform(translation=(x, y, z))}
+
+
+def test_a_free_stand_is_accepted(validator: Validator) -> None:
+    verdict = validator.check([("driver", *person((0, 0, 0.05)))], FAR)
+    assert verdict.ok
+    assert (verdict.cause, verdict.detail, verdict.depth_m) == (None, "", 0.0)
+
+
+def test_an_arm_through_the_torso_is_found(validator: Validator) -> None:
+    through = person((0, 0, 0.05), lelbow=(0.1, 0.4, 1.3), lwrist=(0.0, 0.15, 1.25), lhand=(0.0, 0.07, 1.25))
+    verdict = validator.check([("driver", *through)], FAR)
+    assert (verdict.ok, verdict.cause, verdict.slot) == (False, "self", "driver")
+    assert verdict.detail == "driver: lforearm in torso"
+    assert verdict.depth_m > 0.02
+
+
+@pytest.mark.parametrize(("overlap", "ok"), [(0.013, True), (0.017, False)])
+def test_a_hand_may_rest_on_the_thigh_as_deep_as_stated(validator: Validator, overlap: float, ok: bool) -> None:
+    """The tip of the hand (30 mm) goes straight at the thigh (75 mm); 15 mm are allowed."""
+    x = 0.105 - overlap
+    hand = person((0, 0, 0.05), lknee=(0, 0.12, 0.5), lelbow=(0.45, 0.3, 1.1), lwrist=(0.25, 0.12, 0.7), lhand=(x, 0.12, 0.7))
+    verdict = validator.check([("driver", *hand)], FAR)
+    assert verdict.ok == ok
+    if not ok:
+        assert verdict.detail == "driver: lhand in lthigh"
+        assert verdict.depth_m == pytest.approx(overlap, abs=0.001)
+
+
+@pytest.mark.parametrize(("overlap", "ok"), [(FLESH_M - 0.001, True), (FLESH_M + 0.002, False)])
+def test_people_may_touch_as_deep_as_flesh_gives(validator: Validator, overlap: float, ok: bool) -> None:
+    """Two heads of 100 mm side by side, as far apart as 200 mm less the overlap."""
+    reach = {"lelbow": (0.0, 0.25, 1.2), "lwrist": (0.0, 0.25, 1.0), "lhand": (0.0, 0.25, 0.95)}
+    lean = {"head": (0, -0.4 - overlap / 2, 1.7), "neck": (0, -0.1, 1.5)}
+    mirrored = {"head": (0, 0.4 + overlap / 2, 1.7), "neck": (0, 0.1, 1.5)}
+    one, two = person((0, 0.5, 0.05), **lean, **_right(reach)), person((0, -0.5, 0.05), **mirrored, **reach)
+    verdict = validator.check([("driver", *one), ("front_passenger", *two)], FAR)
+    assert verdict.ok == ok
+    if not ok:
+        assert (verdict.cause, verdict.detail) == ("person", "front_passenger, driver: head in head")
+        assert verdict.depth_m == pytest.approx(overlap, abs=0.001)
+
+
+def _right(joints: dict[str, tuple[float, float, float]]) -> dict[str, tuple[float, float, float]]:
+    return {"r" + name[1:]: (x, -y, z) for name, (x, y, z) in joints.items()}
+
+
+def test_one_person_through_another_is_found(validator: Validator) -> None:
+    verdict = validator.check([("driver", *person((0, 0, 0.05))), ("front_passenger", *person((0, 1.2, 0.05)))], FAR)
+    assert (verdict.ok, verdict.cause) == (False, "person")
+
+
+def test_the_rim_through_a_hand_and_through_a_forearm_is_found(validator: Validator) -> None:
+    """The rim is thinner than a forearm: no vertex of the skin need be inside it."""
+    body = person((0, 0, 0.05))
+    through_hand = validator.check([("driver", *body)], _at("wheel", 0.185, 0.86, 1.5))
+    assert (through_hand.cause, through_hand.detail) == ("car", "driver: lhand in rim")
+    beside = validator.check([("driver", *body)], _at("wheel", 0.185 + 0.015 + 0.041, 0.66, 1.5))
+    assert beside.ok
+    for shift in np.linspace(0.0, 0.02, 5):
+        verdict = validator.check([("driver", *body)], _at("wheel", 0.185, 0.66 + shift, 1.5))
+        assert verdict.cause == "car"
+        assert verdict.detail.endswith("arm in rim")
+
+
+def test_a_thin_rod_between_the_vertices_is_found() -> None:
+    """A rod of 5 mm through a forearm, where a skin of 4 segments has no vertex near."""
+    rod = capsule(np.array((-0.2, 0.67, 1.5)), np.array((0.2, 0.67, 1.5)), 0.005, (8, 8))
+    finer = rod.subdivide().subdivide()
+    validator = Validator(StubCabin((StubPart("lever", surface(finer)),)))
+    assert validator.contact is not None
+    body = person((0, 0, 0.05))
+    assert validator.contact.at({}).deepest(body[1].skin, FLESH_M) is None
+    verdict = validator.check([("driver", *body)], {})
+    assert (verdict.cause, verdict.detail) == ("car", "driver: lforearm in lever")
+
+
+@pytest.mark.parametrize(("depth", "ok"), [(0.057, True), (0.060, False)])
+def test_the_backrest_gives_way_as_far_as_stated(validator: Validator, depth: float, ok: bool) -> None:
+    """The thorax is a sphere of 150 mm; the backrest is 100 mm thick, so that no vertex is ever 58 mm inside it."""
+    body = person((0, 0, 0.05))
+    verdict = validator.check([("driver", *body)], _at("seat:driver/back", -0.15 - 0.05 + depth, 0.0, 1.35))
+    assert verdict.ok == ok
+    if not ok:
+        assert (verdict.cause, verdict.detail) == ("car", "driver: torso in backrest")
+        assert verdict.depth_m == pytest.approx(depth, abs=0.0015)
+
+
+def test_an_arm_does_not_pass_through_foam_that_gives_way_on_both_sides(validator: Validator) -> None:
+    """No point of a forearm of 40 mm is deeper than 50 mm in a backrest of 100 mm, but its bone is inside."""
+    reached = person((0, 0, 0.05), lelbow=(0.25, 0.45, 1.45), lwrist=(0.55, 0.45, 1.45), lhand=(0.62, 0.45, 1.45))
+    verdict = validator.check([("driver", *reached)], _at("seat:driver/back", 0.45, 0.6, 1.5))
+    assert (verdict.ok, verdict.cause) == (False, "car")
+    assert verdict.detail in ("driver: lforearm through backrest", "driver: lhand through backrest")
+
+
+def test_outside_the_cabin_is_refused() -> None:
+    pane = StubPart("window", surface(trimesh.creation.box((2.4, 0.004, 2.4)).apply_translation((0, 0.7, 1.2))))
+    sides = [
+        StubPart(n, surface(trimesh.creation.box(e).apply_translation(t)))
+        for n, e, t in (
+            ("right", (2.4, 0.02, 2.4), (0, -1.2, 1.2)), ("front", (0.02, 1.9, 2.4), (1.2, -0.25, 1.2)),
+            ("rear", (0.02, 1.9, 2.4), (-1.2, -0.25, 1.2)), ("roof", (2.4, 1.9, 0.02), (0, -0.25, 2.4)),
+            ("floor", (2.4, 1.9, 0.02), (0, -0.25, 0)),
+        )
+    ]  # fmt: skip
+    validator = Validator(StubCabin((pane, *sides), seats={"driver": StubSeat((0, 0, 0.8))}))
+    verdict = validator.check([("driver", *person((0, 0, 0.06)))], {})
+    assert (verdict.ok, verdict.cause) == (False, "car")
+    assert verdict.detail.endswith(OUTSIDE)
+
+
+def test_the_first_test_that_fails_ends_the_judgement(validator: Validator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene that fails all three ways: body, neighbours, car, and what comes later is not even asked."""
+    asked: list[str] = []
+    for name in ("self_contact", "person_contact"):
+        original = getattr(validate, name)
+        monkeypatch.setattr(validate, name, lambda *a, n=name, f=original: (asked.append(n), f(*a))[1])
+    car = validate.Validator._against_car
+    monkeypatch.setattr(validate.Validator, "_against_car", lambda *a: (asked.append("car"), car(*a))[1])
+    through = {"lelbow": (0.1, 0.4, 1.3), "lwrist": (0.0, 0.15, 1.25), "lhand": (0.0, 0.07, 1.25)}
+    sunk = (0, 0, -0.05)
+    other = ("front_passenger", *person((0, 0.3, -0.05)))
+    assert validator.check([("driver", *person(sunk, **through)), other], FAR).cause == "self"
+    assert asked == ["self_contact"]
+    asked.clear()
+    assert validator.check([("driver", *person(sunk)), other], FAR).cause == "person"
+    assert asked == ["self_contact", "self_contact", "person_contact"]
+    asked.clear()
+    assert validator.check([("driver", *person(sunk))], FAR).cause == "car"
+    assert asked == ["self_contact", "car"]
+
+
+def test_rejections_are_counted_by_cause_and_detail() -> None:
+    validator = Validator(StubCabin((FLOOR,)))
+    free, sunk = person((0, 0, 0.05)), person((0, 0, -0.05))
+    for body in (free, sunk, sunk):
+        validator.check([("driver", *body)], {})
+    tally = validator.tally
+    assert (tally.scenes, tally.occupants, tally.accepted) == (3, 3, 1)
+    assert dict(tally.rejected) == {"car": 2}
+    assert sum(tally.details.values()) == 2
+    assert next(iter(tally.details)).endswith("foot in floor")
+    assert set(tally.seconds) == {"solids", "self", "person", "car"}
+    total = validate.Tally()
+    total.add(tally)
+    total.add(tally)
+    assert (total.scenes, dict(total.rejected)) == (6, {"car": 4})
+
+
+def test_without_a_cabin_only_bodies_are_judged() -> None:
+    validator = Validator(None)
+    assert validator.check([("driver", *person((0, 0, -3.0)))], {}).ok
+
+
+def test_the_exact_test_agrees_on_shaken_scenes(validator: Validator) -> None:
+    """Two people and the wheel at random: no accepted scene is too deep, no refused scene is free, by trimesh."""
+    rng = np.random.default_rng(11)
+    verdicts = []
+    for _ in range(20):
+        shift = rng.normal(0, 0.05, 3)
+        joints = {"lwrist": tuple((0.2, 0.5, 1.3) + shift), "lhand": tuple((0.25, 0.45, 1.3) + shift)}
+        one, two = person((0, 0, 0.05), **joints), person((0, rng.uniform(1.35, 1.8), 0.05))
+        settings = FAR | {"wheel": transform(translation=(0.25 + rng.uniform(0, 0.3), 0.5, 1.3))}
+        occupants = [("driver", *one), ("front_passenger", *two)]
+        verdict = validator.check(occupants, settings)
+        topology = validator._topology(*one)
+        exact = exact_penetrations(StubCabin((FLOOR, RIM)), occupants, topology, settings)
+        too_deep = {p.cause for p in exact if p.excess_m > 1e-6}
+        assert verdict.ok == (not too_deep)
+        assert verdict.ok or verdict.cause in too_deep
+        verdicts.append(verdict.cause)
+    assert {None, "person", "car"} <= set(verdicts)
