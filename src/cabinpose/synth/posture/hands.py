@@ -28,12 +28,13 @@ _OVER_THIGH_M = 0.028  # of the palm's skin: fingers and trousers lie between
 PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
 _STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.003, 0.012, 0.016])
+_RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.003, 0.012, 0.016])  # elbows before the backrest's bolsters
 _STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.003, 0.012, 0.004])
 _FIRM = np.full(3, 5.0)
 
 # Comfortable arms, deg: shoulder flexion, abduction, rotation; elbow flexion, pronation; wrist flexion, radial.
 WHEEL_ARM = np.radians((42.0, 24.0, 14.0, 58.0, 10.0, -8.0, 0.0))
-LAP_ARM = np.radians((12.0, 9.0, 26.0, 62.0, 45.0, 0.0, 0.0))
+LAP_ARM = np.radians((30.0, 9.0, 26.0, 62.0, 45.0, 0.0, 0.0))
 REACH_ARM = np.radians((65.0, 15.0, 10.0, 25.0, 40.0, 0.0, 0.0))
 SIDE_ARM = np.radians((10.0, 28.0, 0.0, 70.0, 45.0, 0.0, 0.0))
 FACE_ARM = np.radians((45.0, 25.0, 15.0, 125.0, 0.0, 0.0, 0.0))
@@ -123,7 +124,7 @@ def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int
     normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
     mine = 1.0 - 2.0 * side
     fingers = down_leg - mine * 0.45 * left
-    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.03, 0.03, 0.012]), LAP_ARM, _STIFFNESS)
+    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.03, 0.03, 0.012]), LAP_ARM, _RESTING_STIFFNESS)
 
 
 def on_surface(point: Array, fingers: Array, up: Array, prior: Array = SIDE_ARM) -> LimbTask:

@@ -303,7 +303,7 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         high = hand.point[2] > shoulder[2]
         return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
     femur = s.person.segment_lengths["thigh"]
-    return at.on_thigh(skeleton, s.fit, femur, side, side, 0.62 + 0.07 * a, 0.015 + 0.015 * b)
+    return at.on_thigh(skeleton, s.fit, femur, side, side, 0.69 + 0.06 * a, 0.015 + 0.015 * b)
 
 
 def _solve_hands(q: Array, s: _Situation, hands: tuple[_Hand, _Hand], action: Action, sides: tuple[int, ...]) -> dict[str, float]:

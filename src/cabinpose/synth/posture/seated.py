@@ -24,7 +24,7 @@ Hands = Literal["wheel", "lap"]
 
 HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 REST_GRIP = 0.06  # of the fingers' curl
-_LAP_ALONG, _LAP_INWARD = 0.62, 0.02
+_LAP_ALONG, _LAP_INWARD = 0.69, 0.02
 _LEVEL_PITCH = np.radians(-4.0)
 
 

@@ -63,13 +63,14 @@ def _hinge_for_distance(elbow: Array, axis: Array, wrist: Array, distance: float
     along = axis @ wrist
     across = wrist - along * axis
     side = np.cross(axis, across)
-    a = elbow @ elbow + wrist @ wrist + 2.0 * along * (elbow @ axis)
-    b, c = 2.0 * (elbow @ across), 2.0 * (elbow @ side)
+    a = float(elbow @ elbow + wrist @ wrist + 2.0 * along * (elbow @ axis))
+    b, c = float(2.0 * (elbow @ across)), float(2.0 * (elbow @ side))
     amplitude = math.sqrt(b * b + c * c)
     phase = math.atan2(c, b)
-    ratio = (distance * distance - a) / max(amplitude, 1e-12)
+    ratio = float((distance * distance - a) / max(amplitude, 1e-12))
     spread = math.acos(min(max(ratio, -1.0), 1.0))
-    best, best_cost = lower, math.inf
+    best: float = lower
+    best_cost = math.inf
     for candidate in (phase + spread, phase - spread, lower, upper):
         angle = min(max(_wrapped(candidate - 0.5 * (lower + upper)) + 0.5 * (lower + upper), lower), upper)
         cost = abs(a + b * math.cos(angle) + c * math.sin(angle) - distance * distance)
