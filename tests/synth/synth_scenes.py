@@ -11,8 +11,8 @@ PART = 3
 
 
 def small_config(**scene: object) -> SynthConfig:
-    """Drivers alone in two cars, three frames a part."""
-    values: dict[str, object] = {"cars": ("hatchback", "van"), "occupancy": {"driver": 1.0}, "right_hand_drive": 0.3}
+    """Drivers alone in one car, three frames a part."""
+    values: dict[str, object] = {"cars": ("hatchback",), "occupancy": {"driver": 1.0}, "right_hand_drive": 0.0}
     return SynthConfig(
         scene=CabinScene.model_validate(values | scene),
         people=People(subjects=("S01", "S02", "S03")),

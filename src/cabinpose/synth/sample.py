@@ -282,15 +282,30 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
                     raise ConfigError(
                         f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
                     )
-        placed = ContactField(cabin).at({slot: seat.default for slot, seat in cabin.seats.items()}, 0.0)
-        for name, view in config.camera.views.items():
-            if isinstance(view, CameraPose) or view > 0:
-                eye = np.asarray(view.position_m if isinstance(view, CameraPose) else cabin.view(name).eye, dtype=np.float64)
-                if placed.clearance(eye[None])[0] < _LENS_M:
-                    raise ConfigError(
-                        f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
-                        hint="move it into the free space of the cabin",
-                    )
+        _check_views(config, car, cabin)
+
+
+def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
+    """Refuses a camera that stands inside a part of the car. The presets' own views are known to be free."""
+    eyes: dict[str, NDArray[np.float64]] = {}
+    for name, view in config.camera.views.items():
+        if isinstance(view, CameraPose):
+            eyes[name] = np.asarray(view.position_m, dtype=np.float64)
+        elif view > 0:
+            anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
+            if car not in PRESETS:
+                eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
+    if not eyes:
+        return
+    clearance = ContactField(cabin).clearance(
+        np.stack(list(eyes.values())), {slot: s.default for slot, s in cabin.seats.items()}, 0.0
+    )
+    for (name, eye), free in zip(eyes.items(), clearance, strict=True):
+        if free < _LENS_M:
+            raise ConfigError(
+                f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
+                hint="move it into the free space of the cabin",
+            )
 
 
 def no_valid_scene(index: int, proposals: int, causes: Counter[str]) -> SceneError:

@@ -18,7 +18,6 @@ from cabinpose.app.bench.blender import compare
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import PRESETS, build_cabin
-from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth.config import CabinScene, Camera, Output, SynthConfig
 from cabinpose.synth.generate import GenerationReport, Progress, generate
 from cabinpose.synth.write import FrameMaker
@@ -150,7 +149,7 @@ def _blender(count: int, threads: int, cache: Path | None) -> dict[str, Any]:
     config = one_occupant()
     maker = FrameMaker(config, _SEED)
     scenes = [maker.make(index)[1] for index in range(count)]
-    return compare(scenes, SENSORS[config.camera.sensor].camera, threads=threads, folder=cache)
+    return compare(scenes, config.camera.sensor_model.camera, threads=threads, folder=cache)
 
 
 def _rss_bytes() -> int:
