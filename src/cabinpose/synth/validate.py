@@ -42,6 +42,7 @@ _AXES = tuple(
         (s + "foot", s + "ankle", s + "foot", 0.0),
     )
 )
+STAGES = ("solids", "self", "person", "car")
 Cause = Literal["self", "person", "car"]
 
 
@@ -87,7 +88,7 @@ class Tally:
     accepted: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     details: Counter[str] = field(default_factory=Counter)
-    seconds: Counter[str] = field(default_factory=Counter)
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
 
     def add(self, other: Tally) -> None:
         """Adds what another validator has done."""
@@ -96,7 +97,8 @@ class Tally:
         self.accepted += other.accepted
         self.rejected.update(other.rejected)
         self.details.update(other.details)
-        self.seconds.update(other.seconds)
+        for stage, spent in other.seconds.items():
+            self.seconds[stage] += spent
 
 
 class Validator:

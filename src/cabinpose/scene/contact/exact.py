@@ -72,10 +72,10 @@ def _depths(mesh: trimesh.Trimesh, points: NDArray[np.float64], allowed: float) 
 
 
 def _worst(cause: str, detail: str, mesh: trimesh.Trimesh, points: NDArray[np.floating], allowed: float) -> list[Penetration]:
-    points = np.asarray(points, np.float64)
-    depth = _depths(mesh, points, allowed)
+    at: NDArray[np.float64] = np.asarray(points, np.float64)
+    depth = _depths(mesh, at, allowed)
     n = int(np.argmax(depth)) if len(depth) else -1
-    return [Penetration(cause, detail, float(depth[n]), allowed, points[n])] if n >= 0 and depth[n] > 0.0 else []
+    return [Penetration(cause, detail, float(depth[n]), allowed, at[n])] if n >= 0 and depth[n] > 0.0 else []
 
 
 def solid_mesh(body: PosedSolids, solid: str) -> trimesh.Trimesh:

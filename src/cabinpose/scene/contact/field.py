@@ -372,7 +372,7 @@ class PlacedField:
             limits = group.probe_give[chosen] + tolerance_m
             index = np.arange(len(chosen), dtype=np.int32)
             for solid in np.flatnonzero(met & (reach > limits.min())):
-                found = body.deepest(solid, points, index, limits)
+                found = body.deepest(int(solid), points, index, limits)
                 if found is not None:
                     return group.parts[group.probe_part[chosen[found.point]]].name, found
         return None
@@ -394,7 +394,8 @@ def _measure(
         index, clearance = index[deepest], clearance[deepest]
     local = apply(group_from_vehicle, points[index])
     depth = np.full((len(group.parts), len(index)), -np.inf)
-    inside_box = ((local > group.part_low[:, None]) & (local < group.part_high[:, None])).all(axis=2)
+    beside = (local <= group.part_low[:, None]) | (local >= group.part_high[:, None])
+    inside_box = np.logical_not(np.asarray(beside).any(axis=2))
     for row in np.flatnonzero(inside_box.any(axis=1)):
         part, near = group.parts[row], np.flatnonzero(inside_box[row])
         radius = part.give_m + part.shell_m + tolerance + 2.0 * group.bound_m

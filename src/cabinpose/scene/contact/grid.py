@@ -150,13 +150,13 @@ def reach_free(values, seeds, free_level, pass_level, steps):  # type: ignore[no
         start = last
         for n in range(first, start):
             i, j, k = np.int64(queue[n, 0]), np.int64(queue[n, 1]), np.int64(queue[n, 2])
-            for a in range(max(i - 1, 0), min(i + 2, ni)):
-                for b in range(max(j - 1, 0), min(j + 2, nj)):
-                    for c in range(max(k - 1, 0), min(k + 2, nk)):
-                        if not free[a, b, c] and values[a, b, c] >= pass_level:
-                            free[a, b, c] = True
-                            queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
-                            last += 1
+            for way in range(27):
+                a, b, c = i + way // 9 - 1, j + way // 3 % 3 - 1, k + way % 3 - 1
+                on_grid = 0 <= a < ni and 0 <= b < nj and 0 <= c < nk
+                if on_grid and not free[a, b, c] and values[a, b, c] >= pass_level:
+                    free[a, b, c] = True
+                    queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
+                    last += 1
         first = start
     return free, open_border
 

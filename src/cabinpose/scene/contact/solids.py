@@ -125,7 +125,7 @@ def solid_topology(
         vertices.append(np.unique(own).astype(np.int32))
         owns.append(np.flatnonzero(solid == s).astype(np.int32))
     all_rows, edges = _rows(alls), _edges(faces)
-    skin_rows = np.stack((all_rows[:, 0], all_rows[:, 0] + [len(p) for p in skins]), axis=1)
+    skin_rows = np.stack((all_rows[:, 0], all_rows[:, 0] + np.array([len(p) for p in skins], np.int64)), axis=1)
     return SolidTopology(
         np.ascontiguousarray(np.concatenate(alls), np.int32), skin_rows, all_rows,
         np.concatenate(vertices), _rows(vertices), np.concatenate(owns), _rows(owns),
