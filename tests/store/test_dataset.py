@@ -232,3 +232,35 @@ def test_every_variable_says_what_it_is() -> None:
         assert variable.meaning
         assert variable.dims[0] == "frame"
         assert (variable.scale is not None) == variable.name.startswith("depth")
+
+
+def test_skipped_frames_leave_gaps_in_the_index(spheres: ModuleType, tmp_path: Path) -> None:
+    manifest = spheres.manifest()
+    with create_dataset(tmp_path / "gaps", manifest) as writer:
+        for plan in writer.missing():
+            with PartWriter(writer.folder, plan, manifest) as part:
+                for index in range(plan.first, plan.first + plan.frames):
+                    if index in (1, 3):
+                        part.skip()
+                    else:
+                        part.append(spheres.frame(index, manifest))
+    dataset = open_dataset(tmp_path / "gaps")
+    assert dataset.frame.values.tolist() == [0, 2, 4]
+    assert dataset.attrs["skipped_frames"] == 2
+    for place, index in enumerate((0, 2, 4)):
+        want = spheres.frame(index, manifest)
+        np.testing.assert_array_equal(dataset.labels[place].values, want["labels"])
+        np.testing.assert_array_equal(dataset.sel(frame=index).joints_2d.values, np.float32(want["joints_2d"]))
+
+
+def test_a_part_of_skipped_frames_alone_is_refused(spheres: ModuleType, tmp_path: Path) -> None:
+    manifest = spheres.manifest()
+    with create_dataset(tmp_path / "none", manifest) as writer:
+        plan = writer.missing()[0]
+        with pytest.raises(DatasetError, match="every frame"), PartWriter(writer.folder, plan, manifest) as part:
+            for _ in range(plan.frames):
+                part.skip()
+        with pytest.raises(DatasetError, match="not more"), PartWriter(writer.folder, plan, manifest) as part:
+            for _ in range(plan.frames + 1):
+                part.skip()
+    assert not list((tmp_path / "none").glob("*part*"))

@@ -17,6 +17,7 @@ from synth_scenes import PART, fingerprint, small_config
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DatasetError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS, Visibility
+from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.labels import FIRST_BODY_ID, LAST_BODY_ID
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import Limits, Output, SynthConfig, room_preset
@@ -161,12 +162,29 @@ def test_bad_numbers(frames: int, options: dict[str, int], word: str, tmp_path: 
 
 
 def test_a_camera_inside_a_seat_is_refused_before_work(tmp_path: Path) -> None:
-    config = small_config(cars=("sedan",))
-    seat = {"position_m": (-1.0, 0.37, 0.35), "look_at_m": (0.0, 0.0, 1.0)}
-    config = SynthConfig.parse(config.model_dump(mode="json") | {"camera": {"views": {"mine": seat}}})
+    config = small_config()
+    seat = build_cabin("hatchback", drive_side="left").seats["driver"]
+    eye = seat.h_point(seat.default) + (0.1, 0.0, -0.11)  # in the cushion, below the thighs
+    view = {"position_m": eye.tolist(), "look_at_m": (0.0, 0.0, 1.0)}
+    config = SynthConfig.parse(config.model_dump(mode="json") | {"camera": {"views": {"mine": view}}})
     with pytest.raises(ConfigError, match="mine"):
         generate(config, 1, tmp_path / "out", workers=1)
     assert not (tmp_path / "out").exists()
+
+
+def test_impossible_combinations_are_left_out(tmp_path: Path) -> None:
+    # The left forearm swings from beside the body (possible) into the chest (not).
+    fixed = {"lshoulder.flexion": 30.0, "lshoulder.abduction": 0.0, "lelbow.flexion": 120.0}
+    axes = {name: {"min_deg": value, "max_deg": value, "step_deg": 1.0} for name, value in fixed.items()}
+    axes["lshoulder.rotation"] = {"min_deg": -30.0, "max_deg": 70.0, "step_deg": 50.0}
+    config = small_config(profile={"kind": "incremental", "axes": axes}, motion={"driver": {"rest_lap": 1.0}})
+    config = config.model_copy(update={"limits": Limits(poses_per_person=10, scenes_per_frame=4)})
+    report = generate(config, 3, tmp_path / "grid", workers=1)
+    dataset = open_dataset(tmp_path / "grid")
+    assert dataset.attrs["skipped_frames"] == 3 - report.frames > 0
+    assert 2 not in dataset.frame.values
+    assert 0 in dataset.frame.values
+    assert report.rejections["self"] > 0
 
 
 def test_more_frames_than_combinations_are_refused(tmp_path: Path) -> None:

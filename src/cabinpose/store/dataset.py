@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.skeleton import ITOP_JOINTS
@@ -211,12 +212,13 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
             raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
         warnings.warn(message, stacklevel=2)
     attributes = [check_part(path / plan.name, plan) for plan in plans]
+    frames = {plan.name: part["frames"] for plan, part in zip(plans, attributes, strict=True)}
     variables = {
-        v.name: PartsArray(path, plans, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
+        v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
         for v in manifest.stored
     }
     coordinates: dict[str, Any] = {
-        "frame": np.concatenate([np.arange(plan.first, plan.first + plan.frames) for plan in plans]),
+        "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, attributes, strict=True)]),
         "person": list(manifest.persons),
         "joint": list(manifest.joints),
         "xyz": ["x", "y", "z"],
@@ -226,6 +228,12 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         coordinates["itop_joint"] = list(ITOP_JOINTS)
     dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, attributes))
     return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
+
+
+def _indices(plan: PartPlan, attributes: Mapping[str, Any]) -> NDArray[np.int64]:
+    """The indices of the frames that a part holds."""
+    planned = np.arange(plan.first, plan.first + plan.frames, dtype=np.int64)
+    return planned[~np.isin(planned, attributes["skipped"])]
 
 
 def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
@@ -249,6 +257,7 @@ def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict
         "seed": manifest.seed,
         "licence": manifest.licence,
         "planned_frames": manifest.frames,
+        "skipped_frames": sum(len(part["skipped"]) for part in parts),
         "proposals": sum(part.get("proposals", part["frames"]) for part in parts),
         "rejections": dict(sorted(rejections.items())),
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,17 +16,18 @@ from xarray.core import indexing
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
-from cabinpose.store.schema import PartPlan, Variable
+from cabinpose.store.schema import Variable
 from cabinpose.store.shard import read_frames
 
 
 class PartsArray(BackendArray):
     """One variable over all parts of a folder, decoded: depths are float32 metres with NaN where invalid."""
 
-    def __init__(self, folder: Path, plans: Sequence[PartPlan], variable: Variable, frame_shape: tuple[int, ...]) -> None:
+    def __init__(self, folder: Path, frames: Mapping[str, int], variable: Variable, frame_shape: tuple[int, ...]) -> None:
+        """`frames`: how many frames each part holds, by the part's name, in order."""
         self._folder = folder
-        self._names = tuple(plan.name for plan in plans)
-        self._starts = np.cumsum([0] + [plan.frames for plan in plans])
+        self._names = tuple(frames)
+        self._starts = np.cumsum([0, *frames.values()])
         self._variable = variable
         self._latest: tuple[int, NDArray[Any]] = -1, np.empty(0)  # the part whose small values were read last
         self.shape = (int(self._starts[-1]), *frame_shape)

@@ -73,7 +73,8 @@ class PartWriter:
             v.name: ShardWriter(self._temporary / v.name / "c", len(v.dims) - 1) for v in manifest.stored if v.is_image
         }
         self._columns: dict[str, list[Any]] = {v.name: [] for v in manifest.stored if not v.is_image}
-        self._appended = 0
+        self._written: list[int] = []
+        self._skipped: list[int] = []
 
     def __enter__(self) -> PartWriter:
         with disk_errors(self.folder):
@@ -86,8 +87,7 @@ class PartWriter:
         Depths are float metres (NaN, 0 or beyond 6.5535 m: invalid) or uint16 ticks of 0.1 mm, written as they are.
         Raises `DatasetError` for a missing, unknown or unfit variable, or one frame too many.
         """
-        if self._appended == self.plan.frames:
-            raise DatasetError(f"{self.plan.name} holds {self.plan.frames} frames, not more")
+        self._expect_another()
         names = {v.name for v in self._manifest.stored}
         if frame.keys() != names:
             missing, unknown = sorted(names - frame.keys()), sorted(frame.keys() - names)
@@ -99,7 +99,12 @@ class PartWriter:
                     self._images[variable.name].append(value)
                 else:
                     self._columns[variable.name].append(value)
-        self._appended += 1
+        self._written.append(self._next)
+
+    def skip(self) -> None:
+        """Leave the next frame out: its index belongs to a scene that cannot be. The part has fewer frames."""
+        self._expect_another()
+        self._skipped.append(self._next)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
@@ -113,7 +118,11 @@ class PartWriter:
 
     @property
     def _next(self) -> int:
-        return self.plan.first + self._appended
+        return self.plan.first + len(self._written) + len(self._skipped)
+
+    def _expect_another(self) -> None:
+        if self._next == self.plan.first + self.plan.frames:
+            raise DatasetError(f"{self.plan.name} holds {self.plan.frames} frames, not more")
 
     def _checked(self, variable: Variable, value: Any) -> Any:
         """The value as an array of the standard's shape and type; a `DatasetError` where it does not fit."""
@@ -133,15 +142,17 @@ class PartWriter:
         return np.ascontiguousarray(array, dtype).reshape(shape)
 
     def _commit(self) -> None:
-        if self._appended != self.plan.frames:
-            raise DatasetError(f"{self.plan.name} needs {self.plan.frames} frames, got {self._appended}")
+        if self._next != self.plan.first + self.plan.frames:
+            raise DatasetError(f"{self.plan.name} needs {self.plan.frames} frames, got {self._next - self.plan.first}")
+        if not self._written:
+            raise DatasetError(f"{self.plan.name} would be empty: every frame of it was skipped", hint="choose larger parts")
         for image in self._images.values():
             image.finish()
         columns: dict[str, Sequence[Any]] = self._columns | {
-            "frame": range(self.plan.first, self.plan.first + self.plan.frames),
+            "frame": self._written,
             **_dimension_labels(self._manifest),
         }
-        arrays = _arrays(self._manifest, self.plan.frames)
+        arrays = _arrays(self._manifest, len(self._written))
         for array in arrays:
             if not array.is_image:
                 path = self._temporary.joinpath(array.name, "c", *["0"] * len(array.shape))
@@ -177,7 +188,8 @@ class PartWriter:
             "licence": manifest.licence,
             "part": self.plan.index,
             "first_frame": self.plan.first,
-            "frames": self.plan.frames,
+            "frames": len(self._written),
+            "skipped": self._skipped,
             **self.attrs,
             "coordinates": " ".join(v.name for v in manifest.stored if v.coordinate),
             "file_sizes": {path.relative_to(self._temporary).as_posix(): path.stat().st_size for path in files},
@@ -193,7 +205,7 @@ def check_part(path: Path, plan: PartPlan) -> dict[str, Any]:
     try:
         attributes: dict[str, Any] = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
         sizes = attributes["file_sizes"]
-        version, frames = attributes["schema_version"], attributes["frames"]
+        version, frames = attributes["schema_version"], attributes["frames"] + len(attributes["skipped"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path.name} is damaged: its zarr.json cannot be read", hint=hint) from error
     if version != SCHEMA_VERSION:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,8 @@ from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng
 from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, random_action, sample_pose
-from cabinpose.synth.profiles import IncrementalProfile
+from cabinpose.synth.posture.motion import recorded_pose
+from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.validate import Validator
 
@@ -51,14 +52,14 @@ def person_slots(config: SynthConfig) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ScenePerson:
-    """Somebody in a scene: which slot, who, doing what, and the posed body; a seat belt where one is worn."""
+    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included)."""
 
     slot: str
     subject: str
     action: str
     person: Person
     posed: PosedBody
-    belt: Surface | None = None
+    surfaces: tuple[Surface, ...] = ()
 
     def itop_joints(self) -> NDArray[np.float64]:
         """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
@@ -81,7 +82,7 @@ class Scene:
     """A valid scene. Its frame is the vehicle's, or the room's world frame.
 
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
-    proposals, rejections: how many poses were tried for it and why they failed.
+    proposals, rejections: how many poses were tried for it and why they failed (causes self, person, car, reach, camera).
     """
 
     backdrop: Surface
@@ -89,18 +90,28 @@ class Scene:
     world_from_camera: Matrix
     place: str
     pov: str
-    slots: tuple[str, ...]
     proposals: int = 0
     rejections: Mapping[str, int] = field(default_factory=dict)
 
     def surface(self) -> Surface:
         """Everything that can be seen, in the scene's frame."""
-        parts = [self.backdrop]
-        for person in self.people:
-            parts.append(person.posed.surface(1 + self.slots.index(person.slot)))
-            if person.belt is not None:
-                parts.append(person.belt)
-        return merge(parts)
+        return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces)])
+
+
+class ImpossibleSceneError(SceneError):
+    """No valid scene was found for a frame. proposals, rejections: poses tried, and why they failed."""
+
+    def __init__(self, index: int, proposals: int, causes: Counter[str]) -> None:
+        common = "; ".join(f"{cause} ({count})" for cause, count in causes.most_common(4))
+        super().__init__(
+            f"frame {index}: none of {proposals} poses made a valid scene: {common}",
+            hint="narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
+        )
+        self.proposals = proposals
+        self.rejections = _by_cause(causes)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # across process borders, where the other arguments are not needed
+        return SceneError, (str(self),), {"hint": self.hint}
 
 
 class SceneSampler:
@@ -130,7 +141,7 @@ class SceneSampler:
             proposals += tried
             if found is not None:
                 return replace(found, proposals=proposals, rejections=_by_cause(causes))
-        raise no_valid_scene(index, proposals, causes)
+        raise ImpossibleSceneError(index, proposals, causes)
 
     def _make_person(self, subject: str) -> Person:
         return self._model.person(*subject_body(self._config, self._seed, subject))
@@ -176,9 +187,9 @@ class SceneSampler:
         if _blocked(camera[:3, 3], seated, validator, settings, wheel_angle):
             causes["camera"] += 1
             return None, proposals
-        seated = [self._belted(p, scene, cabin, settings, rng) for p in seated]
+        seated = [self._dressed(p, scene, cabin, settings, rng) for p in seated]
         backdrop = cabin.surface(settings, wheel_angle=wheel_angle)
-        return Scene(backdrop, tuple(seated), camera, _place_name(car), pov, self._slots), proposals
+        return Scene(backdrop, tuple(seated), camera, _place_name(car), pov), proposals
 
     def _pose(
         self,
@@ -208,15 +219,16 @@ class SceneSampler:
             rolled = place_camera(view.eye, view.target, rng=rng)
         return name, jittered(rolled, translation_jitter=camera.jitter_m, rotation_jitter=np.radians(camera.jitter_deg), rng=rng)
 
-    def _belted(
+    def _dressed(
         self, person: ScenePerson, scene: CabinScene, cabin: Cabin, settings: Mapping[str, SeatSetting], rng: np.random.Generator
     ) -> ScenePerson:
+        """The person with clothes on, and with the belt over them for the configured share of people."""
         seat = cabin.seats[person.slot]
+        clothed = person.posed.surface(1 + self._slots.index(person.slot))
         if rng.random() >= scene.belted or seat.belt is None:
-            return person
-        clothed = person.posed.surface(0)
+            return replace(person, surfaces=(clothed,))
         belt = belt_surface(clothed.vertices, clothed.faces, person.posed.joints, seat, settings[person.slot], cabin)
-        return replace(person, belt=belt)
+        return replace(person, surfaces=(clothed, belt))
 
     def _standing(self, scene: RoomScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a person in a room, or None, and the number of poses it took."""
@@ -235,8 +247,8 @@ class SceneSampler:
             posed = person.pose(pose.q, world_from_root)
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
             if verdict.ok:
-                somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed)
-                return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", "room", self._slots), proposals
+                somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed, (posed.surface(1),))
+                return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", "room"), proposals
             causes[f"{verdict.cause}: {verdict.detail}"] += 1
         return None, self._config.limits.poses_per_person
 
@@ -268,6 +280,8 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
             f"{frames} frames from an incremental profile of {profile.count} combinations",
             hint=f"ask for at most {profile.count} frames, or make a step smaller",
         )
+    if isinstance(profile, MocapProfile):
+        recorded_pose(profile, 0)  # MocapError for a file that is missing, broken or not retargetable
     if isinstance(scene, RoomScene):
         return
     for car in scene.cars:
@@ -306,15 +320,6 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
                 f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
                 hint="move it into the free space of the cabin",
             )
-
-
-def no_valid_scene(index: int, proposals: int, causes: Counter[str]) -> SceneError:
-    """The error of a frame for which no valid scene was found, with the causes that came up most."""
-    common = "; ".join(f"{cause} ({count})" for cause, count in causes.most_common(4))
-    return SceneError(
-        f"frame {index}: none of {proposals} poses made a valid scene: {common}",
-        hint="narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
-    )
 
 
 def _by_cause(causes: Counter[str]) -> dict[str, int]:

@@ -19,15 +19,16 @@ from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.profiles import IncrementalProfile
 from cabinpose.synth.render import Rasteriser, joint_visibility
-from cabinpose.synth.sample import Scene, SceneSampler, person_slots
+from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler, person_slots
 
 Frame = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class PartReport:
-    """What making one part took. proposals, rejections: poses of people · stage_seconds: time by stage."""
+    """What making one part took. frames: written, without those skipped · proposals, rejections: poses of people."""
 
     frames: int
     proposals: int
@@ -128,9 +129,19 @@ def make_part(folder: Path, plan: PartPlan, config: SynthConfig, manifest: Manif
         proposals = 0
         rejections: Counter[str] = Counter()
         frames = 0
+        # A combination of an incremental profile that no scene allows is left out; any other frame must be found.
+        may_skip = isinstance(config.scene.profile, IncrementalProfile)
         with PartWriter(folder, plan, manifest) as part:
             for index in range(plan.first, plan.first + plan.frames):
-                frame, scene = maker.make(index)
+                try:
+                    frame, scene = maker.make(index)
+                except ImpossibleSceneError as error:
+                    if not may_skip:
+                        raise
+                    proposals += error.proposals
+                    rejections.update(error.rejections)
+                    part.skip()
+                    continue
                 proposals += scene.proposals
                 rejections.update(scene.rejections)
                 with maker.stage("write"):
