@@ -132,8 +132,13 @@ def cover(
                 mask = builder.and_(mask, builder.fcmp_ordered("<=", depth, farthest))
                 for k in range(0, 9, 3):
                     mask = builder.and_(mask, builder.fcmp_ordered(">=", linear(*edge[k : k + 3]), zero))
-                builder.store(builder.select(mask, depth, w), w_at, align=4)
-                builder.store(builder.select(mask, number, nearest), face_at, align=4)
+                # The least value, which changes nothing, keeps the compiler from making a masked store of selection and store:
+                # some processors take a dozen cycles for one.
+                for new, old, at, floor in ((depth, w, w_at, 0), (number, nearest, face_at, -1)):
+                    bits = builder.bitcast(builder.select(mask, new, old), _INTS)
+                    low = ir.Constant(_INTS, [floor] * LANES)
+                    bits = builder.select(builder.icmp_signed(">", bits, low), bits, low)
+                    builder.store(bits, builder.bitcast(at, _INTS.as_pointer()), align=4)
         return context.get_dummy_value()
 
     return signature, generate

@@ -69,17 +69,17 @@ def pixel(x: float, y: float, lens: Lens) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _inside(p: F64, plane: int, box: F64) -> float:
+def _inside(x: float, y: float, z: float, plane: int, box: F64) -> float:
     """Signed distance-like value of a point to plane 0 (near) or 1..4 (sides of the box), not negative inside."""
     if plane == 0:
-        return p[2] - NEAR_M
+        return z - NEAR_M
     if plane == 1:
-        return p[0] - box[0] * p[2]
+        return x - box[0] * z
     if plane == 2:
-        return p[1] - box[1] * p[2]
+        return y - box[1] * z
     if plane == 3:
-        return box[2] * p[2] - p[0]
-    return box[3] * p[2] - p[1]
+        return box[2] * z - x
+    return box[3] * z - y
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -94,40 +94,46 @@ def project(p_camera: F32, lens: Lens, out: F32, outside: U8) -> None:
     for i in range(len(p_camera)):
         z = np.float64(p_camera[i, 2])
         beyond = 0
+        x, y = np.float64(p_camera[i, 0]), np.float64(p_camera[i, 1])
         for plane in range(5):
-            beyond |= int(_inside(p_camera[i], plane, box) < 0.0) << plane
+            beyond |= int(_inside(x, y, z, plane, box) < 0.0) << plane
         outside[i] = beyond
         if beyond & 1:
             continue
-        x, y = p_camera[i, 0] / z, p_camera[i, 1] / z
+        x, y = x / z, y / z
         u, v = pixel(x, y, lens)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = x, y, 1.0 / z, u, v
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def clip(corners: F64, box: F64, scratch: F64) -> tuple[F64, int]:
-    """What of a triangle (3, 3) of the camera frame the image may see: a polygon (n, 3) in scratch, and n (0: nothing).
+def clip(corners: F64, box: F64, crossed: int, scratch: F64) -> tuple[int, int]:
+    """What of a triangle (3, 3) of the camera frame the image may see: a polygon scratch[k, :n]; returns k and n (0: nothing).
 
-    Cut at the near limit and at the four planes through `box` (Sutherland and Hodgman, 1974). scratch: (2, 8, 3).
+    Cut at those of the near limit and the four planes through `box` whose bit is set in `crossed` (Sutherland and Hodgman,
+    1974). scratch: (2, MAX_CORNERS, 3).
     """
-    polygon, other = scratch[0], scratch[1]
-    polygon[:3] = corners
-    n = 3
+    scratch[0, :3] = corners
+    k, n = 0, 3
     for plane in range(5):
+        if crossed >> plane & 1 == 0:
+            continue
         m = 0
         for i in range(n):
-            p, q = polygon[i], polygon[(i + 1) % n]
-            dp, dq = _inside(p, plane, box), _inside(q, plane, box)
+            j = i + 1 if i + 1 < n else 0
+            px, py, pz = scratch[k, i, 0], scratch[k, i, 1], scratch[k, i, 2]
+            qx, qy, qz = scratch[k, j, 0], scratch[k, j, 1], scratch[k, j, 2]
+            dp, dq = _inside(px, py, pz, plane, box), _inside(qx, qy, qz, plane, box)
             if dp >= 0.0:
-                other[m] = p
+                scratch[1 - k, m, 0], scratch[1 - k, m, 1], scratch[1 - k, m, 2] = px, py, pz
                 m += 1
             if (dp >= 0.0) != (dq >= 0.0):
                 t = dp / (dp - dq)
-                for k in range(3):
-                    other[m, k] = p[k] + (q[k] - p[k]) * t
+                scratch[1 - k, m, 0] = px + (qx - px) * t
+                scratch[1 - k, m, 1] = py + (qy - py) * t
+                scratch[1 - k, m, 2] = pz + (qz - pz) * t
                 m += 1
-        polygon, other, n = other, polygon, m
-    return polygon, n
+        k, n = 1 - k, m
+    return k, n
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -28,7 +28,8 @@ from cabinpose.synth.render.projection import F32, F64, MAX_CORNERS, NEAR_M, U8,
 
 TILE_ROWS, TILE_COLUMNS = 4, LANES  # pixels in a tile of the coarse map
 _LIMIT = np.float32(1.0 / NEAR_M)
-_WIDE = 2 * LANES  # columns from which the rows of a triangle are bounded one by one
+_WIDE = 3 * LANES  # columns from which the rows of a triangle are bounded apart
+_ROWS = 2  # that are bounded together
 _BUCKETS = 16  # of depth, 25 cm each, for faces turned to the camera; as many for the others
 _PER_METRE = 4.0
 _REFRESHES = 8  # of the coarse map in a frame
@@ -87,31 +88,39 @@ def _range(low: float, high: float, origin: float, scale: float, count: int) -> 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cover_rows(
     face: np.int32, edges: tuple[np.float32, ...], plane: tuple[np.float32, ...], r0: int, r1: int, margin: float, hull: F64,
-    n: int, origin: float, step: float, width: int, row_blocks: int, samples: F32,
+    n: int, sides: F64, origin: float, step: float, width: int, row_blocks: int, samples: F32,
 ) -> None:  # fmt: skip
-    """`cover` over the rows r0 .. r1 of a wide triangle, each bounded by the part of the hull (n, 2) within the margin of it."""
+    """`cover` over the rows r0 .. r1 of a wide triangle, two by two, bounded by the hull (n, 2) within the margin of them.
+
+    sides: (n, 5) work space.
+    """
     scale = 1.0 / step
-    for r in range(r0, r1 + 1):
-        low, high = origin + step * r - margin, origin + step * r + margin
+    for i in range(n):  # edges from their upper to their lower end: u, v, v, du/dv
+        j = i + 1 if i + 1 < n else 0
+        if hull[i, 1] > hull[j, 1]:
+            i0, i1 = j, i
+        else:
+            i0, i1 = i, j
+        rise = hull[i1, 1] - hull[i0, 1]
+        sides[i, 0], sides[i, 1], sides[i, 2] = hull[i0, 0], hull[i0, 1], hull[i1, 1]
+        sides[i, 3] = (hull[i1, 0] - hull[i0, 0]) / rise if rise > 0.0 else 0.0
+        sides[i, 4] = hull[i1, 0]
+    for r in range(r0, r1 + 1, _ROWS):
+        rows = min(_ROWS, r1 + 1 - r)
+        low, high = origin + step * r - margin, origin + step * (r + rows - 1) + margin
         left, right = np.inf, -np.inf
         for i in range(n):
-            j = i + 1 if i + 1 < n else 0
-            ua, va, ub, vb = hull[i, 0], hull[i, 1], hull[j, 0], hull[j, 1]
-            if va > vb:
-                ua, va, ub, vb = ub, vb, ua, va
+            va, vb = sides[i, 1], sides[i, 2]
             if vb < low or va > high:
                 continue
-            slope = (ub - ua) / (vb - va) if vb > va else 0.0
-            if va < low:
-                ua += (low - va) * slope
-            if vb > high:
-                ub += (high - vb) * slope
+            ua = sides[i, 0] + max(low - va, 0.0) * sides[i, 3]
+            ub = sides[i, 4] + min(high - vb, 0.0) * sides[i, 3]
             left, right = min(left, ua, ub), max(right, ua, ub)
         if left <= right:
             c0, c1 = _range(left - margin, right + margin, origin, scale, width)
             if c0 <= c1:
                 first = c0 // LANES
-                cover(samples, r * row_blocks + first, 0, 1, c1 // LANES - first + 1, edges, plane, _LIMIT, face)
+                cover(samples, r * row_blocks + first, row_blocks, rows, c1 // LANES - first + 1, edges, plane, _LIMIT, face)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -137,10 +146,12 @@ def _coefficients(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _draw_clipped(
-    face: int, corners: F64, scratch: F64, hull: F64, hidden: bool, lens: Lens, sub: Lattice, centre: Lattice
-) -> None:
+    face: int, corners: F64, scratch: F64, hull: F64, sides: F64, crossed: int, hidden: bool, lens: Lens, sub: Lattice,
+    centre: Lattice,
+) -> None:  # fmt: skip
     """A triangle (3, 3) of the camera frame that cannot be projected whole."""
-    polygon, n = clip(corners, lens.box, scratch)
+    k, n = clip(corners, lens.box, crossed, scratch)
+    polygon = scratch[k]
     top, bottom, longest = np.inf, -np.inf, 0.0
     for i in range(n):
         x, y = polygon[i, 0] / polygon[i, 2], polygon[i, 1] / polygon[i, 2]
@@ -165,7 +176,7 @@ def _draw_clipped(
             continue
         r0, r1 = _range(top - margin, bottom + margin, lattice.origin, 1.0 / lattice.step, lattice.height)
         _cover_rows(
-            np.int32(face), edges, plane, r0, r1, margin, hull, n, lattice.origin, lattice.step, lattice.width,
+            np.int32(face), edges, plane, r0, r1, margin, hull, n, sides, lattice.origin, lattice.step, lattice.width,
             lattice.row_blocks, lattice.samples,
         )  # fmt: skip
 
@@ -217,16 +228,18 @@ def rasterise(
     origin, step, scale, curvature = centre.origin, centre.step, 1.0 / centre.step, lens.curvature
     fold = 31 if lens.dist.any() else 1  # the planes beyond which a vertex cannot be projected
     corners, scratch, hull = np.empty((3, 3)), np.empty((2, MAX_CORNERS, 3)), np.empty((MAX_CORNERS, 2))
+    sides = np.empty((MAX_CORNERS, 5))
     counts = np.zeros(2 * _BUCKETS + 1, np.int64)
     n = 0
     for f in range(len(faces)):
         i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
         if outside[i0] & outside[i1] & outside[i2]:
             continue
-        if (outside[i0] | outside[i1] | outside[i2]) & fold:
+        crossed = outside[i0] | outside[i1] | outside[i2]
+        if crossed & fold:
             for k in range(3):
                 corners[0, k], corners[1, k], corners[2, k] = p_camera[i0, k], p_camera[i1, k], p_camera[i2, k]
-            _draw_clipped(f, corners, scratch, hull, hidden[f] != 0, lens, sub, centre)
+            _draw_clipped(f, corners, scratch, hull, sides, crossed, hidden[f] != 0, lens, sub, centre)
             continue
         x0, y0, x1, y1 = projected[i0, 0], projected[i0, 1], projected[i1, 0], projected[i1, 1]
         x2, y2 = projected[i2, 0], projected[i2, 1]
@@ -291,13 +304,13 @@ def rasterise(
             hull[0, 1], hull[1, 1], hull[2, 1] = projected[i0, 4], projected[i1, 4], projected[i2, 4]
         if c0 <= c1 and hidden[f] == 0:
             if wide:
-                _cover_rows(face, edges, plane, r0, r1, margin, hull, 3, 0.0, 1.0, sub_width, sub_blocks, fine)
+                _cover_rows(face, edges, plane, r0, r1, margin, hull, 3, sides, 0.0, 1.0, sub_width, sub_blocks, fine)
             else:
                 first, last = c0 // LANES, c1 // LANES
                 cover(fine, r0 * sub_blocks + first, sub_blocks, r1 - r0 + 1, last - first + 1, edges, plane, _LIMIT, face)
         if b0 <= b1:
             if wide:
-                _cover_rows(face, edges, plane, q0, q1, margin, hull, 3, origin, step, width, row_blocks, coarse)
+                _cover_rows(face, edges, plane, q0, q1, margin, hull, 3, sides, origin, step, width, row_blocks, coarse)
             else:
                 first, last = b0 // LANES, b1 // LANES
                 cover(coarse, q0 * row_blocks + first, row_blocks, q1 - q0 + 1, last - first + 1, edges, plane, _LIMIT, face)
