@@ -176,7 +176,7 @@ def _inside_box(points, index, box, centre, radius):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _over(points, index, vertices, faces):  # type: ignore[no-untyped-def]
-    """The faces that some vertical ray from the indexed points upwards can meet."""
+    """The faces that some vertical ray from the indexed points upwards can meet, with x0, x1, y0, y1, z1; and the area."""
     low_x, low_y, low_z, high_x, high_y = np.inf, np.inf, np.inf, -np.inf, -np.inf
     for v in index:
         x, y, z = points[v, 0], points[v, 1], points[v, 2]
@@ -184,40 +184,38 @@ def _over(points, index, vertices, faces):  # type: ignore[no-untyped-def]
         low_y, high_y = min(low_y, y), max(high_y, y)
         low_z = min(low_z, z)
     chosen = np.empty(len(faces), np.int32)
+    bounds = np.empty((len(faces), 5), np.float32)
     n = 0
     for f in range(len(faces)):
         a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-        if (
-            max(a[0], b[0], c[0]) >= low_x
-            and min(a[0], b[0], c[0]) <= high_x
-            and max(a[1], b[1], c[1]) >= low_y
-            and min(a[1], b[1], c[1]) <= high_y
-            and max(a[2], b[2], c[2]) >= low_z
-        ):
+        x0, x1 = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
+        y0, y1 = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
+        z1 = max(a[2], b[2], c[2])
+        if x1 >= low_x and x0 <= high_x and y1 >= low_y and y0 <= high_y and z1 >= low_z:
             chosen[n] = f
+            bounds[n, 0], bounds[n, 1], bounds[n, 2], bounds[n, 3], bounds[n, 4] = x0, x1, y0, y1, z1
             n += 1
-    return chosen[:n], (low_x, low_y, high_x, high_y)
+    return chosen[:n], bounds[:n], (low_x, low_y, high_x, high_y)
 
 
 @njit(cache=True, nogil=True)
-def _columns(vertices, faces, chosen, area, cell, nx, ny):  # type: ignore[no-untyped-def]
-    """Faces by the column of an nx x ny grid that they cover, compressed rows."""
+def _columns(bounds, area, cell, nx, ny):  # type: ignore[no-untyped-def]
+    """Rows of `bounds` by the column of an nx x ny grid that they cover, compressed rows."""
     starts = np.zeros(nx * ny + 1, np.int32)
     entries = np.empty(0, np.int32)
     for fill in range(2):
-        for f in chosen:
-            a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-            i0 = min(max(int((min(a[0], b[0], c[0]) - area[0]) / cell), 0), nx - 1)
-            i1 = min(max(int((max(a[0], b[0], c[0]) - area[0]) / cell), 0), nx - 1)
-            j0 = min(max(int((min(a[1], b[1], c[1]) - area[1]) / cell), 0), ny - 1)
-            j1 = min(max(int((max(a[1], b[1], c[1]) - area[1]) / cell), 0), ny - 1)
+        for n in range(len(bounds)):
+            i0 = min(max(int((bounds[n, 0] - area[0]) / cell), 0), nx - 1)
+            i1 = min(max(int((bounds[n, 1] - area[0]) / cell), 0), nx - 1)
+            j0 = min(max(int((bounds[n, 2] - area[1]) / cell), 0), ny - 1)
+            j1 = min(max(int((bounds[n, 3] - area[1]) / cell), 0), ny - 1)
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
                     row = i * ny + j
                     if fill == 0:
                         starts[row + 1] += 1
                     else:
-                        entries[starts[row]] = f
+                        entries[starts[row]] = n
                         starts[row] += 1
         if fill == 0:
             for row in range(nx * ny):
@@ -277,12 +275,12 @@ def _deepest(points, index, box, centre, radius, vertices, faces, skin_count, li
     inside_box = _inside_box(points, index, box, centre, radius)
     if len(inside_box) == 0 or skin_count == 0:
         return nothing
-    over, area = _over(points, inside_box, vertices, faces)
+    over, bounds, area = _over(points, inside_box, vertices, faces)
     if len(over) == 0:
         return nothing
     cell = max(0.012, math.sqrt((area[2] - area[0]) * (area[3] - area[1]) / 4096.0))
     nx, ny = int((area[2] - area[0]) / cell) + 1, int((area[3] - area[1]) / cell) + 1
-    starts, entries = _columns(vertices, faces, over, area, cell, nx, ny)
+    starts, entries = _columns(bounds, area, cell, nx, ny)
     worst, worst_point, worst_depth, hint = 0.0, -1, 0.0, 0
     boxes = np.empty((0, 2, 3))
     for v in inside_box:
@@ -290,10 +288,11 @@ def _deepest(points, index, box, centre, radius, vertices, faces, skin_count, li
         row = min(int((x - area[0]) / cell), nx - 1) * ny + min(int((y - area[1]) / cell), ny - 1)
         winding = 0
         for e in range(starts[row], starts[row + 1]):
-            f = entries[e]
-            a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-            if max(a[2], b[2], c[2]) < z:
+            n = entries[e]
+            if z > bounds[n, 4] or x < bounds[n, 0] or x > bounds[n, 1] or y < bounds[n, 2] or y > bounds[n, 3]:
                 continue
+            f = over[n]
+            a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
             sense = crossing(x, y, a, b, c)
             if sense != 0 and height_over(x, y, a, b, c) > z:
                 winding += sense
