@@ -134,6 +134,25 @@ def test_nothing_nearer_than_the_near_limit_is_seen() -> None:
         assert frame.depth_clean[71, 88] == pytest.approx(nearest, abs=2e-3)
 
 
+@pytest.mark.parametrize("dist", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
+def test_a_triangle_through_the_camera_plane_is_cut_at_the_near_limit(dist: tuple[float, ...]) -> None:
+    camera = small_camera(dist)
+    below = 0.005  # a floor 5 mm under the camera, from behind it to far ahead
+    corners = np.array([[-9, 9, -below], [-9, -9, -below], [30, 0, -below]], np.float32)
+    one = np.ones(1, np.uint8)
+    floor = Surface(corners, np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], np.int32), one, one, one)
+    frame = Rasteriser(camera).render(floor, FORWARD)
+    x, y = camera.rays[..., 0], camera.rays[..., 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = np.where((y > 0) & (np.abs(x) < 1.5), below / y, 0.0)
+    near = (expected > 0) & (expected < 0.0099)
+    seen = (expected > 0.0101) & (expected < 3)
+    assert near.sum() > 100
+    assert seen.sum() > 1000
+    assert (frame.face_id[near] < 0).all()
+    np.testing.assert_allclose(frame.depth_clean[seen], expected[seen], rtol=1e-4)
+
+
 def test_the_first_of_two_equal_faces_wins_whatever_the_others() -> None:
     twin = ball((1.0, 0, 0), 0.3, "seat")
     other = replace(twin, label=np.full(len(twin.faces), LABEL["trim"], np.uint8))
