@@ -21,8 +21,7 @@ Array32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Dressed:
-    """What the camera sees at rest: the first V vertices of `rest` (N, 3) m are the skin's, dressed; then come cuts
-    along the borders of the parts, then accessories.
+    """What the camera sees at rest: `rest` (N, 3) m are the dressed skin's vertices that a face uses, then accessories'.
 
     bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8.
     """
@@ -37,12 +36,11 @@ class Dressed:
 
 def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.float64], outfit: Outfit, size: float) -> Dressed:
     """The outfit on a person's skin (V, 3) at rest, root axes; size: stature over the average adult's."""
-    worn = layer(skin, outfit, size)
+    worn = layer(skin, rest, outfit, size)
     cut = cut_skin()
     label = cut.label.copy()
     material = np.full(len(label), materials.ID["skin"], np.uint8)
-    for region, name, is_label in worn.regions:
-        covered = region[cut.source]
+    for covered, name, is_label in worn.regions:
         material[covered] = materials.ID[name]
         if is_label is not None:
             label[covered] = labels.ID[is_label]
@@ -50,10 +48,13 @@ def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.f
     if outfit.shoes != "none":
         seen = ~foot_faces_hidden(space.faces)[cut.source]
         faces, label, material = faces[seen], label[seen], material[seen]
-    vertices = [worn.vertices, (cut.blend @ worn.vertices).astype(np.float32)]
-    index, weight = [cut.bone_index], [cut.bone_weight]
+    seen_vertices = np.zeros(len(worn.vertices), bool)
+    seen_vertices[faces] = True
+    faces = (np.cumsum(seen_vertices) - 1)[faces]
+    vertices = [worn.vertices[seen_vertices]]
+    index, weight = [cut.bone_index[seen_vertices]], [cut.bone_weight[seen_vertices]]
     all_faces, all_labels, all_materials = [faces], [label], [material]
-    count = len(cut.bone_index)
+    count = len(vertices[0])
     for part in accessories(skin.astype(np.float64), rest, eyes, outfit):
         rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
         shares = np.zeros(rows.shape, np.float32)

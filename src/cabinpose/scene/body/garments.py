@@ -1,14 +1,12 @@
-"""Cloth, hair and beard as a layer off the skin: the same mesh, every vertex moved outwards.
+"""Cloth, hair and beard as layers over the skin: the seen mesh, every vertex moved outwards.
 
-A garment lies where its mask is 1, feathered at the hems. It bridges hollows (between the breasts, the small of the
-back): where a smoothed skin lies outside the skin, the cloth follows the smoothed one. On top come its thickness, its
-looseness (more on belly, thighs and shins than on shoulders) and folds: ridged band-limited noise, strongest about
-elbows, knees, armpits, waist and crotch. Cloth is never below the skin.
+A garment is draped on the skin's own mesh at rest: stretched over hollows (`drape.stretch`), hanging from chest, arms and
+thighs (`drape.hang`). The refined mesh then takes its thickness, its looseness, its folds and its hems. Cloth is never
+below the skin.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,269 +14,241 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cabinpose.scene.body.chart import face_mean, load_chart
+from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
+from cabinpose.scene.body.drape import hang, relax, sectors, stretch
+from cabinpose.scene.body.folds import around, folds, seen_chart, smooth_noise
+from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.parts import cut_skin
+from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
 from cabinpose.scene.body.skinning import vertex_normals
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
-_SMOOTHING_STEPS = 20  # for what has no garment's own: hair, caps, bare skin
+_SWEEPS, _EVENING = 50, 8  # of the membrane; of the skin, for directions that its hollows do not turn
+_LEAST_GAP_M = 0.002  # of cloth off the skin
+_CLEAR_M = 0.002  # what evening takes from what stands out, about
+_INWARDS_M = 0.006  # at most, of evening
+_LIFT_M = 0.005  # of a top off the trousers' folds: its hem shows
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """A garment: ends of its regions (chart units), thickness, looseness at fit 1 and depth of folds (m), material.
-
-    bridge: steps of smoothing, more for cloth that spans wider hollows.
-    """
+    """A garment: thickness, looseness and height of folds (m) at fit 1, narrowing (m/m) below what it hangs from, material."""
 
     thickness: float
     loose: float
     folds: float
+    narrowing: float
     material: str
-    sleeve: float = 0.0  # along_arm
-    hem: float = 0.0  # up
-    collar: float = 0.0  # share of the neck's weights that stays free
-    leg: float = 0.0  # along_leg
-    bridge: int = 20
 
 
 TOPS = {
-    "t_shirt": _Cut(0.002, 0.030, 0.011, "cotton", sleeve=0.62, hem=-0.06, collar=0.25, bridge=25),
-    "long_sleeve": _Cut(0.002, 0.026, 0.010, "cotton", sleeve=1.93, hem=-0.05, collar=0.35, bridge=25),
-    "jumper": _Cut(0.006, 0.032, 0.012, "wool", sleeve=1.96, hem=-0.02, collar=0.45, bridge=50),
-    "jacket": _Cut(0.010, 0.034, 0.014, "synthetic_fabric", sleeve=2.0, hem=-0.10, collar=0.75, bridge=80),
+    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.30, "cotton"),
+    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.30, "cotton"),
+    "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "wool"),
+    "jacket": _Cut(0.012, 0.018, 0.018, 0.16, "synthetic_fabric"),
 }
 BOTTOMS = {
-    "trousers": _Cut(0.002, 0.030, 0.010, "cotton", leg=1.99),
-    "jeans": _Cut(0.003, 0.020, 0.008, "denim", leg=1.99),
-    "shorts": _Cut(0.002, 0.036, 0.010, "cotton", leg=0.78),
+    "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "cotton"),
+    "jeans": _Cut(0.004, 0.006, 0.014, 0.13, "denim"),
+    "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "cotton"),
 }
 HAIR_DEPTH_M = {"bald": 0.0, "short": 0.009, "medium": 0.022, "long": 0.018, "bun": 0.010}
-CAP_DEPTH_M, BEARD_DEPTH_M = 0.014, 0.009
+CAP_DEPTH_M, BEARD_DEPTH_M = 0.014, 0.008
 
 
 @dataclass(frozen=True)
 class Layer:
-    """The dressed skin at rest (V, 3) m, and the faces that things cover, inner ones first.
+    """The dressed skin at rest: every seen vertex (V + N, 3) m, and the faces that things cover, inner ones first.
 
-    regions: (faces (F,) bool, material, label or None where the body part's own stays).
+    bare: the same vertices without anything worn · regions: (faces (F,) bool, material, label or None where the body
+    part's own stays).
     """
 
     vertices: Array32
+    bare: Array32
     regions: tuple[tuple[NDArray[np.bool_], str, str | None], ...]
-
-
-def _step(x: Array, edge: float, width: float) -> Array:
-    """Smooth step from 0 to 1 about `edge`."""
-    t = np.clip((x - edge) / width + 0.5, 0.0, 1.0)
-    return np.asarray(t * t * (3 - 2 * t))
-
-
-def _bump(x: Array, centre: float, width: float) -> Array:
-    return np.asarray(np.exp(-(((x - centre) / width) ** 2)))
 
 
 @cache
 def _neighbours() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Rows of the vertex graph: (V + 1,) starts and the neighbours."""
-    faces = load_shape_space().faces
-    edges = np.unique(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=0)
+    """Rows of the skin's vertex graph: (V + 1,) starts and the neighbours."""
+    space = load_shape_space()
+    edges = np.concatenate([space.faces[:, [0, 1]], space.faces[:, [1, 2]], space.faces[:, [2, 0]]])
     edges = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
-    count = load_shape_space().vertex_count
-    return np.searchsorted(edges[:, 0], np.arange(count + 1)).astype(np.int32), edges[:, 1].astype(np.int32)
-
-
-@njit(cache=True, nogil=True)
-def _smoothed(points: Array32, start: NDArray[np.int32], near: NDArray[np.int32], mask: Array32, steps: int) -> Array32:
-    """Laplacian smoothing of the masked vertices."""
-    now, then = points.copy(), points.copy()
-    for _ in range(steps):
-        for v in range(len(points)):
-            if mask[v] <= 0:
-                continue
-            x = y = z = np.float32(0)
-            for k in range(start[v], start[v + 1]):
-                x += now[near[k], 0]
-                y += now[near[k], 1]
-                z += now[near[k], 2]
-            n = np.float32(0.7) * mask[v] / (start[v + 1] - start[v])
-            keep = np.float32(1) - np.float32(0.7) * mask[v]
-            then[v, 0] = keep * now[v, 0] + n * x
-            then[v, 1] = keep * now[v, 1] + n * y
-            then[v, 2] = keep * now[v, 2] + n * z
-        now, then = then, now
-    return now
-
-
-@njit(cache=True, nogil=True)
-def _ridges(points: Array, mask: Array, waves: Array, bends: Array, phases: Array, out: Array) -> None:
-    for v in range(len(points)):
-        if mask[v] <= 0:
-            continue
-        x, y, z = points[v, 0], points[v, 1], points[v, 2]
-        total = 0.0
-        for k in range(len(waves)):
-            bend = np.sin(x * bends[k, 0] + y * bends[k, 1] + z * bends[k, 2] + phases[k, 0])
-            total += np.sin(x * waves[k, 0] + y * waves[k, 1] + z * waves[k, 2] + phases[k, 1] + 1.3 * bend)
-        out[v] = (1 - min(abs(total) / 2.2, 1.0)) ** 2
-
-
-def fold_noise(points: Array, mask: Array, seed: int, wavelength: tuple[float, float]) -> Array:
-    """Ridged band-limited noise (N,) from 0 to 1 at points (N, 3) m where mask > 0, else 0: long creases, fixed by the seed."""
-    rng = np.random.Generator(np.random.Philox(key=seed))
-    direction = rng.standard_normal((5, 3)) * (0.8, 0.8, 1.0)
-    waves = direction / np.linalg.norm(direction, axis=1)[:, None] * 2 * np.pi / rng.uniform(*wavelength, (5, 1))
-    bends = rng.standard_normal((5, 3)) * 2 * np.pi / (3 * wavelength[1])
-    out = np.zeros(len(points))
-    _ridges(points, mask, waves, bends, rng.uniform(0, 2 * np.pi, (5, 2)), out)
-    return out
+    return np.searchsorted(edges[:, 0], np.arange(space.vertex_count + 1)).astype(np.int32), edges[:, 1].astype(np.int32)
 
 
 @cache
-def _crease() -> Array:
-    """(V,) where cloth creases most, 0..1: elbows, knees, armpits, waist and crotch."""
-    c = load_chart()
-    on_leg = c.leg * (
-        0.9 * _bump(c.along_leg, 1.0, 0.22) + 0.5 * _bump(c.along_leg, 0.05, 0.15) + 0.6 * _bump(c.along_leg, 1.85, 0.2)
-    )
-    on_arm = c.arm * (
-        0.9 * _bump(c.along_arm, 1.0, 0.25) + 0.6 * _bump(c.along_arm, 0.1, 0.2) + 0.5 * _bump(c.along_arm, 1.8, 0.2)
-    )
-    on_trunk = (1 - c.arm) * (1 - c.leg) * (0.8 * _bump(c.up, 0.22, 0.16) + 0.3 * _bump(c.up, 0.75, 0.15))
-    return np.asarray(np.clip(0.25 + on_leg + on_arm + on_trunk, 0, 1))
+def _seen_field(name: str) -> Array:
+    """A border's field at every seen vertex."""
+    return np.concatenate([borders()[name], cut_skin().blend @ borders()[name]])
 
 
 @cache
-def _top_mask(name: str) -> Array:
-    c, cut = load_chart(), TOPS[name]
-    trunk = _step(c.up, cut.hem, 0.03) * (1 - _step(c.neck + c.head, cut.collar, 0.2))
-    sleeve = np.where(c.arm > 0.5, 1 - _step(c.along_arm, cut.sleeve, 0.06), 1.0)
-    return np.asarray(trunk * sleeve * (1 - _step(c.leg * c.along_leg, 0.3, 0.1)))
-
-
-@cache
-def _bottom_mask(name: str) -> Array:
-    c, cut = load_chart(), BOTTOMS[name]
-    below_waist = 1 - _step(c.up, 0.27, 0.03)
-    return np.asarray(below_waist * (c.arm < 0.3) * np.where(c.leg > 0.5, 1 - _step(c.along_leg, cut.leg, 0.04), 1.0))
-
-
-@cache
-def _socks_mask() -> Array:
-    c = load_chart()
-    return np.asarray((c.leg > 0.5) * _step(c.along_leg, 1.72, 0.03))
-
-
-@cache
-def _covered(mask: Callable[..., Array], *key: object) -> NDArray[np.bool_]:
-    """(F,) faces of a mask."""
-    return np.asarray(face_mean(mask(*key)) > 0.5)
+def _mask(name: str, width: float = HEM_M) -> Array:
+    """(V + N,) 1 inside to the very border, falling off outside."""
+    return step(_seen_field(name), -0.5 * width, width)
 
 
 @cache
 def _looseness(*, top: bool) -> Array:
-    """(V,) share of a garment's looseness: none where it hangs from, most where it hangs free."""
-    c = load_chart()
-    trunk = 0.12 + 0.88 * (1 - _step(c.up, 0.72, 0.35))
-    arm = 0.35 + 0.5 * _step(c.along_arm, 0.45, 0.5) - 0.55 * _step(c.along_arm, 1.75, 0.3)
-    leg = 0.55 + 0.15 * _bump(c.along_leg, 0.4, 0.4) + 0.25 * _step(c.along_leg, 1.4, 0.5)
-    waist = 1.0 if top else 1 - 0.8 * _bump(c.up, 0.25, 0.08)
+    """(V + N,) share of a garment's looseness: none where it hangs from, most where it hangs free."""
+    c = seen_chart()
+    trunk = 0.10 + 0.90 * step(-c.up, -0.70, 0.40)
+    arm = 0.30 + 0.70 * step(c.along_arm, 0.45, 0.6) - 0.85 * step(c.along_arm, 1.75, 0.35)
+    leg = 0.45 + 0.25 * bump(c.along_leg, 1.0, 0.3) + 0.45 * step(c.along_leg, 1.4, 0.6)
+    waist = 1.0 if top else 1 - 0.9 * step(c.up, 0.10, 0.25)
     return np.asarray((c.arm * arm + c.leg * leg + (1 - c.arm - c.leg).clip(0) * trunk) * waist)
 
 
-@cache
-def _head_coordinates() -> tuple[Array, Array, Array]:
-    """(V,) forward and up from the point between the eyes of the average adult, and sideways, m."""
-    c = load_chart()
-    eyes = (c.heads["leye"] + c.heads["reye"]) / 2
-    p = c.rest - eyes
-    return p[:, 0], p[:, 2], np.abs(p[:, 1])
+def _normals(points: Array32, faces: NDArray[np.int32]) -> Array32:
+    out = np.empty_like(points)
+    vertex_normals(points, faces, out)
+    return out
 
 
-@cache
-def scalp_mask(over_ears: bool) -> Array:
-    """(V,) where hair grows: behind a hairline from the forehead over the temples, round the ears, to the nape."""
-    c = load_chart()
-    x, z, _ = _head_coordinates()
-    hairline = np.interp(x, (-0.16, -0.105, -0.085, -0.06, -0.035, -0.01, 0.02), (-0.085, -0.075, -0.02, 0.0, 0.03, 0.062, 0.068))
-    mask = _step(z - hairline, 0.0, 0.012) * _step(c.head + c.neck, 0.5, 0.3)
-    return np.where(ear_mask(), 1.0 if over_ears else 0.0, mask)
+@njit(cache=True, nogil=True)
+def _bulges(
+    points: Array32, normals: Array32, start: NDArray[np.int32], parent: NDArray[np.int32], weight: Array32, flat: Array32,
+    out: Array32,
+) -> None:  # fmt: skip
+    """Sum over each new vertex' parents of the way from the flat point to the parent's tangent plane, weighted."""
+    out[:] = 0
+    for v in range(len(flat)):
+        for k in range(start[v], start[v + 1]):
+            n, p = normals[parent[k]], points[parent[k]]
+            off = (p[0] - flat[v, 0]) * n[0] + (p[1] - flat[v, 1]) * n[1] + (p[2] - flat[v, 2]) * n[2]
+            for i in range(3):
+                out[v, i] += weight[k] * off * n[i]
 
 
-@cache
-def ear_mask() -> NDArray[np.bool_]:
-    """(V,) the ears, as they stand off the head."""
-    c = load_chart()
-    x, z, y = _head_coordinates()
-    return np.asarray((np.abs(x + 0.085) < 0.034) & (y > 0.066) & (z < 0.022) & (z > -0.06) & (c.head > 0.5))
+def _refined(points: Array32) -> tuple[Array32, Array32]:
+    """The skin's vertices (V, 3), moved, on the seen mesh (V + N, 3), and normals: the new ones bulge as the surface does.
+
+    Phong tessellation (Boubekeur & Alexa 2008, eq. 2) with half of its shape, which is exact on a sphere.
+    """
+    blend = cut_skin().blend
+    normals = _normals(points, load_shape_space().faces)
+    flat = blend @ points
+    bulge = np.empty_like(flat)
+    _bulges(points, normals, blend.indptr, blend.indices, blend.data, flat, bulge)
+    mixed = blend @ normals
+    mixed /= np.maximum(np.linalg.norm(mixed, axis=1), 1e-6)[:, None]
+    return (
+        np.concatenate([points, flat + np.float32(0.5) * bulge]).astype(np.float32),
+        np.concatenate([normals, mixed]).astype(np.float32),
+    )
 
 
-@cache
-def _cap_mask() -> Array:
-    c = load_chart()
-    x, z, _ = _head_coordinates()
-    return np.asarray(_step(z - np.interp(x, (-0.16, -0.06, 0.02), (0.0, 0.03, 0.040)), 0.0, 0.008) * (c.head > 0.5))
-
-
-@cache
-def _beard_mask() -> Array:
-    c = load_chart()
-    x, z, y = _head_coordinates()
-    jaw = _step(-z, 0.062, 0.02) * _step(x, -0.075, 0.02) * (c.head > 0.5) * (z > -0.135)
-    sideburn = _bump(x, -0.055, 0.014) * _step(y, 0.055, 0.01) * (z < 0.0) * (c.head > 0.5)
-    mouth = (z < -0.055) & (z > -0.082) & (y < 0.026) & (x > 0.0)
-    return np.asarray(np.where(mouth, 0.0, np.maximum(jaw, sideburn)))
-
-
-def layer(skin: Array32, outfit: Outfit, size: float) -> Layer:
-    """The skin (V, 3) at rest, dressed. size: stature over that of the average adult, scales the folds' pattern."""
-    c = load_chart()
+def _stretched(under: Array32, name: str, gap: float) -> Array32:
+    """A garment stretched over the skin's vertices (V, 3) m."""
     start, near = _neighbours()
-    offset, bridged = np.zeros(len(skin)), np.zeros(len(skin))
+    mask = _mask(name)[: len(under)].astype(np.float32)
+    normals = _normals(relax(under, start, near, np.float32(0.6) * mask, _EVENING), load_shape_space().faces)
+    pinned = np.where(mask > 0.99, mask, np.float32(0))
+    return stretch(under, normals, np.float32(gap) * mask, start, near, pinned, _SWEEPS)
+
+
+def _hung(points: Array32, name: str, rest: RestArrays, narrowing: float, *, top: bool) -> Array32:
+    """The garment (V, 3) m, wider where it hangs from the chest, or about each limb."""
+    c = load_chart()
+    mask = _mask(name)[: len(points)]
+    out = points.astype(np.float64)
+    limb, along, weight = (
+        (("upperarm", "forearm", "hand"), c.along_arm, c.arm) if top else (("thigh", "shank", "foot"), c.along_leg, c.leg)
+    )
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        heads = rest.heads[[BONE_INDEX[side + bone] for bone in limb]]
+        inside = np.flatnonzero((mask > 0) & (weight > 0.5) & (sign * c.rest[:, 1] > 0))
+        at = along[inside].clip(0, 2)
+        k = np.minimum(at.astype(int), 1)
+        bone = heads[k + 1] - heads[k]
+        off = out[inside] - heads[k] - (at - k)[:, None] * bone
+        axis = bone / np.linalg.norm(bone, axis=1)[:, None]
+        off -= np.einsum("ij,ij->i", off, axis)[:, None] * axis
+        radius = np.linalg.norm(off, axis=1)
+        length = np.linalg.norm(heads[1:] - heads[:-1], axis=1)
+        target = hang(np.cumsum([0.0, *length])[k] + (at - k) * length[k], radius, around(off, heads[2] - heads[0]),
+                      np.full(len(sectors()), narrowing if not top else 0.20))  # fmt: skip
+        share = mask[inside] * step(weight[inside], 0.75, 0.5) * step(at, 0.25, 0.5)
+        out[inside] += off * (share * np.maximum(target / radius - 1, 0))[:, None]
+    if top:
+        inside = np.flatnonzero((mask > 0) & (c.arm < 0.3) & (c.neck < 0.3))
+        off = out[inside, :2] - (np.median(out[inside, 0]), 0.0)
+        radius = np.hypot(*off.T)
+        fall = narrowing * (1.6 - 0.6 * np.cos(sectors()))  # most before the chest, less down the back
+        target = hang(-out[inside, 2], radius, np.arctan2(off[:, 1], off[:, 0]), fall)
+        # Also inwards: the table is even, however fine the mesh is where the skin has a small feature.
+        share = mask[inside] * step(-c.up[inside], -0.86, 0.16) * step(-c.arm[inside], -0.10, 0.2)
+        out[inside, :2] += off * (share * np.maximum(target + _CLEAR_M - radius, -_INWARDS_M) / radius)[:, None]
+    return out.astype(np.float32)
+
+
+def layer(skin: Array32, rest: RestArrays, outfit: Outfit, size: float) -> Layer:
+    """The skin (V, 3) at rest, dressed. size: stature over that of the average adult."""
+    cut = cut_skin()
+    bare, _ = _refined(skin)
     regions: list[tuple[NDArray[np.bool_], str, str | None]] = []
     if outfit.shoes != "none":
-        regions.append((_covered(_socks_mask), "cotton", None))
-    for name, cuts, masks in ((outfit.bottom, BOTTOMS, _bottom_mask), (outfit.top, TOPS, _top_mask)):
+        regions.append((cut.inside["socks"], "cotton", None))
+    start, near = _neighbours()
+    draped, depth = skin, np.zeros(len(bare))
+    for name, cuts in ((outfit.bottom, BOTTOMS), (outfit.top, TOPS)):
         if name not in cuts:
             continue
-        cut, mask, top = cuts[name], masks(name), cuts is TOPS
-        noise = fold_noise(c.rest * size, mask, 2 * outfit.folds + top, (0.08, 0.16))
-        depth = cut.thickness + cut.loose * (0.25 + 0.75 * outfit.fit) * _looseness(top=top)
-        depth += cut.folds * (0.5 + 0.5 * outfit.fit) * _crease() * noise
-        offset = np.maximum(offset + 0.002 * mask, mask * depth)
-        bridged = np.maximum(bridged, mask)
-        regions.append((_covered(masks, name), cut.material, None))
-    if outfit.hair != "bald":
-        covers_ears = outfit.hair in ("medium", "long")
-        scalp = scalp_mask(covers_ears)
-        strands = 0.75 + 0.5 * fold_noise(c.rest, scalp, outfit.folds + 977, (0.04, 0.09))
-        offset += HAIR_DEPTH_M[outfit.hair] * scalp * strands
-        bridged = np.maximum(bridged, scalp)
-        regions.append((_covered(scalp_mask, covers_ears), "hair", "hair"))
-    if outfit.beard:
-        offset += BEARD_DEPTH_M * _beard_mask()
-        regions.append((_covered(_beard_mask), "hair", None))
-    if outfit.cap:
-        mask = _cap_mask()
-        offset = np.where(mask > 0, CAP_DEPTH_M * mask, offset)
-        bridged = np.maximum(bridged, mask)
-        regions.append((_covered(_cap_mask), "cotton", "headwear"))
-    steps = TOPS[outfit.top].bridge if outfit.top in TOPS else _SMOOTHING_STEPS
-    smooth = _smoothed(skin, start, near, bridged.astype(np.float32), steps)
-    faces = load_shape_space().faces
-    skin_normals, normals = np.empty_like(skin), np.empty_like(skin)
-    vertex_normals(skin, faces, skin_normals)
-    vertex_normals(smooth, faces, normals)
-    outwards = np.maximum(np.einsum("ij,ij->i", smooth - skin, normals), 0.0) * bridged
-    moved = skin + normals * (outwards + offset).astype(np.float32)[:, None]
+        worn, top = cuts[name], cuts is TOPS
+        slack = 0.25 + 0.75 * outfit.fit
+        draped = _hung(_stretched(draped, name, worn.thickness), name, rest, worn.narrowing * (1.4 - 0.8 * outfit.fit), top=top)
+        where = np.flatnonzero(_mask(name) > 0)
+        height = np.zeros(len(bare))
+        height[where] = (
+            worn.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[name] > -0.05, outfit.folds, top=top, size=size)
+        )
+        own = worn.loose * slack * _looseness(top=top) + height
+        depth = np.maximum(depth, _mask(name) * np.maximum(own + worn.thickness, np.where(depth > 0, depth + _LIFT_M, 0)))
+        regions.append((cut.inside[name], worn.material, None))
+    depth += _hair(outfit, regions)
+    evened = np.max([_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * outfit.cap], axis=0)
+    draped = relax(draped, start, near, np.float32(0.6) * evened.astype(np.float32), _EVENING)
+    moved, normals = _refined(draped)
+    moved += normals * depth.astype(np.float32)[:, None]
     if outfit.hair in ("medium", "long"):  # ears vanish under the hair
-        flat = _smoothed(smooth, start, near, ear_mask().astype(np.float32), 5 * _SMOOTHING_STEPS)
-        moved = np.where(ear_mask()[:, None], flat + normals * np.float32(0.4 * HAIR_DEPTH_M[outfit.hair]), moved)
-    # Where smoothed and bare normals part, keep at least half the depth off the skin.
-    lack = 0.5 * offset.astype(np.float32) - np.einsum("ij,ij->i", moved - skin, skin_normals)
-    if outfit.hair in ("medium", "long"):
-        lack[ear_mask()] = 0
-    moved += skin_normals * np.maximum(lack, 0.0)[:, None]
-    return Layer(moved.astype(np.float32), tuple(regions))
+        flat, normals = _refined(relax(draped, start, near, (borders()["ears"] > -0.003).astype(np.float32), 5 * _EVENING))
+        covered = _seen_field("ears") > -0.003
+        moved[covered] = flat[covered] + normals[covered] * np.float32(0.4 * HAIR_DEPTH_M[outfit.hair])
+        lifted = ~covered
+    else:
+        lifted = np.ones(len(bare), bool)
+    # Never below the skin, seen along directions that no navel or nipple turns.
+    clothed = np.zeros(len(skin))
+    for name in (outfit.bottom, outfit.top):
+        if name != "none":
+            clothed = np.maximum(clothed, _mask(name)[: len(skin)])
+    _, outwards = _refined(relax(skin, start, near, np.float32(0.7) * clothed.astype(np.float32), _EVENING))
+    least = np.minimum(0.5 * depth, _LEAST_GAP_M).astype(np.float32)
+    lack = np.where(lifted, least - np.einsum("ij,ij->i", moved - bare, outwards), 0)
+    moved += outwards * np.maximum(lack, 0.0)[:, None]
+    return Layer(moved.astype(np.float32), bare, tuple(regions))
+
+
+def _hair(outfit: Outfit, regions: list[tuple[NDArray[np.bool_], str, str | None]]) -> Array:
+    """Depth (V + N,) m of hair, beard and cap; their regions are appended."""
+    inside = cut_skin().inside
+    depth = np.zeros(len(_seen_field("scalp")))
+    if outfit.hair != "bald":
+        name = "scalp_and_ears" if outfit.hair in ("medium", "long") else "scalp"
+        rng = np.random.Generator(np.random.Philox(key=2 * outfit.folds + 977))
+        strands = smooth_noise(np.array([0.06]), borders()[name] > -0.02, 1.0, rng=rng)[:, 0]
+        depth = HAIR_DEPTH_M[outfit.hair] * step(_seen_field(name), 0.010, 0.020) * (0.9 + 0.2 * strands)
+        regions.append((inside[name], "hair", "hair"))
+    if outfit.beard:
+        depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
+        regions.append((inside["beard"], "hair", None))
+    if outfit.cap:
+        depth = np.where(_mask("cap") > 0, CAP_DEPTH_M * _mask("cap"), depth)
+        regions.append((inside["cap"], "cotton", "headwear"))
+    return depth

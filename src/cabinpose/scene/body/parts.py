@@ -1,9 +1,14 @@
-"""Body parts on the skin: the mesh is cut along their borders, so that a border runs smoothly across the faces."""
+"""The mesh that is seen: the skin refined where clothes lie, and cut along the borders of body parts and of things worn.
+
+A border so runs smoothly across the faces, and folds of cloth find vertices enough to show.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +16,7 @@ from scipy.sparse import csr_matrix, identity, vstack
 
 from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.coverage import BOTTOM_ENDS, HEM_M, TOP_ENDS, borders
 from cabinpose.scene.body.shape import load_shape_space
 
 Array = NDArray[np.float64]
@@ -19,15 +25,17 @@ _SNAP = 0.15  # a border that passes this near to a vertex (share of an edge) go
 # Borders, in the units of the chart: along the arm and the leg, up the trunk, and shares.
 _ARM = ((0.36, "upper_arm"), (0.84, "elbow"), (1.15, "forearm"), (1.86, "wrist"), (2.12, "hand"))
 _LEG = ((0.22, "thigh"), (0.85, "knee"), (1.15, "shin"), (1.85, "ankle"), (2.25, "foot"))
+_LONGEST_EDGE_M = 0.024  # on the clothed body of the average adult: folds are two to four edges long
 _WAIST, _HIP_CENTRE, _SHOULDER_Y, _SHOULDER_REACH = 0.16, 0.55, 0.84, 0.45
 
 
 @dataclass(frozen=True)
 class CutSkin:
-    """The skin's faces, cut along the parts' borders.
+    """The skin's faces, refined and cut.
 
     faces: (F, 3); vertices from V on are on edges · source: (F,) the skin's face that each is a piece of · blend:
-    (N, V) the new vertices as blends of the skin's · bone_index, bone_weight: (V + N, 8) · label: (F,) ids.
+    (N, V) the new vertices as blends of the skin's · bone_index, bone_weight: (V + N, 8) · label: (F,) ids · inside: (F,)
+    by the name of what can be worn (`coverage.borders`).
     """
 
     faces: NDArray[np.int32]
@@ -36,6 +44,7 @@ class CutSkin:
     bone_index: NDArray[np.uint8]
     bone_weight: NDArray[np.float32]
     label: NDArray[np.uint8]
+    inside: Mapping[str, NDArray[np.bool_]]
 
 
 class _Cutter:
@@ -45,6 +54,34 @@ class _Cutter:
         self.faces = faces.astype(np.int64)
         self.source = np.arange(len(faces))
         self.every = identity(count, format="csr")
+
+    def refine(self, rest: Array, longest: float, where: NDArray[np.bool_]) -> None:
+        """Halve the edges that are longer than `longest` on rest (V, 3) and have both ends in `where` (V,)."""
+        points = self.every @ rest
+        inside = (self.every @ where.astype(np.float64)) > 0.99
+        corner, following = self.faces, np.roll(self.faces, -1, axis=1)
+        long = (np.linalg.norm(points[corner] - points[following], axis=2) > longest) & inside[corner] & inside[following]
+        count = self.every.shape[0]
+        key = np.minimum(corner, following) * count + np.maximum(corner, following)
+        halved, at = np.unique(key[long], return_inverse=True)
+        middle = np.full(self.faces.shape, -1)
+        middle[long] = count + at
+        rows = np.arange(len(halved))
+        ends = np.stack([halved // count, halved % count])
+        mix = csr_matrix((np.full(2 * len(rows), 0.5), (np.concatenate([rows, rows]), ends.ravel())), shape=(len(rows), count))
+        self.every = vstack([self.every, mix @ self.every], format="csr")
+        number = long.sum(axis=1)
+        # Turned so that a lone halved edge comes first, and a lone whole one last.
+        turn = np.where(number == 1, long.argmax(axis=1), np.where(number == 2, (~long).argmax(axis=1) + 1, 0))
+        order = (turn[:, None] + np.arange(3)) % 3
+        (a, b, c), (m, n, o) = np.take_along_axis(self.faces, order, 1).T, np.take_along_axis(middle, order, 1).T
+        pieces = {
+            0: ((a, b, c),), 1: ((a, m, c), (m, b, c)), 2: ((m, b, n), (a, m, n), (a, n, c)),
+            3: ((a, m, o), (m, b, n), (o, n, c), (m, n, o)),
+        }  # fmt: skip
+        made = [(number == k, np.stack(piece, axis=1)) for k, several in pieces.items() for piece in several]
+        self.faces = np.concatenate([faces[chosen] for chosen, faces in made])
+        self.source = np.concatenate([self.source[chosen] for chosen, _ in made])
 
     def cut(self, field: Array, where: NDArray[np.bool_]) -> None:
         """Cut along field = 0 (field (V,) on the skin's vertices), in faces whose corners are all in `where` (V,)."""
@@ -145,6 +182,9 @@ def cut_skin() -> CutSkin:
     space = load_shape_space()
     value, hip = _fields()
     cutter = _Cutter(space.faces, space.vertex_count)
+    clothed = np.max([borders()[name] for name in ("jacket", "trousers")], axis=0) > -0.02
+    for _ in range(2):
+        cutter.refine(load_chart().rest, _LONGEST_EDGE_M, clothed)
     trunk, on_arm, on_leg = value["arm"] < 0.5, value["arm"] > 0.5, value["leg"] > 0.5
     cutter.cut(value["head"] - 0.5, np.ones_like(trunk))
     cutter.cut(value["neck"] - 0.5, np.ones_like(trunk))
@@ -158,6 +198,12 @@ def cut_skin() -> CutSkin:
     for low, _ in _LEG:
         cutter.cut(value["along_leg"] - low, on_leg)
     cutter.cut(value["leg"] - 0.5, (value["along_leg"] > 0) & (value["up"] < 0.2))
+    # A garment ends over a narrow strip of its own material.
+    edges = {name: field + HEM_M if name in TOP_ENDS or name in BOTTOM_ENDS else field for name, field in borders().items()}
+    for name, field in borders().items():
+        cutter.cut(field, np.ones_like(trunk))
+        if edges[name] is not field:
+            cutter.cut(edges[name], np.ones_like(trunk))
     count = space.vertex_count
     blend = cutter.every[count:].tocsr()
     dense = np.zeros((count, int(space.bone_index.max()) + 1))
@@ -173,4 +219,5 @@ def cut_skin() -> CutSkin:
         cutter.faces.astype(np.int32), cutter.source, blend.astype(np.float32),
         np.concatenate([space.bone_index, np.where(weight > 0, order, 0).astype(np.uint8)]),
         np.concatenate([space.bone_weight, weight.astype(np.float32)]), _labels(at, hip),
+        MappingProxyType({name: (cutter.every @ field)[cutter.faces].mean(axis=1) > 0 for name, field in edges.items()}),
     )  # fmt: skip

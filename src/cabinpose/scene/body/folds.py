@@ -1,0 +1,143 @@
+"""Folds of cloth: trains of waves where and as bodies make them, at rest.
+
+Compression wrinkles lie across (waist, elbow, hollow of the knee, trousers on the shoe), drag lines run out from the armpit
+and the crotch, cloth that hangs falls in folds along. Each train waves, and comes and goes over a hand's breadth or two.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cabinpose.scene.body.chart import Chart, load_chart
+from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
+from cabinpose.scene.body.parts import cut_skin
+
+Array = NDArray[np.float64]
+_SWAY_M, _PATCH_M = 0.16, 0.20  # wavelengths of the noise that bends a train, and of that which lets it come and go
+
+
+@njit(cache=True, nogil=True)
+def _fields(points: Array, waves: Array, phases: Array, out: Array) -> None:
+    """Sums of plane waves: waves (F, K, 3) rad/m, phases (F, K), out (N, F), about -1 .. 1."""
+    for f in range(len(waves)):
+        for v in range(len(points)):
+            total = 0.0
+            for k in range(waves.shape[1]):
+                total += np.sin(
+                    points[v, 0] * waves[f, k, 0] + points[v, 1] * waves[f, k, 1] + points[v, 2] * waves[f, k, 2] + phases[f, k]
+                )
+            out[v, f] = total / (0.5 * waves.shape[1])
+
+
+def smooth_noise(wavelengths: Array, where: NDArray[np.bool_], size: float, *, rng: np.random.Generator) -> Array:
+    """Band-limited noise (V + N, F), about -1 .. 1: one field for each of `wavelengths` (F,) m, at every seen vertex.
+
+    It is worked out on the skin's vertices `where` (V,), 0 elsewhere, and linear between: for wavelengths of several of
+    the skin's edges. size: of the person, of an average adult's.
+    """
+    direction = rng.standard_normal((len(wavelengths), 4, 3))
+    direction /= np.linalg.norm(direction, axis=2)[:, :, None]
+    length = wavelengths[:, None] * rng.uniform(0.8, 1.5, direction.shape[:2])
+    phases = rng.uniform(0, 2 * np.pi, length.shape)
+    own = np.zeros((len(where), len(wavelengths)))
+    values = np.empty((int(where.sum()), len(wavelengths)))
+    _fields(load_chart().rest[where] * size, direction * (2 * np.pi / length)[:, :, None], phases, values)
+    own[where] = values
+    return np.concatenate([own, cut_skin().blend @ own])
+
+
+@cache
+def seen_chart() -> Chart:
+    """The chart at every vertex that is seen (V + N,)."""
+    c, blend = load_chart(), cut_skin().blend.astype(np.float64)
+
+    def extended(values: Array) -> Array:
+        return np.concatenate([values, blend @ values])
+
+    return Chart(
+        extended(c.rest), extended(c.side), extended(c.arm), extended(c.leg), extended(c.neck), extended(c.head),
+        extended(c.along_arm), extended(c.along_leg), extended(c.up), c.heads,
+    )  # fmt: skip
+
+
+def around(points: Array, axis: Array) -> Array:
+    """Angle (N,) rad of points (N, 3) about an axis (direction (3,)) through the origin, 0 at the front."""
+    axis = axis / np.linalg.norm(axis)
+    front = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
+    front /= np.linalg.norm(front)
+    return np.asarray(np.arctan2(points @ np.cross(axis, front), points @ front))
+
+
+@cache
+def _mirrored() -> tuple[Array, Array, Array]:
+    """Points (N, 3) with all limbs on the left, and angles about the arm and the leg."""
+    c = seen_chart()
+    p = c.rest * np.where(c.rest[:, 1:2] < 0, (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))
+    shoulder, hip = c.heads["lupperarm01"], c.heads["lupperleg01"]
+    arm = np.where(c.along_arm < 1, around(p - shoulder, c.heads["llowerarm01"] - shoulder), 0.0)
+    lower = c.heads["llowerarm01"]
+    arm = np.where(c.along_arm < 1, arm, around(p - lower, c.heads["lwrist"] - lower))
+    return p, arm, around(p - hip, c.heads["lfoot"] - hip)
+
+
+@cache
+def _trains(*, top: bool) -> tuple[Array, Array]:
+    """Phase (T, N) rad and strength (T, N), 0 .. 1, of a top's or a bottom's trains."""
+    c, turn = seen_chart(), 2 * np.pi
+    p, about_arm, about_leg = _mirrored()
+    front = step(p[:, 0], 0.0, 0.12)
+    trunk = (1 - c.arm) * (1 - c.leg)
+    if top:
+        armpit = c.heads["lupperarm01"] - (0.0, 0.02, 0.07)
+        off = p - armpit
+        down = step(-c.up, -0.62, 0.35)
+        arm, trunk, inner = c.arm, 1 - c.arm, 0.6 + 0.4 * np.cos(about_arm)
+        made = [
+            (turn * (p[:, 2] + 0.15 * p[:, 1]) / 0.050, trunk * bump(c.up, 0.20, 0.15)),
+            (turn * (p[:, 2] - 0.6 * p[:, 1]) / 0.068, trunk * 0.7 * bump(c.up, 0.42, 0.16)),
+            (
+                13 * np.arctan2(off[:, 2], -off[:, 1]) + 2 * front,
+                bump(np.hypot(off[:, 1], off[:, 2]), 0.11, 0.07) * step(-off[:, 2], -0.04, 0.1),
+            ),
+            (14 * np.arctan2(c.rest[:, 1], c.rest[:, 0]), trunk * down * 0.9),
+            (turn * c.along_arm * ARM_M / 0.042 + 1.2 * np.sin(about_arm), arm * 0.7 * inner * bump(c.along_arm, 1.0, 0.25)),
+            (turn * c.along_arm * ARM_M / 0.060 + 3 * about_arm, arm * 0.5 * step(c.along_arm, 0.3, 0.4)),
+            (turn * c.along_arm * ARM_M / 0.040 + 2 * about_arm, arm * 0.5 * bump(c.along_arm, 1.78, 0.22)),
+        ]
+    else:
+        leg = np.maximum(c.leg, step(-c.up, -0.12, 0.15) * (1 - c.arm))
+        behind = 0.5 - 0.5 * np.cos(about_leg)
+        crotch = p - (0.03, 0.0, -0.09)
+        made = [
+            (11 * np.arctan2(crotch[:, 2], crotch[:, 1]), front * leg * bump(np.hypot(crotch[:, 1], crotch[:, 2]), 0.12, 0.07)),
+            (turn * (p[:, 2] - 0.5 * p[:, 1]) / 0.050, leg * 0.8 * bump(c.along_leg, 0.12, 0.16)),
+            (turn * c.along_leg * LEG_M / 0.075 + 3 * about_leg, leg * 0.6 * bump(c.along_leg, 0.5, 0.4)),
+            (turn * c.along_leg * LEG_M / 0.058 + about_leg, leg * (0.3 + 0.7 * behind) * bump(c.along_leg, 1.0, 0.18)),
+            (turn * c.along_leg * LEG_M / 0.085 + 2 * about_leg, leg * 0.7 * bump(c.along_leg, 1.45, 0.35)),
+            (turn * c.along_leg * LEG_M / 0.060 + 2 * about_leg, leg * bump(c.along_leg, 1.86, 0.15)),
+        ]
+    return np.array([phase for phase, _ in made]), np.array([strength for _, strength in made])
+
+
+def folds(where: NDArray[np.intp], worn: NDArray[np.bool_], seed: int, *, top: bool, size: float) -> Array:
+    """Height of the folds, 0 .. 0.8 about 0.4, of a top or a bottom at the seen vertices `where` (N,), fixed by the seed.
+
+    worn: (V,) the skin's vertices under it and next to it · size: stature over that of the average adult, for folds as
+    long on a child as on its parents.
+    """
+    rng = np.random.Generator(np.random.Philox(key=2 * seed + top))
+    phase, strength = _trains(top=top)
+    noise = smooth_noise(np.array([_SWAY_M] * 3 + [_PATCH_M] * len(phase)), worn, size, rng=rng)
+    sway, patch = noise[:, :3], noise[:, 3:]
+    length = size * rng.uniform(0.9, 1.15, len(phase))
+    start = rng.uniform(0, 2 * np.pi, len(phase))
+    height = np.zeros(len(noise))
+    for k in range(len(phase)):
+        v = where[strength[k, where] > 0.01]
+        wave = np.sin(phase[k, v] * length[k] + start[k] + 2.4 * sway[v, k % 3])
+        height[v] += strength[k, v] * step(patch[v, k], 0.05, 0.9) * wave
+    return np.asarray(0.4 + 0.4 * np.tanh(1.4 * height[where]))
