@@ -82,6 +82,7 @@ class Scene:
     """A valid scene. Its frame is the vehicle's, or the room's world frame.
 
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
+    cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
     proposals, rejections: how many poses were tried for it and why they failed (causes self, person, car, reach, camera).
     """
 
@@ -90,6 +91,9 @@ class Scene:
     world_from_camera: Matrix
     place: str
     pov: str
+    cabin: Cabin | None = None
+    settings: Mapping[str, SeatSetting] = field(default_factory=dict)
+    wheel_angle: float = 0.0
     proposals: int = 0
     rejections: Mapping[str, int] = field(default_factory=dict)
 
@@ -189,7 +193,8 @@ class SceneSampler:
             return None, proposals
         seated = [self._dressed(p, scene, cabin, settings, rng) for p in seated]
         backdrop = cabin.surface(settings, wheel_angle=wheel_angle)
-        return Scene(backdrop, tuple(seated), camera, _place_name(car), pov), proposals
+        valid = Scene(backdrop, tuple(seated), camera, _place_name(car), pov, cabin, settings, wheel_angle)
+        return valid, proposals
 
     def _pose(
         self,
