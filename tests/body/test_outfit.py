@@ -186,12 +186,12 @@ def test_folds_follow_their_seed() -> None:
 def test_tops_end_above_the_trousers() -> None:
     """At its hem a top stands off what the trousers alone would show."""
     body = BodyModel.load().person(Phenotype())
-    both, trousers = (layer(body.rest_skin, body.rest, Outfit(top=top), 1.0) for top in ("jumper", "none"))  # type: ignore[arg-type]
-    field = borders()["jumper"]
+    both, trousers = (layer(body.rest_skin, body.rest, Outfit(top=top), 1.0) for top in ("t_shirt", "none"))  # type: ignore[arg-type]
+    field = borders()["t_shirt"]
     hem = (field > 0) & (field < 0.02) & (load_chart().arm < 0.05) & (load_chart().up < 0.2)
     assert hem.sum() > 20
     off = np.linalg.norm(both.vertices - both.bare, axis=1) - np.linalg.norm(trousers.vertices - trousers.bare, axis=1)
-    assert np.median(off[: len(field)][hem]) > 0.006
+    assert np.percentile(off[: len(field)][hem], 20) > 0.003
 
 
 @pytest.mark.parametrize("name", ["beard", "scalp", "cap", "t_shirt"])
