@@ -34,8 +34,8 @@ def judge(task: tuple[str, int, list[int]]) -> list[dict[str, Any]]:
     for index in indices:
         scene = sampler.sample(index, rng=frame_rng(seed, index))
         occupants = [(p.slot, p.person, p.posed) for p in scene.people]
-        person = scene.people[0].person
-        topology = solid_topology(person.skin_faces, person.skin_segment, SEGMENTS)
+        first = scene.people[0]
+        topology = solid_topology(first.person.skin_faces, first.person.skin_segment, SEGMENTS, first.posed.skin)
         found = exact_penetrations(scene.cabin, occupants, topology, scene.settings, scene.wheel_angle)
         deepest: dict[str, float] = {}
         for p in found:
