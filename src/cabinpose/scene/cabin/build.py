@@ -100,7 +100,7 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         width = 2 * d.w20_mm / 1000 - 0.01 if d.seat_style == "bench" else None
         made, shape = seat_parts(
             slot, d.seat_style, cushion_angle=layout.cushion, seat_height=d.h30_mm / 1000, half_travel=d.h58_mm / 2000,
-            leather=d.leather, width=width,
+            leather=d.leather, width=width, armrests=(-1,) if side > 0.0 else (1,),  # the doors have their own
         )  # fmt: skip
         parts.extend(made)
         h = layout.h_front * (1.0, side, 1.0)
@@ -226,7 +226,8 @@ def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
             for side, sign in (("left", 1.0), ("right", -1.0)):
                 y = sign * (float(layout.half_width(h[0] + 0.12, h[2] + 0.2)) - 0.045)
                 targets[f"{row}armrest_{side}"] = np.array([h[0] + 0.10, y, h[2] + 0.205])
-                targets[f"{row}window_switch_{side}"] = np.array([h[0] + 0.24, y, h[2] + 0.235])
+                door = sign * (float(layout.half_width(h[0] + 0.34, h[2] + 0.25)) - 0.045)
+                targets[f"{row}window_switch_{side}"] = np.array([h[0] + 0.34, door, h[2] + 0.255])
         if d.console_style != "none":
             lid = {"low": 0.08, "tunnel": 0.14, "high": 0.18}[d.console_style]
             targets["console"] = np.array([front[0] + 0.02, 0.0, front[2] + lid])

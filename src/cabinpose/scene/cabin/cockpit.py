@@ -157,7 +157,7 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
     stalks = []
     for side in (-1, 1):
         root = start + 0.02 * axis
-        tip = root + np.array([0.0, side * 0.175, 0.012]) - 0.012 * axis
+        tip = root + np.array([0.0, side * 0.140, 0.008]) + 0.004 * axis
         stalks.append(tube([root + (0, side * 0.04, 0), 0.5 * (root + tip), tip], [0.008, 0.009, 0.0105], 6))
     parts.append(Part("steering column", to_surface(join([column, *stalks]), "trim", "hard_plastic")))
     return wheel, parts

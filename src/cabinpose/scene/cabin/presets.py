@@ -9,7 +9,7 @@ from cabinpose.scene.cabin.dimensions import CabinDimensions
 _ALL = (
     CabinDimensions(
         name="city_car", h30_mm=295, l53_mm=770, w20_mm=330, a40_deg=22, a27_deg=13, h61_mm=985, w3_mm=1290, l50_mm=740,
-        h30_2_mm=325, w20_2_mm=300, a40_2_deg=23, h61_2_mm=940, w3_2_mm=1270, rear_places=2, w9_mm=365, a18_deg=27,
+        h30_2_mm=325, w20_2_mm=290, a40_2_deg=23, h61_2_mm=940, w3_2_mm=1285, rear_places=2, w9_mm=365, a18_deg=27,
         l11_mm=370, h17_mm=680, clutch=True, h25_mm=430, a121_1_deg=55, a121_2_deg=28, a122_deg=14, header_mm=430, tail_mm=360,
         roof_drop_mm=35, b_pillar_mm=250, tunnel_mm=40, seat_style="compact", dash_style="simple", console_style="none",
         door_style="plain",
@@ -27,8 +27,8 @@ _ALL = (
         seat_style="comfort", dash_style="tier", console_style="tunnel", door_style="sweep", leather=True,
     ),
     CabinDimensions(
-        name="coupe", h30_mm=180, l53_mm=900, w20_mm=370, a40_deg=26, a27_deg=17, h61_mm=950, w3_mm=1390, l50_mm=730,
-        h30_2_mm=225, w20_2_mm=310, a40_2_deg=25, h61_2_mm=895, w3_2_mm=1290, rear_places=2, w9_mm=360, a18_deg=21,
+        name="coupe", h30_mm=180, l53_mm=900, w20_mm=370, a40_deg=26, a27_deg=17, h61_mm=950, w3_mm=1390, l50_mm=800,
+        h30_2_mm=235, w20_2_mm=310, a40_2_deg=25, h61_2_mm=905, w3_2_mm=1330, rear_places=2, w9_mm=360, a18_deg=21,
         l11_mm=440, h17_mm=610, clutch=True, h25_mm=480, a121_1_deg=64, a121_2_deg=73, a122_deg=24, header_mm=430, tail_mm=330,
         roof_drop_mm=95, b_pillar_mm=420, tunnel_mm=170, seat_style="sport", rear_style="plus2", dash_style="driver",
         console_style="high", door_style="sport", leather=True,

@@ -62,7 +62,7 @@ STYLES = {
     "plus2": SeatShape(width=0.47, bolster_cushion=0.030, bolster_back=0.040, insert=0.13, back_height=0.50, top_width=0.36,
                        front=0.33, back_depth=0.09, headrest="integral", head_height=0.09, headrest_width=0.25, shell="box"),
     "bench": SeatShape(width=0.48, bolster_cushion=0.012, bolster_back=0.020, insert=0.150, back_height=0.57, top_width=0.46,
-                       front=0.375, shell="box", lumbar=0.006, headrest_width=0.25),
+                       front=0.350, shell="box", lumbar=0.006, headrest_width=0.25),
 }  # fmt: skip
 
 
@@ -185,16 +185,16 @@ def _under(shape: SeatShape, angle: float, height: float, half_travel: float) ->
             return np.stack((x, side_y + y, np.maximum(z + top + 0.025 + np.tan(angle) * x, floor + 0.1 * z)), axis=-1)
 
         solids.append(shield.deformed(bend))
-        for x in (-0.13, 0.23):
+        for x in (-0.04, 0.23):  # behind the rear riser is room for the toes of those behind
             tall = max(top + 0.05 + np.tan(angle) * x - floor, 0.03)
             solids.append(block((0.06, 0.05, tall)).shifted(x, side * (shape.width / 2 - 0.07), floor + tall / 2))
     return solids
 
 
-def _armrests(shape: SeatShape) -> Solid:
-    """Folding armrests on both sides, in the seat frame: they stay level when the back reclines."""
+def _armrests(shape: SeatShape, sides: tuple[int, ...]) -> Solid:
+    """Folding armrests on these sides (+1 left), in the seat frame: they stay level when the back reclines."""
     arms = []
-    for side in (-1, 1):
+    for side in sides:
         pad = rounded_box((0.40, 0.055, 0.05), (0.03, 0.022, 0.022), (2, 1, 1), corner=1)
         arms.append(pad.shifted(-0.01, side * (shape.width / 2 + 0.030), 0.175))
     return join(arms)
@@ -203,11 +203,13 @@ def _armrests(shape: SeatShape) -> Solid:
 def seat_parts(
     slot: str, style: str, *, cushion_angle: float, seat_height: float, half_travel: float, leather: bool,
     width: float | None = None, sides: tuple[float, float] = (1.0, 1.0), headrest: str | None = None, fine: bool = True,
+    armrests: tuple[int, ...] = (),
 ) -> tuple[list[Part], SeatShape]:  # fmt: skip
     """The parts of one place to sit, and the shape they were made from.
 
     width: m, instead of the style's · sides: bolster factors of the left and right edge · headrest: instead of the
-    style's; "none" leaves it out · fine: more facets, for seats that a camera is close to.
+    style's; "none" leaves it out · fine: more facets, for seats that a camera is close to ·
+    armrests: the sides (+1 left) where the style's armrests are folded down.
     """
     shape = STYLES[style]
     changes: dict[str, object] = {}
@@ -238,6 +240,6 @@ def seat_parts(
         parts.append(Part(f"{slot} headrest", to_surface(pad, "seat", cover), rest, HEADREST_GIVE))
         if posts is not None:
             parts.append(Part(f"{slot} headrest posts", to_surface(posts, "seat", "metal"), rest))
-    if shape.armrests:
-        parts.append(Part(f"{slot} armrests", to_surface(_armrests(shape), "seat", cover), base, 0.01))
+    if shape.armrests and armrests:
+        parts.append(Part(f"{slot} armrests", to_surface(_armrests(shape, armrests), "seat", cover), base, 0.01))
     return parts, shape

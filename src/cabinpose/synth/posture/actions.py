@@ -33,7 +33,7 @@ class Gaze:
     tilt: float = 4.0  # sigma of the head's lateral tilt, deg
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Action:
     """One named action.
 
@@ -87,7 +87,7 @@ _ANYWHERE = (
     Action("look_around", "either", "either", Gaze((0.0, 45.0), (-3.0, 12.0))),
     Action(
         "look_back", "thigh", "thigh", Gaze((105.0, 12.0), (-8.0, 6.0), either_side=True),
-        trunk={"thorax.rotation": (24.0, 5.0), "lumbar.rotation": (7.0, 2.0), "lumbar.flexion": (2.0, 2.0)},
+        trunk={"thorax.rotation": (16.0, 5.0), "lumbar.rotation": (5.0, 2.0), "lumbar.flexion": (2.0, 2.0)},
     ),
     Action(
         "lean_forward", "thigh", "thigh", Gaze((0.0, 15.0), (-16.0, 9.0)),

@@ -18,20 +18,26 @@ from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.chain import Residual
 from cabinpose.synth.posture.limbs import LimbTask, frames, solve_leg
+from cabinpose.synth.posture.room import Room, foot_aside
 from cabinpose.synth.posture.seat_fit import SeatFit
 
 Array = NDArray[np.float64]
 
 GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
 _PEDAL_M = 0.006  # between sole and pad
-_ASIDE_M = {"accelerator": -0.018}  # clear of the brake, which stands proud of it
+_ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of it
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
 _STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.01])
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
 _SHIN_LEAN = math.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
-_SEAT_BASE_M = 0.18  # of a seat's base behind its H-point
+_SEAT_BASE_M = (
+    0.10,
+    0.20,
+)  # of what a front seat stands on behind its H-point: feet go under the rear of a high seat, not of a low one
+_HIGH_SEAT_M = 0.25  # of an H-point above the floor
+_FEET_CLOSER_M = 0.05  # a foot that is pushed further drives the other one before it
 _FOOT_SHARE = 0.155  # length of a shoe, of the stature
 _SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front seat) leaves no more
 _KNEES_OUT_M = 0.03  # feet from below the hips to the sides
@@ -78,12 +84,13 @@ def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, flo
 
 def on_floor(
     q: Array, person: Person, root: Matrix, side: int, seat: Seat, setting: SeatSetting, fit: SeatFit, plan: FootPlan,
-    *, room: float = math.inf,
-) -> Residual:  # fmt: skip
+    room: Room, *, ahead: float = math.inf,
+) -> tuple[Residual, float]:  # fmt: skip
     """Put a foot flat on the floor before the seat, in place of q, with the thigh on the cushion where the legs allow it.
 
     Where the shin is longer than the cushion is high the foot goes forward, up to a little past the seat's heel
-    point, and the knee rises; where it is shorter the foot hangs, and nothing is missed.
+    point, and the knee rises; where it is shorter the foot hangs, and nothing is missed. A foot in the tunnel or the door
+    moves aside. `ahead` is what toes have before they meet a seat's base (m). Returns the residual and the shift to the left (m).
     """
     s = 1.0 - 2.0 * side
     vehicle_from_seat = seat.vehicle_from_seat(setting)
@@ -97,7 +104,7 @@ def on_floor(
     floor = seat.floor_z - vehicle_from_seat[2, 3]
     drop = knee[2] - floor - ankle_height
     heel_x = float((seat_from_vehicle[:3, :3] @ (seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
-    reach = min(heel_x - _SHORT_OF_HEEL_M, room - _FOOT_SHARE * person.stature_m) - float(sole[0, 3])  # of the ankle
+    reach = min(heel_x - _SHORT_OF_HEEL_M, ahead - _FOOT_SHARE * person.stature_m) - float(sole[0, 3])  # of the ankle
     shin = lengths["shin"]
     if drop >= shin:  # the floor is out of reach
         ankle = knee + np.array([0.12 * shin + plan.forward, 0.0, -shin * 0.99])
@@ -110,31 +117,38 @@ def on_floor(
     rotation = Rotation.from_euler("ZY", [s * plan.toe_out, pitch])
     ankle[1] = s * (hip_half + _KNEES_OUT_M + plan.out)
     target = vehicle_from_seat @ transform(rotation, ankle + rotation.apply(sole[:3, 3]))
+    in_the_middle = abs(float(seat.design_h_point[1])) < 0.05  # feet stand on both sides of the tunnel
+    aside = 0.0 if in_the_middle else foot_aside(room, target, side)
+    target[1, 3] += aside
     rotations = np.array([0.06, 0.06, 0.04]) * fixed
     task = LimbTask(target, np.full(3, 4.0), rotations, _FREE_KNEE, _STIFFNESS)
     residual = solve_leg(q, person.rest, root, side, task)
     if drop >= shin:
-        return Residual(0.0, 0.0)
+        return Residual(0.0, 0.0), aside
     if frames(q, person.rest, root).soles[side][2, 0] < -0.01:  # the ankle gives no more: the heel lifts, not the toes sink
         rest, ball = _ball_frames(person.rest)
         task.target[:3, 3] += ball[side] * task.target[:3, 0]
         residual = solve_leg(q, rest, root, side, task)
-    return residual
+    return residual, aside
 
 
 def place_feet(
     q: Array, person: Person, root: Matrix, seat: Seat, setting: SeatSetting, fit: SeatFit, cabin: Cabin,
-    plans: tuple[FootPlan, FootPlan],
+    plans: tuple[FootPlan, FootPlan], room: Room,
 ) -> dict[str, float]:  # fmt: skip
     """Solve both legs in q, in place; returns what each foot misses its place by (m).
 
     Raises SceneError where a foot does not reach its pedal.
     """
-    missed = {}
-    for side, name in enumerate(("lfoot", "rfoot")):
-        plan = plans[side]
+    missed, pushed = {}, 0.0
+    towards_middle = 1.0 if seat.design_h_point[1] < 0.0 else -1.0
+    first = 0 if towards_middle * math.cos(seat.facing_yaw) > 0.0 else 1  # the inner foot makes room for the tunnel
+    for side in (first, 1 - first):
+        plan, name = plans[side], "lr"[side] + "foot"
         if plan.pedal is None:
-            residual = on_floor(q, person, root, side, seat, setting, fit, plan, room=_room_ahead(seat, cabin))
+            outer = max(-towards_middle * pushed - _FEET_CLOSER_M, 0.0)
+            plan = plan._replace(out=plan.out + outer)
+            residual, pushed = on_floor(q, person, root, side, seat, setting, fit, plan, room, ahead=_room_ahead(seat, cabin))
         else:
             residual = on_pedal(q, person, root, side, cabin.pedals[plan.pedal], seat.floor_z, _ASIDE_M.get(plan.pedal, 0.0))
             if residual.position > MISS_M:
@@ -151,7 +165,8 @@ def _room_ahead(seat: Seat, cabin: Cabin) -> float:
     """How far (m) toes may reach ahead of the H-point before they meet the base of the seat in front."""
     if not seat.slot.startswith("rear") or "driver" not in cabin.seats or cabin.seats["driver"].facing_yaw != seat.facing_yaw:
         return math.inf
-    return float(cabin.seats["driver"].design_h_point[0] - seat.design_h_point[0]) - _SEAT_BASE_M
+    front = cabin.seats["driver"].design_h_point
+    return float(front[0] - seat.design_h_point[0]) - _SEAT_BASE_M[0 if front[2] > _HIGH_SEAT_M else 1]
 
 
 def default_plans(seat: Seat, cabin: Cabin) -> tuple[FootPlan, FootPlan]:

@@ -24,7 +24,7 @@ SIDES = ("l", "r")
 LOWER = np.array([dof.lower for dof in DOFS])
 UPPER = np.array([dof.upper for dof in DOFS])
 
-_ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in SIDES)
+ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in SIDES)
 _LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in SIDES)
 _CLAVICLE = tuple(DOF_INDEX[s + "clavicle.elevation"] for s in SIDES)  # protraction follows
 _THORAX = BONE_INDEX["spine01"]
@@ -59,7 +59,7 @@ class Frames(NamedTuple):
 
 def arm_angles(q: Array, side: int) -> Array:
     """The seven angles of an arm (0 left, 1 right), a copy."""
-    return q[_ARM[side] : _ARM[side] + N_ARM].copy()
+    return q[ARM[side] : ARM[side] + N_ARM].copy()
 
 
 def frames(q: Array, rest: RestArrays, vehicle_from_root: Array) -> Frames:
@@ -116,7 +116,7 @@ def _arm_into(
     prior: Array, stiffness: Array, rotation: Array, position: Array,
 ) -> tuple[float, float]:  # fmt: skip
     """Bring one palm to its target, in place of q; q's clavicle is the start of the shoulder girdle."""
-    first, girdle = _ARM[side], _CLAVICLE[side]
+    first, girdle = ARM[side], _CLAVICLE[side]
     low, high = lower[first : first + N_ARM], upper[first : first + N_ARM]
     s = 1.0 - 2.0 * side
     upper_arm, forearm = rest.offsets[_FOREARM[side]], rest.offsets[_HAND[side]]

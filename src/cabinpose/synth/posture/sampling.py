@@ -27,10 +27,12 @@ from cabinpose.synth.posture.actions import (
     inboard_side,
     target_name,
 )
+from cabinpose.synth.posture.elbows import settle_arm
 from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, lean_to_reach, look_angles, turn_head
 from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, arm_angles, frames, solve_arm
 from cabinpose.synth.posture.motion import upper_body_onto
+from cabinpose.synth.posture.room import Room, room_for, shoulder_aside
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
@@ -43,6 +45,7 @@ _GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ea
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _GRIP_SIGMA = 0.025
+_LOINS_TO_SHOULDER_M = 0.40
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
 _LAP_GAP_M, _DOOR_GAP_M, _BEHIND_M = 0.04, 0.09, 0.05  # of a recording's hands: over the thighs, from the door, before the hips
@@ -87,6 +90,7 @@ class _Situation:
     wheel: SteeringWheel | None
     wheel_angle: float
     comfort: Array  # (2, 7) what each arm's prior departs by, rad
+    room: Room
 
     @property
     def up(self) -> Array:
@@ -139,13 +143,14 @@ def sample_pose(
     turned = float(np.clip(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA), -_WHEEL_LIMIT, _WHEEL_LIMIT))
     root = seat.vehicle_from_seat(setting) @ fit.seat_from_root @ transform(Rotation.from_euler("y", _draw(chosen.pelvis, rng)))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
-    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort)
+    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room_for(person, fit, cabin, seat, setting))
 
     side_sign = _busy_side(chosen, inboard, rng)  # + left
     q = fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)
+    _shoulders_inside(q, s)
     missed = {"h_point": fit.h_offset_m}
-    missed |= place_feet(q, person, root, seat, setting, fit, cabin, _foot_plans(seat, cabin, rng))
+    missed |= place_feet(q, person, root, seat, setting, fit, cabin, _foot_plans(seat, cabin, rng), s.room)
     for side, hand in enumerate(hands):
         if hand.place == "reach" and hand.point is not None:
             _lean(q, s, side, hand.point)
@@ -227,6 +232,17 @@ def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Gener
         q[d] = np.clip(q[d] + value, LOWER[d], UPPER[d])
 
 
+def _shoulders_inside(q: Array, s: _Situation) -> None:
+    """Bend the loins away from a door or pillar that a shoulder would go into."""
+    d = DOF_INDEX["lumbar.lateral"]
+    for _ in range(3):
+        skeleton = frames(q, s.person.rest, s.root)
+        depth = shoulder_aside(s.room, skeleton.position) * math.cos(s.seat.facing_yaw)
+        if abs(depth) < 1e-3:
+            return
+        q[d] = np.clip(q[d] - depth / _LOINS_TO_SHOULDER_M, LOWER[d], UPPER[d])
+
+
 def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
     """Feet that differ from frame to frame: another pedal, a foot drawn back or put forward, knees apart."""
     plans = list(default_plans(seat, cabin))
@@ -294,9 +310,9 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         beside = _BESIDE_DOOR_M * np.array([0.0, math.copysign(1.0, inward[1]), 0.0])
         return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up)
     if hand.place == "ear":
-        return at.at_ear(s.person, skeleton, side)
+        return at.at_ear(s.person, skeleton, side, gap=0.048)
     if hand.place == "chest":
-        return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.12 + 0.03 * c)
+        return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.07 + 0.03 * c)
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
     if hand.place == "reach" and hand.point is not None:
@@ -317,6 +333,11 @@ def _solve_hands(q: Array, s: _Situation, hands: tuple[_Hand, _Hand], action: Ac
         task = task._replace(prior=prior)
         name = "lr"[side] + "hand"
         missed[name] = solve_arm(q, s.person.rest, s.root, side, task).position
+        held = hand.place == "wheel"
+        settled = settle_arm(
+            q, s.person.rest, s.root, side, task, s.room, moves=not held, upwards=hand.place in ("armrest", "reach", "chest")
+        )
+        missed[name] = max(missed[name], settled.position) if held else missed[name]
         if missed[name] > (HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M):
             raise unreachable(s.person, s.seat, s.cabin, name, f"place of the action '{action.name}'", missed[name])
     return missed

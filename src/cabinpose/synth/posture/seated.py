@@ -17,6 +17,7 @@ from cabinpose.synth.posture.feet import default_plans, place_feet
 from cabinpose.synth.posture.gaze import head_rotation, turn_head
 from cabinpose.synth.posture.hands import on_rim, on_thigh, rim_grip
 from cabinpose.synth.posture.limbs import frames, solve_arm
+from cabinpose.synth.posture.room import room_for
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 
 Array = NDArray[np.float64]
@@ -58,8 +59,9 @@ def solve_posture(
     fit = fit_seat(person, seat, setting.torso_angle)
     root = seat.vehicle_from_seat(setting) @ fit.seat_from_root
     q = fit.q.copy()
+    room = room_for(person, fit, cabin, seat, setting)
     missed = {"h_point": fit.h_offset_m}
-    missed |= place_feet(q, person, root, seat, setting, fit, cabin, default_plans(seat, cabin))
+    missed |= place_feet(q, person, root, seat, setting, fit, cabin, default_plans(seat, cabin), room)
     turn_head(q, person.rest, root, head_rotation(seat.facing_yaw, _LEVEL_PITCH))
     for side, name in enumerate(("lhand", "rhand")):
         grip = REST_GRIP

@@ -20,7 +20,7 @@ _VIOLATION = 1e3  # cost of a squared radian beyond a limit, against 1 for one o
 
 
 @njit(cache=True, nogil=True)
-def _euler(r: Array, axes: Array, near: Array, out: Array) -> None:
+def euler_near(r: Array, axes: Array, near: Array, out: Array) -> None:
     """Angles (3,) of a rotation about three mutually orthogonal axes in turn, r = R(a0) R(a1) R(a2), into `out`.
 
     In the frame of the axes this is the x-y-z sequence, mirrored where the axes are left-handed. Of the two solutions
@@ -136,14 +136,14 @@ def seed_limb(
     for k in range(swivels):
         hinge_rotation(aim, 2.0 * math.pi * k / swivels, swivel)
         rotation = swivel @ first
-        _euler(rotation, axes[ball : ball + 3], prior[ball : ball + 3], angles)
+        euler_near(rotation, axes[ball : ball + 3], prior[ball : ball + 3], angles)
         trial[ball : ball + 3] = angles
         if full_wrist:
             upper_bone = base @ rotation
             lower_bone = upper_bone @ elbow_rotation @ turn
             rest = (lower_bone @ np.ascontiguousarray(fixed[hinge + 1][:3, :3])).T @ wanted
             rest = rest @ np.ascontiguousarray(fixed[n][:3, :3]).T
-            _euler(rest, axes[hinge + 1 : n], prior[hinge + 1 : n], wrist_angles)
+            euler_near(rest, axes[hinge + 1 : n], prior[hinge + 1 : n], wrist_angles)
             trial[hinge + 1 : n] = wrist_angles
         cost = 0.0
         for i in range(ball, n):
