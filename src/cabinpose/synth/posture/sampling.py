@@ -45,6 +45,7 @@ _GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ea
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _GRIP_SIGMA = 0.025
+_LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
 _LOINS_TO_SHOULDER_M = 0.40
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
@@ -159,7 +160,7 @@ def sample_pose(
     for side, hand in enumerate(hands):
         grip = _GRIP[hand.place]
         if wheel is not None and hand.place == "wheel":
-            grip = at.rim_grip(person, wheel.rim_section_m).grip - _GRIP_SIGMA
+            grip = at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
         q[DOF_INDEX["lr"[side] + "hand.grip"]] = float(np.clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0))
     if isinstance(profile, MocapProfile):
         q = upper_body_onto(q, profile, index)
