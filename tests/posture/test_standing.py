@@ -126,7 +126,7 @@ def test_mocap_on_a_seat_and_in_a_room(real_data: Callable[[str], Path]) -> None
     assert recorded_count(profile) == pytest.approx(994 / 4, abs=1)
     cabin = build_cabin("sedan")
     seat = cabin.seats["rear_right"]
-    setting = choose_setting(person, seat, cabin)
+    setting = choose_setting(person, seat, cabin, rng=None)
     seated, standing = [], []
     for i in range(0, 240, 20):
         pose = sample_pose(person, seat, setting, cabin, "rest_lap", profile, index=i, rng=np.random.default_rng(0))

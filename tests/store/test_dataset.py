@@ -253,14 +253,18 @@ def test_skipped_frames_leave_gaps_in_the_index(spheres: ModuleType, tmp_path: P
         np.testing.assert_array_equal(dataset.sel(frame=index).joints_2d.values, np.float32(want["joints_2d"]))
 
 
+def skip(folder: Path, manifest: Manifest, count: int) -> None:
+    """Skips `count` frames of the first part."""
+    with PartWriter(folder, manifest.parts[0], manifest) as part:
+        for _ in range(count):
+            part.skip()
+
+
 def test_a_part_of_skipped_frames_alone_is_refused(spheres: ModuleType, tmp_path: Path) -> None:
     manifest = spheres.manifest()
     with create_dataset(tmp_path / "none", manifest) as writer:
-        plan = writer.missing()[0]
-        with pytest.raises(DatasetError, match="every frame"), PartWriter(writer.folder, plan, manifest) as part:
-            for _ in range(plan.frames):
-                part.skip()
-        with pytest.raises(DatasetError, match="not more"), PartWriter(writer.folder, plan, manifest) as part:
-            for _ in range(plan.frames + 1):
-                part.skip()
+        with pytest.raises(DatasetError, match="every frame"):
+            skip(writer.folder, manifest, manifest.parts[0].frames)
+        with pytest.raises(DatasetError, match="not more"):
+            skip(writer.folder, manifest, manifest.parts[0].frames + 1)
     assert not list((tmp_path / "none").glob("*part*"))

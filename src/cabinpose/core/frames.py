@@ -35,6 +35,12 @@ def invert(a_from_b: Matrix) -> Matrix:
     return result
 
 
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The cross product of two vectors (3,): a tenth of the time of `numpy.cross`, which is made for stacks of them."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
+
+
 def apply(a_from_b: Matrix, p_b: ArrayLike) -> NDArray[np.float64]:
     """Points (..., 3) of frame b, expressed in frame a."""
     p = np.asarray(p_b, dtype=np.float64)

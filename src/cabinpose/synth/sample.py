@@ -97,6 +97,11 @@ class Scene:
     proposals: int = 0
     rejections: Mapping[str, int] = field(default_factory=dict)
 
+    @property
+    def closed(self) -> bool:
+        """Whether every part is closed, as people and the presets' parts are; a user's own mesh may be open."""
+        return self.cabin is not None and all(part.solid for part in self.cabin.parts)
+
     def surface(self) -> Surface:
         """Everything that can be seen, in the scene's frame."""
         return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces)])
@@ -215,14 +220,14 @@ class SceneSampler:
         """The view's name and `vehicle_from_camera`, jittered."""
         camera = self._config.camera
         name = _weighted({n: 1.0 if isinstance(v, CameraPose) else v for n, v in camera.views.items()}, rng)
+        jitter = {"translation_jitter": camera.jitter_m, "rotation_jitter": np.radians(camera.jitter_deg)}
         own = camera.views[name]
         if isinstance(own, CameraPose):
             upright = place_camera(own.position_m, own.look_at_m, rng=rng)
             rolled = upright @ transform(Rotation.from_euler("z", own.roll_deg, degrees=True))
-        else:
-            view = cabin.view(name)
-            rolled = place_camera(view.eye, view.target, rng=rng)
-        return name, jittered(rolled, translation_jitter=camera.jitter_m, rotation_jitter=np.radians(camera.jitter_deg), rng=rng)
+            return name, jittered(rolled, **jitter, rng=rng)
+        view = cabin.view(name)
+        return name, place_camera(view.eye, view.target, **jitter, rng=rng)
 
     def _dressed(
         self, person: ScenePerson, scene: CabinScene, cabin: Cabin, settings: Mapping[str, SeatSetting], rng: np.random.Generator

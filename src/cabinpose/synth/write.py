@@ -65,7 +65,7 @@ class FrameMaker:
             surface = scene.surface()
         camera_from_world = invert(scene.world_from_camera)
         with self.stage("render"):
-            rendered = self._rasteriser.render(surface, camera_from_world)
+            rendered = self._rasteriser.render(surface, camera_from_world, closed=scene.closed)
         with self.stage("sensor"):
             seen = simulate(rendered.buffers, self._sensor, self._config.noise, rng=rng)
         with self.stage("joints"):

@@ -25,7 +25,7 @@ _SNAP = 0.15  # a border that passes this near to a vertex (share of an edge) go
 # Borders, in the units of the chart: along the arm and the leg, up the trunk, and shares.
 _ARM = ((0.36, "upper_arm"), (0.84, "elbow"), (1.15, "forearm"), (1.86, "wrist"), (2.12, "hand"))
 _LEG = ((0.22, "thigh"), (0.85, "knee"), (1.15, "shin"), (1.85, "ankle"), (2.25, "foot"))
-_LONGEST_EDGE_M = 0.024  # on the clothed body of the average adult: folds are two to four edges long
+_LONGEST_EDGE_M = 0.036  # on the clothed body of the average adult: folds are two to four edges long
 _WAIST, _HIP_CENTRE, _SHOULDER_Y, _SHOULDER_REACH = 0.16, 0.55, 0.84, 0.45
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import ConfigError
+from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.cabin.model import Cabin, Seat, SeatSetting, Vector
 from cabinpose.scene.labels import ID as LABEL
@@ -71,7 +72,7 @@ def belt_surface(
     up = at["chest"] - pelvis
     up = up / np.linalg.norm(up)
     across = at["lpelvis"] - at["rpelvis"]
-    ahead = np.cross(across, up)
+    ahead = cross(across, up)
     ahead = ahead / np.linalg.norm(ahead)
     size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
     near = min(("lshoulder", "rshoulder"), key=lambda name: float(np.linalg.norm(at[name] - anchors.upper)))
@@ -85,7 +86,7 @@ def belt_surface(
         (anchors.upper, collar, anchors.buckle, 0.4 * ahead + 0.6 * frame[:, 0]),
         (anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up),
     )
-    return merge([_ribbon(vertices, faces, bones, *r, gap_m) for r in ribbons])
+    return merge([_ribbon(vertices, faces, bones, start, by, end, front, gap_m) for start, by, end, front in ribbons])
 
 
 def _ribbon(
@@ -96,7 +97,7 @@ def _ribbon(
     x = (end - start) / np.linalg.norm(end - start)
     y = (through - start) - x * float((through - start) @ x)
     y = y / np.linalg.norm(y)
-    normal = np.cross(x, y)
+    normal = cross(x, y)
     toward = np.array([front @ x, front @ y])
     axes = np.stack((x, y, normal))
     goal = np.array([float((end - start) @ x), 0.0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -100,9 +101,15 @@ class Seat:
 
     def vehicle_from_seat(self, setting: SeatSetting) -> Matrix:
         """Origin in the H-point, x the seat's forward, z up (not reclined)."""
+        matrix = self._facing.copy()
+        matrix[:3, 3] = self.design_h_point + matrix[:3, 0] * setting.fore_aft_m + (0.0, 0.0, setting.height_m)
+        return matrix
+
+    @cached_property
+    def _facing(self) -> Matrix:
+        """The seat's turn, about the vehicle's origin."""
         matrix = np.eye(4)
         matrix[:3, :3] = np.round(axis_rotation("z", self.facing_yaw), 15)
-        matrix[:3, 3] = self.design_h_point + matrix[:3, 0] * setting.fore_aft_m + (0.0, 0.0, setting.height_m)
         return matrix
 
     def vehicle_from_back(self, setting: SeatSetting) -> Matrix:

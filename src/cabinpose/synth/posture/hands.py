@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, cross
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.limbs import LOWER, Frames, LimbTask, frames
@@ -58,9 +57,11 @@ def elbow_room(person: Person) -> float:
 def palm_frame(origin: Array, normal: Array, fingers: Array) -> Matrix:
     """A palm at `origin` whose z is `normal` and whose x lies as near to `fingers` as that allows ((3,) each)."""
     z = normal / np.linalg.norm(normal)
-    y = np.cross(z, fingers)
+    y = cross(z, fingers)
     y = y / np.linalg.norm(y)
-    return transform(Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)), origin)
+    palm = np.eye(4)
+    palm[:3, 0], palm[:3, 1], palm[:3, 2], palm[:3, 3] = cross(y, z), y, z, origin
+    return palm
 
 
 class RimGrip(NamedTuple):
@@ -103,7 +104,7 @@ def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5)
     inward = wheel.vehicle_from_wheel[:3, 3] - point
     inward = inward / np.linalg.norm(inward)
     normal = np.cos(lean) * inward - np.sin(lean) * axis
-    fingers = np.cross(-tangent, normal)
+    fingers = cross(-tangent, normal)
     target = palm_frame(point - hold.off * normal - hold.along * fingers, normal, fingers)
     return LimbTask(target, _FIRM, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
 

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cabinpose.core.frames import invert
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Part, Seat, SeatSetting
@@ -213,10 +214,10 @@ def room_for(person: Person, fit: SeatFit, cabin: Cabin, seat: Seat, setting: Se
         start = low if abs(seat.facing_yaw) < 1e-6 else np.array([-_BOX_M[1], _BOX_M[2]])
         sides, middle = np.stack((fixed, turned)), np.array([h[1], place[1]])
         corner = np.stack((corner[0], place[[0, 2]] + start))
-    back = _backrest(cabin, seat.slot), np.linalg.inv(seat.vehicle_from_back(setting))
+    back, back_from_vehicle = _backrest(cabin, seat.slot), invert(seat.vehicle_from_back(setting))
     tube, trunk_x, pelvis, thigh, radii, hands, shoe = _own(person, fit)
     femur = person.segment_lengths["thigh"]
-    return Room(sides, middle, corner, *back, tube, trunk_x, pelvis, thigh, femur, radii, hands, shoe)
+    return Room(sides, middle, corner, back, back_from_vehicle, tube, trunk_x, pelvis, thigh, femur, radii, hands, shoe)
 
 
 @njit(cache=True, nogil=True)

@@ -29,7 +29,7 @@ _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m
 
 
 def choose_setting(
-    person: Person, seat: Seat, cabin: Cabin, *, rng: np.random.Generator | None = None, variation: float = 0.0
+    person: Person, seat: Seat, cabin: Cabin, *, rng: np.random.Generator | None, variation: float = 0.0
 ) -> SeatSetting:
     """The setting at which this person would sit here: deterministic, or spread by `variation` (1: as people differ).
 

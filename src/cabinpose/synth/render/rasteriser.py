@@ -62,6 +62,7 @@ class Rasteriser:
         self._tiles = np.empty((-(-camera.height // TILE_ROWS), -(-camera.width // TILE_COLUMNS)), np.float32)
         self._see_through = np.zeros(256, np.uint8)
         self._see_through[list(see_through)] = 1
+        self._see_through[MATERIAL["belt_webbing"]] |= 2  # a ribbon that twists shows its back
         shape = (fine.height, fine.width)
         self._buffers = GeometryBuffers(
             supersample, np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8)
@@ -70,8 +71,12 @@ class Rasteriser:
         self._vertices = _VertexMemory.of(0)
         self._faces = _FaceMemory.of(0)
 
-    def render(self, surface: Surface, camera_from_vehicle: Matrix) -> RenderedFrame:
-        """The view of a surface given in the vehicle frame."""
+    def render(self, surface: Surface, camera_from_vehicle: Matrix, *, closed: bool = False) -> RenderedFrame:
+        """The view of a surface given in the vehicle frame.
+
+        closed: all its parts are closed and the camera is in none of them, so that faces turned away are never seen and
+        need not be drawn.
+        """
         if len(surface.vertices) > len(self._vertices.outside):
             self._vertices = _VertexMemory.of(max(len(surface.vertices), len(self._vertices.outside) * 3 // 2))
         if len(surface.faces) > len(self._faces.shaded):
@@ -86,7 +91,9 @@ class Rasteriser:
         memory = self._faces
         work = Work(memory.candidate, memory.bucket, memory.order, memory.bounds, self._tiles)
         hidden = self._see_through[surface.material]
-        rasterise(p_camera, projected, outside, faces, hidden, self.supersample, self._lens, self._sub, self._centre, work)
+        rasterise(
+            p_camera, projected, outside, faces, hidden, self.supersample, self._lens, self._sub, self._centre, work, closed
+        )
         shade(
             self._sub, p_camera, surface.normals, matrix[:3, :3], faces, surface.material, memory.coefficients, memory.shaded,
             self._frame, self._buffers.depth_m, self._buffers.cos_incidence, self._buffers.material,

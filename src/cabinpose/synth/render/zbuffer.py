@@ -211,12 +211,13 @@ def _behind(nearest_w: float, left: float, top: float, right: float, bottom: flo
 @njit(cache=True, nogil=True, error_model="numpy")
 def rasterise(
     p_camera: F32, projected: F32, outside: U8, faces: U32, hidden: U8, s: int, lens: Lens, sub: Lattice, centre: Lattice,
-    work: Work,
+    work: Work, closed: bool,
 ) -> None:  # fmt: skip
     """Nearest face and its 1/z on both lattices.
 
-    p_camera (V, 3), projected (V, 5), outside (V,): of `to_camera` and `project` · faces: (F, 3) · hidden: (F,) faces that the
-    sub-pixels look through · s: supersampling · sub, centre: updated.
+    p_camera (V, 3), projected (V, 5), outside (V,): of `to_camera` and `project` · faces: (F, 3) · hidden: (F,) bit 1: the
+    sub-pixels look through it, bit 2: it has two sides · s: supersampling · sub, centre: updated · closed: faces with one
+    side that are turned away can be left out.
     """
     # Arrays are taken out of their tuples once: each access to a member of a tuple counts a reference, atomically.
     fine, coarse = sub.samples, centre.samples
@@ -239,7 +240,7 @@ def rasterise(
         if crossed & fold:
             for k in range(3):
                 corners[0, k], corners[1, k], corners[2, k] = p_camera[i0, k], p_camera[i1, k], p_camera[i2, k]
-            _draw_clipped(f, corners, scratch, hull, sides, crossed, hidden[f] != 0, lens, sub, centre)
+            _draw_clipped(f, corners, scratch, hull, sides, crossed, (hidden[f] & 1) != 0, lens, sub, centre)
             continue
         x0, y0, x1, y1 = projected[i0, 0], projected[i0, 1], projected[i1, 0], projected[i1, 1]
         x2, y2 = projected[i2, 0], projected[i2, 1]
@@ -258,6 +259,8 @@ def rasterise(
         w = max(projected[i0, 2], projected[i1, 2], projected[i2, 2])
         bucket = min(int(_PER_METRE / w), _BUCKETS - 1)
         if (x1 - x0) * (y2 - y0) > (x2 - x0) * (y1 - y0):  # turned away: y points down, and outside is counter-clockwise
+            if closed and not hidden[f] & 2:
+                continue
             bucket += _BUCKETS
         bounds[f, 0], bounds[f, 1], bounds[f, 2], bounds[f, 3], bounds[f, 4] = left, top, right, bottom, margin
         candidate[n], buckets[n] = f, bucket
@@ -302,7 +305,7 @@ def rasterise(
         if wide:
             hull[0, 0], hull[1, 0], hull[2, 0] = projected[i0, 3], projected[i1, 3], projected[i2, 3]
             hull[0, 1], hull[1, 1], hull[2, 1] = projected[i0, 4], projected[i1, 4], projected[i2, 4]
-        if c0 <= c1 and hidden[f] == 0:
+        if c0 <= c1 and (hidden[f] & 1) == 0:
             if wide:
                 _cover_rows(face, edges, plane, r0, r1, margin, hull, 3, sides, 0.0, 1.0, sub_width, sub_blocks, fine)
             else:
