@@ -52,7 +52,7 @@ def test_a_small_bench_has_every_figure(tmp_path: Path) -> None:
     assert result["ratio_to_blender"] is None
     assert result["blender"]["reason"] == "not asked for"
     assert result["rss_growth"] is not None
-    assert result["memory"]["peak_mb"] < 1000
+    assert 100 < result["rss_worker_mb"] < 1500  # the limit of 1 GB is the bench's to show: here the frames are few
     assert len(said) == 3
 
 

@@ -101,6 +101,10 @@ class Tally:
             self.seconds[stage] += spent
 
 
+# People share the faces of their model: one cut serves them all, in every cabin. Known by the array itself, which is kept.
+_TOPOLOGIES: dict[int, tuple[NDArray[np.int32], SolidTopology]] = {}
+
+
 class Validator:
     """Judges scenes in one cabin (or room). Holds the cabin's fields and the tally of what it judged."""
 
@@ -108,7 +112,6 @@ class Validator:
         """Builds the cabin's fields, or takes those given; without a cabin only the bodies are tested."""
         self.contact = contact if contact is not None or cabin is None else ContactField(cabin)
         self.tally = Tally()
-        self._topologies: dict[int, tuple[NDArray[np.int32], SolidTopology]] = {}
 
     def check(
         self,
@@ -178,11 +181,10 @@ class Validator:
         return None
 
     def _topology(self, person: Skinned, posed: Posed) -> SolidTopology:
-        # People share the faces of their model: one cut serves them all, known by the array itself.
-        known = self._topologies.get(id(person.skin_faces))
+        known = _TOPOLOGIES.get(id(person.skin_faces))
         if known is None:
             topology = solid_topology(person.skin_faces, person.skin_segment, SEGMENTS, posed.skin)
-            known = self._topologies[id(person.skin_faces)] = (person.skin_faces, topology)
+            known = _TOPOLOGIES[id(person.skin_faces)] = (person.skin_faces, topology)
         return known[1]
 
     def _lap(self, stage: str, since: float) -> float:
