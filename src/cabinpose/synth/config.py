@@ -137,8 +137,6 @@ class CabinScene(Model):
     seat_variation: float = Field(
         1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
     )
-    person_jitter_m: float = Field(0.01, ge=0.0, le=0.1, description="Standard deviation of where a person sits, sideways.")
-    person_jitter_deg: float = Field(3.0, ge=0.0, le=30.0, description="Standard deviation of a person's turn on the seat.")
     belted: Probability = Field(0.9, description="Share of occupants who wear the seat belt.")
 
     @model_validator(mode="after")
