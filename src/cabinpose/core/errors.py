@@ -37,6 +37,14 @@ class DatasetError(CabinposeError):
     """A dataset folder is damaged, incomplete, of another version or would be overwritten."""
 
 
+class PredictionsError(CabinposeError):
+    """A predictions file cannot be read, or does not fit the dataset that it is held against."""
+
+
+class ModelError(CabinposeError):
+    """A model file is missing, damaged, or of another method or network."""
+
+
 class DependencyError(CabinposeError):
     """An optional dependency (an extra) is needed and not installed."""
 

@@ -1,0 +1,54 @@
+"""Intervals by the bootstrap: frames are drawn with replacement, as many as there are (Efron and Tibshirani 1993, ch. 6, 13).
+
+Frames of one sequence resemble each other, so that intervals over few long sequences are too narrow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Weights = NDArray[np.uint8]  # (B, F): how often each frame was drawn in each of B resamples
+
+LEVEL = 0.95
+_BLOCK = 4096  # frames at a time, so that weights are floats only block by block
+
+
+def frame_weights(frames: int, resamples: int, *, rng: np.random.Generator) -> Weights:
+    """(B, F) how often each of `frames` frames is drawn in each of `resamples` resamples."""
+    weights = np.empty((resamples, frames), np.uint8)
+    for row in weights:
+        row[:] = np.bincount(rng.integers(frames, size=frames), minlength=frames)
+    return weights
+
+
+def weighted_sums(weights: Weights, per_frame: Array) -> Array:
+    """(B, J) sums of per-frame values (F, J) over each resample."""
+    sums = np.zeros((len(weights), per_frame.shape[1]))
+    for start in range(0, len(per_frame), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        sums += weights[:, block].astype(np.float64) @ per_frame[block]
+    return sums
+
+
+def weighted_quantiles(values: Array, at: NDArray[np.int64], weights: Weights, shares: Array) -> Array:
+    """(B, Q) quantiles of values (n,) of the frames `at` (n,), each as often as its frame was drawn; NaN without values."""
+    order = np.argsort(values, kind="stable")
+    ordered, frames = values[order], at[order]
+    result = np.full((len(weights), len(shares)), np.nan)
+    for row, weight in zip(result, weights, strict=True):
+        mass = np.cumsum(weight[frames], dtype=np.int64)
+        if mass.size and mass[-1]:
+            row[:] = ordered[np.searchsorted(mass, shares * mass[-1], side="left").clip(0, len(ordered) - 1)]
+    return result
+
+
+def interval(resampled: Array) -> tuple[Array, Array]:
+    """The percentile interval over the first axis, ignoring resamples without a value; NaN where none has one."""
+    known = np.isfinite(resampled).any(axis=0)
+    low, high = np.full(known.shape, np.nan), np.full(known.shape, np.nan)
+    if len(resampled) and known.any():
+        tails = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+        low[known], high[known] = np.nanquantile(resampled[:, known], tails, axis=0)
+    return low, high

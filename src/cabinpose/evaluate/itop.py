@@ -1,0 +1,77 @@
+"""ITOP's protocol: the 15 joints of every valid frame, the share within 10 cm, and the mean error.
+
+What the literature calls "mAP at 10 cm" is the share of all joints of valid frames within 10 cm: a PCK. Nothing of
+the truth goes into a prediction here: no true body centre, no true depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import PredictionsError
+from cabinpose.core.ports import PoseBatch
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.evaluate.errors import finite
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.evaluate.report import Report, make_report
+from cabinpose.evaluate.samples import TruthChunk, collect
+from cabinpose.evaluate.skeletons import evaluated_skeleton
+from cabinpose.store.itop import ItopReference, project
+
+
+def evaluate_itop(
+    reference: ItopReference,
+    joints_3d: NDArray[np.floating],
+    options: EvaluationOptions,
+    *,
+    joints_2d: NDArray[np.floating] | None = None,
+    model: str = "",
+    name: str = "ITOP",
+) -> Report:
+    """The report of predictions joints_3d (F, 15, 3) m in our camera frame, NaN where a joint was not found.
+
+    joints_2d: (F, 15, 2) px in ITOP's 320x240 frame; projected from joints_3d where left out. Frames that are not valid
+    are left out and counted in the notes. Every joint of a valid frame counts: ITOP labels hidden ones too.
+    """
+    if joints_3d.shape != reference.joints_3d.shape:
+        raise PredictionsError(
+            f"predictions of the shape {joints_3d.shape} for a reference of {reference.joints_3d.shape}",
+            hint="give 15 joints of 3 coordinates for every frame of the reference, in its order",
+        )
+    valid = reference.valid
+    true, predicted = reference.joints_3d[valid], joints_3d[valid].astype(np.float64)
+    predicted_2d = project(predicted) if joints_2d is None else joints_2d[valid]
+    found = finite(predicted)[:, None].astype(np.float32)
+    shape = (len(true), 1, len(ITOP_JOINTS))
+    truth = TruthChunk(
+        reference.frame[valid],
+        project(true)[:, None].astype(np.float32),
+        true[:, None].astype(np.float32),
+        np.full(shape, Visibility.VISIBLE, np.uint8),
+        np.arange(len(true)),  # valid frames are no unbroken sequence: no jitter
+    )
+    batch = PoseBatch(predicted_2d[:, None].astype(np.float32), predicted[:, None].astype(np.float32), found, found)
+    person = ("person",)
+    samples = collect([(truth, batch)], evaluated_skeleton(ITOP_JOINTS), person, person, replace(options, match="slot"))
+    notes = (f"{int(valid.sum())} valid of {len(valid)} frames; all 15 joints of each count, hidden ones too",)
+    return make_report(samples, options, model, name, notes)
+
+
+def itop_summary(report: Report) -> dict[str, float | int]:
+    """The numbers that the literature compares: per cent of all joints, cm, px."""
+
+    def number(metric: str, space: str, threshold: float | None = None) -> float:
+        found = report.value(metric, space, threshold=threshold)
+        return float("nan") if found is None else found.value
+
+    return {
+        "frames": report.frames,
+        "within_10cm": number("PCK", "3d", 10.0),
+        "mean_cm": number("MPJPE", "3d"),
+        "pck_2d_26px": number("PCK", "2d", 26.0),
+        "mean_2d_px": number("mean error", "2d"),
+    }

@@ -1,0 +1,146 @@
+"""A dataset against what a model says of it: a predictions file, or a detector that runs now."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import cast
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import DatasetError, PredictionsError
+from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.evaluate.report import Report, make_report
+from cabinpose.evaluate.samples import TruthChunk, collect
+from cabinpose.evaluate.skeletons import evaluated_skeleton
+from cabinpose.store import Manifest
+from cabinpose.store.predictions import Predictions
+from cabinpose.store.schema import manifest_yaml
+
+CHUNK = 512  # frames of joints at a time
+BATCH = 16  # frames of images at a time, for a detector
+
+Progress = Callable[[int], None]  # called with the number of frames done
+
+
+def dataset_id(manifest: Manifest) -> str:
+    """What a predictions file may name its dataset by: a digest of `dataset.yaml`."""
+    return "sha256:" + hashlib.sha256(manifest_yaml(manifest).encode()).hexdigest()[:16]
+
+
+def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
+    """The joints of the dataset, in its order, that all models answer for; `PredictionsError` for one unknown to it."""
+    known = [str(name) for name in dataset["joint"].values]
+    for model in models:
+        if unknown := [name for name in model.joints if name not in known]:
+            raise PredictionsError(
+                f"{model_name(model)}: the dataset has no joint {', '.join(unknown)}", hint=f"its joints are {', '.join(known)}"
+            )
+    joints = tuple(name for name in known if all(name in model.joints for model in models))
+    if not joints:
+        raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
+    return joints
+
+
+def model_name(model: Predictions | Predictor) -> str:
+    """What reports call a model."""
+    return model.model if isinstance(model, Predictions) else model.name
+
+
+def check_predictions(predictions: Predictions, dataset: xr.Dataset, names: Sequence[str] = ()) -> None:
+    """Raise `PredictionsError` where predictions are of other frames, or name another dataset than one of `names`."""
+    if predictions.dataset is not None and names and predictions.dataset not in names:
+        raise PredictionsError(
+            f"{predictions.model}: the predictions are of the dataset '{predictions.dataset}'",
+            hint=f"this one is {' or '.join(names)}; give the right --data, or write `dataset` as null",
+        )
+    frames = dataset["frame"].values
+    wrong = predictions.frame[~np.isin(predictions.frame, frames)]
+    if wrong.size:
+        raise PredictionsError(
+            f"{predictions.model}: the dataset has no frame {', '.join(map(str, wrong[:5].tolist()))}"
+            + (f" and {wrong.size - 5} more" if wrong.size > 5 else ""),
+            hint=f"its frames are numbered from {frames.min()} to {frames.max()} by the coordinate `frame`",
+        )
+
+
+def evaluate(
+    dataset: xr.Dataset,
+    model: Predictions | Predictor,
+    options: EvaluationOptions,
+    *,
+    joints: Sequence[str] | None = None,
+    name: str = "",
+    progress: Progress | None = None,
+) -> Report:
+    """The report of one model on a dataset or a selection of it (`name` is what the report calls it).
+
+    joints: those that are evaluated; all that both have, where left out. Frames without an answer count as missed.
+    """
+    chosen = tuple(joints) if joints is not None else common_joints(dataset, [model])
+    persons = [str(p) for p in dataset["person"].values]
+    chunks = _chunks(dataset, model, chosen, progress or (lambda _: None))
+    samples = collect(chunks, evaluated_skeleton(chosen), persons, model.persons, options)
+    notes: tuple[str, ...] = ()
+    if isinstance(model, Predictions):
+        absent = int((~np.isin(samples.frames, model.frame)).sum())
+        notes = (f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed",)
+    return make_report(samples, options, model_name(model), name, notes)
+
+
+def _chunks(
+    dataset: xr.Dataset, model: Predictions | Predictor, joints: Sequence[str], progress: Progress
+) -> Iterator[tuple[TruthChunk, PoseBatch]]:
+    columns = [model.joints.index(name) for name in joints]
+    count = dataset.sizes["frame"]
+    step = CHUNK if isinstance(model, Predictions) else BATCH
+    truth = dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].sel(joint=list(joints))
+    for start in range(0, count, step):
+        part = truth.isel(frame=slice(start, start + step))
+        chunk = TruthChunk(
+            part["frame"].values.astype(np.int64),
+            part["joints_2d"].values,
+            part["joints_3d"].values,
+            part["visibility"].values,
+            part["sequence"].values.astype(np.int64),
+        )
+        if isinstance(model, Predictions):
+            batch = model.take(chunk.frame)
+        else:
+            batch = model.predict(frame_batch(dataset, slice(start, start + step)))
+            _check_shapes(batch, model, len(chunk.frame))
+        yield (
+            chunk,
+            PoseBatch(
+                batch.joints_2d[:, :, columns],
+                batch.joints_3d[:, :, columns],
+                batch.score[:, :, columns],
+                batch.presence[:, :, columns],
+            ),
+        )
+        progress(min(start + step, count))
+
+
+def frame_batch(dataset: xr.Dataset, frames: slice) -> FrameBatch:
+    """Some frames of a dataset as a detector gets them; `DatasetError` where it has no depth."""
+    if "depth" not in dataset:
+        raise DatasetError("the dataset has no depth for a detector to see", hint="evaluate a predictions file instead")
+    part = dataset[[n for n in ("depth", "amplitude", "camera_k", "camera_dist") if n in dataset]].isel(frame=frames)
+    return cast("FrameBatch", {str(name): part[name].values for name in part.data_vars})
+
+
+def _check_shapes(batch: PoseBatch, model: Predictor, frames: int) -> None:
+    """A detector that breaks its contract is a defect, said at once."""
+    shape: tuple[int, ...] = (frames, len(model.persons), len(model.joints))
+    arrays: tuple[tuple[str, NDArray[np.float32], tuple[int, ...]], ...] = (
+        ("joints_2d", batch.joints_2d, (*shape, 2)),
+        ("joints_3d", batch.joints_3d, (*shape, 3)),
+        ("score", batch.score, shape),
+        ("presence", batch.presence, shape),
+    )
+    for name, values, expected in arrays:
+        if values.shape != expected:
+            raise ValueError(f"{model.name}: {name} has the shape {values.shape}, not {expected}")

@@ -1,0 +1,210 @@
+"""The report of one model: every number with its unit, threshold, denominator, joints, sample count and interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.evaluate.bootstrap import Weights, frame_weights, interval, weighted_quantiles, weighted_sums
+from cabinpose.evaluate.metrics import FOUND, Ratio, SpaceName, ratios, space_of, spaces_of
+from cabinpose.evaluate.oks import THRESHOLDS, average_precision
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.evaluate.samples import Samples
+
+Array = NDArray[np.float64]
+ALL = "All"
+PEOPLE = "Person"
+_PCKH_GRID = np.linspace(0, 1, 51)
+_ERROR_GRID = {"2d": np.linspace(0, 50, 51), "3d": np.linspace(0, 30, 61)}  # px, cm
+_BOX = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
+_WORST = 12
+_MISS = 3.0  # head sizes that a missed joint, and at most a found one, counts in the ranking of frames
+
+
+@dataclass(frozen=True)
+class Value:
+    """One number. `joints`: "All", a group, a joint, or "Person"; `low`, `high`: its 95 % interval, NaN without one."""
+
+    metric: str
+    space: str
+    joints: str
+    value: float
+    unit: str
+    threshold: float | None
+    threshold_unit: str
+    denominator: str
+    samples: int
+    low: float
+    high: float
+    visibility: str = "any"
+    average: str = "pooled"
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything about one model on one dataset.
+
+    joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
+    (of the head size) and for the error (px, cm) · boxes: by space and joint, the 5, 25, 50, 75 and 95 % quantiles of the
+    error (px, cm) · worst: numbers of the worst frames, worst first · settings: the options in words.
+    """
+
+    model: str
+    dataset: str
+    frames: int
+    people: int
+    joint_sets: Mapping[str, tuple[str, ...]]
+    values: tuple[Value, ...]
+    curves: Mapping[str, Any]
+    boxes: Mapping[str, Mapping[str, list[float]]]
+    worst: tuple[int, ...]
+    settings: Mapping[str, Any]
+    notes: tuple[str, ...] = ()
+
+    def value(
+        self, metric: str, space: str = "3d", joints: str = ALL, threshold: float | None = None, visibility: str = "any"
+    ) -> Value | None:
+        """The number of that name; with `threshold` left out, the first one. None if there is none."""
+        for v in self.values:
+            if (v.metric, v.space, v.joints, v.visibility) == (metric, space, joints, visibility) and (
+                threshold is None or (v.threshold is not None and abs(v.threshold - threshold) < 1e-9)
+            ):
+                return v
+        return None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+def make_report(samples: Samples, options: EvaluationOptions, model: str, dataset: str, notes: tuple[str, ...] = ()) -> Report:
+    """All numbers of one model's samples. Equal samples, options and seed give equal numbers."""
+    skeleton = samples.skeleton
+    sets = {ALL: tuple(range(len(skeleton.joints))), **skeleton.groups} | {j: (i,) for i, j in enumerate(skeleton.joints)}
+    rng = np.random.Generator(np.random.Philox(key=options.seed))
+    weights = frame_weights(len(samples.frames), options.resamples, rng=rng)
+    values: list[Value] = []
+    for ratio in ratios(samples, options):
+        values += _ratio_values(ratio, samples, {PEOPLE: (0,)} if ratio.people else sets, weights)
+    for name in spaces_of(samples):
+        values += _quantile_values(samples, name, sets, weights)
+    if samples.px.found.any():
+        values += _precision_values(samples, weights)
+    shown = {name: members for name, members in sets.items() if name == ALL or name in skeleton.groups}
+    return Report(
+        model=model,
+        dataset=dataset,
+        frames=len(samples.frames),
+        people=int(samples.true.sum()),
+        joint_sets={name: tuple(skeleton.joints[i] for i in members) for name, members in shown.items()},
+        values=tuple(values),
+        curves={name: _curves(samples, name, shown) for name in spaces_of(samples)},
+        boxes={name: _boxes(samples, name) for name in spaces_of(samples)},
+        worst=_worst(samples),
+        settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
+        notes=notes,
+    )
+
+
+def _ratio_values(ratio: Ratio, samples: Samples, sets: Mapping[str, tuple[int, ...]], weights: Weights) -> Iterator[Value]:
+    top, bottom = (_by_frame(x, samples) for x in (ratio.numerator, ratio.denominator))  # (F, J)
+    totals = [
+        np.concatenate((x.sum(axis=0)[None], weighted_sums(weights, x))) for x in (top, bottom)
+    ]  # (1 + B, J), as it is first
+    for name, members in sets.items():
+        columns = list(members)
+        tops, bottoms = (x[:, columns] for x in totals)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if ratio.per_joint:
+                each = np.where(bottoms > 0, tops / bottoms, np.nan)
+                known = np.isfinite(each)
+                all_resamples = ratio.scale * np.where(known, each, 0).sum(axis=1) / known.sum(axis=1)
+            else:
+                all_resamples = ratio.scale * tops.sum(axis=1) / bottoms.sum(axis=1)
+        low, high = interval(all_resamples[1:, None])
+        yield Value(
+            ratio.metric, ratio.space, name, float(all_resamples[0]), ratio.unit, ratio.threshold, ratio.threshold_unit,
+            ratio.denominator_is, int(bottoms[0].sum()), float(low[0]), float(high[0]), ratio.visibility,
+            "per joint, then averaged" if ratio.per_joint else "pooled",
+        )  # fmt: skip
+
+
+def _by_frame(values: Array, samples: Samples) -> Array:
+    """(F, J) sums over the samples of each frame."""
+    sums = np.zeros((len(samples.frames), values.shape[1]))
+    np.add.at(sums, samples.at, values)
+    return sums
+
+
+def _found_errors(samples: Samples, name: SpaceName) -> Array:
+    """(S, J) errors in the unit of reports, NaN where a joint does not count or was not found."""
+    space = space_of(samples, name)
+    return np.where(samples.counts & space.found, space.error, np.nan) * (1.0 if name == "2d" else 100.0)
+
+
+def _quantile_values(samples: Samples, name: SpaceName, sets: Mapping[str, tuple[int, ...]], weights: Weights) -> Iterator[Value]:
+    unit = "px" if name == "2d" else "cm"
+    errors, shares = _found_errors(samples, name), np.array([0.5, 0.95])
+    for joints, members in sets.items():
+        chosen = errors[:, list(members)]
+        rows, _ = known = np.nonzero(np.isfinite(chosen))
+        flat = chosen[known].astype(np.float64)
+        now = np.quantile(flat, shares) if flat.size else np.full(2, np.nan)
+        low, high = interval(weighted_quantiles(flat, samples.at[rows], weights, shares))
+        for i, metric in enumerate(("median error", "P95 of the error")):
+            yield Value(metric, name, joints, float(now[i]), unit, None, "", FOUND, len(flat), float(low[i]), float(high[i]))
+
+
+def _precision_values(samples: Samples, weights: Weights) -> Iterator[Value]:
+    detections = samples.detections
+    now = average_precision(detections)
+    resampled = np.array([average_precision(detections, w.astype(np.int64)) for w in weights]).reshape(-1, len(THRESHOLDS))
+    people = int(detections.true.sum())
+    denominator = "true people with a joint that counts; precision at 101 recalls"
+    for metric, threshold, columns in (("AP", None, slice(None)), ("AP", 0.5, slice(0, 1)), ("AP", 0.75, slice(5, 6))):
+        low, high = interval(100 * resampled[:, columns].mean(axis=1, keepdims=True))
+        yield Value(
+            metric, "2d", PEOPLE, float(100 * now[columns].mean()), "%", threshold, "" if threshold is None else "OKS",
+            denominator, people, float(low[0]), float(high[0]),
+        )  # fmt: skip
+
+
+def _curves(samples: Samples, name: SpaceName, sets: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
+    errors = _found_errors(samples, name)
+    unit = 1.0 if name == "2d" else 100.0
+    shares = errors / (space_of(samples, name).head[:, None] * unit)
+    result: dict[str, Any] = {}
+    for kind, values, grid in (("pckh", shares, _PCKH_GRID), ("error", errors, _ERROR_GRID[name])):
+        lines = {}
+        for joints, members in sets.items():
+            columns = list(members)
+            known = np.sort(values[:, columns][np.isfinite(values[:, columns])])
+            total = max(int(samples.counts[:, columns].sum()), 1)
+            lines[joints] = (100 * np.searchsorted(known, grid, side="right") / total).round(3).tolist()
+        result[kind] = {"grid": grid.round(4).tolist(), "lines": lines}
+    return result
+
+
+def _boxes(samples: Samples, name: SpaceName) -> dict[str, list[float]]:
+    errors = _found_errors(samples, name)
+    result = {}
+    for i, joint in enumerate(samples.skeleton.joints):
+        known = errors[np.isfinite(errors[:, i]), i]
+        result[joint] = np.quantile(known, _BOX).round(4).tolist() if known.size else []
+    return result
+
+
+def _worst(samples: Samples) -> tuple[int, ...]:
+    """Frames by the mean error of their joints in head sizes, at most 3; a missed joint counts 3."""
+    name = spaces_of(samples)[0]
+    space = space_of(samples, name)
+    shares = np.where(samples.counts & space.found, space.error, np.inf) / space.head[:, None]
+    counted = np.where(samples.counts, np.fmin(np.nan_to_num(shares, nan=np.inf), _MISS), 0.0)
+    top, bottom = (_by_frame(x.astype(np.float64), samples).sum(axis=1) for x in (counted, samples.counts))
+    mean = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
+    order = np.argsort(-mean, kind="stable")[:_WORST]
+    return tuple(int(samples.frames[i]) for i in order if mean[i] > 0)

@@ -1,0 +1,80 @@
+"""What metrics need to know of a skeleton: its groups, bones, symmetric pairs and OKS falloffs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import unknown_name
+from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, LIMBS, SYMMETRIC_PAIRS
+
+# OKS falloff sigma by stem of a joint's name (without l or r). Shoulder to ankle: COCO (cocodataset.org, keypoint evaluation).
+# Head and neck: CrowdPose (Li et al. 2019). Feet: COCO-WholeBody's toes (Jin et al. 2020). The trunk has none published: COCO's
+# hip, the loosest; hands: COCO's wrist.
+OKS_SIGMA = MappingProxyType(
+    {
+        "head": 0.079, "neck": 0.079, "chest": 0.107, "torso": 0.107, "hip": 0.107, "pelvis": 0.107, "shoulder": 0.079,
+        "elbow": 0.072, "wrist": 0.062, "hand": 0.062, "knee": 0.087, "ankle": 0.089, "foot": 0.068,
+    }
+)  # fmt: skip
+
+_ITOP_GROUPS = MappingProxyType(
+    {
+        "Head": ("head", "neck"), "Shoulder": ("lshoulder", "rshoulder"), "Elbow": ("lelbow", "relbow"),
+        "Hand": ("lhand", "rhand"), "Torso": ("torso",), "Hip": ("lhip", "rhip"), "Knee": ("lknee", "rknee"),
+        "Foot": ("lfoot", "rfoot"),
+    }
+)  # fmt: skip
+_ITOP_LIMBS = (("neck", "head"), ("torso", "neck")) + tuple(
+    (parent.format(side), child.format(side))
+    for side in "lr"
+    for parent, child in (
+        ("neck", "{}shoulder"), ("{}shoulder", "{}elbow"), ("{}elbow", "{}hand"),
+        ("torso", "{}hip"), ("{}hip", "{}knee"), ("{}knee", "{}foot"),
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EvaluatedSkeleton:
+    """The joints that are evaluated, in the order of all arrays; groups, bones and pairs hold indices into them.
+
+    groups: joints by group · limbs: (parent, child) · pairs: (left, right) · sigma: (J,) OKS falloff ·
+    head: the ends of the head segment, or None where a joint of it is not evaluated.
+    """
+
+    joints: tuple[str, ...]
+    groups: MappingProxyType[str, tuple[int, ...]]
+    limbs: tuple[tuple[int, int], ...]
+    pairs: tuple[tuple[int, int], ...]
+    sigma: NDArray[np.float64]
+    head: tuple[int, int] | None
+
+
+def evaluated_skeleton(joints: Sequence[str]) -> EvaluatedSkeleton:
+    """What is known of some of the joints of ours, or of ITOP's; the groups that none of them belongs to are left out."""
+    index = {name: i for i, name in enumerate(joints)}
+    itop = set(joints) <= set(ITOP_JOINTS) and "torso" in index
+    groups = _ITOP_GROUPS if itop else GROUPS
+    limbs = _ITOP_LIMBS if itop else LIMBS
+    pairs = tuple((n, "r" + n[1:]) for n in ITOP_JOINTS if n[0] == "l") if itop else SYMMETRIC_PAIRS
+    chosen = {name: tuple(index[j] for j in members if j in index) for name, members in groups.items()}
+    return EvaluatedSkeleton(
+        joints=tuple(joints),
+        groups=MappingProxyType({name: members for name, members in chosen.items() if members}),
+        limbs=tuple((index[a], index[b]) for a, b in limbs if a in index and b in index),
+        pairs=tuple((index[a], index[b]) for a, b in pairs if a in index and b in index),
+        sigma=np.array([_sigma(name) for name in joints]),
+        head=(index["head"], index["neck"]) if {"head", "neck"} <= index.keys() else None,
+    )
+
+
+def _sigma(joint: str) -> float:
+    for name in (joint, joint[1:]):
+        if name in OKS_SIGMA:
+            return OKS_SIGMA[name]
+    raise unknown_name("joint", joint, list(OKS_SIGMA))

@@ -1,0 +1,334 @@
+"""A detector's answers on a dataset: the predictions file, which any tool can write.
+
+Two encodings of one table, a row for each joint found: JSON lines (`.jsonl`), or Parquet (`.parquet`, with the extra `parquet`).
+Columns: `frame` (number in the dataset), `person` (slot), `joint` (name), `u`, `v` (px, or null), `x`, `y`, `z` (m, camera frame;
+all three, or null), `score`, `presence` (0..1). The header holds `format`, `version`, `model`, `skeleton`, `joints`, `persons`,
+and, where the writer knows it, `dataset`. In JSON lines the header is the first line and `{"rows": n}` the last, so that a file
+cut short is noticed; in Parquet the header is the value of the key `cabinpose` of the file's metadata.
+
+A joint without a row was not found: what the file leaves out counts as missed, a whole frame too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import DependencyError, PredictionsError
+from cabinpose.core.ports import PoseBatch
+from cabinpose.store.part import disk_errors
+
+FORMAT: Final = "cabinpose-predictions"
+VERSION: Final = 1
+_NUMBERS = ("u", "v", "x", "y", "z", "score", "presence")
+COLUMNS = ("frame", "person", "joint", *_NUMBERS)
+_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset")
+_PARQUET_KEY = b"cabinpose"
+_DESCRIBED = "docs/evaluation.md describes the format"
+
+
+@dataclass(frozen=True)
+class Predictions(PoseBatch):
+    """The answers of one model: `PoseBatch`'s arrays over the frames numbered `frame` (F,) int64, in rising order.
+
+    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it.
+    """
+
+    frame: NDArray[np.int64]
+    persons: tuple[str, ...]
+    joints: tuple[str, ...]
+    model: str
+    skeleton: str = "cabinpose"
+    dataset: str | None = None
+
+    def take(self, frames: NDArray[np.int64]) -> PoseBatch:
+        """The answers on the frames with the given numbers, in that order; frames without an answer are empty."""
+        at = np.minimum(np.searchsorted(self.frame, frames), max(len(self.frame) - 1, 0))
+        known = self.frame[at] == frames if len(self.frame) else np.zeros(len(frames), bool)
+        batch = empty_batch(len(frames), len(self.persons), len(self.joints))
+        for name in ("joints_2d", "joints_3d", "score", "presence"):
+            getattr(batch, name)[known] = getattr(self, name)[at[known]]
+        return batch
+
+
+def empty_batch(frames: int, persons: int, joints: int) -> PoseBatch:
+    """A batch in which nothing was found."""
+    shape = (frames, persons, joints)
+    return PoseBatch(
+        np.full((*shape, 2), np.nan, np.float32),
+        np.full((*shape, 3), np.nan, np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32),
+    )
+
+
+def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
+    """Write the file, as Parquet where its name ends in `.parquet`, else as JSON lines; it appears when it is whole.
+
+    A joint gets a row if its position (in px or m) is finite. Raises `PredictionsError` where the file exists.
+    """
+    file = Path(path)
+    if file.exists() and not overwrite:
+        raise PredictionsError(f"{file} exists", hint="give another name, or say that it may be overwritten")
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "model": predictions.model,
+        "skeleton": predictions.skeleton,
+        "joints": list(predictions.joints),
+        "persons": list(predictions.persons),
+        "dataset": predictions.dataset,
+    }
+    temporary = file.with_name(f".{file.name}.tmp")
+    try:
+        with disk_errors(file.parent):
+            if file.suffix == ".parquet":
+                _write_parquet(temporary, header, predictions)
+            else:
+                _write_lines(temporary, header, predictions)
+            temporary.replace(file)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return file
+
+
+def read_predictions(path: Path | str) -> Predictions:
+    """Read a predictions file; `PredictionsError` names the row of what is wrong with it and what to do."""
+    file = Path(path)
+    try:
+        columns, header = _read_parquet(file) if file.suffix == ".parquet" else _read_lines(file)
+    except FileNotFoundError:
+        raise PredictionsError(
+            f"there is no predictions file {file}", hint="give the path of a .jsonl or .parquet file"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise PredictionsError(f"cannot read {file}: {error}", hint="check the file and its permissions") from error
+    return _dense(file, columns, header)
+
+
+# ------------------------------------------------------------------------------------------------------- JSON lines
+
+
+def _write_lines(path: Path, header: Mapping[str, Any], predictions: Predictions) -> None:
+    with path.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(header) + "\n")
+        count = 0
+        for row in _rows(predictions):
+            file.write(json.dumps(row, allow_nan=False) + "\n")
+            count += 1
+        file.write(json.dumps({"rows": count}) + "\n")
+
+
+def _rows(predictions: Predictions) -> Iterator[dict[str, Any]]:
+    for f, p, j in zip(*_found(predictions), strict=True):
+        row: dict[str, Any] = {
+            "frame": int(predictions.frame[f]), "person": predictions.persons[p], "joint": predictions.joints[j],
+        }  # fmt: skip
+        for names, values in (("uv", predictions.joints_2d[f, p, j]), ("xyz", predictions.joints_3d[f, p, j])):
+            if np.isfinite(values).all():  # str(float32) is its shortest decimal: it reads back as the same float32
+                row |= {name: float(str(value)) for name, value in zip(names, values, strict=True)}
+        row["score"] = float(str(predictions.score[f, p, j]))
+        row["presence"] = float(str(predictions.presence[f, p, j]))
+        yield row
+
+
+def _found(predictions: Predictions) -> tuple[NDArray[np.int64], ...]:
+    finite = np.isfinite(predictions.joints_2d).all(axis=-1) | np.isfinite(predictions.joints_3d).all(axis=-1)
+    return np.nonzero(finite)
+
+
+def _read_lines(file: Path) -> tuple[dict[str, Any], Any]:
+    columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+    header, end = None, None
+    with file.open(encoding="utf-8") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError as error:
+                raise PredictionsError(
+                    f"{file}:{number}: not a line of JSON ({error.msg})", hint=f"the file may be cut short; {_DESCRIBED}"
+                ) from error
+            if number == 1:
+                header = row
+                _check_header(file, header)  # before thousands of rows of something else
+                continue
+            if not isinstance(row, dict):
+                raise PredictionsError(f"{file}:{number}: a row is a JSON object", hint=_DESCRIBED)
+            if end is not None:
+                raise PredictionsError(f"{file}:{number}: a row behind the last line", hint='`{"rows": n}` is the last line')
+            if "frame" not in row and "rows" in row:
+                end = row["rows"]
+                continue
+            if unknown := sorted(row.keys() - set(COLUMNS)):
+                raise PredictionsError(
+                    f"{file}:{number}: unknown column {', '.join(unknown)}", hint=f"columns are {', '.join(COLUMNS)}"
+                )
+            for name in COLUMNS:
+                columns[name].append(row.get(name))
+    if header is None:
+        raise PredictionsError(f"{file} is empty", hint=_DESCRIBED)
+    rows = len(columns["frame"])
+    if end != rows:
+        said = "has no last line" if end is None else f"should have {end} rows"
+        raise PredictionsError(
+            f"{file} is cut short: it {said}, and {rows} rows are there",
+            hint='write it again; its last line is `{"rows": n}`, with the number of rows',
+        )
+    return columns, header
+
+
+# ---------------------------------------------------------------------------------------------------------- Parquet
+
+
+def _pyarrow() -> Any:
+    if find_spec("pyarrow") is None:
+        raise DependencyError(
+            "Parquet needs pyarrow, which is not installed", hint='pip install "cabinpose[parquet]", or use JSON lines (.jsonl)'
+        )
+    import pyarrow.parquet as parquet  # noqa: PLC0415 - an extra
+
+    return parquet
+
+
+def _write_parquet(path: Path, header: Mapping[str, Any], predictions: Predictions) -> None:
+    parquet = _pyarrow()
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    f, p, j = _found(predictions)
+    two, three = predictions.joints_2d[f, p, j], predictions.joints_3d[f, p, j]
+    numbers = np.concatenate(
+        (two, three, predictions.score[f, p, j, None], predictions.presence[f, p, j, None]), axis=1, dtype=np.float32
+    )
+    columns = {
+        "frame": pa.array(predictions.frame[f]),
+        "person": pa.array(np.array(predictions.persons)[p]),
+        "joint": pa.array(np.array(predictions.joints)[j]),
+    } | {name: pa.array(numbers[:, i], from_pandas=True) for i, name in enumerate(_NUMBERS)}  # NaN becomes null
+    table = pa.table(columns).replace_schema_metadata({_PARQUET_KEY: json.dumps(header).encode()})
+    parquet.write_table(table, path)
+
+
+def _read_parquet(file: Path) -> tuple[dict[str, Any], Any]:
+    parquet = _pyarrow()
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    if not file.is_file():
+        raise FileNotFoundError(file)
+    try:
+        table = parquet.read_table(file)
+    except pa.ArrowException as error:
+        raise PredictionsError(
+            f"{file} is no whole Parquet file ({error})", hint="the file may be cut short; write it again"
+        ) from error
+    metadata = table.schema.metadata or {}
+    if _PARQUET_KEY not in metadata:
+        raise PredictionsError(f"{file} lacks the key 'cabinpose' in its metadata", hint=_DESCRIBED)
+    header = json.loads(metadata[_PARQUET_KEY])
+    _check_header(file, header)
+    if unknown := sorted(set(table.column_names) - set(COLUMNS)):
+        raise PredictionsError(f"{file}: unknown column {', '.join(unknown)}", hint=f"columns are {', '.join(COLUMNS)}")
+    empty = [None] * table.num_rows
+    return {name: table.column(name).to_pylist() if name in table.column_names else empty for name in COLUMNS}, header
+
+
+# ----------------------------------------------------------------------------------------------------------- checks
+
+
+def _check_header(file: Path, header: Any) -> None:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise PredictionsError(f"{file} is no predictions file", hint=f'its header says `"format": "{FORMAT}"`; {_DESCRIBED}')
+    if header.get("version") != VERSION:
+        raise PredictionsError(
+            f"{file} has version {header.get('version')}, this program reads version {VERSION}", hint="upgrade cabinpose"
+        )
+    if unknown := sorted(header.keys() - set(_HEADER_KEYS)):
+        raise PredictionsError(f"{file}: unknown key {', '.join(unknown)} in the header", hint=f"keys: {', '.join(_HEADER_KEYS)}")
+    for key in ("joints", "persons"):
+        names = header.get(key)
+        if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
+            raise PredictionsError(f"{file}: the header's '{key}' is no list of different names", hint=_DESCRIBED)
+    if not isinstance(header.get("model"), str):
+        raise PredictionsError(f"{file}: the header does not name the model", hint='add `"model": "name"`')
+
+
+def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, Any]) -> Predictions:
+    """The table as arrays; `PredictionsError` for the first row that is wrong."""
+    persons, joints = tuple(header["persons"]), tuple(header["joints"])
+    numbered = columns["frame"]
+    for row, number in enumerate(numbered, 1):
+        if not isinstance(number, int) or isinstance(number, bool) or number < 0:
+            raise PredictionsError(
+                f"{file}: row {row}: frame {number!r} is no frame number", hint="frames are whole numbers from 0"
+            )
+    p = _positions(file, "person", columns["person"], persons)
+    j = _positions(file, "joint", columns["joint"], joints)
+    frame, f = np.unique(np.array(numbered, np.int64), return_inverse=True)
+    values = {name: _numbers(file, name, columns[name]) for name in _NUMBERS}
+    _check_values(file, values)
+    cell = (f * len(persons) + p) * len(joints) + j
+    _, first, counts = np.unique(cell, return_index=True, return_counts=True)
+    if (counts > 1).any():
+        row = int(first[counts > 1].min())
+        raise PredictionsError(
+            f"{file}: frame {numbered[row]}, {columns['person'][row]}, {columns['joint'][row]} has {int(counts.max())} rows",
+            hint="one row for each joint of a person in a frame",
+        )
+    batch = empty_batch(len(frame), len(persons), len(joints))
+    batch.joints_2d[f, p, j] = np.stack((values["u"], values["v"]), axis=-1)
+    batch.joints_3d[f, p, j] = np.stack((values["x"], values["y"], values["z"]), axis=-1)
+    batch.score[f, p, j] = values["score"]
+    batch.presence[f, p, j] = values["presence"]
+    return Predictions(
+        batch.joints_2d, batch.joints_3d, batch.score, batch.presence, frame, persons, joints,
+        header["model"], str(header.get("skeleton", "cabinpose")), header.get("dataset"),
+    )  # fmt: skip
+
+
+def _positions(file: Path, kind: str, names: list[Any], known: tuple[str, ...]) -> NDArray[np.int64]:
+    index = {name: i for i, name in enumerate(known)}
+    for row, name in enumerate(names, 1):
+        if name not in index:
+            raise PredictionsError(
+                f"{file}: row {row}: unknown {kind} {name!r}", hint=f"the header's {kind}s are {', '.join(known)}"
+            )
+    return np.array([index[name] for name in names], np.int64)
+
+
+def _numbers(file: Path, name: str, values: list[Any]) -> NDArray[np.float32]:
+    """A column as float32, NaN for null; a score or presence that is left out is 1."""
+    missing = 1.0 if name in ("score", "presence") else np.nan
+    try:
+        numbers = np.array([missing if value is None else value for value in values], np.float32)
+    except (TypeError, ValueError) as error:
+        raise PredictionsError(f"{file}: column {name} holds something that is no number ({error})", hint=_DESCRIBED) from error
+    wrong = ~np.isfinite(numbers) & np.array([value is not None for value in values], bool)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise PredictionsError(
+            f"{file}: row {row + 1}: {name} is {values[row]}", hint="leave out what was not found; null stands for no coordinate"
+        )
+    return numbers
+
+
+def _check_values(file: Path, values: Mapping[str, NDArray[np.float32]]) -> None:
+    for names in (("u", "v"), ("x", "y", "z")):
+        given = np.stack([np.isfinite(values[name]) for name in names])
+        partial = given.any(axis=0) != given.all(axis=0)
+        if partial.any():
+            row = int(np.flatnonzero(partial)[0]) + 1
+            raise PredictionsError(f"{file}: row {row} has some of {', '.join(names)}", hint="give all of them or none")
+    neither = np.isnan(values["u"]) & np.isnan(values["x"])
+    if neither.any():
+        row = int(np.flatnonzero(neither)[0]) + 1
+        raise PredictionsError(f"{file}: row {row} has no position", hint="give u and v, or x, y and z, or leave the row out")
+    outside = (values["presence"] < 0) | (values["presence"] > 1)
+    if outside.any():
+        row = int(np.flatnonzero(outside)[0]) + 1
+        raise PredictionsError(f"{file}: row {row}: presence is a probability", hint="give a number from 0 to 1")
