@@ -69,30 +69,6 @@ def clear(typing_context: Any, samples: Any, blocks: Any) -> Any:
 
 
 @intrinsic
-def least(typing_context: Any, samples: Any, start: Any, stride: Any, rows: Any, blocks: Any) -> Any:
-    """The least 1/z of the blocks start + stride * i + j, i < rows, j < blocks; at most infinite."""
-    signature = types.float32(samples, types.int64, types.int64, types.int64, types.int64)
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        base = _data(context, builder, signature.args[0], args[0])
-        low = cgutils.alloca_once_value(builder, ir.Constant(_FLOATS, [float("inf")] * LANES))
-        with cgutils.for_range(builder, args[3]) as row:
-            first = builder.add(args[1], builder.mul(row.index, args[2]))
-            with cgutils.for_range(builder, args[4]) as column:
-                at = _vector_at(builder, base, builder.add(first, column.index), INVERSE_Z, _FLOATS)
-                w, so_far = builder.load(at, align=4), builder.load(low)
-                builder.store(builder.select(builder.fcmp_ordered("<", w, so_far), w, so_far), low)
-        lanes = builder.load(low)
-        result = builder.extract_element(lanes, ir.Constant(ir.IntType(32), 0))
-        for k in range(1, LANES):
-            lane = builder.extract_element(lanes, ir.Constant(ir.IntType(32), k))
-            result = builder.select(builder.fcmp_ordered("<", lane, result), lane, result)
-        return result
-
-    return signature, generate
-
-
-@intrinsic
 def cover(
     typing_context: Any, samples: Any, start: Any, stride: Any, rows: Any, blocks: Any, edges: Any, plane: Any, limit: Any,
     face: Any,
@@ -130,8 +106,11 @@ def cover(
                 tie = builder.and_(builder.fcmp_ordered("==", depth, w), builder.icmp_signed("<", number, nearest))
                 mask = builder.or_(builder.fcmp_ordered(">", depth, w), tie)
                 mask = builder.and_(mask, builder.fcmp_ordered("<=", depth, farthest))
-                for k in range(0, 9, 3):
-                    mask = builder.and_(mask, builder.fcmp_ordered(">=", linear(*edge[k : k + 3]), zero))
+                least = linear(*edge[:3])
+                for k in (3, 6):
+                    other = linear(*edge[k : k + 3])
+                    least = builder.select(builder.fcmp_ordered("<", other, least), other, least)
+                mask = builder.and_(mask, builder.fcmp_ordered(">=", least, zero))
                 # The least value, which changes nothing, keeps the compiler from making a masked store of selection and store:
                 # some processors take a dozen cycles for one.
                 for new, old, at, floor in ((depth, w, w_at, 0), (number, nearest, face_at, -1)):
@@ -140,5 +119,45 @@ def cover(
                     bits = builder.select(builder.icmp_signed(">", bits, low), bits, low)
                     builder.store(bits, builder.bitcast(at, _INTS.as_pointer()), align=4)
         return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def incidence(
+    typing_context: Any, samples: Any, block: Any, face: Any, coefficients: Any, squared: Any, cosine: Any, at: Any
+) -> Any:
+    """|n|^2 |r|^2 and n . r of the samples of a block that see `face`, of interpolated normals n and rays r.
+
+    coefficients: (F, 9) float32, row-major matrices that take (x, y, 1) to n · squared, cosine: float32, set at `at` and the
+    lanes after it where the sample sees the face. Returns these lanes as bits.
+    """
+    long = types.int64
+    signature = long(samples, long, types.int32, coefficients, squared, cosine, long)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        base, table, squares, cosines = (_data(context, builder, signature.args[k], args[k]) for k in (0, 3, 4, 5))
+        x = builder.load(_vector_at(builder, base, args[1], X, _FLOATS), align=4)
+        y = builder.load(_vector_at(builder, base, args[1], Y, _FLOATS), align=4)
+        nearest = builder.load(_vector_at(builder, base, args[1], FACE, _INTS), align=4)
+        mask = builder.icmp_signed("==", nearest, _splat(builder, args[2], _INTS))
+        first = builder.mul(builder.sext(args[2], _LONG), ir.Constant(_LONG, 9))
+        m = [
+            _splat(builder, builder.load(builder.gep(table, [builder.add(first, ir.Constant(_LONG, k))])), _FLOATS)
+            for k in range(9)
+        ]
+        n = [builder.fadd(builder.fadd(builder.fmul(m[k], x), builder.fmul(m[k + 1], y)), m[k + 2]) for k in (0, 3, 6)]
+
+        def dot(a: Any, b: Any, c: Any) -> Any:
+            return builder.fadd(builder.fadd(a, b), c)
+
+        one = ir.Constant(_FLOATS, [1.0] * LANES)
+        normal = dot(*(builder.fmul(value, value) for value in n))
+        ray = dot(builder.fmul(x, x), builder.fmul(y, y), one)
+        both = dot(builder.fmul(n[0], x), builder.fmul(n[1], y), n[2])
+        for array, value in ((squares, builder.fmul(normal, ray)), (cosines, both)):
+            place = builder.bitcast(builder.gep(array, [args[6]]), _FLOATS.as_pointer())
+            builder.store(builder.select(mask, value, builder.load(place, align=4)), place, align=4)
+        return builder.zext(builder.bitcast(mask, ir.IntType(LANES)), _LONG)
 
     return signature, generate

@@ -17,9 +17,11 @@ from cabinpose.scene.surface import Surface
 from cabinpose.synth.render.lanes import BLOCK, LANES, X, Y
 from cabinpose.synth.render.projection import Lens, project, ray_box, to_camera
 from cabinpose.synth.render.shading import classify, shade
-from cabinpose.synth.render.zbuffer import TILE_COLUMNS, TILE_ROWS, Lattice, Work, rasterise
+from cabinpose.synth.render.zbuffer import Lattice, rasterise
 
 SEE_THROUGH: tuple[int, ...] = (MATERIAL["spectacle_lens"],)
+
+_CACHE_LINE = 64  # bytes
 
 
 class RenderedFrame(NamedTuple):
@@ -59,7 +61,6 @@ class Rasteriser:
         self._lens = Lens(fine.fx, fine.fy, fine.cx, fine.cy, np.array(camera.dist), box, _projection_curvature(fine, box))
         self._sub = _lattice(fine, 0.0, 1.0)
         self._centre = _lattice(camera, (supersample - 1) / 2, float(supersample))
-        self._tiles = np.empty((-(-camera.height // TILE_ROWS), -(-camera.width // TILE_COLUMNS)), np.float32)
         self._see_through = np.zeros(256, np.uint8)
         self._see_through[list(see_through)] = 1
         self._see_through[MATERIAL["belt_webbing"]] |= 2  # a ribbon that twists shows its back
@@ -89,11 +90,8 @@ class Rasteriser:
         to_camera(surface.vertices, matrix, p_camera)
         project(p_camera, self._lens, projected, outside)
         memory = self._faces
-        work = Work(memory.candidate, memory.bucket, memory.order, memory.bounds, self._tiles)
         hidden = self._see_through[surface.material]
-        rasterise(
-            p_camera, projected, outside, faces, hidden, self.supersample, self._lens, self._sub, self._centre, work, closed
-        )
+        rasterise(p_camera, projected, outside, faces, hidden, self._lens, self._sub, self._centre, closed)
         shade(
             self._sub, p_camera, surface.normals, matrix[:3, :3], faces, surface.material, memory.coefficients, memory.shaded,
             self._frame, self._buffers.depth_m, self._buffers.cos_incidence, self._buffers.material,
@@ -120,31 +118,31 @@ class _VertexMemory(NamedTuple):
 class _FaceMemory(NamedTuple):
     """What the kernels note of each face."""
 
-    candidate: NDArray[np.int32]
-    bucket: NDArray[np.uint8]
-    order: NDArray[np.int32]
-    bounds: NDArray[np.float32]
     coefficients: NDArray[np.float32]
     shaded: NDArray[np.int32]
 
     @classmethod
     def of(cls, size: int) -> _FaceMemory:
-        return cls(
-            np.empty(size, np.int32), np.empty(size, np.uint8), np.empty(size, np.int32), np.empty((size, 5), np.float32),
-            np.empty((size, 9), np.float32), np.zeros(size, np.int32),
-        )  # fmt: skip
+        return cls(np.empty((size, 9), np.float32), np.zeros(size, np.int32))
 
 
 def _lattice(camera: Camera, origin: float, step: float) -> Lattice:
     """A camera's pixels as a lattice; rows are filled up with rays of NaN to whole vectors."""
     row_blocks = -(-camera.width // LANES)
     padding = ((0, 0), (0, row_blocks * LANES - camera.width))
-    samples = np.zeros((camera.height * row_blocks, BLOCK), np.float32)
+    samples = _aligned(camera.height * row_blocks * BLOCK).reshape(-1, BLOCK)
     for k, offset in ((0, X), (1, Y)):
         padded = np.pad(camera.rays[..., k], padding, constant_values=np.nan)
         samples[:, offset : offset + LANES] = padded.reshape(-1, LANES)
     flat = samples.ravel()
     return Lattice(origin, step, camera.width, camera.height, row_blocks, flat, flat.view(np.int32))
+
+
+def _aligned(size: int) -> NDArray[np.float32]:
+    """Zeros (size,) that start at a cache line, so that no block of lanes straddles more lines than it fills."""
+    memory = np.zeros(size * 4 + _CACHE_LINE, np.uint8)
+    start = -memory.ctypes.data % _CACHE_LINE
+    return memory[start : start + size * 4].view(np.float32)
 
 
 def _projection_curvature(camera: Camera, box: NDArray[np.float64]) -> float:

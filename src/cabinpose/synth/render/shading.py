@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cabinpose.synth.render.lanes import FACE, INVERSE_Z, X, Y, index
+from cabinpose.synth.render.lanes import BLOCK, FACE, INVERSE_Z, LANES, incidence, index
 from cabinpose.synth.render.projection import F32, F64, U8
 from cabinpose.synth.render.zbuffer import I32, U32, Lattice
 
@@ -22,52 +22,62 @@ def shade(
     normals: (V, 3) of the vehicle frame · rotation: camera from vehicle.
     """
     height, width = depth.shape
-    samples, numbers = sub.samples, sub.faces
-    squared = np.empty(width, np.float32)
+    samples, numbers, row_blocks = sub.samples, sub.faces, sub.row_blocks
+    squared, product = np.zeros(row_blocks * LANES, np.float32), np.zeros(row_blocks * LANES, np.float32)
+    inverse = np.empty(row_blocks * LANES, np.float32)
+    seen = np.empty(row_blocks * LANES, np.uint8)
     for r in range(height):
+        squared[:] = 0.0
+        for b in range(row_blocks):
+            block, at = r * row_blocks + b, b * LANES
+            done = 0  # lanes whose face has been looked at: neighbours often see the same
+            for k in range(LANES):
+                inverse[at + k] = samples[block * BLOCK + INVERSE_Z + k]
+                f = numbers[block * BLOCK + FACE + k]
+                if f < 0:
+                    seen[at + k] = 0
+                    continue
+                seen[at + k] = material[f]
+                if done >> k & 1 == 0:
+                    if shaded[f] != frame:
+                        shaded[f] = frame
+                        _normal_matrix(p_camera, normals, rotation, faces, f, coefficients)
+                    done |= incidence(samples, block, f, coefficients, squared, product, at)
         for c in range(width):
-            i = index(r, c, sub.row_blocks)
-            f = numbers[i + FACE]
-            if f < 0:
-                squared[c] = 0.0
-                cosine[r, c] = 0.0
-                depth[r, c] = 0.0
-                out_material[r, c] = 0
-                continue
-            if shaded[f] != frame:
-                shaded[f] = frame
-                _normal_matrix(p_camera, normals, rotation, faces, f, coefficients)
-            x, y = samples[i + X], samples[i + Y]
-            nx = coefficients[f, 0] * x + coefficients[f, 1] * y + coefficients[f, 2]
-            ny = coefficients[f, 3] * x + coefficients[f, 4] * y + coefficients[f, 5]
-            nz = coefficients[f, 6] * x + coefficients[f, 7] * y + coefficients[f, 8]
-            squared[c] = (nx * nx + ny * ny + nz * nz) * (x * x + y * y + np.float32(1.0))
-            cosine[r, c] = abs(nx * x + ny * y + nz)
-            out_material[r, c] = material[f]
-            depth[r, c] = samples[i + INVERSE_Z]
-        for c in range(width):  # apart from the gather above, so that the divisions run as vectors
-            w = depth[r, c]
+            out_material[r, c] = seen[c]
+        for c in range(width):
+            w = inverse[c]
             depth[r, c] = np.float32(1.0) / w if w > np.float32(0.0) else np.float32(0.0)
         for c in range(width):
             q = squared[c]
-            cosine[r, c] = min(cosine[r, c] / np.sqrt(q), np.float32(1.0)) if q > np.float32(0.0) else np.float32(0.0)
+            cosine[r, c] = min(abs(product[c]) / np.sqrt(q), np.float32(1.0)) if q > np.float32(0.0) else np.float32(0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _point(p: F32, i: int) -> tuple[float, float, float]:
+    return np.float64(p[i, 0]), np.float64(p[i, 1]), np.float64(p[i, 2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _normal_matrix(p_camera: F32, normals: F32, rotation: F64, faces: U32, f: int, out: F32) -> None:
     """Row-major 3x3 matrix out[f] that takes a ray of the image to the interpolated normal of face f, times any scale."""
-    for k in range(9):
-        out[f, k] = 0.0
-    for i in range(3):
-        a, b, c = faces[f, (i + 1) % 3], faces[f, (i + 2) % 3], faces[f, i]
-        ax, ay, az = np.float64(p_camera[a, 0]), np.float64(p_camera[a, 1]), np.float64(p_camera[a, 2])
-        bx, by, bz = np.float64(p_camera[b, 0]), np.float64(p_camera[b, 1]), np.float64(p_camera[b, 2])
-        ex, ey, ez = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        for k in range(3):
-            n = rotation[k, 0] * normals[c, 0] + rotation[k, 1] * normals[c, 1] + rotation[k, 2] * normals[c, 2]
-            out[f, 3 * k] += np.float32(n * ex)
-            out[f, 3 * k + 1] += np.float32(n * ey)
-            out[f, 3 * k + 2] += np.float32(n * ez)
+    i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+    v0, v1, v2 = _point(p_camera, i0), _point(p_camera, i1), _point(p_camera, i2)
+    n0, n1, n2 = _point(normals, i0), _point(normals, i1), _point(normals, i2)
+    e0, e1, e2 = _cross(v1, v2), _cross(v2, v0), _cross(v0, v1)
+    for k in range(3):
+        x, y, z = rotation[k, 0], rotation[k, 1], rotation[k, 2]
+        a = x * n0[0] + y * n0[1] + z * n0[2]
+        b = x * n1[0] + y * n1[1] + z * n1[2]
+        c = x * n2[0] + y * n2[1] + z * n2[2]
+        out[f, 3 * k] = np.float32(a * e0[0]) + np.float32(b * e1[0]) + np.float32(c * e2[0])
+        out[f, 3 * k + 1] = np.float32(a * e0[1]) + np.float32(b * e1[1]) + np.float32(c * e2[1])
+        out[f, 3 * k + 2] = np.float32(a * e0[2]) + np.float32(b * e1[2]) + np.float32(c * e2[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

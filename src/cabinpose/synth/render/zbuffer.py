@@ -10,9 +10,9 @@ Vertices, rays and 1/z are float32, the set-up of a triangle float64. An edge sh
 coefficients but for the sign, and zero is inside for both: a closed mesh shows no cracks. Of equal 1/z the face with the lower
 index wins, whatever the order of drawing.
 
-Faces are drawn from near to far, those turned to the camera before the others, and a coarse map of the farthest depth in each
-tile (Greene et al., "Hierarchical Z-buffer visibility", 1993) leaves out those that lie behind all of it. It changes the
-time, not the result.
+Faces are drawn in their own order, straight from their vertices. A cabin with the faces turned away left out has few layers:
+sorting by depth and a coarse map of what is hidden (Greene et al., "Hierarchical Z-buffer visibility", 1993) cost more time
+than they saved.
 """
 
 from __future__ import annotations
@@ -23,17 +23,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cabinpose.synth.render.lanes import LANES, clear, cover, least
+from cabinpose.synth.render.lanes import LANES, clear, cover
 from cabinpose.synth.render.projection import F32, F64, MAX_CORNERS, NEAR_M, U8, Lens, bulge, clip, pixel
 
-TILE_ROWS, TILE_COLUMNS = 4, LANES  # pixels in a tile of the coarse map
 _LIMIT = np.float32(1.0 / NEAR_M)
 _WIDE = 3 * LANES  # columns from which the rows of a triangle are bounded apart
 _ROWS = 2  # that are bounded together
-_BUCKETS = 16  # of depth, 25 cm each, for faces turned to the camera; as many for the others
-_PER_METRE = 4.0
-_REFRESHES = 8  # of the coarse map in a frame
-_MAX_TILES = 64  # a triangle over more tiles is drawn without asking
+_FLAT = 1000.0  # columns a row: edges flatter than this bound no row
 
 I32 = NDArray[np.int32]
 U32 = NDArray[np.uint32]
@@ -53,16 +49,6 @@ class Lattice(NamedTuple):
     row_blocks: int
     samples: F32
     faces: I32
-
-
-class Work(NamedTuple):
-    """Working memory: candidate (F,) int32, bucket (F,) uint8, order (F,) int32, bounds (F, 5) float32, tiles (rows, columns)."""
-
-    candidate: I32
-    bucket: U8
-    order: I32
-    bounds: F32
-    tiles: F32
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -85,6 +71,38 @@ def _range(low: float, high: float, origin: float, scale: float, count: int) -> 
     return _first((low - origin) * scale), _last((high - origin) * scale, count)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _supports(hull: F64, n: int, margin: float, above: float, sides: F64) -> int:
+    """Lines that bound the rows of a polygon: sides[:m] from the left, sides[m:n] from the right; returns m.
+
+    hull: (n, 2) corners u, v that the polygon is within the margin of · above: sub-pixels from the first to the last line of
+    the rows that are bounded together · sides: (n, 2), set to slope s and base b: all u of the rows lie beyond b + s v, with v
+    that of the first row. Each is parallel to an edge and has all corners on one side, whatever their order and shape.
+    """
+    turn = 0.0
+    for i in range(2, n):
+        turn += (hull[i - 1, 0] - hull[0, 0]) * (hull[i, 1] - hull[0, 1])
+        turn -= (hull[i, 0] - hull[0, 0]) * (hull[i - 1, 1] - hull[0, 1])
+    m, end = 0, n
+    for i in range(n):
+        j = i + 1 if i + 1 < n else 0
+        run, rise = hull[j, 0] - hull[i, 0], hull[j, 1] - hull[i, 1]
+        slope = run / rise if abs(run) < _FLAT * abs(rise) else 0.0  # a flat edge bounds no row; any slope is true
+        if (rise < 0.0) == (turn > 0.0):
+            base = np.inf
+            for k in range(n):
+                base = min(base, hull[k, 0] - slope * hull[k, 1])
+            sides[m, 0], sides[m, 1] = slope, base - margin + min(-slope * margin, slope * (above + margin))
+            m += 1
+        else:
+            base = -np.inf
+            for k in range(n):
+                base = max(base, hull[k, 0] - slope * hull[k, 1])
+            end -= 1
+            sides[end, 0], sides[end, 1] = slope, base + margin + max(-slope * margin, slope * (above + margin))
+    return m
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cover_rows(
     face: np.int32, edges: tuple[np.float32, ...], plane: tuple[np.float32, ...], r0: int, r1: int, margin: float, hull: F64,
@@ -92,35 +110,22 @@ def _cover_rows(
 ) -> None:  # fmt: skip
     """`cover` over the rows r0 .. r1 of a wide triangle, two by two, bounded by the hull (n, 2) within the margin of them.
 
-    sides: (n, 5) work space.
+    sides: (n, 2) work space.
     """
     scale = 1.0 / step
-    for i in range(n):  # edges from their upper to their lower end: u, v, v, du/dv
-        j = i + 1 if i + 1 < n else 0
-        if hull[i, 1] > hull[j, 1]:
-            i0, i1 = j, i
-        else:
-            i0, i1 = i, j
-        rise = hull[i1, 1] - hull[i0, 1]
-        sides[i, 0], sides[i, 1], sides[i, 2] = hull[i0, 0], hull[i0, 1], hull[i1, 1]
-        sides[i, 3] = (hull[i1, 0] - hull[i0, 0]) / rise if rise > 0.0 else 0.0
-        sides[i, 4] = hull[i1, 0]
+    m = _supports(hull, n, margin, step * (_ROWS - 1), sides)
     for r in range(r0, r1 + 1, _ROWS):
-        rows = min(_ROWS, r1 + 1 - r)
-        low, high = origin + step * r - margin, origin + step * (r + rows - 1) + margin
-        left, right = np.inf, -np.inf
-        for i in range(n):
-            va, vb = sides[i, 1], sides[i, 2]
-            if vb < low or va > high:
-                continue
-            ua = sides[i, 0] + max(low - va, 0.0) * sides[i, 3]
-            ub = sides[i, 4] + min(high - vb, 0.0) * sides[i, 3]
-            left, right = min(left, ua, ub), max(right, ua, ub)
-        if left <= right:
-            c0, c1 = _range(left - margin, right + margin, origin, scale, width)
-            if c0 <= c1:
-                first = c0 // LANES
-                cover(samples, r * row_blocks + first, row_blocks, rows, c1 // LANES - first + 1, edges, plane, _LIMIT, face)
+        v = origin + step * r
+        left, right = -np.inf, np.inf
+        for i in range(m):
+            left = max(left, sides[i, 1] + sides[i, 0] * v)
+        for i in range(m, n):
+            right = min(right, sides[i, 1] + sides[i, 0] * v)
+        c0, c1 = _range(left, right, origin, scale, width)
+        if c0 <= c1:
+            first = c0 // LANES
+            rows = min(_ROWS, r1 + 1 - r)
+            cover(samples, r * row_blocks + first, row_blocks, rows, c1 // LANES - first + 1, edges, plane, _LIMIT, face)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -146,11 +151,22 @@ def _coefficients(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _draw_clipped(
-    face: int, corners: F64, scratch: F64, hull: F64, sides: F64, crossed: int, hidden: bool, lens: Lens, sub: Lattice,
-    centre: Lattice,
+    face: int, corners: F64, scratch: F64, hull: F64, sides: F64, crossed: int, hidden: bool, culled: bool, lens: Lens,
+    sub: Lattice, centre: Lattice,
 ) -> None:  # fmt: skip
-    """A triangle (3, 3) of the camera frame that cannot be projected whole."""
+    """A triangle (3, 3) of the camera frame that cannot be projected whole. culled: not if it is turned away."""
+    ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
+    bx, by, bz = corners[1, 0], corners[1, 1], corners[1, 2]
+    cx, cy, cz = corners[2, 0], corners[2, 1], corners[2, 2]
+    a = (by * cz - bz * cy, cy * az - cz * ay, ay * bz - az * by)
+    d = (bz * cx - bx * cz, cz * ax - cx * az, az * bx - ax * bz)
+    g = (bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx)
+    det = ax * a[0] + ay * d[0] + az * g[0]
+    if det == 0.0 or (culled and det > 0.0):
+        return
     k, n = clip(corners, lens.box, crossed, scratch)
+    if n == 0:
+        return
     polygon = scratch[k]
     top, bottom, longest = np.inf, -np.inf, 0.0
     for i in range(n):
@@ -160,15 +176,6 @@ def _draw_clipped(
         u, v = pixel(x, y, lens)
         hull[i, 0], hull[i, 1] = u, v
         top, bottom = min(top, v), max(bottom, v)
-    ax, ay, az = corners[0]
-    bx, by, bz = corners[1]
-    cx, cy, cz = corners[2]
-    a = (by * cz - bz * cy, cy * az - cz * ay, ay * bz - az * by)
-    d = (bz * cx - bx * cz, cz * ax - cx * az, az * bx - ax * bz)
-    g = (bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx)
-    det = ax * a[0] + ay * d[0] + az * g[0]
-    if n == 0 or det == 0.0:
-        return
     edges, plane = _coefficients(a, d, g, (1.0, 1.0, 1.0), det)
     margin = bulge(longest, lens.curvature)
     for lattice in (sub, centre):
@@ -182,46 +189,17 @@ def _draw_clipped(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _refresh(tiles: F32, sub: Lattice, centre: Lattice, s: int) -> None:
-    """The least 1/z of all samples of each tile: what is farther cannot be seen in it."""
-    fine, coarse = sub.samples, centre.samples
-    for y in range(tiles.shape[0]):
-        rows = min(TILE_ROWS, centre.height - y * TILE_ROWS)
-        for x in range(tiles.shape[1]):
-            blocks = min(s, sub.row_blocks - x * s)
-            w = least(fine, y * TILE_ROWS * s * sub.row_blocks + x * s, sub.row_blocks, rows * s, blocks)
-            tiles[y, x] = min(w, least(coarse, y * TILE_ROWS * centre.row_blocks + x, centre.row_blocks, rows, 1))
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _behind(nearest_w: float, left: float, top: float, right: float, bottom: float, tiles: F32, s: int) -> bool:
-    """Whether a triangle whose greatest 1/z is nearest_w lies behind everything in the tiles that it touches."""
-    per_column, per_row = 1.0 / (TILE_COLUMNS * s), 1.0 / (TILE_ROWS * s)
-    x0, x1 = int(max(left * per_column, 0.0)), min(int(right * per_column), tiles.shape[1] - 1)
-    y0, y1 = int(max(top * per_row, 0.0)), min(int(bottom * per_row), tiles.shape[0] - 1)
-    hidden = (x1 - x0 + 1) * (y1 - y0 + 1) <= _MAX_TILES
-    if hidden:
-        limit = nearest_w * 1.0001  # what float32 may add to 1/z on a grazing plane
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                hidden &= tiles[y, x] > limit
-    return hidden
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def rasterise(
-    p_camera: F32, projected: F32, outside: U8, faces: U32, hidden: U8, s: int, lens: Lens, sub: Lattice, centre: Lattice,
-    work: Work, closed: bool,
+    p_camera: F32, projected: F32, outside: U8, faces: U32, hidden: U8, lens: Lens, sub: Lattice, centre: Lattice, closed: bool,
 ) -> None:  # fmt: skip
     """Nearest face and its 1/z on both lattices.
 
     p_camera (V, 3), projected (V, 5), outside (V,): of `to_camera` and `project` · faces: (F, 3) · hidden: (F,) bit 1: the
-    sub-pixels look through it, bit 2: it has two sides · s: supersampling · sub, centre: updated · closed: faces with one
-    side that are turned away can be left out.
+    sub-pixels look through it, bit 2: it has two sides · sub, centre: updated · closed: faces with one side that are turned
+    away can be left out.
     """
     # Arrays are taken out of their tuples once: each access to a member of a tuple counts a reference, atomically.
     fine, coarse = sub.samples, centre.samples
-    candidate, buckets, order, bounds, tiles = work.candidate, work.bucket, work.order, work.bounds, work.tiles
     clear(fine, sub.height * sub.row_blocks)
     clear(coarse, centre.height * centre.row_blocks)
     width, height, row_blocks = centre.width, centre.height, centre.row_blocks
@@ -229,60 +207,17 @@ def rasterise(
     origin, step, scale, curvature = centre.origin, centre.step, 1.0 / centre.step, lens.curvature
     fold = 31 if lens.dist.any() else 1  # the planes beyond which a vertex cannot be projected
     corners, scratch, hull = np.empty((3, 3)), np.empty((2, MAX_CORNERS, 3)), np.empty((MAX_CORNERS, 2))
-    sides = np.empty((MAX_CORNERS, 5))
-    counts = np.zeros(2 * _BUCKETS + 1, np.int64)
-    n = 0
+    sides = np.empty((MAX_CORNERS, 2))
     for f in range(len(faces)):
         i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
         if outside[i0] & outside[i1] & outside[i2]:
             continue
+        culled, passed = closed and not hidden[f] & 2, (hidden[f] & 1) != 0
         crossed = outside[i0] | outside[i1] | outside[i2]
         if crossed & fold:
             for k in range(3):
                 corners[0, k], corners[1, k], corners[2, k] = p_camera[i0, k], p_camera[i1, k], p_camera[i2, k]
-            _draw_clipped(f, corners, scratch, hull, sides, crossed, (hidden[f] & 1) != 0, lens, sub, centre)
-            continue
-        x0, y0, x1, y1 = projected[i0, 0], projected[i0, 1], projected[i1, 0], projected[i1, 1]
-        x2, y2 = projected[i2, 0], projected[i2, 1]
-        longest = max((x1 - x0) ** 2 + (y1 - y0) ** 2, (x2 - x1) ** 2 + (y2 - y1) ** 2, (x0 - x2) ** 2 + (y0 - y2) ** 2)
-        margin = bulge(longest, curvature)
-        left = min(projected[i0, 3], projected[i1, 3], projected[i2, 3]) - margin
-        top = min(projected[i0, 4], projected[i1, 4], projected[i2, 4]) - margin
-        right = max(projected[i0, 3], projected[i1, 3], projected[i2, 3]) + margin
-        bottom = max(projected[i0, 4], projected[i1, 4], projected[i2, 4]) + margin
-        c0, c1 = _range(left, right, 0.0, 1.0, sub_width)
-        r0, r1 = _range(top, bottom, 0.0, 1.0, sub_height)
-        b0, b1 = _range(left, right, origin, scale, width)
-        q0, q1 = _range(top, bottom, origin, scale, height)
-        if (c0 > c1 or r0 > r1) and (b0 > b1 or q0 > q1):
-            continue
-        w = max(projected[i0, 2], projected[i1, 2], projected[i2, 2])
-        bucket = min(int(_PER_METRE / w), _BUCKETS - 1)
-        if (x1 - x0) * (y2 - y0) > (x2 - x0) * (y1 - y0):  # turned away: y points down, and outside is counter-clockwise
-            if closed and not hidden[f] & 2:
-                continue
-            bucket += _BUCKETS
-        bounds[f, 0], bounds[f, 1], bounds[f, 2], bounds[f, 3], bounds[f, 4] = left, top, right, bottom, margin
-        candidate[n], buckets[n] = f, bucket
-        counts[bucket + 1] += 1
-        n += 1
-    for bucket in range(2 * _BUCKETS):
-        counts[bucket + 1] += counts[bucket]
-    for k in range(n):
-        bucket = buckets[k]
-        order[counts[bucket]] = candidate[k]
-        counts[bucket] += 1
-
-    turned_away = counts[_BUCKETS - 1]
-    every = n // _REFRESHES + 1
-    for k in range(n):
-        if k % every == 0 or k == turned_away:
-            _refresh(tiles, sub, centre, s)
-        f = order[k]
-        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
-        w0, w1, w2 = np.float64(projected[i0, 2]), np.float64(projected[i1, 2]), np.float64(projected[i2, 2])
-        left, top, right, bottom = bounds[f, 0], bounds[f, 1], bounds[f, 2], bounds[f, 3]
-        if _behind(max(w0, w1, w2), left, top, right, bottom, tiles, s):
+            _draw_clipped(f, corners, scratch, hull, sides, crossed, passed, culled, lens, sub, centre)
             continue
         # The edge functions of the vertices' ideal coordinates are those of the homogeneous ones over z_j z_k.
         x0, y0 = np.float64(projected[i0, 0]), np.float64(projected[i0, 1])
@@ -290,22 +225,31 @@ def rasterise(
         x2, y2 = np.float64(projected[i2, 0]), np.float64(projected[i2, 1])
         a = (y1 - y2, y2 - y0, y0 - y1)
         d = (x2 - x1, x0 - x2, x1 - x0)
-        g = (x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0)
         area = d[2] * a[1] - d[1] * a[2]
-        if area == 0.0:  # no thickness, or seen edge-on
+        # No thickness or seen edge-on; turned away: y points down, and outside is counter-clockwise.
+        if area == 0.0 or (culled and area > 0.0):
             continue
-        edges, plane = _coefficients(a, d, g, (w0, w1, w2), area)
-        face = np.int32(f)
+        margin = bulge(max(a[0] * a[0] + d[0] * d[0], a[1] * a[1] + d[1] * d[1], a[2] * a[2] + d[2] * d[2]), curvature)
+        u0, v0 = np.float64(projected[i0, 3]), np.float64(projected[i0, 4])
+        u1, v1 = np.float64(projected[i1, 3]), np.float64(projected[i1, 4])
+        u2, v2 = np.float64(projected[i2, 3]), np.float64(projected[i2, 4])
+        left, right = min(u0, u1, u2) - margin, max(u0, u1, u2) + margin
+        top, bottom = min(v0, v1, v2) - margin, max(v0, v1, v2) + margin
         c0, c1 = _range(left, right, 0.0, 1.0, sub_width)
         r0, r1 = _range(top, bottom, 0.0, 1.0, sub_height)
         b0, b1 = _range(left, right, origin, scale, width)
         q0, q1 = _range(top, bottom, origin, scale, height)
+        if (c0 > c1 or r0 > r1) and (b0 > b1 or q0 > q1):
+            continue
+        w0, w1, w2 = np.float64(projected[i0, 2]), np.float64(projected[i1, 2]), np.float64(projected[i2, 2])
+        g = (x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0)
+        edges, plane = _coefficients(a, d, g, (w0, w1, w2), area)
+        face = np.int32(f)
         wide = c1 - c0 >= _WIDE
-        margin = np.float64(bounds[f, 4])
         if wide:
-            hull[0, 0], hull[1, 0], hull[2, 0] = projected[i0, 3], projected[i1, 3], projected[i2, 3]
-            hull[0, 1], hull[1, 1], hull[2, 1] = projected[i0, 4], projected[i1, 4], projected[i2, 4]
-        if c0 <= c1 and (hidden[f] & 1) == 0:
+            hull[0, 0], hull[1, 0], hull[2, 0] = u0, u1, u2
+            hull[0, 1], hull[1, 1], hull[2, 1] = v0, v1, v2
+        if c0 <= c1 and not passed:
             if wide:
                 _cover_rows(face, edges, plane, r0, r1, margin, hull, 3, sides, 0.0, 1.0, sub_width, sub_blocks, fine)
             else:
