@@ -46,9 +46,12 @@ def weighted_quantiles(values: Array, at: NDArray[np.int64], weights: Weights, s
 
 def interval(resampled: Array) -> tuple[Array, Array]:
     """The percentile interval over the first axis, ignoring resamples without a value; NaN where none has one."""
-    known = np.isfinite(resampled).any(axis=0)
-    low, high = np.full(known.shape, np.nan), np.full(known.shape, np.nan)
-    if len(resampled) and known.any():
-        tails = (1 - LEVEL) / 2, (1 + LEVEL) / 2
-        low[known], high[known] = np.nanquantile(resampled[:, known], tails, axis=0)
+    low, high = np.full(resampled.shape[1:], np.nan), np.full(resampled.shape[1:], np.nan)
+    if not len(resampled):
+        return low, high
+    tails = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+    known = np.isfinite(resampled)
+    whole, some = known.all(axis=0), known.any(axis=0)
+    low[whole], high[whole] = np.quantile(resampled[:, whole], tails, axis=0)
+    low[some & ~whole], high[some & ~whole] = np.nanquantile(resampled[:, some & ~whole], tails, axis=0)
     return low, high

@@ -123,7 +123,7 @@ def _thesis(samples: Samples, space: Space, name: SpaceName, options: Evaluation
     yield ratio("mAD@d", unit, per_unit, np.where(near, error, 0), near, HITS, **at)
     yield ratio("mAP@d (literal)", "%", 100, near, near | false, "TP + FP: found within d, or found where there is none", **at)
     yield ratio("mAP@d (among detected)", "%", 100, near, found, FOUND, **at)
-    yield ratio("mAR (literal)", "%", 100, near, near | missed, "TP + FN: found within d, or not found", **at)
+    yield ratio("mAR@d (literal)", "%", 100, near, near | missed, "TP + FN: found within d, or not found", **at)
     yield ratio("mAR (detected)", "%", 100, found, samples.counts, TRUE)
 
 

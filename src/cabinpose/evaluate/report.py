@@ -115,22 +115,23 @@ def _ratio_values(ratio: Ratio, samples: Samples, sets: Mapping[str, tuple[int, 
     totals = [
         np.concatenate((x.sum(axis=0)[None], weighted_sums(weights, x))) for x in (top, bottom)
     ]  # (1 + B, J), as it is first
-    for name, members in sets.items():
-        columns = list(members)
-        tops, bottoms = (x[:, columns] for x in totals)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if ratio.per_joint:
-                each = np.where(bottoms > 0, tops / bottoms, np.nan)
-                known = np.isfinite(each)
-                all_resamples = ratio.scale * np.where(known, each, 0).sum(axis=1) / known.sum(axis=1)
-            else:
-                all_resamples = ratio.scale * tops.sum(axis=1) / bottoms.sum(axis=1)
-        low, high = interval(all_resamples[1:, None])
+    resampled = np.stack([_pooled(ratio, *(x[:, list(members)] for x in totals)) for members in sets.values()], axis=1)
+    lows, highs = interval(resampled[1:])
+    for i, (name, members) in enumerate(sets.items()):
         yield Value(
-            ratio.metric, ratio.space, name, float(all_resamples[0]), ratio.unit, ratio.threshold, ratio.threshold_unit,
-            ratio.denominator_is, int(bottoms[0].sum()), float(low[0]), float(high[0]), ratio.visibility,
+            ratio.metric, ratio.space, name, float(resampled[0, i]), ratio.unit, ratio.threshold, ratio.threshold_unit,
+            ratio.denominator_is, int(totals[1][0, list(members)].sum()), float(lows[i]), float(highs[i]), ratio.visibility,
             "per joint, then averaged" if ratio.per_joint else "pooled",
         )  # fmt: skip
+
+
+def _pooled(ratio: Ratio, tops: Array, bottoms: Array) -> Array:
+    """(1 + B,) the metric over some joints, from their sums (1 + B, joints); NaN where nothing was measured."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if not ratio.per_joint:
+            return ratio.scale * tops.sum(axis=1) / bottoms.sum(axis=1)
+        known = bottoms > 0
+        return ratio.scale * np.where(known, tops / bottoms, 0).sum(axis=1) / known.sum(axis=1)
 
 
 def _by_frame(values: Array, samples: Samples) -> Array:

@@ -126,6 +126,48 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Evaluate:
+    """Hold predictions against a dataset: a table by joint group, and with --out a page and report.json.
+
+    Several predictions files are set side by side, on the joints that all of them answer for.
+    """
+
+    data: Path
+    """Folder of the dataset."""
+    predictions: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
+    """Predictions files (.jsonl or .parquet), one a model."""
+    out: Path | None = None
+    """Folder for index.html and report.json."""
+    splits: Path | None = None
+    """YAML file of splits, of which one is evaluated."""
+    split: str | None = None
+    """Name of the split to evaluate."""
+    select: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE[,VALUE] ...")] = ()
+    """Only frames with these values of subject, action, car, pov or sequence."""
+    min_visibility: Literal["outside_image", "occluded", "self_occluded", "visible"] = "occluded"
+    """Joints at least so visible count."""
+    head: Literal["thesis", "true"] = "thesis"
+    """Head size of PCKh: 26 px and 200 mm, or each person's own length from head to neck."""
+    match: Literal["slot", "oks", "distance"] = "slot"
+    """How predicted people find their true ones: by seat, or by the best assignment."""
+    presence: float = 0.5
+    """From this probability on a joint counts as found."""
+    pckh: tuple[float, ...] = (0.5, 1.0)
+    """Thresholds of PCKh, in head sizes."""
+    pck_px: tuple[float, ...] = (26.0,)
+    """Thresholds of PCK in 2D, px."""
+    pck_cm: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0)
+    """Thresholds of PCK in 3D, cm."""
+    resamples: int = 1000
+    """Resamples of the bootstrap for the intervals; 0 leaves them out."""
+    seed: int = 0
+    """Seed of the bootstrap."""
+    overwrite: bool = False
+    """Replace the report that is in the folder."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure what the package promises on this machine: frames a second, stages, acceptance, Blender on the same scenes."""
 
@@ -150,9 +192,14 @@ Command = (
     | Annotated[Info, subcommand("info")]
     | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
+    | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Bench, subcommand("bench")]
 )
 
-RUNNERS = MappingProxyType({Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Bench: "bench"})
+RUNNERS = MappingProxyType(
+    {
+        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Bench: "bench",
+    }
+)  # fmt: skip
 
 STYLE = (FlagCreatePairsOff, OmitSubcommandPrefixes)

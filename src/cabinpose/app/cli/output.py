@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,21 +12,15 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from cabinpose.app.finite import finite
+
 QUIET_S = 2.0  # what is over sooner needs no progress
 LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
 
 
 def print_json(data: Mapping[str, Any]) -> None:
     """One JSON object on one line; NaN becomes null."""
-    print(json.dumps(_finite(data), allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    print(json.dumps(finite(data), allow_nan=False))
 
 
 def print_rows(rows: Iterable[tuple[str, str]]) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
-import math
 import zlib
 from collections.abc import Callable
 from importlib.resources import files
@@ -21,6 +20,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from cabinpose.app.finite import finite
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR, amplitude_image, colour_map, depth_image
 from cabinpose.app.view.sheet import contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
@@ -60,7 +60,7 @@ def page_html(data: dict[str, Any]) -> str:
     assets = files("cabinpose.app.view") / "assets"
     html, style, script = ((assets / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js"))
     # "</" could end the script element early, whatever names the dataset holds
-    text = json.dumps(_finite(data), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    text = json.dumps(finite(data), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
     return html.replace("/*STYLE*/", style).replace("/*SCRIPT*/", script).replace("/*DATA*/", text)
 
 
@@ -159,12 +159,3 @@ def _thumbnail(image: NDArray[np.uint8]) -> str:
     size = (120, round(120 * image.shape[0] / image.shape[1]))
     small = cv2.resize(image[..., ::-1], size, interpolation=cv2.INTER_AREA)
     return _base64(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN: null in its place."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,163 @@
+"""`cabinpose evaluate`: predictions held against a dataset, as a table, a page and JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from cabinpose.app.cli.commands import Evaluate
+from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.finite import finite
+from cabinpose.app.report.frames import worst_figures
+from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
+from cabinpose.app.report.page import page_html
+from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
+from cabinpose.core.pose import Visibility
+from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.evaluate.report import Report
+from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store.part import disk_errors
+from cabinpose.store.predictions import Predictions, read_predictions
+from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
+
+
+def run(command: Evaluate) -> None:
+    """Evaluate every file; the table goes to stdout, the page to `out`."""
+    options = _options(command)
+    _check_out(command)
+    whole = open_dataset(command.data)
+    models = [read_predictions(path) for path in command.predictions]
+    names = (dataset_id(read_manifest(command.data)), command.data.resolve().name)
+    for model in models:
+        check_predictions(model, whole, names)
+    models = _named_apart(models, command.predictions)
+    dataset = _selected(whole, command)
+    joints = common_joints(dataset, models)
+    frames = dataset.sizes["frame"]
+    reports = []
+    for model in models:
+        with progress(frames, "frames") as show:
+            reports.append(evaluate(dataset, model, options, joints=joints, name=names[1], progress=show))
+    record = {"data": str(command.data), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
+    if command.out is not None:
+        worst = {r.model: worst_figures(dataset, r, m, options) for r, m in zip(reports, models, strict=True)}
+        _write(command.out, page_html(reports, worst), record)
+    if command.as_json:
+        print_json(record)
+        return
+    for report in reports:
+        print_report(report)
+    if command.out is not None:
+        print(f"open {command.out / 'index.html'}", file=sys.stderr)
+
+
+def _options(command: Evaluate) -> EvaluationOptions:
+    return EvaluationOptions(
+        min_visibility=Visibility[command.min_visibility.upper()],
+        presence=command.presence,
+        head=command.head,
+        pck_px=command.pck_px,
+        pck_m=tuple(cm / 100 for cm in command.pck_cm),
+        pckh=command.pckh,
+        match=command.match,
+        resamples=command.resamples,
+        seed=command.seed,
+    )
+
+
+def _check_out(command: Evaluate) -> None:
+    if command.out is None or command.overwrite:
+        return
+    there = [name for name in ("index.html", "report.json") if (command.out / name).exists()]
+    if there:
+        raise DatasetError(f"{command.out} already has {' and '.join(there)}", hint="--overwrite replaces them")
+
+
+def _named_apart(models: Sequence[Predictions], paths: Sequence[Path]) -> list[Predictions]:
+    """The models, those that share a name told apart by their files."""
+    names = [model_name(m) for m in models]
+    shared = {name for name in names if names.count(name) > 1}
+    return [
+        Predictions(**{**vars(m), "model": f"{m.model} ({path})"}) if m.model in shared else m
+        for m, path in zip(models, paths, strict=True)
+    ]
+
+
+def _selected(dataset: xr.Dataset, command: Evaluate) -> xr.Dataset:
+    """The frames of the split and of every selection."""
+    if (command.splits is None) != (command.split is None):
+        raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
+    mask = np.ones(dataset.sizes["frame"], bool)
+    if command.splits is not None and command.split is not None:
+        splits = read_splits(command.splits)
+        if command.split not in splits:
+            raise unknown_name("split", command.split, list(splits))
+        mask &= frame_mask(dataset, splits[command.split])
+    mask &= frame_mask(dataset, _selection(command.select))
+    if not mask.any():
+        raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
+    return dataset.isel(frame=np.flatnonzero(mask))
+
+
+def _selection(words: Sequence[str]) -> Selection:
+    selection: dict[str, tuple[Any, ...]] = {}
+    for word in words:
+        name, equals, values = word.partition("=")
+        if not equals or not values:
+            raise ConfigError(f"'{word}' selects nothing", hint="write --select car=sedan,van subject=S01")
+        if name not in COORDINATES:
+            raise unknown_name("coordinate", name, COORDINATES)
+        chosen = tuple(values.split(","))
+        if name == "sequence":
+            if not all(value.isdigit() for value in chosen):
+                raise ConfigError(f"'{word}': sequences are numbers", hint="write --select sequence=0,1")
+            selection[name] = tuple(int(value) for value in chosen)
+        else:
+            selection[name] = chosen
+    return selection
+
+
+def _write(folder: Path, page: str, record: dict[str, Any]) -> None:
+    with disk_errors(folder):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise DatasetError(f"{folder} is no folder", hint="give another folder with --out") from None
+        (folder / "index.html").write_text(page, encoding="utf-8")
+        (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
+
+
+def print_report(report: Report) -> None:
+    """The table by joint group, the numbers about all joints with their intervals and denominators, and the notes."""
+    columns = group_columns([report])
+    print(f"{report.model} on {report.dataset}: {report.frames} frames, {report.people} people")
+    rows = [["", *(c.title for c in columns)]]
+    rows += [
+        [group, *(number(report.value(c.metric, c.space, group, c.threshold)) for c in columns)] for group in report.joint_sets
+    ]
+    _print_table(rows)
+    print()
+    rows = [["", "value", "95 % interval", "samples", "of what; how averaged"]]
+    rows += [
+        [name, f"{number(v)} {v.unit}".rstrip(), interval(v), str(v.samples), f"{v.denominator}; {v.average}"]
+        for name, v in people_rows(report)
+    ]
+    _print_table(rows, words=(0, 4))
+    for note in report.notes:
+        print(note)
+    print()
+
+
+def _print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> None:
+    """Columns aligned: those of words to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        cells = (c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
+        print("  ".join(cells).rstrip())

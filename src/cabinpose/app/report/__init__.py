@@ -1,0 +1,1 @@
+"""The page on detectors: numbers, curves and worst frames of one evaluation, as one HTML file."""

@@ -1,0 +1,73 @@
+"""Which numbers people are shown, in which order, and how one is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from cabinpose.evaluate.report import ALL, PEOPLE, Report, Value
+
+
+class Column(NamedTuple):
+    """A metric in tables: its name and space in reports, its threshold, and what stands above it; up = more is better."""
+
+    metric: str
+    space: str
+    threshold: float | None
+    title: str
+    up: bool
+
+
+def group_columns(reports: Sequence[Report]) -> list[Column]:
+    """The metrics of the table by joint group, for the spaces that any model answers in."""
+    both = []
+    for space, mean, unit in (("2d", "mean error", "px"), ("3d", "MPJPE", "cm")):
+        name = space.upper()
+        alphas = sorted(
+            {v.threshold for r in reports for v in r.values if v.metric == "PCKh" and v.space == space and v.threshold}
+        )
+        both += [Column("PCKh", space, alpha, f"PCKh@{alpha:g} {name} %", True) for alpha in alphas[:1]]
+        both += [
+            Column("AUC of PCKh", space, None, f"AUC {name} %", True),
+            Column(mean, space, None, f"mean {name} {unit}", False),
+            Column("median error", space, None, f"median {name} {unit}", False),
+        ]
+    both.append(Column("found", "2d", None, "found %", True))
+    return [c for c in both if any(r.value(c.metric, c.space) for r in reports)]
+
+
+def people_rows(report: Report) -> Iterator[tuple[str, Value]]:
+    """Every pooled number about all joints, or about people, with its name as people read it."""
+    for v in report.values:
+        if v.joints in (ALL, PEOPLE) and v.visibility == "any" and v.samples:
+            yield label(v), v
+
+
+def label(v: Value) -> str:
+    """What a number is called, threshold included: "PCKh@0.5 2D", "PCK@10 cm 3D"."""
+    name = v.metric
+    if v.threshold is not None and not name.startswith("AUC"):
+        unit = f" {v.threshold_unit}" if v.threshold_unit in ("px", "cm") else ""
+        at = f"@{v.threshold:g}{unit}"
+        name = name.replace("@d", at) if "@d" in name else f"{name}{at}"
+    where = "" if v.space == "image" else f" {v.space.upper()}"
+    people = " of people" if v.joints == PEOPLE and v.metric.startswith("presence") else ""
+    return f"{name}{people}{where}"
+
+
+def number(v: Value | None) -> str:
+    """A number with as many digits as its unit deserves, without the unit; a dash where there is none."""
+    return "–" if v is None or not math.isfinite(v.value) else f"{v.value:.{digits(v)}f}"
+
+
+def digits(v: Value) -> int:
+    """Decimals: 1 for per cent and px, 2 for cm, 3 for an OKS."""
+    return 3 if v.unit == "" else 1 if v.unit == "%" else 2
+
+
+def interval(v: Value | None) -> str:
+    """The 95 % interval, "97.1 to 97.9"; empty where there is none."""
+    if v is None or not math.isfinite(v.low):
+        return ""
+    return f"{v.low:.{digits(v)}f} to {v.high:.{digits(v)}f}"
