@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.ndimage
 import trimesh
 from capsule_people import StubCabin, StubPart, StubSeat, surface
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from cabinpose.core.frames import transform
 from cabinpose.scene.contact import BAND_M, OUTSIDE, ContactField
 from cabinpose.scene.contact.field import STEP_M, group_field
+from cabinpose.scene.contact.grid import bit_rows, flood, grow, splat
 
 Distance = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -159,3 +161,63 @@ def test_copies_of_a_seat_share_one_field() -> None:
     one, two = ContactField(StubCabin(tuple(seats))).groups
     assert one.values is two.values
     assert (one.parts[0].name, two.parts[0].name) == ("driver cushion", "rear_left cushion")
+
+
+def _reached_by_brute_force(clear: NDArray[np.bool_], seed: tuple[int, int, int]) -> NDArray[np.bool_]:
+    parts, _ = scipy.ndimage.label(clear)
+    return np.asarray(parts == parts[seed]) if clear[seed] else np.zeros_like(clear)
+
+
+def _nodes(bits: NDArray[np.uint64], nk: int) -> NDArray[np.bool_]:
+    return np.unpackbits(bits.view(np.uint8), axis=2, bitorder="little")[:, :, :nk].astype(bool)
+
+
+@pytest.mark.parametrize("nk", [1, 20, 64, 65, 150])
+def test_flood_and_growth_equal_those_of_scipy(nk: int) -> None:
+    rng = np.random.default_rng(nk)
+    for share, rows in ((0.45, (9, 8)), (0.7, (9, 8)), (1.0, (1, 1))):
+        values = rng.random((*rows, nk), np.float32)
+        clear = values >= 1.0 - share
+        seed = tuple(np.argwhere(clear)[-1 if share == 1.0 else len(clear) // 2])
+        reached, open_border = flood(bit_rows(values, 1.0 - share), np.array([seed]), nk)
+        expected = _reached_by_brute_force(clear, seed)
+        np.testing.assert_array_equal(_nodes(reached, nk), expected)
+        inner = expected[1:-1, 1:-1, 1:-1] if nk > 2 else expected[:0]
+        assert open_border == (expected.sum() > inner.sum())
+        allowed = rng.random(values.shape, np.float32)
+        grown = scipy.ndimage.binary_dilation(expected, np.ones((3, 3, 3))) & (allowed >= 0.5) | expected
+        np.testing.assert_array_equal(_nodes(grow(reached, bit_rows(allowed, 0.5)), nk), grown)
+
+
+def test_no_part_hides_another_under_its_foam() -> None:
+    """What is known exactly of soft foam is not the whole truth where a hard part is nearer to its limit."""
+    foam, frame = _box((0.3, 0.3, 0.08)), _box((0.24, 0.24, 0.02), (0.01, 0, -0.03))
+    parts = [StubPart("foam", surface(foam), give_m=0.05), StubPart("frame", surface(frame))]
+    field = group_field("g", parts)
+    nodes = np.argwhere(np.abs(field.values) < 127)
+    where = field.origin + nodes * field.step
+    exact = np.min([p.mesh.signed_distance(where, 0.2) + p.give_m for p in field.parts], axis=0)
+    error = field.values[tuple(nodes.T)] * 0.00075 - exact
+    free = exact > 0
+    assert error[free].max() < field.step  # the slack that a search by balls leaves
+    assert error[free].min() > -0.001
+    assert error[~free].max() < 1e-6
+
+
+@pytest.mark.parametrize(("below", "above"), [(0.03, 0.03), (0.05, 0.02)])
+def test_splat_equals_the_exact_distance(below: float, above: float) -> None:
+    """Also for needles and slivers, whose Voronoi regions are all corners and edges."""
+    corners = np.random.default_rng(7).normal(0.0, 0.04, (40, 3, 3))
+    corners[:10, 2] = 0.5 * (corners[:10, 0] + corners[:10, 1]) + 1e-4 * corners[:10, 2]
+    origin, step = np.full(3, -0.12), 0.01
+    points = origin + step * np.argwhere(np.ones((25, 25, 25)))
+    for triangle in corners:
+        distance = np.full((25, 25, 25), np.inf, np.float32)
+        splat(triangle[None], origin, step, below, above, distance)
+        closest = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(points), 3, 3)), points)
+        exact = np.linalg.norm(points - closest, axis=1)
+        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        height = (points - triangle[0]) @ (normal / np.linalg.norm(normal))
+        near = (height > -below + 1e-6) & (height < above - 1e-6) & (exact < max(below, above) - 1e-6)
+        np.testing.assert_allclose(np.sqrt(distance.reshape(-1)[near]), exact[near], atol=2e-6)
+        assert np.isinf(distance.reshape(-1)[exact > max(below, above) + 1e-6]).all()

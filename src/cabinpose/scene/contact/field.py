@@ -22,12 +22,16 @@ from numpy.typing import NDArray
 from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.contact.grid import (
     balls_of,
+    bit_rows,
     fill,
+    flood,
+    grow,
+    levels,
     merge_part,
     points_below,
     points_in_boxes,
-    reach_free,
     sample,
+    shut_off,
     splat,
     winding_at_nodes,
 )
@@ -169,11 +173,12 @@ def _probes(part: GroupPart) -> NDArray[np.float64]:
     bend = (face[one // 3] * face[two // 3]).sum(axis=1)
     convex = (face[one // 3] * (apex - a)).sum(axis=1) < 0.0
     length = np.linalg.norm(b - a, axis=1)
-    points = [mesh.vertices]
-    for e in np.flatnonzero((bend < SHARP) & convex & (length > PROBE_M)):
-        t = np.arange(1, math.ceil(length[e] / PROBE_M)) / math.ceil(length[e] / PROBE_M)
-        points.append(a[e] + t[:, None] * (b[e] - a[e]))
-    return np.concatenate(points)
+    edges = np.flatnonzero((bend < SHARP) & convex & (length > PROBE_M))
+    pieces = np.ceil(length[edges] / PROBE_M).astype(int)
+    edge = np.repeat(edges, pieces - 1)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(pieces - 1) - pieces + 1, pieces - 1) + 1
+    t = (number / np.repeat(pieces, pieces - 1))[:, None]
+    return np.concatenate((mesh.vertices, a[edge] + t * (b[edge] - a[edge])))
 
 
 def _sampled(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
@@ -196,17 +201,18 @@ def _lower_to_part(
     part: GroupPart, origin: NDArray[np.float64], step: float, values: NDArray[np.float32], exact: NDArray[np.bool_]
 ) -> None:
     """Exact as far as a verdict can depend on it: to the part's give, flesh and the interpolation bound below the surface."""
-    reach = part.give_m + part.shell_m + 2.0 * step
+    above = part.shell_m + 2.0 * step
+    reach = part.give_m + above
     first = np.maximum(np.floor((part.mesh.low - reach - origin) / step), 0).astype(np.int64)
     last = np.minimum(np.ceil((part.mesh.high + reach - origin) / step), np.array(values.shape) - 1).astype(np.int64)
     dims = tuple(int(n) for n in last - first + 1)
     corner = origin + first * step
     distance = np.full(dims, np.inf, np.float32)
-    splat(part.mesh.corners, corner, step, reach, distance)
+    splat(part.mesh.corners, corner, step, reach, above if part.mesh.closed else reach, distance)
     winding = (
         winding_at_nodes(part.mesh.corners, corner, step, np.array(dims)) if part.mesh.closed else np.zeros((1, 1, 1), np.int8)
     )
-    merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, values, exact)
+    merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, above, values, exact)
 
 
 def group_field(
@@ -233,19 +239,28 @@ def group_field(
     sealed = False
     if seeds is not None:
         nodes = np.round((seeds - low) / step).astype(np.int64)
-        free, open_border = reach_free(values, nodes, SEAL_M, 0.5 * step, math.ceil(SEAL_M / step) + 2)
+        passable = bit_rows(values, 0.5 * step)
+        free, open_border = flood(bit_rows(values, SEAL_M), nodes, shape[2])
         if free.any():
             sealed = not open_border
-            values[~free & (values >= 0.5 * step)] *= -1.0
-    levels = np.clip(np.floor(values / QUANTUM_M), -127, 127).astype(np.int8)
+            for _ in range(math.ceil(SEAL_M / step) + 2):
+                free = grow(free, passable)
+            shut_off(values, free, 0.5 * step)
     probes = [_probes(p) for p in ready]
     owner = np.repeat(np.arange(len(ready), dtype=np.int32), [len(p) for p in probes])
-    give = np.array([p.give_m for p in ready])[owner]
-    part_low = np.array([p.mesh.low - p.shell_m for p in ready])
-    part_high = np.array([p.mesh.high + p.shell_m for p in ready])
-    interior = seeds is not None
     return GroupField(
-        name, tuple(ready), levels, low, step, np.concatenate(probes), owner, give, part_low, part_high, interior, sealed
+        name,
+        tuple(ready),
+        levels(values, QUANTUM_M),
+        low,
+        step,
+        probes=np.concatenate(probes),
+        probe_part=owner,
+        probe_give=np.array([p.give_m for p in ready])[owner],
+        part_low=np.array([p.mesh.low - p.shell_m for p in ready]),
+        part_high=np.array([p.mesh.high + p.shell_m for p in ready]),
+        interior=seeds is not None,
+        sealed=sealed,
     )
 
 

@@ -6,67 +6,126 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from cabinpose.scene.contact.triangles import closest_on_triangle, crossing, height_over
+from cabinpose.scene.contact.triangles import crossing, height_over
 
 RUN = 32  # points to a ball; meshes number neighbours near each other
 
 
 @njit(cache=True, nogil=True)
-def splat(corners, origin, step, reach, distance):  # type: ignore[no-untyped-def]
-    """Squared distance at the nodes within `reach` of each triangle."""
+def splat(corners, origin, step, below, above, distance):  # type: ignore[no-untyped-def]
+    """Squared distance at the nodes within `below` of each triangle behind it, and within `above` before it.
+
+    Of the triangles that are nearest to a node of a closed surface at least one has the node on its proper side.
+    The closest point by Voronoi regions (Ericson 2005, section 5.1.5). What does not change over the nodes of a triangle
+    is computed once, and a node is passed over where the triangle's plane is no nearer than what was found before.
+    """
     dims = distance.shape
     low = np.empty(3, np.int64)
     high = np.empty(3, np.int64)
+    reach = max(below, above)
+    within = reach * reach
     for t in range(len(corners)):
-        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+        ax, ay, az = corners[t, 0]
+        bx, by, bz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
+        cx, cy, cz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
         for axis in range(3):
             x = corners[t, :, axis]
             low[axis] = max(math.ceil((x.min() - reach - origin[axis]) / step), 0)
             high[axis] = min(math.floor((x.max() + reach - origin[axis]) / step), dims[axis] - 1)
-        nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-        ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-        nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        limit = reach * math.sqrt(nx * nx + ny * ny + nz * nz)
+        bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
+        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        nn = nx * nx + ny * ny + nz * nz
+        size, per_area = math.sqrt(nn), 1.0 / nn if nn > 0.0 else 0.0
+        lowest, highest = -below * size, above * size
+        rise = nz * step
         for i in range(low[0], high[0] + 1):
-            px = origin[0] + i * step
+            x = origin[0] + i * step - ax
             for j in range(low[1], high[1] + 1):
-                py = origin[1] + j * step
-                for k in range(low[2], high[2] + 1):
-                    pz = origin[2] + k * step
-                    if abs(nx * (px - a[0]) + ny * (py - a[1]) + nz * (pz - a[2])) > limit:
+                y = origin[1] + j * step - ay
+                z0 = origin[2] - az
+                # The nodes of this column between the planes at `below` and `above`.
+                over = nx * x + ny * y + nz * z0
+                first, last = low[2], high[2]
+                if abs(rise) > 1e-9 * step * size:
+                    one, two = (lowest - over) / rise, (highest - over) / rise
+                    first = max(first, math.ceil(min(one, two)))
+                    last = min(last, math.floor(max(one, two)))
+                elif not lowest <= over <= highest:
+                    continue
+                for k in range(first, last + 1):
+                    height = over + k * rise
+                    flat = height * height * per_area
+                    if flat >= distance[i, j, k]:
                         continue
-                    d2 = closest_on_triangle(px, py, pz, a, b, c)[0]
-                    if d2 <= reach * reach and d2 < distance[i, j, k]:
-                        distance[i, j, k] = d2
+                    z = z0 + k * step
+                    d1, d2 = bx * x + by * y + bz * z, cx * x + cy * y + cz * z
+                    d3, d4, d5, d6 = d1 - bb, d2 - bc, d1 - bc, d2 - cc
+                    pp = x * x + y * y + z * z
+                    if d1 <= 0.0 and d2 <= 0.0:
+                        square = pp
+                    elif d3 >= 0.0 and d4 <= d3:
+                        square = pp - 2.0 * d1 + bb
+                    elif d6 >= 0.0 and d5 <= d6:
+                        square = pp - 2.0 * d2 + cc
+                    elif d1 >= 0.0 and d3 <= 0.0 and d1 * d4 <= d3 * d2:
+                        square = pp - d1 * d1 / bb
+                    elif d2 >= 0.0 and d6 <= 0.0 and d5 * d2 <= d1 * d6:
+                        square = pp - d2 * d2 / cc
+                    elif d4 >= d3 and d5 >= d6 and d3 * d6 <= d5 * d4:
+                        along = d4 - d3
+                        square = pp - 2.0 * d1 + bb - along * along / (along + d5 - d6)
+                    else:
+                        square = flat
+                    if square <= within and square < distance[i, j, k]:
+                        distance[i, j, k] = max(square, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _lower_to_row(other, straight, diagonal, best):  # type: ignore[no-untyped-def]
+    """Lowers `best` to the clearance in the row beside it and the way from there."""
+    last = len(best) - 1
+    best[0] = min(best[0], abs(other[0]) + straight, abs(other[min(1, last)]) + diagonal)
+    best[last] = min(best[last], abs(other[last]) + straight, abs(other[max(last - 1, 0)]) + diagonal)
+    for k in range(1, last):
+        aslant = min(abs(other[k - 1]), abs(other[k + 1])) + diagonal
+        best[k] = min(best[k], abs(other[k]) + straight, aslant)
 
 
 @njit(cache=True, nogil=True)
 def fill(values, exact, step, band):  # type: ignore[no-untyped-def]
     """Clearance at the nodes that are not exact, summed up step by step from those that are (chamfer, Borgefors 1986).
 
-    Two passes over half of the 26 neighbours each. A path over neighbours is never shorter than the straight way.
+    Two passes over half of the 26 neighbours each, row by row. A path over neighbours is never shorter than the straight
+    way. Nor is what one part leaves free more than what all do: exact clearance gives way to a path, exact depth does not.
     """
     ni, nj, nk = values.shape
-    ways = np.empty((13, 3), np.int64)
-    length = np.empty(13, np.float32)
-    for n in range(13):
-        ways[n, 0], ways[n, 1], ways[n, 2] = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
-        length[n] = step * math.sqrt((ways[n] ** 2).sum())
+    one, two, three = np.float32(step), np.float32(step * math.sqrt(2.0)), np.float32(step * math.sqrt(3.0))
+    best = np.empty(nk, np.float32)
     for direction in (1, -1):
-        for i in range(ni) if direction > 0 else range(ni - 1, -1, -1):
-            for j in range(nj) if direction > 0 else range(nj - 1, -1, -1):
-                border = i in (0, ni - 1) or j in (0, nj - 1)
-                for k in range(nk) if direction > 0 else range(nk - 1, -1, -1):
-                    if exact[i, j, k]:
-                        continue
-                    size = min(abs(values[i, j, k]), band)
-                    checked = border or k in (0, nk - 1)
-                    for n in range(13):
-                        u, v, w = i + direction * ways[n, 0], j + direction * ways[n, 1], k + direction * ways[n, 2]
-                        if not checked or (0 <= u < ni and 0 <= v < nj and 0 <= w < nk):
-                            size = min(size, abs(values[u, v, w]) + length[n])
-                    values[i, j, k] = math.copysign(size, values[i, j, k])
+        for row in range(ni * nj):
+            at = row if direction > 0 else ni * nj - 1 - row
+            i, j = at // nj, at % nj
+            best[:] = band
+            before = i - direction
+            if 0 <= before < ni:
+                for beside in range(max(j - 1, 0), min(j + 2, nj)):
+                    if beside == j:
+                        _lower_to_row(values[before, beside], one, two, best)
+                    else:
+                        _lower_to_row(values[before, beside], two, three, best)
+            if 0 <= j - direction < nj:
+                _lower_to_row(values[i, j - direction], one, two, best)
+            previous = np.float32(band)
+            for n in range(nk):
+                k = n if direction > 0 else nk - 1 - n
+                own = values[i, j, k]
+                if exact[i, j, k] and own <= 0.0:
+                    previous = -own
+                else:
+                    previous = min(abs(own), best[k], previous + one)
+                    values[i, j, k] = math.copysign(previous, own)
 
 
 @njit(cache=True, nogil=True)
@@ -95,14 +154,18 @@ def winding_at_nodes(corners, origin, step, dims):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def merge_part(distance, winding, closed, offset, give, values, exact):  # type: ignore[no-untyped-def]
-    """Lowers the group's clearance to that of one part: its distance where one was measured, else far outside or inside."""
+def merge_part(distance, winding, closed, offset, give, above, values, exact):  # type: ignore[no-untyped-def]
+    """Lowers the group's clearance to that of one part: its distance where one was measured, else far outside or inside.
+
+    Outside a closed part distances are measured up to `above` only (see `splat`).
+    """
     ni, nj, nk = distance.shape
+    farthest = (above * above) * (1.0 + 1e-6)  # distances are rounded to float32
     for i in range(ni):
         for j in range(nj):
             for k in range(nk):
-                measured = distance[i, j, k] < np.inf
                 inside = closed and winding[i, j, k] > 0
+                measured = distance[i, j, k] < (np.inf if inside or not closed else farthest)
                 if not measured and not inside:
                     continue
                 d = math.sqrt(distance[i, j, k])
@@ -114,51 +177,115 @@ def merge_part(distance, winding, closed, offset, give, values, exact):  # type:
 
 
 @njit(cache=True, nogil=True)
-def reach_free(values, seeds, free_level, pass_level, steps):  # type: ignore[no-untyped-def]
-    """Nodes reached from the seeds through the clear, and `steps` nodes on; and whether the grid's border was reached."""
+def bit_rows(values, level):  # type: ignore[no-untyped-def]
+    """Which nodes of (ni, nj, nk) are at least `level`: (ni, nj, ceil(nk / 64)) words of 64 nodes along the last axis."""
     ni, nj, nk = values.shape
-    free = np.zeros(values.shape, np.bool_)
-    queue = np.empty((values.size, 3), np.int16)
-    last = 0
+    bits = np.zeros((ni, nj, (nk + 63) // 64), np.uint64)
+    for i in range(ni):
+        for j in range(nj):
+            for w in range(bits.shape[2]):
+                word = np.uint64(0)
+                for k in range(64 * w, min(64 * w + 64, nk)):
+                    word |= np.uint64(values[i, j, k] >= level) << np.uint64(k - 64 * w)
+                bits[i, j, w] = word
+    return bits
+
+
+@njit(cache=True, nogil=True)
+def _spread_along(seed, clear):  # type: ignore[no-untyped-def]
+    """A word's seeds, carried over the runs of clear nodes that they lie in (parallel prefix, Kogge & Stone 1973)."""
+    up, down, way_up, way_down = seed, seed, clear, clear
+    for n in range(6):
+        by = np.uint64(1 << n)
+        up |= way_up & (up << by)
+        way_up &= way_up << by
+        down |= way_down & (down >> by)
+        way_down &= way_down >> by
+    return up | down
+
+
+@njit(cache=True, nogil=True)
+def flood(clear, seeds, nk):  # type: ignore[no-untyped-def]
+    """Nodes reached from the seeds (S, 3) over faces of clear ones, as `bit_rows`; and whether the grid's border was reached."""
+    ni, nj, words = clear.shape
+    reached = np.zeros(clear.shape, np.uint64)
+    queue, queued = np.empty(ni * nj, np.int64), np.zeros(ni * nj, np.bool_)
+    head = waiting = 0
+    one, high = np.uint64(1), np.uint64(63)
     for s in range(len(seeds)):
         i, j, k = seeds[s]
-        if 0 <= i < ni and 0 <= j < nj and 0 <= k < nk and values[i, j, k] >= free_level and not free[i, j, k]:
-            free[i, j, k] = True
-            queue[last, 0], queue[last, 1], queue[last, 2] = i, j, k
-            last += 1
+        if 0 <= i < ni and 0 <= j < nj and 0 <= k < nk:
+            reached[i, j, k // 64] |= clear[i, j, k // 64] & (one << np.uint64(k % 64))
+            if not queued[i * nj + j]:
+                queued[i * nj + j] = True
+                queue[waiting] = i * nj + j
+                waiting += 1
     open_border = False
-    head = 0
-    while head < last:
-        i, j, k = np.int64(queue[head, 0]), np.int64(queue[head, 1]), np.int64(queue[head, 2])
-        head += 1
-        open_border = open_border or i == 0 or j == 0 or k == 0 or i == ni - 1 or j == nj - 1 or k == nk - 1
-        for n in range(6):
-            a, b, c = i, j, k
-            d = 1 - 2 * (n & 1)
-            if n < 2:
-                a += d
-            elif n < 4:
-                b += d
-            else:
-                c += d
-            if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk and not free[a, b, c] and values[a, b, c] >= free_level:
-                free[a, b, c] = True
-                queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
-                last += 1
-    first = 0
-    for _ in range(steps):
-        start = last
-        for n in range(first, start):
-            i, j, k = np.int64(queue[n, 0]), np.int64(queue[n, 1]), np.int64(queue[n, 2])
-            for way in range(27):
-                a, b, c = i + way // 9 - 1, j + way // 3 % 3 - 1, k + way % 3 - 1
-                on_grid = 0 <= a < ni and 0 <= b < nj and 0 <= c < nk
-                if on_grid and not free[a, b, c] and values[a, b, c] >= pass_level:
-                    free[a, b, c] = True
-                    queue[last, 0], queue[last, 1], queue[last, 2] = a, b, c
-                    last += 1
-        first = start
-    return free, open_border
+    while waiting:
+        row = queue[head]
+        head, waiting = (head + 1) % len(queue), waiting - 1
+        queued[row] = False
+        i, j = row // nj, row % nj
+        own = reached[i, j]
+        for n in range(2 * words):
+            w = n if n < words else 2 * words - 1 - n
+            seed = own[w]
+            if w > 0:
+                seed |= clear[i, j, w] & (own[w - 1] >> high)
+            if w < words - 1:
+                seed |= clear[i, j, w] & (own[w + 1] << high)
+            own[w] = _spread_along(seed, clear[i, j, w])
+        open_border |= i == 0 or j == 0 or i == ni - 1 or j == nj - 1
+        open_border |= (own[0] & one) != 0 or (own[words - 1] >> np.uint64((nk - 1) % 64)) != 0
+        for way in range(4):
+            a, b = i + (way == 0) - (way == 1), j + (way == 2) - (way == 3)
+            if 0 <= a < ni and 0 <= b < nj:
+                grown = False
+                for w in range(words):
+                    more = own[w] & clear[a, b, w] & ~reached[a, b, w]
+                    reached[a, b, w] |= more
+                    grown |= more != 0
+                if grown and not queued[a * nj + b]:
+                    queued[a * nj + b] = True
+                    queue[(head + waiting) % len(queue)] = a * nj + b
+                    waiting += 1
+    return reached, open_border
+
+
+def grow(reached: NDArray[np.uint64], allowed: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Nodes of `bit_rows`, and those allowed ones that touch them over a face, edge or corner."""
+    wide = reached | reached << np.uint64(1) | reached >> np.uint64(1)
+    wide[..., 1:] |= reached[..., :-1] >> np.uint64(63)
+    wide[..., :-1] |= reached[..., 1:] << np.uint64(63)
+    for axis in (0, 1):
+        rows = np.moveaxis(wide, axis, 0)
+        before = rows.copy()
+        rows[1:] |= before[:-1]
+        rows[:-1] |= before[1:]
+    return np.asarray(reached | wide & allowed)
+
+
+@njit(cache=True, nogil=True)
+def shut_off(values, reached, level):  # type: ignore[no-untyped-def]
+    """Turns the clearance of nodes that are at least `level` but not reached into as much depth."""
+    ni, nj, nk = values.shape
+    for i in range(ni):
+        for j in range(nj):
+            for k in range(nk):
+                if values[i, j, k] >= level and not (reached[i, j, k // 64] >> np.uint64(k % 64)) & np.uint64(1):
+                    values[i, j, k] = -values[i, j, k]
+
+
+@njit(cache=True, nogil=True)
+def levels(values, quantum):  # type: ignore[no-untyped-def]
+    """Clearance (m) as int8, whole quanta rounded down and cut at 127."""
+    result = np.empty(values.shape, np.int8)
+    flat, out = values.reshape(-1), result.reshape(-1)
+    per = np.float32(1.0 / quantum)
+    for n in range(len(flat)):
+        scaled = max(min(flat[n] * per, np.float32(127.0)), np.float32(-127.0))
+        out[n] = np.int8(math.floor(scaled))
+    return result
 
 
 @njit(cache=True, nogil=True, inline="always")
