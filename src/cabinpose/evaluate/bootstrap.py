@@ -53,5 +53,6 @@ def interval(resampled: Array) -> tuple[Array, Array]:
     known = np.isfinite(resampled)
     whole, some = known.all(axis=0), known.any(axis=0)
     low[whole], high[whole] = np.quantile(resampled[:, whole], tails, axis=0)
-    low[some & ~whole], high[some & ~whole] = np.nanquantile(resampled[:, some & ~whole], tails, axis=0)
+    if (partly := some & ~whole).any():
+        low[partly], high[partly] = np.nanquantile(resampled[:, partly], tails, axis=0)
     return low, high

@@ -53,6 +53,7 @@ def evaluate_itop(
         true[:, None].astype(np.float32),
         np.full(shape, Visibility.VISIBLE, np.uint8),
         np.arange(len(true)),  # valid frames are no unbroken sequence: no jitter
+        np.zeros(len(true), np.int64),
     )
     batch = PoseBatch(predicted_2d[:, None].astype(np.float32), predicted[:, None].astype(np.float32), found, found)
     person = ("person",)

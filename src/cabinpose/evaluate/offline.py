@@ -97,7 +97,7 @@ def _chunks(
     columns = [model.joints.index(name) for name in joints]
     count = dataset.sizes["frame"]
     step = CHUNK if isinstance(model, Predictions) else BATCH
-    truth = dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].sel(joint=list(joints))
+    truth = dataset[["joints_2d", "joints_3d", "visibility", "sequence", "sync_ns"]].sel(joint=list(joints))
     for start in range(0, count, step):
         part = truth.isel(frame=slice(start, start + step))
         chunk = TruthChunk(
@@ -106,6 +106,7 @@ def _chunks(
             part["joints_3d"].values,
             part["visibility"].values,
             part["sequence"].values.astype(np.int64),
+            part["sync_ns"].values.astype(np.int64),
         )
         if isinstance(model, Predictions):
             batch = model.take(chunk.frame)

@@ -29,7 +29,8 @@ class TruthChunk:
     """The reference of F frames of P slots and J joints.
 
     frame: (F,) numbers · joints_2d: (F, P, J, 2) px · joints_3d: (F, P, J, 3) m, camera frame, NaN = absent ·
-    visibility: (F, P, J) `Visibility` · sequence: (F,) frames of one sequence with numbers in a row follow each other.
+    visibility: (F, P, J) `Visibility` · sequence, sync_ns: (F,) frames of one sequence with numbers in a row and rising times
+    follow each other.
     """
 
     frame: NDArray[np.int64]
@@ -37,6 +38,7 @@ class TruthChunk:
     joints_3d: Float
     visibility: NDArray[np.uint8]
     sequence: NDArray[np.int64]
+    sync_ns: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -206,13 +208,14 @@ def _jitter(
     state: _Collector, truth: TruthChunk, offsets_2d: NDArray[np.floating], offsets_3d: NDArray[np.floating]
 ) -> tuple[Float, Float]:
     """(F, P, J) acceleration errors in px and m a frame², at the last of three frames in a row; NaN elsewhere."""
-    now = {"frame": truth.frame, "sequence": truth.sequence, "2d": offsets_2d, "3d": offsets_3d}
+    now = {"frame": truth.frame, "sequence": truth.sequence, "sync_ns": truth.sync_ns, "2d": offsets_2d, "3d": offsets_3d}
     tail = state.tail or {name: values[:0] for name, values in now.items()}
     joined = {name: np.concatenate((tail[name], values)) for name, values in now.items()}
     before = len(tail["frame"])
     state.tail = {name: values[-2:] for name, values in joined.items()}
     follows = np.zeros(len(joined["frame"]), bool)
-    follows[1:] = (np.diff(joined["frame"]) == 1) & (np.diff(joined["sequence"]) == 0)
+    step = {name: np.diff(joined[name]) for name in ("frame", "sequence", "sync_ns")}
+    follows[1:] = (step["frame"] == 1) & (step["sequence"] == 0) & (step["sync_ns"] > 0)
     result = []
     for name in ("2d", "3d"):
         values = np.full(joined[name].shape[:-1], np.nan, np.float32)

@@ -44,7 +44,7 @@ def box_chart(
     title: str, unit: str, boxes: Mapping[str, Mapping[str, Sequence[float]]], *, width: int = 1240, height: int = 320
 ) -> str:
     """Boxes (5, 25, 50, 75, 95 % quantiles, a list of five or an empty one) by joint and model, side by side."""
-    joints = list(max(boxes.values(), key=len))
+    joints = list(dict.fromkeys(joint for by_joint in boxes.values() for joint in by_joint))
     models = list(boxes)
     top = max((max(box) for by_joint in boxes.values() for box in by_joint.values() if box), default=1.0)
     step = _nice_step(top / 5)
