@@ -124,24 +124,48 @@ def cover(
 
 
 @intrinsic
-def incidence(
-    typing_context: Any, samples: Any, block: Any, face: Any, coefficients: Any, squared: Any, cosine: Any, at: Any
-) -> Any:
-    """|n|^2 |r|^2 and n . r of the samples of a block that see `face`, of interpolated normals n and rays r.
-
-    coefficients: (F, 9) float32, row-major matrices that take (x, y, 1) to n · squared, cosine: float32, set at `at` and the
-    lanes after it where the sample sees the face. Returns these lanes as bits.
-    """
-    long = types.int64
-    signature = long(samples, long, types.int32, coefficients, squared, cosine, long)
+def lanes_that_see(typing_context: Any, samples: Any, block: Any) -> Any:
+    """The lanes of a block that have a face, as bits."""
+    signature = types.int64(samples, types.int64)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        base, table, squares, cosines = (_data(context, builder, signature.args[k], args[k]) for k in (0, 3, 4, 5))
+        base = _data(context, builder, signature.args[0], args[0])
+        nearest = builder.load(_vector_at(builder, base, args[1], FACE, _INTS), align=4)
+        mask = builder.icmp_signed(">=", nearest, ir.Constant(_INTS, [0] * LANES))
+        return builder.zext(builder.bitcast(mask, ir.IntType(LANES)), _LONG)
+
+    return signature, generate
+
+
+@intrinsic
+def first_lane(typing_context: Any, lanes: Any) -> Any:
+    """Number of the lowest bit set; there is one."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic
+def incidence(
+    typing_context: Any, samples: Any, block: Any, face: Any, matrices: Any, slot: Any, squared: Any, cosine: Any, at: Any
+) -> Any:
+    """|n|^2 |r|^2 and |n . r| of the samples of a block that see `face`, of interpolated normals n and rays r.
+
+    matrices: (n, 9) float32, of which row `slot`, as a row-major 3x3 matrix, takes (x, y, 1) to n · squared, cosine: float32,
+    set at `at` and the lanes after it where the sample sees the face; not negative. Returns these lanes as bits.
+    """
+    long = types.int64
+    signature = long(samples, long, types.int32, matrices, long, squared, cosine, long)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        base, table, squares, cosines = (_data(context, builder, signature.args[k], args[k]) for k in (0, 3, 5, 6))
         x = builder.load(_vector_at(builder, base, args[1], X, _FLOATS), align=4)
         y = builder.load(_vector_at(builder, base, args[1], Y, _FLOATS), align=4)
         nearest = builder.load(_vector_at(builder, base, args[1], FACE, _INTS), align=4)
         mask = builder.icmp_signed("==", nearest, _splat(builder, args[2], _INTS))
-        first = builder.mul(builder.sext(args[2], _LONG), ir.Constant(_LONG, 9))
+        first = builder.mul(args[4], ir.Constant(_LONG, 9))
         m = [
             _splat(builder, builder.load(builder.gep(table, [builder.add(first, ir.Constant(_LONG, k))])), _FLOATS)
             for k in range(9)
@@ -155,9 +179,13 @@ def incidence(
         normal = dot(*(builder.fmul(value, value) for value in n))
         ray = dot(builder.fmul(x, x), builder.fmul(y, y), one)
         both = dot(builder.fmul(n[0], x), builder.fmul(n[1], y), n[2])
+        positive = ir.Constant(_INTS, [0x7FFF_FFFF] * LANES)
         for array, value in ((squares, builder.fmul(normal, ray)), (cosines, both)):
-            place = builder.bitcast(builder.gep(array, [args[6]]), _FLOATS.as_pointer())
-            builder.store(builder.select(mask, value, builder.load(place, align=4)), place, align=4)
+            bits = builder.and_(builder.bitcast(value, _INTS), positive)
+            place = builder.bitcast(builder.gep(array, [args[7]]), _INTS.as_pointer())
+            bits = builder.select(mask, bits, builder.load(place, align=4))
+            low = ir.Constant(_INTS, [0] * LANES)  # no masked store, as in `cover`
+            builder.store(builder.select(builder.icmp_signed(">", bits, low), bits, low), place, align=4)
         return builder.zext(builder.bitcast(mask, ir.IntType(LANES)), _LONG)
 
     return signature, generate

@@ -68,7 +68,6 @@ class Rasteriser:
         self._buffers = GeometryBuffers(
             supersample, np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8)
         )
-        self._frame = 0
         self._vertices = _VertexMemory.of(0)
         self._faces = _FaceMemory.of(0)
 
@@ -80,9 +79,8 @@ class Rasteriser:
         """
         if len(surface.vertices) > len(self._vertices.outside):
             self._vertices = _VertexMemory.of(max(len(surface.vertices), len(self._vertices.outside) * 3 // 2))
-        if len(surface.faces) > len(self._faces.shaded):
-            self._faces = _FaceMemory.of(max(len(surface.faces), len(self._faces.shaded) * 3 // 2))
-        self._frame += 1
+        if len(surface.faces) > len(self._faces.slots):
+            self._faces = _FaceMemory.of(max(len(surface.faces), len(self._faces.slots) * 3 // 2))
         n = len(surface.vertices)
         p_camera, projected, outside = (array[:n] for array in self._vertices)
         faces = surface.faces.view(np.uint32)  # unsigned: no test for negative indices in the kernels
@@ -93,8 +91,8 @@ class Rasteriser:
         hidden = self._see_through[surface.material]
         rasterise(p_camera, projected, outside, faces, hidden, self._lens, self._sub, self._centre, closed)
         shade(
-            self._sub, p_camera, surface.normals, matrix[:3, :3], faces, surface.material, memory.coefficients, memory.shaded,
-            self._frame, self._buffers.depth_m, self._buffers.cos_incidence, self._buffers.material,
+            self._sub, p_camera, surface.normals, matrix[:3, :3], faces, surface.material, memory.matrices, memory.slots,
+            self._buffers.depth_m, self._buffers.cos_incidence, self._buffers.material,
         )  # fmt: skip
         shape = (self.camera.height, self.camera.width)
         face_id, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
@@ -118,12 +116,12 @@ class _VertexMemory(NamedTuple):
 class _FaceMemory(NamedTuple):
     """What the kernels note of each face."""
 
-    coefficients: NDArray[np.float32]
-    shaded: NDArray[np.int32]
+    matrices: NDArray[np.float32]
+    slots: NDArray[np.int32]
 
     @classmethod
     def of(cls, size: int) -> _FaceMemory:
-        return cls(np.empty((size, 9), np.float32), np.zeros(size, np.int32))
+        return cls(np.empty((size, 9), np.float32), np.empty(size, np.int32))
 
 
 def _lattice(camera: Camera, origin: float, step: float) -> Lattice:

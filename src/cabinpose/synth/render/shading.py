@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cabinpose.synth.render.lanes import BLOCK, FACE, INVERSE_Z, LANES, incidence, index
+from cabinpose.synth.render.lanes import BLOCK, FACE, INVERSE_Z, LANES, first_lane, incidence, index, lanes_that_see
 from cabinpose.synth.render.projection import F32, F64, U8
 from cabinpose.synth.render.zbuffer import I32, U32, Lattice
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shade(
-    sub: Lattice, p_camera: F32, normals: F32, rotation: F64, faces: U32, material: U8, coefficients: F32, shaded: I32,
-    frame: int, depth: F32, cosine: F32, out_material: U8,
+    sub: Lattice, p_camera: F32, normals: F32, rotation: F64, faces: U32, material: U8, matrices: F32, slots: I32,
+    depth: F32, cosine: F32, out_material: U8,
 ) -> None:  # fmt: skip
     """Depth z (m), |cos| of incidence and material (H, W) at every sub-pixel; 0 where nothing is hit.
 
-    The normal at a hit is sum(b_i n_i) with barycentric b_i proportional to r . (v_j x v_k): a 3x3 matrix times the ray,
-    kept per face in `coefficients` (F, 9), filled for the faces that are seen (`shaded[f] == frame`).
+    The normal at a hit is sum(b_i n_i) with barycentric b_i proportional to r . (v_j x v_k): a 3x3 matrix times the ray. Those
+    of the faces that are seen are kept one after the other in `matrices` (F, 9), close together in memory; slots: (F,) where
+    that of each face lies. Both are work space.
     normals: (V, 3) of the vehicle frame · rotation: camera from vehicle.
     """
     height, width = depth.shape
@@ -26,23 +27,25 @@ def shade(
     squared, product = np.zeros(row_blocks * LANES, np.float32), np.zeros(row_blocks * LANES, np.float32)
     inverse = np.empty(row_blocks * LANES, np.float32)
     seen = np.empty(row_blocks * LANES, np.uint8)
+    slots[: len(faces)] = -1
+    used = 0
     for r in range(height):
         squared[:] = 0.0
         for b in range(row_blocks):
             block, at = r * row_blocks + b, b * LANES
-            done = 0  # lanes whose face has been looked at: neighbours often see the same
             for k in range(LANES):
-                inverse[at + k] = samples[block * BLOCK + INVERSE_Z + k]
                 f = numbers[block * BLOCK + FACE + k]
-                if f < 0:
-                    seen[at + k] = 0
-                    continue
-                seen[at + k] = material[f]
-                if done >> k & 1 == 0:
-                    if shaded[f] != frame:
-                        shaded[f] = frame
-                        _normal_matrix(p_camera, normals, rotation, faces, f, coefficients)
-                    done |= incidence(samples, block, f, coefficients, squared, product, at)
+                inverse[at + k] = samples[block * BLOCK + INVERSE_Z + k]
+                seen[at + k] = material[max(f, 0)] if f >= 0 else 0
+            lanes = lanes_that_see(samples, block)
+            while lanes:  # neighbours often see the same face
+                f = numbers[block * BLOCK + FACE + first_lane(lanes)]
+                slot = slots[f]
+                if slot < 0:
+                    slot = slots[f] = used
+                    used += 1
+                    _normal_matrix(p_camera, normals, rotation, faces, f, matrices[slot])
+                lanes &= ~incidence(samples, block, f, matrices, slot, squared, product, at)
         for c in range(width):
             out_material[r, c] = seen[c]
         for c in range(width):
@@ -50,7 +53,7 @@ def shade(
             depth[r, c] = np.float32(1.0) / w if w > np.float32(0.0) else np.float32(0.0)
         for c in range(width):
             q = squared[c]
-            cosine[r, c] = min(abs(product[c]) / np.sqrt(q), np.float32(1.0)) if q > np.float32(0.0) else np.float32(0.0)
+            cosine[r, c] = min(product[c] / np.sqrt(q), np.float32(1.0)) if q > np.float32(0.0) else np.float32(0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -65,7 +68,7 @@ def _point(p: F32, i: int) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _normal_matrix(p_camera: F32, normals: F32, rotation: F64, faces: U32, f: int, out: F32) -> None:
-    """Row-major 3x3 matrix out[f] that takes a ray of the image to the interpolated normal of face f, times any scale."""
+    """Row-major 3x3 matrix out (9,) that takes a ray of the image to the interpolated normal of face f, times any scale."""
     i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
     v0, v1, v2 = _point(p_camera, i0), _point(p_camera, i1), _point(p_camera, i2)
     n0, n1, n2 = _point(normals, i0), _point(normals, i1), _point(normals, i2)
@@ -75,9 +78,9 @@ def _normal_matrix(p_camera: F32, normals: F32, rotation: F64, faces: U32, f: in
         a = x * n0[0] + y * n0[1] + z * n0[2]
         b = x * n1[0] + y * n1[1] + z * n1[2]
         c = x * n2[0] + y * n2[1] + z * n2[2]
-        out[f, 3 * k] = np.float32(a * e0[0]) + np.float32(b * e1[0]) + np.float32(c * e2[0])
-        out[f, 3 * k + 1] = np.float32(a * e0[1]) + np.float32(b * e1[1]) + np.float32(c * e2[1])
-        out[f, 3 * k + 2] = np.float32(a * e0[2]) + np.float32(b * e1[2]) + np.float32(c * e2[2])
+        out[3 * k] = np.float32(a * e0[0]) + np.float32(b * e1[0]) + np.float32(c * e2[0])
+        out[3 * k + 1] = np.float32(a * e0[1]) + np.float32(b * e1[1]) + np.float32(c * e2[1])
+        out[3 * k + 2] = np.float32(a * e0[2]) + np.float32(b * e1[2]) + np.float32(c * e2[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
