@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache, cached_property
 from types import MappingProxyType
 
@@ -109,6 +110,19 @@ class Person:
         out = np.empty((20, 3))
         joints_into(self.rest, rotation, position, out)
         return out
+
+    def skin_part(self, rows: NDArray[np.integer]) -> Callable[[Array, Matrix], Array]:
+        """What gives (q, vehicle_from_root) -> (R, 3) m, `pose(...).skin[rows]`, without the rest of the skin."""
+        index, weight = self._space.bone_index[rows], self._space.bone_weight[rows]
+        rest = self.rest_skin[None, rows]
+
+        def posed(q: Array, vehicle_from_root: Matrix) -> Array:
+            mesh = skin_transforms(checked(q), self.rest, *main_frames(q, self.rest, vehicle_from_root))
+            out = np.empty_like(rest)
+            skin_layers(mesh.astype(np.float32), index, weight, rest, out)
+            return out[0].astype(np.float64)
+
+        return posed
 
     def pose(self, q: Array, vehicle_from_root: Matrix) -> PosedBody:
         """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point."""

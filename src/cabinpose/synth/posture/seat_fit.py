@@ -10,7 +10,7 @@ away from the H-point is reported. Sitting turns the pelvis backwards and takes 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.frames import Matrix, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
+from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.limbs import frames
 
@@ -31,6 +32,7 @@ _ABDUCTION = np.radians(7.0)  # of the thighs, at rest
 _CUSHION_FRONT_M = 0.375  # front edge of production cushions ahead of the H-point
 _MAX_SLIDE_M = 0.12
 _ROUNDS = 7
+_TRUNK, _THIGHS = ("pelvis", "abdomen", "thorax"), ("lthigh", "rthigh")
 _FEMUR_STATIONS = 11
 
 
@@ -74,12 +76,26 @@ def _root(pitch: float, place: Array) -> Matrix:
     return transform(Rotation.from_euler("y", -pitch), place)
 
 
+@cache
+def _skin() -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
+    """Numbers of the skin vertices of trunk and thighs, and the segment of each; the same for everybody."""
+    segment = vertex_segments()
+    rows = np.flatnonzero(np.isin(segment, [SEGMENTS.index(s) for s in (*_TRUNK, *_THIGHS)]))
+    return rows, segment[rows]
+
+
+def _lowest(values: Array, count: int) -> float:
+    """The mean of the `count` least of (N,) values."""
+    return float(np.partition(values, count - 1)[:count].mean())
+
+
 @lru_cache(maxsize=512)
 def _fit(person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float) -> SeatFit:
-    segment = person.skin_segment
-    trunk = np.isin(segment, [SEGMENTS.index(s) for s in ("pelvis", "abdomen", "thorax")])
-    seated = np.isin(segment, [SEGMENTS.index(s) for s in ("pelvis", "lthigh", "rthigh")])
-    thighs = np.isin(segment, [SEGMENTS.index(s) for s in ("lthigh", "rthigh")])
+    rows, segment = _skin()
+    posed = person.skin_part(rows)
+    trunk = np.isin(segment, [SEGMENTS.index(s) for s in _TRUNK])
+    seated = np.isin(segment, [SEGMENTS.index(s) for s in ("pelvis", *_THIGHS)])
+    thighs = np.isin(segment, [SEGMENTS.index(s) for s in _THIGHS])
     up = np.array([-np.sin(torso_angle), 0.0, np.cos(torso_angle)])  # along the torso line
     normal = np.array([np.cos(torso_angle), 0.0, np.sin(torso_angle)])  # out of the backrest
     cushion = np.array([-np.sin(cushion_angle), 0.0, np.cos(cushion_angle)])
@@ -90,12 +106,12 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
 
     pitch, thigh, place = torso_angle + 0.20, cushion_angle, np.array([slide, 0.0, 0.0])
     for _ in range(_ROUNDS):
-        skin = person.pose(_posture(pitch, thigh), _root(pitch, place)).skin.astype(np.float64)
+        skin = posed(_posture(pitch, thigh), _root(pitch, place))
         middle = trunk & (np.abs(skin[:, 1]) < 0.10 * size)
         depth, height = skin[middle] @ normal, skin[middle] @ up
-        lower = np.sort(depth[(height > -0.02) & (height < 0.17 * size)])[:6].mean()
+        lower = _lowest(depth[(height > -0.02) & (height < 0.17 * size)], 6)
         upper_band = (height > 0.28 * size) & (height < 0.42 * size)
-        upper = np.sort(depth[upper_band])[:6].mean()
+        upper = _lowest(depth[upper_band], 6)
         wanted = -(behind + BACK_SAG_M)
         if slide > 0.0:
             pitch += (upper - wanted) / (0.35 * size)
@@ -104,14 +120,13 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
             place = place + (wanted - lower) * normal * (1.0, 0.0, 0.0) / normal[0]
         above = skin @ cushion - free_cushion
         under = seated & (skin[:, 0] > place[0] - 0.16) & (skin[:, 0] < place[0] + 0.08)
-        place[2] -= np.sort(above[under])[:8].mean() + CUSHION_SAG_M
+        place[2] -= _lowest(above[under], 8) + CUSHION_SAG_M
         along = thighs & (skin[:, 0] > 0.45 * femur + place[0]) & (skin[:, 0] < 0.75 * femur + place[0])
-        thigh -= 0.8 * (np.sort(above[along])[:8].mean() + THIGH_SAG_M) / (0.6 * femur)
+        thigh -= 0.8 * (_lowest(above[along], 8) + THIGH_SAG_M) / (0.6 * femur)
         pitch, thigh = float(np.clip(pitch, -0.2, 1.1)), float(np.clip(thigh, -0.1, 0.7))
 
     q, root = _posture(pitch, thigh), _root(pitch, place)
-    posed = person.pose(q, root)
-    skin = posed.skin.astype(np.float64)
+    skin = posed(q, root)
     skeleton = frames(q, person.rest, root)
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
     front = skin[trunk & (skin @ normal > 0.0)][::4]

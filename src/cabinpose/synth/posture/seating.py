@@ -59,7 +59,10 @@ def choose_setting(
 
 @lru_cache(maxsize=512)
 def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> SeatSetting:
-    """The least discomfort over fore-aft and recline, in closed form in side view."""
+    """The least discomfort over fore-aft, height and recline, in closed form in side view.
+
+    Reclines are tried from the seat's default on, and no farther than their own share of the discomfort allows.
+    """
     seat, wheel = cabin.seats[slot], cabin.steering_wheel
     assert wheel is not None  # the caller saw to it
     low, high = seat.ranges
@@ -77,51 +80,61 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
     ankle = ankle - slack * along * (1.0, 0.0, 0.0)
     grip = 0.5 * (wheel.grip_point(np.pi / 2) + wheel.grip_point(-np.pi / 2))
     rim_bottom = wheel.grip_point(np.pi)
-    reclines = seat.default.torso_angle + np.radians(_RECLINES_DEG)
-    best, best_cost = seat.default, np.inf
-    for recline in np.unique(np.clip(reclines, low.torso_angle, high.torso_angle)):
+    fore_aft = np.linspace(low.fore_aft_m, high.fore_aft_m, _STEPS)
+    heights = np.unique((low.height_m, height))
+    place = np.stack([g.reshape(-1) for g in np.meshgrid(heights, fore_aft, indexing="ij")], axis=1)  # (P, 2) height, fore-aft
+    h_points = seat.h_point(SeatSetting()) + place[:, 1:] * seat.vehicle_from_seat(seat.default)[:3, 0]
+    h_points[:, 2] += place[:, 0]
+
+    def unease(recline: float) -> float:
+        return float(((recline - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2)
+
+    def best_at(recline: float) -> tuple[float, SeatSetting]:
         fit = fit_seat(person, seat, recline)
-        places = [(h, f) for h in sorted({low.height_m, height}) for f in np.linspace(low.fore_aft_m, high.fore_aft_m, _STEPS)]
-        for seat_height, fore_aft in places:
-            setting = SeatSetting(float(fore_aft), seat_height, float(recline))
-            h = seat.h_point(setting)
-            hip = h + fit.seat_from_root[:3, 3]
-            leg = np.hypot(*(ankle - hip)[[0, 2]])
-            knee = _flexion(thigh, shin, leg)
-            shoulder = h + fit.shoulders.mean(axis=0)
-            reach = np.hypot(
-                np.hypot(*(grip - shoulder)[[0, 2]]), wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
-            )
-            elbow = _flexion(arm, forearm, reach - _PALM_REACH_M)
-            front = fit.front + h
-            level = np.abs(front[:, 2] - rim_bottom[2]) < 0.06
-            gap = rim_bottom[0] - front[level, 0].max() if level.any() else 1.0
-            thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
-            cost = (
-                ((knee - _KNEE) / _KNEE_SPREAD) ** 2
-                + ((elbow - _ELBOW) / _ELBOW_SPREAD) ** 2
-                + ((seat_height - height) / _HEIGHT_SPREAD_M) ** 2
-                + ((recline - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2
-                + (max(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
-                + (max(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
-                + (max(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2
-            )
-            if cost < best_cost:
-                best, best_cost = setting, cost
-    return best
+        hip = h_points + fit.seat_from_root[:3, 3]
+        leg = np.hypot(*(ankle - hip)[:, [0, 2]].T)
+        knee = _flexion(thigh, shin, leg)
+        shoulder = h_points + fit.shoulders.mean(axis=0)
+        beside = wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
+        elbow = _flexion(arm, forearm, np.hypot(np.hypot(*(grip - shoulder)[:, [0, 2]].T), beside) - _PALM_REACH_M)
+        gap = np.empty(len(place))
+        for seat_height in heights:
+            at = place[:, 0] == seat_height
+            level = np.abs(fit.front[:, 2] + h_points[at][0, 2] - rim_bottom[2]) < 0.06
+            gap[at] = rim_bottom[0] - h_points[at, 0] - fit.front[level, 0].max() if level.any() else 1.0
+        thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
+        cost = (
+            ((knee - _KNEE) / _KNEE_SPREAD) ** 2
+            + ((elbow - _ELBOW) / _ELBOW_SPREAD) ** 2
+            + ((place[:, 0] - height) / _HEIGHT_SPREAD_M) ** 2
+            + unease(recline)
+            + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
+            + (np.maximum(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
+            + (np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2
+        )
+        n = int(np.argmin(cost))
+        return float(cost[n]), SeatSetting(float(place[n, 1]), float(place[n, 0]), recline)
+
+    reclines = np.clip(seat.default.torso_angle + np.radians(_RECLINES_DEG), low.torso_angle, high.torso_angle)
+    best = (np.inf, seat.default)
+    for recline in sorted({float(r) for r in reclines}, key=unease):
+        if unease(recline) >= best[0]:
+            break
+        best = min(best, best_at(recline), key=lambda found: found[0])
+    return best[1]
 
 
-def _flexion(upper: float, lower: float, distance: float) -> float:
-    """Flexion (rad) of the hinge between two segments whose ends are `distance` apart; 0 where it is too far."""
+def _flexion(upper: float, lower: float, distance: Array) -> Array:
+    """Flexion (N,) rad of the hinge between two segments whose ends are `distance` (N,) apart; 0 where it is too far."""
     cosine = (upper * upper + lower * lower - distance * distance) / (2 * upper * lower)
-    return float(np.pi - np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.asarray(np.pi - np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _under_rim(hip: Array, ankle: Array, thigh: float, shin: float, rim: Array, top: float) -> float:
-    """Height (m) of a point of the rim above the skin of a thigh, in side view: the knee from hip and ankle, upwards."""
-    x, z = (ankle - hip)[[0, 2]]
-    reach = min(float(np.hypot(x, z)), thigh + shin - 1e-6)
+def _under_rim(hip: Array, ankle: Array, thigh: float, shin: float, rim: Array, top: float) -> Array:
+    """Height (N,) m of a point of the rim above the skin of a thigh, in side view: the knee from hips (N, 3), upwards."""
+    x, z = (ankle - hip)[:, [0, 2]].T
+    reach = np.minimum(np.hypot(x, z), thigh + shin - 1e-6)
     at_hip = np.arccos(np.clip((thigh * thigh + reach * reach - shin * shin) / (2 * thigh * reach), -1.0, 1.0))
-    angle = float(np.arctan2(z, x) + at_hip)  # of the femur, above the horizontal
-    along = float(np.clip((rim[0] - hip[0]) / max(np.cos(angle), 0.2), 0.0, thigh))
-    return float(rim[2] - hip[2] - along * np.sin(angle) - top * np.cos(angle))
+    angle = np.arctan2(z, x) + at_hip  # of the femur, above the horizontal
+    along = np.clip((rim[0] - hip[:, 0]) / np.maximum(np.cos(angle), 0.2), 0.0, thigh)
+    return np.asarray(rim[2] - hip[:, 2] - along * np.sin(angle) - top * np.cos(angle))
