@@ -191,16 +191,17 @@ def test_root_moves_everything_rigidly() -> None:
     assert_allclose(invert(move) @ moved.bones, still.bones, atol=1e-12)
     assert_allclose(body.joints(q, move), moved.joints, atol=0)
 
+    for frame in (*moved.palms.values(), *moved.soles.values(), *moved.bones):
+        assert is_rigid(frame)
+    with pytest.raises(ValueError, match="shape"):
+        body.pose(np.zeros(3), move)
+
 
 def test_a_part_of_the_skin_is_the_skin_there() -> None:
     q, body = random_pose(3), person("S02")
     root = transform(Rotation.from_euler("zyx", [0.4, -0.3, 0.2]), (1.2, -0.4, 0.7))
     rows = np.random.Generator(np.random.Philox(1)).permutation(len(body.rest_skin))[:500]
     assert_allclose(body.skin_part(rows)(q, root), body.pose(q, root).skin[rows], atol=1e-6)
-    for frame in (*moved.palms.values(), *moved.soles.values(), *moved.bones):
-        assert is_rigid(frame)
-    with pytest.raises(ValueError, match="shape"):
-        body.pose(np.zeros(3), move)
 
 
 @pytest.mark.parametrize("name", NAMES)
