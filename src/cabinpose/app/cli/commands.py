@@ -108,14 +108,20 @@ class View:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a dataset in another format: png-json, coco, itop or ply."""
+    """Write a dataset in another format (png-json, coco, itop or ply), or a trained model as ONNX."""
 
-    dataset: FolderArgument
-    """Folder of the dataset."""
-    format: str
-    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ply: point clouds."""
     out: Path
-    """Folder to write; it appears when the export is whole."""
+    """Folder (with --onnx: file) to write; it appears when the export is whole."""
+    dataset: Annotated[Positional[Path | None], arg(metavar="DATASET")] = None
+    """Folder of the dataset."""
+    format: str | None = None
+    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ply: point clouds."""
+    onnx: Path | None = None
+    """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
+    name: str | None = None
+    """Name of the ONNX model in reports; default: the file's."""
+    card: Path | None = None
+    """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
     splits: Path | None = None
     """YAML file of splits, of which one is exported."""
     split: str | None = None
@@ -168,6 +174,40 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Train:
+    """Train a detector on a dataset, or on scenes generated meanwhile; the best epoch is kept.
+
+    Needs the extra `train`. A run that was interrupted goes on with --resume from its last whole epoch.
+    """
+
+    out: Path
+    """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv."""
+    method: str | None = None
+    """Method, if the configuration names none: compact, paf, lifting, unet."""
+    config: Path | None = None
+    """Configuration of the run (YAML); every key has a default."""
+    data: Path | None = None
+    """Folder of the dataset to train on."""
+    synth: Path | None = None
+    """Scene configuration (YAML) to generate frames from while training, in place of a dataset."""
+    frames: int = 2000
+    """Frames an epoch with --synth."""
+    splits: Path | None = None
+    """YAML file of splits; without it some of the subjects are held out to validate on."""
+    train: str = "train"
+    """Name of the split to learn from."""
+    validate: str = "validate"
+    """Name of the split to validate on."""
+    devices: str = "auto"
+    """Devices a machine, as Lightning understands them."""
+    nodes: int = 1
+    """Machines, started by Lightning's launchers."""
+    resume: bool = False
+    """Go on with the run in the folder."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure what the package promises on this machine: frames a second, stages, acceptance, Blender on the same scenes."""
 
@@ -193,12 +233,13 @@ Command = (
     | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Train, subcommand("train")]
     | Annotated[Bench, subcommand("bench")]
 )
 
 RUNNERS = MappingProxyType(
     {
-        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Bench: "bench",
+        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train", Bench: "bench",
     }
 )  # fmt: skip
 

@@ -1,9 +1,15 @@
-"""`cabinpose export`: a dataset, or one of its splits, in another format."""
+"""`cabinpose export`: a dataset, or one of its splits, in another format; a trained model as ONNX."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+import yaml
+
 from cabinpose.app.cli.commands import Export
 from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import export_dataset
@@ -11,7 +17,12 @@ from cabinpose.store.split import read_splits, split_dataset
 
 
 def run(command: Export) -> None:
-    """Export with a progress bar and name the folder."""
+    """Export with a progress bar and name what was written."""
+    if command.onnx is not None:
+        _export_model(command, command.onnx)
+        return
+    if command.dataset is None or command.format is None:
+        raise ConfigError("there is nothing to export", hint="give DATASET and --format, or --onnx CHECKPOINT")
     if (command.splits is None) != (command.split is None):
         raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
     dataset = open_dataset(command.dataset)
@@ -27,3 +38,29 @@ def run(command: Export) -> None:
         print_json({"out": str(folder), "format": command.format, "frames": frames})
     else:
         print(f"{folder}: {frames} frames as {command.format}")
+
+
+def _export_model(command: Export, checkpoint: Path) -> None:
+    if command.dataset is not None or command.format is not None:
+        raise ConfigError("a dataset or a model is exported, not both", hint="give DATASET and --format, or --onnx CHECKPOINT")
+    require("torch", "onnx", extra="train")
+    from cabinpose.estimate.export import export_onnx
+
+    name = command.name or command.out.stem
+    difference = export_onnx(checkpoint, command.out, name=name, card=_card(command.card), overwrite=command.overwrite)
+    if command.as_json:
+        print_json({"out": str(command.out), "format": "onnx", "difference": difference})
+    else:
+        print(f"{command.out}: differs from torch by at most {difference:.1e}")
+
+
+def _card(path: Path | None) -> dict[str, Any]:
+    if path is None:
+        return {}
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read the card {path}: {error}", hint="give a YAML file with --card") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"the card {path} is no mapping", hint="write `key: value` lines")
+    return data

@@ -1,0 +1,40 @@
+"""`cabinpose train`: a detector from a dataset, or from scenes generated meanwhile."""
+
+from __future__ import annotations
+
+import sys
+
+from cabinpose.app.cli.commands import Train
+from cabinpose.app.cli.output import print_json
+from cabinpose.app.extras import require
+from cabinpose.core.errors import ConfigError
+from cabinpose.store import open_dataset
+from cabinpose.synth.config import SynthConfig
+
+
+def run(command: Train) -> None:
+    """Train with Lightning's progress bar and name the best checkpoint."""
+    require("torch", "lightning", extra="train")
+    from cabinpose.app.training import generated_frames, read_train_config, stored_frames
+    from cabinpose.estimate.training import fit, frame_spec
+
+    if (command.data is None) == (command.synth is None):
+        raise ConfigError("a detector learns from a dataset or from generated scenes", hint="give one of --data and --synth")
+    config = read_train_config(command.config, command.method)
+    spec = frame_spec(config)
+    if command.data is not None:
+        training, validation = stored_frames(open_dataset(command.data), spec, command.splits, command.train, command.validate)
+    else:
+        training, validation = generated_frames(SynthConfig.load(command.synth), spec, command.frames, config.seed)
+    best = fit(
+        config, training, validation, command.out, resume=command.resume, devices=_devices(command.devices), nodes=command.nodes
+    )
+    if command.as_json:
+        print_json({"best": str(best)})
+    else:
+        print(best)
+        print(f"export it with: cabinpose export --onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
+
+
+def _devices(words: str) -> int | str:
+    return int(words) if words.isdigit() else words

@@ -1,0 +1,1 @@
+"""Detectors of body pose: networks, their training, and running what was trained."""

@@ -1,0 +1,1 @@
+"""The compact detector: places vote for joints in 2D and 3D."""

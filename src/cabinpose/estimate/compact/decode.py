@@ -1,0 +1,20 @@
+"""From the compact network's answers to joints; the same for torch and ONNX Runtime."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from cabinpose.estimate.compact.config import CompactConfig
+from cabinpose.estimate.found import Found, sigmoid
+
+
+def decode(outputs: Mapping[str, NDArray[Any]], config: CompactConfig) -> Found:
+    """joints (N, S, J, 3) (u, v, z) of the view, inside and visible (N, S, J) and present (N, S) logits, as joints.
+
+    A joint is present with the probability that its person is there and the joint in the image.
+    """
+    presence = sigmoid(outputs["present"])[..., None] * sigmoid(outputs["inside"])
+    return Found(config.view.from_view(outputs["joints"]), presence * sigmoid(outputs["visible"]), presence)

@@ -1,0 +1,56 @@
+"""The compact detector's training loss."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.compact.model import STRIDE, Compact, Votes
+
+_SPREAD = 1.2  # cells: standard deviation of the weights that training asks for around a joint
+_WEIGHTS = {"image": 1.0, "depth": 1.0, "votes": 0.1, "inside": 0.2, "visible": 0.2, "present": 0.5}
+_OUTSIDE = 0.2  # weight of a joint outside the image: it is guessed from the rest of the body
+
+
+def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
+    """The terms of the loss and their weighted sum, `loss`.
+
+    image: smooth L1 of u, v in cells · depth: smooth L1 of z in decimetres · votes: cross entropy of the weights with a
+    Gaussian around the joint · inside, visible, present: binary cross entropies. Only people who are there count for their joints.
+    """
+    votes: Votes = network(batch.depth, batch.amplitude)
+    truth = batch.joints
+    known = batch.present.unsqueeze(-1) & (batch.visibility > 0) & torch.isfinite(truth).all(-1)
+    inside = known & (batch.visibility > 1)
+    weight = known * torch.where(inside, 1.0, _OUTSIDE)
+    # A joint far outside would pull the mean of the votes beyond what the offsets reach.
+    limit = truth.new_tensor((network.config.width, network.config.height))
+    target = torch.nan_to_num(truth)
+    uv = torch.minimum(torch.maximum(target[..., :2], -0.25 * limit), 1.25 * limit)
+    total = weight.sum().clamp(min=1.0)
+    image = functional.smooth_l1_loss(votes.joints[..., :2] / STRIDE, uv / STRIDE, beta=0.1, reduction="none").sum(-1)
+    depth = functional.smooth_l1_loss(votes.joints[..., 2] * 10, target[..., 2] * 10, beta=0.1, reduction="none")
+    terms = {
+        "image": (image * weight).sum() / total,
+        "depth": (depth * weight).sum() / total,
+        "votes": _cross_entropy(votes.weights, uv, inside, network.cells),
+        "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside)),
+        "visible": _binary(votes.visible, batch.visibility == 4, batch.present.unsqueeze(-1).expand_as(inside)),
+        "present": functional.binary_cross_entropy_with_logits(votes.present, batch.present.float()),
+    }
+    terms["loss"] = sum((_WEIGHTS[name] * term for name, term in terms.items()), start=image.new_zeros(()))
+    return terms
+
+
+def _cross_entropy(log_weights: Tensor, uv: Tensor, inside: Tensor, cells: Tensor) -> Tensor:
+    """Mean cross entropy of the weights (N, S, J, cells) with a Gaussian around joints (N, S, J, 2) that are inside."""
+    squared = (uv[..., :1] - cells[0]) ** 2 + (uv[..., 1:] - cells[1]) ** 2
+    aim = torch.softmax(-squared / (2 * (_SPREAD * STRIDE) ** 2), dim=-1)
+    return -((aim * log_weights).sum(-1) * inside).sum() / inside.sum().clamp(min=1)
+
+
+def _binary(logit: Tensor, truth: Tensor, where: Tensor) -> Tensor:
+    each = functional.binary_cross_entropy_with_logits(logit, truth.float(), reduction="none")
+    return (each * where).sum() / where.sum().clamp(min=1)

@@ -1,0 +1,147 @@
+"""The compact detector: every cell of a coarse grid votes for every joint of every place.
+
+A light depthwise backbone sees depth, cloud and amplitude in the model's view and ends in features at stride 8. From them
+each cell gives, for each joint of each place, a weight, an offset in the image and a depth; a joint is the mean of the votes
+under the softmax of their weights. Voting by informative anchors follows A2J (Xiong et al., "A2J: Anchor-to-joint regression
+network for 3D articulated pose estimation from a single depth image", ICCV 2019). It reaches joints that are hidden
+or outside the image, and the depth of a joint is learnt, not read off the skin that covers it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from cabinpose.estimate.compact.config import CompactConfig
+
+STRIDE = 8
+_VALUES = 6  # of a vote: weight, offset in u and v, depth, inside, visible
+_CLOUD_M = 1.5  # half width of the cloud that is mapped to [-1, 1]
+
+
+class Votes(NamedTuple):
+    """What the network says of N frames, S places and J joints.
+
+    joints: (N, S, J, 3) u, v (px of the view) and depth (m) · inside, visible: (N, S, J) logits of the joint being in the
+    image, and seen there · present: (N, S) logit of somebody being there · weights: (N, S, J, cells) log-probability of
+    each cell, for training.
+    """
+
+    joints: Tensor
+    inside: Tensor
+    visible: Tensor
+    present: Tensor
+    weights: Tensor
+
+
+class Compact(nn.Module):
+    """The network of the compact detector."""
+
+    def __init__(self, config: CompactConfig) -> None:
+        super().__init__()
+        self.config = config
+        c2, c4, c8, c16 = config.channels
+        b4, b8, b16 = config.blocks
+        inputs = 5 if config.amplitude else 4
+        self.stem = nn.Sequential(
+            nn.Conv2d(inputs, c2, 3, 2, 1, bias=False), nn.BatchNorm2d(c2), nn.ReLU(inplace=True),
+            *_stage(c2, c4, b4),
+        )  # fmt: skip
+        self.middle = nn.Sequential(*_stage(c4, c8, b8))
+        self.deep = nn.Sequential(*_stage(c8, c16, b16), Attention(c16))
+        self.lateral = _unit(c8, c8)
+        self.top = _unit(c16, c8)
+        self.merge = Block(c8, c8)
+        count = len(config.slots) * len(config.joints)
+        self.votes = nn.Conv2d(c8 + 2, _VALUES * count, 1)
+        self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
+        self.register_buffer(
+            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
+        )
+        rows, columns = torch.meshgrid(
+            torch.arange(config.height // STRIDE), torch.arange(config.width // STRIDE), indexing="ij"
+        )  # pixel centre of each cell
+        cells = torch.stack((columns.flatten(), rows.flatten())) * STRIDE + (STRIDE - 1) / 2
+        self.register_buffer("cells", cells.float(), persistent=False)
+
+    def inputs(self, depth: Tensor, amplitude: Tensor | None) -> Tensor:
+        """Channels (N, C, h, w) from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
+        z = depth.unsqueeze(1)
+        valid = (z > 0).to(z.dtype)
+        centre = 0.5 * self.config.max_depth_m
+        channels = [valid, (z / centre - 1.0) * valid, z * self.rays / _CLOUD_M]
+        if self.config.amplitude:
+            if amplitude is None:
+                raise ValueError("this model reads amplitudes")
+            # Light returned falls with the square of the distance: times z squared, what is left is the surface.
+            channels.append(torch.log1p(amplitude.unsqueeze(1) * z * z) / 5.0 - valid)
+        return torch.cat(channels, dim=1)
+
+    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
+        """Votes from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
+        x = self.inputs(depth, amplitude)
+        x = x.contiguous(memory_format=torch.channels_last) if self.training else x
+        middle = self.middle(self.stem(x))
+        deep = self.deep(middle)
+        top = nn.functional.interpolate(self.top(deep), scale_factor=2.0, mode="nearest")
+        features = self.merge(self.lateral(middle) + top)
+        n, s, j = depth.shape[0], len(self.config.slots), len(self.config.joints)
+        near = nn.functional.avg_pool2d(x[:, :2], STRIDE)  # the surface of the cell, for votes relative to it
+        votes = self.votes(torch.cat((features, near), dim=1)).reshape(n, s, j, _VALUES, -1)
+        weights = torch.log_softmax(votes[:, :, :, 0], dim=-1)
+        p = weights.exp()
+        u = (p * (self.cells[0] + STRIDE * votes[:, :, :, 1])).sum(-1)
+        v = (p * (self.cells[1] + STRIDE * votes[:, :, :, 2])).sum(-1)
+        z = 0.5 * self.config.max_depth_m * (1.0 + (p * votes[:, :, :, 3]).sum(-1))
+        inside, visible = (p.unsqueeze(3) * votes[:, :, :, 4:]).sum(-1).unbind(-1)
+        pooled = torch.cat((deep.mean((2, 3)), deep.amax((2, 3))), dim=1)
+        return Votes(torch.stack((u, v, z), dim=-1), inside, visible, self.present(pooled), weights)
+
+
+class Block(nn.Module):
+    """Depthwise 5x5, then 1x1, with a residual where the shape allows it."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+        super().__init__()
+        self.depthwise = nn.Conv2d(inputs, inputs, 5, stride, 2, groups=inputs)
+        hidden = 2 * outputs
+        self.mix = nn.Sequential(
+            nn.Conv2d(inputs, hidden, 1, bias=False), nn.BatchNorm2d(hidden), nn.ReLU(inplace=True),
+            nn.Conv2d(hidden, outputs, 1, bias=False), nn.BatchNorm2d(outputs),
+        )  # fmt: skip
+        self.residual = stride == 1 and inputs == outputs
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, inputs, h, w) to (N, outputs, h / stride, w / stride)."""
+        y = self.mix(self.depthwise(x))
+        return x + y if self.residual else y
+
+
+class Attention(nn.Module):
+    """Self-attention over all cells: what one arm does tells of the other."""
+
+    def __init__(self, channels: int, heads: int = 4) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.BatchNorm2d(channels)
+        self.qkv = nn.Conv2d(channels, 3 * channels, 1, bias=False)
+        self.out = nn.Conv2d(channels, channels, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, h, w) to the same shape."""
+        n, c, h, w = x.shape
+        qkv = self.qkv(self.norm(x)).reshape(n, 3, self.heads, c // self.heads, h * w)
+        q, k, v = qkv.transpose(-1, -2).unbind(1)
+        mixed = nn.functional.scaled_dot_product_attention(q, k, v)
+        return x + self.out(mixed.transpose(-1, -2).reshape(n, c, h, w))
+
+
+def _unit(inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs))
+
+
+def _stage(inputs: int, outputs: int, count: int) -> list[nn.Module]:
+    """Blocks that halve the image at their first."""
+    return [Block(inputs, outputs, 2), *(Block(outputs, outputs) for _ in range(count - 1))]

@@ -1,0 +1,172 @@
+"""Training frames: a dataset's parts, or frames as they are generated, resampled to a model's view.
+
+Frames are read one by one from the Zarr parts. What a view keeps of a frame is small (100 kB at 176x144), so that by
+default it stays in memory after the first epoch, as the integers of the disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import psutil
+import torch
+import xarray as xr
+from numpy.typing import NDArray
+from torch.utils.data import Dataset, IterableDataset
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.inputs import InputView
+
+_SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
+_TICK_M = 1e-4
+
+
+class FrameSpec(NamedTuple):
+    """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop"), and pixel classes."""
+
+    view: InputView
+    slots: tuple[str, ...]
+    skeleton: str = "cabinpose"
+    labels: bool = False
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return ITOP_JOINTS if self.skeleton == "itop" else JOINTS
+
+
+class Kept(NamedTuple):
+    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm."""
+
+    depth: NDArray[np.uint16]
+    amplitude: NDArray[np.uint16]
+    joints: NDArray[np.float32]
+    visibility: NDArray[np.uint8]
+    present: NDArray[np.bool_]
+    labels: NDArray[np.uint8]
+
+
+class StoredFrames(Dataset[Kept]):
+    """The frames of a dataset folder, or of a selection of it."""
+
+    def __init__(self, dataset: xr.Dataset, spec: FrameSpec, *, keep: bool | None = None) -> None:
+        """`keep` frames in memory once they were read; by default where they fill less than half of what is free.
+
+        Raises DatasetError for a dataset without frames, of another skeleton, or without one of the places.
+        """
+        self.spec = spec
+        self._dataset = dataset
+        self._rows = slot_rows(dataset, spec)
+        count = dataset.sizes["frame"]
+        need = count * spec.view.width * spec.view.height * (5 if spec.labels else 4)
+        if keep is None:
+            keep = need < 0.5 * psutil.virtual_memory().available
+        self._kept: dict[int, Kept] | None = {} if keep else None
+
+    def __len__(self) -> int:
+        return int(self._dataset.sizes["frame"])
+
+    def __getitem__(self, index: int) -> Kept:
+        if self._kept is not None and index in self._kept:
+            return self._kept[index]
+        names = ["depth", "amplitude", *(["labels"] if self.spec.labels else [])]
+        names += [_joints_variable(self.spec), "visibility", "camera_k", "camera_dist", "subject"]
+        frame = {name: self._dataset[name][index].values for name in names}
+        kept = view_frame(frame, self.spec, self._rows)
+        if self._kept is not None:
+            self._kept[index] = kept
+        return kept
+
+
+class GeneratedFrames(IterableDataset[Kept]):
+    """Frames that are made while training: `make(index)` gives the variables of the dataset standard."""
+
+    def __init__(self, make: Callable[[int], Mapping[str, Any]], count: int, spec: FrameSpec, persons: Sequence[str]) -> None:
+        """`count` frames an epoch, other ones in each; `persons`: the places of the frames."""
+        self._make, self._count, self._spec = make, count, spec
+        self._rows = [list(persons).index(slot) for slot in spec.slots]
+        self.epoch = 0
+
+    def __iter__(self) -> Iterator[Kept]:
+        worker = torch.utils.data.get_worker_info()
+        first, step = (worker.id, worker.num_workers) if worker else (0, 1)
+        start = self.epoch * self._count
+        for index in range(start + first, start + self._count, step):
+            yield view_frame(self._make(index), self._spec, self._rows)
+
+
+def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
+    """Rows of the dataset's `person` that hold the places of a spec. Raises DatasetError where something does not fit."""
+    if not dataset.sizes["frame"]:
+        raise DatasetError("there is no frame to train on", hint="look at the splits, and at `cabinpose info`")
+    persons = [str(name) for name in dataset["person"].values]
+    lacking = [slot for slot in spec.slots if slot not in persons]
+    if lacking:
+        raise DatasetError(f"the dataset has no place {', '.join(lacking)}", hint=f"set slots to some of: {', '.join(persons)}")
+    name = _joints_variable(spec)
+    if name not in dataset:
+        raise DatasetError(
+            f"the dataset has no {name}", hint="ITOP's joints are those of scenes in a room; or set skeleton: cabinpose"
+        )
+    if spec.skeleton == "cabinpose" and tuple(dataset["joint"].values) != JOINTS:
+        raise DatasetError(
+            f"the dataset has another skeleton: {', '.join(map(str, dataset['joint'].values))}",
+            hint=f"its joints have to be: {', '.join(JOINTS)}",
+        )
+    return [persons.index(slot) for slot in spec.slots]
+
+
+def _joints_variable(spec: FrameSpec) -> str:
+    return "itop_joints_3d" if spec.skeleton == "itop" else "joints_3d"
+
+
+def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -> Kept:
+    """One frame of the standard's variables in the view of a spec."""
+    height, width = frame["depth"].shape
+    source = camera_of(frame["camera_k"], frame["camera_dist"], width, height)
+    view = spec.view
+    joints = np.asarray(frame[_joints_variable(spec)], dtype=np.float64)[rows]
+    states = np.asarray(frame["visibility"])[rows]
+    visibility = _itop_visibility(view.to_view(joints), view) if spec.skeleton == "itop" else states
+    there = [str(frame["subject"][row]) != "" for row in rows]
+    seen = np.isin(states, (Visibility.VISIBLE, Visibility.SELF_OCCLUDED)).sum(axis=1) >= _SEEN_JOINTS
+    labels = view.resample(frame["labels"], source) if spec.labels else np.zeros((0, 0), np.uint8)
+    return Kept(
+        np.round(view.depth(frame["depth"], source) / _TICK_M).astype(np.uint16),
+        view.resample(frame["amplitude"], source).astype(np.uint16),
+        view.to_view(joints).astype(np.float32),
+        visibility.astype(np.uint8),
+        seen & np.array(there),
+        labels.astype(np.uint8),
+    )
+
+
+def _itop_visibility(uvz: NDArray[np.float64], view: InputView) -> NDArray[np.uint8]:
+    """The standard's states for ITOP's joints, which carry none of their own: inside the view, outside, or absent."""
+    inside = view.camera.contains(uvz[..., :2])
+    states = np.where(inside, Visibility.VISIBLE, Visibility.OUTSIDE_IMAGE)
+    return np.where(np.isfinite(uvz).all(axis=-1), states, Visibility.ABSENT).astype(np.uint8)
+
+
+def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
+    """The camera of one frame's `camera_k` and `camera_dist`."""
+    coefficients = tuple(float(c) for c in dist)
+    return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), coefficients)  # type: ignore[arg-type]
+
+
+def collate(frames: Sequence[Kept]) -> Batch:
+    """Frames in the view as one batch of float tensors."""
+    stacked = Kept(*(np.stack(arrays) for arrays in zip(*frames, strict=True)))
+    return Batch(
+        torch.from_numpy(stacked.depth.astype(np.float32) * np.float32(_TICK_M)),
+        torch.from_numpy(stacked.amplitude.astype(np.float32)),
+        torch.from_numpy(stacked.joints),
+        torch.from_numpy(stacked.visibility),
+        torch.from_numpy(stacked.present),
+        torch.from_numpy(stacked.labels) if stacked.labels.size else None,
+    )

@@ -1,0 +1,85 @@
+"""From a checkpoint to an ONNX file that runs without torch and answers the same."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import Tensor, nn
+
+from cabinpose.core.errors import ModelError
+from cabinpose.estimate.methods import Method
+from cabinpose.estimate.predictor import METADATA_KEY
+from cabinpose.estimate.training import load_detector
+
+TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime, in units of the outputs (px, m, logits)
+_OPSET = 18
+
+
+class _Named(nn.Module):
+    """A network that returns only the outputs that are exported, in their order."""
+
+    def __init__(self, network: nn.Module, outputs: tuple[str, ...]) -> None:
+        super().__init__()
+        self._network, self._outputs = network, outputs
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """The exported outputs."""
+        values = self._network(*inputs)
+        return tuple(getattr(values, name) for name in self._outputs)
+
+
+def export_onnx(checkpoint: Path, out: Path, *, name: str, card: Mapping[str, Any], overwrite: bool = False) -> float:
+    """Write a checkpoint as ONNX and return the greatest difference between both on a test batch.
+
+    name, card: go into the file's metadata with the method and its settings. Raises ModelError where `out` exists, or where
+    ONNX Runtime answers anything that differs by more than `TOLERANCE`.
+    """
+    if out.exists() and not overwrite:
+        raise ModelError(f"{out} exists", hint="--overwrite replaces it")
+    detector = load_detector(checkpoint)
+    method, config = detector.method, detector.method_config
+    network = _Named(detector.network, method.outputs).eval()
+    examples = _examples(method, config.view.height, config.view.width)
+    partial = out.with_name(out.name + ".tmp")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    torch.onnx.export(
+        network, examples, str(partial), input_names=list(method.inputs), output_names=list(method.outputs), dynamo=False,
+        opset_version=_OPSET, dynamic_axes={n: {0: "frames"} for n in (*method.inputs, *method.outputs)},
+    )  # fmt: skip
+    model = onnx.load(str(partial))
+    metadata = {"name": name, "method": method.name, "config": config.model_dump(mode="json"), "card": dict(card)}
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
+    onnx.save(model, str(partial))
+    difference = _difference(network, partial, examples, method)
+    if not difference <= TOLERANCE:
+        partial.unlink()
+        raise ModelError(
+            f"the exported model differs from torch by {difference:.2g}", hint="try another version of torch or onnxruntime"
+        )
+    partial.replace(out)
+    return difference
+
+
+def _examples(method: Method, height: int, width: int) -> tuple[Tensor, ...]:
+    """Three frames of plausible depths (m, some invalid) and amplitudes."""
+    generator = torch.Generator().manual_seed(0)
+    depth = 0.4 + 2 * torch.rand((3, height, width), generator=generator)
+    depth[torch.rand(depth.shape, generator=generator) < 0.1] = 0.0
+    values = {"depth": depth, "amplitude": 300 * torch.rand(depth.shape, generator=generator)}
+    return tuple(values[name] for name in method.inputs)
+
+
+@torch.no_grad()
+def _difference(network: nn.Module, path: Path, examples: tuple[Tensor, ...], method: Method) -> float:
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    theirs = session.run(list(method.outputs), {n: e.numpy() for n, e in zip(method.inputs, examples, strict=True)})
+    return max(float(np.abs(a.numpy() - b).max()) for a, b in zip(network(*examples), theirs, strict=True))

@@ -1,0 +1,25 @@
+"""What decoding gives: joints in the camera frame, with how sure the model is of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Found(NamedTuple):
+    """Joints of N frames, P persons and J joints.
+
+    joints_3d: (N, P, J, 3) m, camera frame; NaN = no answer · score: (N, P, J), more is better · presence: (N, P, J)
+    probability that the joint is in the image.
+    """
+
+    joints_3d: NDArray[np.float64]
+    score: NDArray[np.float64]
+    presence: NDArray[np.float64]
+
+
+def sigmoid(logit: NDArray[Any]) -> NDArray[np.float64]:
+    """1 / (1 + exp(-x)), without overflow."""
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * np.asarray(logit, dtype=np.float64))))
