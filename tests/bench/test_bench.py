@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,10 @@ import pytest
 from cabinpose.app.bench import run_bench
 from cabinpose.app.bench import synth as bench
 from cabinpose.app.bench.blender import blender_python, compare
-from cabinpose.core.errors import ConfigError
+from cabinpose.app.bench.memory import memory_growth
+from cabinpose.app.bench.rendering import rendering_speed
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.sensor import SENSORS
@@ -52,8 +57,62 @@ def test_a_small_bench_has_every_figure(tmp_path: Path) -> None:
     assert result["ratio_to_blender"] is None
     assert result["blender"]["reason"] == "not asked for"
     assert result["rss_growth"] is not None
-    assert 100 < result["rss_worker_mb"] < 1500  # the limit of 1 GB is the bench's to show: here the frames are few
-    assert len(said) == 3
+    assert 100 < result["memory"]["peak_mb"] < 1000
+    assert result["rss_worker_mb"] > 100
+    rendering = result["rendering"]
+    assert rendering["workers"] == 1
+    assert rendering["seconds_per_frame"] == np.median(rendering["runs"]) > 0
+    assert result["ratio_to_blender"] is result["ratio_to_blender_pipeline"] is None
+    assert len(said) == 4
+
+
+def test_memory_is_that_of_a_process_of_its_own() -> None:
+    ballast = np.ones(140_000_000)  # 1.1 GB here, none of which may be counted
+    figures = memory_growth(8)
+    assert 100 < figures["peak_mb"] < 1000 < ballast.nbytes / 1e6
+    assert figures["peak_mb"] >= max(figures["rss_mb"]) - 0.1
+    assert figures["frames"] == 8
+    with pytest.raises(ConfigError, match="cannot be watched"):
+        memory_growth(0)
+
+
+def test_a_failing_process_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cabinpose.app.bench.memory.__name__", "no_such_module")
+    with pytest.raises(SceneError, match="no_such_module"):
+        memory_growth(1)
+
+
+def test_the_ratios_are_of_the_same_things(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rendering against rendering; the whole pipeline apart; Blender's import in neither."""
+    blender = {"seconds_per_frame": 0.6, "seconds_per_frame_with_import": 9.0, "reason": None}
+    throughput = bench.Throughput(50.0, 1.0, {"render": 1000.0}, (50.0,))
+    monkeypatch.setattr(bench, "_throughput", lambda *_: throughput)
+    monkeypatch.setattr(bench, "_scenes", lambda count: [None] * count)
+    monkeypatch.setattr(bench, "rendering_speed", lambda *_, **__: {"seconds_per_frame": 0.02})
+    monkeypatch.setattr(bench, "compare", lambda *_, **__: blender)
+    result = run_bench(frames=1, repeats=1, workers=1)
+    assert result["ratio_to_blender"] == pytest.approx(0.6 / 0.02)
+    assert result["ratio_to_blender_pipeline"] == pytest.approx(0.6 * 50.0)
+
+
+def test_every_scene_is_rendered_as_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    class Counting:
+        def __init__(self, camera: Camera) -> None:
+            assert camera.dist == (0.0, 0.0, 0.0, 0.0, 0.0)
+
+        def render(self, surface: int, _: np.ndarray, *, closed: bool) -> None:
+            assert closed
+            calls.append(surface)
+
+    monkeypatch.setattr("cabinpose.app.bench.rendering.Rasteriser", Counting)
+    scenes: Any = [SimpleNamespace(surface=lambda n=n: n, world_from_camera=np.eye(4), closed=True) for n in range(3)]
+    figures = rendering_speed(scenes, SENSORS["pico_monstar_105"].camera, workers=2, repeats=5)
+    warm = 2 * len(scenes)
+    assert len(figures["runs"]) == 5
+    assert len(calls) == warm + 5 * figures["frames"]
+    assert {calls.count(n) for n in range(3)} == {2 + 5 * figures["frames"] // 3}
 
 
 def test_nothing_to_measure_is_refused() -> None:
@@ -82,4 +141,4 @@ def test_blender_sees_the_same_depth() -> None:
     assert outcome["reason"] is None
     assert outcome["depth_agreement"] > 0.999
     assert outcome["instance_agreement"] > 0.999
-    assert np.isfinite(outcome["seconds_per_frame"])
+    assert 0 < outcome["seconds_per_frame"] < outcome["seconds_per_frame_with_import"]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import cabinpose.synth.render
+from cabinpose.app.bench.rendering import pinhole
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import invert
 from cabinpose.synth.render import Rasteriser
@@ -52,20 +53,20 @@ def compare(scenes: list[Scene], camera: Camera, *, threads: int, folder: Path |
     """Blender's seconds a frame on scenes, and how many of its pixels have our depth.
 
     Both see the camera without its lens distortion, which Blender's camera lacks. Keys: seconds_per_frame (median of the
-    render calls alone, None where Blender does not run), reason, version, depth_agreement (share of pixels within 0.1 mm),
-    instance_agreement, scenes.
+    render calls alone, with which Blender builds its search tree, renders, and writes both passes; None where Blender does
+    not run), seconds_per_frame_with_import (the same with the making of the meshes), reason, version, depth_agreement (share
+    of pixels within 0.1 mm), instance_agreement, scenes.
     """
     python, reason = blender_python(folder or cache_folder())
     if python is None:
         return {"seconds_per_frame": None, "reason": reason}
-    pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    rasteriser = Rasteriser(pinhole)
+    rasteriser = Rasteriser(pinhole(camera))
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         ours = []
         for number, scene in enumerate(scenes):
             surface = scene.surface()
-            ours.append(rasteriser.render(surface, invert(scene.world_from_camera)))
+            ours.append(rasteriser.render(surface, invert(scene.world_from_camera), closed=scene.closed))
             np.savez(
                 work / f"scene-{number:03d}.npz",
                 vertices=surface.vertices,
@@ -87,6 +88,7 @@ def compare(scenes: list[Scene], camera: Camera, *, threads: int, folder: Path |
             instance.append(np.mean(np.maximum(peer["index"] - 1, 0) == frame.instance))
     return {
         "seconds_per_frame": float(np.median(answer["seconds"])),
+        "seconds_per_frame_with_import": float(np.median(answer["seconds_with_import"])),
         "reason": None,
         "version": answer["blender"],
         "depth_agreement": float(np.mean(depth)),

@@ -15,15 +15,17 @@ import psutil
 from distributed import Client, LocalCluster
 
 from cabinpose.app.bench.blender import compare
+from cabinpose.app.bench.memory import memory_growth
+from cabinpose.app.bench.rendering import rendering_speed
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import PRESETS, build_cabin
 from cabinpose.synth.config import CabinScene, Camera, Output, SynthConfig
-from cabinpose.synth.generate import GenerationReport, Progress, generate
+from cabinpose.synth.generate import GenerationReport, generate
+from cabinpose.synth.sample import Scene
 from cabinpose.synth.write import FrameMaker
 
 _FRAMES_PER_PART = 50
-_WARM_FRAMES = 500  # after which memory should no longer grow
 _SEED = 1
 Say = Callable[[str], None]
 
@@ -73,16 +75,22 @@ def run_bench(
 
     frames: of each timed run, written whole to a temporary folder; every configuration is run once unmeasured first, so that
     the workers are started and warm, and then `repeats` times · workers: processes, and Blender's threads · memory_frames: of
-    one more run in this process whose memory is watched; 0 leaves `rss_growth` null · cache: folder of Blender's environment
-    · say: told what is being measured.
+    one more run, in a process of its own whose memory is watched; 0 leaves `rss_growth` null · cache: folder of Blender's
+    environment · say: told what is being measured.
 
-    frames_per_s .. frames_per_s_five_occupants count accepted frames on disk a second of all workers. ratio_to_blender is
-    frames_per_s over Blender's frames a second: our whole pipeline against its rendering alone;
-    ratio_to_blender_rendering is our rendering alone against it. Both are null, with `blender.reason`, where Blender does not
-    run. startup_s: from a cold start of the workers to the end of the unmeasured run.
+    frames_per_s .. frames_per_s_five_occupants count accepted frames on disk a second of all workers. Two ratios to Blender,
+    both null, with `blender.reason`, where Blender does not run:
+
+    - ratio_to_blender: rendering against rendering of the same scenes through the same pinhole, each on `workers` cores;
+      Blender's `seconds_per_frame` (the render call alone) over ours (`rendering.seconds_per_frame`, see `rendering_speed`).
+    - ratio_to_blender_pipeline: our whole pipeline, from drawing a scene to bytes on disk, against Blender's rendering alone;
+      frames_per_s over Blender's frames a second.
+
+    `blender.seconds_per_frame_with_import` is Blender's time with the meshes handed over too; no ratio uses it. startup_s:
+    from a cold start of the workers to the end of the unmeasured run.
     """
-    if frames < 1 or repeats < 1 or workers < 1:
-        raise ConfigError("the bench needs frames, repeats and workers", hint="give each at least 1")
+    if min(frames, repeats, workers, blender_scenes) < 1:
+        raise ConfigError("the bench needs frames, repeats, workers and scenes", hint="give each at least 1")
     with LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs="ERROR"
     ) as cluster:
@@ -100,7 +108,7 @@ def run_bench(
         "frames_per_s": single.frames_per_s,
         "frames_per_s_five_occupants": five.frames_per_s,
         "ratio_to_blender": None,
-        "ratio_to_blender_rendering": None,
+        "ratio_to_blender_pipeline": None,
         "acceptance": single.acceptance,
         "acceptance_five_occupants": five.acceptance,
         "stages_ms": dict(single.stages_ms),
@@ -114,13 +122,16 @@ def run_bench(
         "cores": os.cpu_count(),
         "blender": {"seconds_per_frame": None, "reason": "not asked for"},
     }
+    scenes, camera = _scenes(blender_scenes), one_occupant().camera.sensor_model.camera
+    say(f"rendering alone of {blender_scenes} of the same scenes")
+    result["rendering"] = rendering_speed(scenes, camera, workers=workers, repeats=repeats)
     if blender:
-        say(f"Blender on {blender_scenes} of the same scenes")
-        result["blender"] = _blender(blender_scenes, workers, cache)
+        say("Blender on the same")
+        result["blender"] = compare(scenes, camera, threads=workers, folder=cache)
         seconds = result["blender"]["seconds_per_frame"]
         if seconds is not None:
-            result["ratio_to_blender"] = seconds * single.frames_per_s
-            result["ratio_to_blender_rendering"] = seconds * workers / (single.stages_ms["render"] / 1000)
+            result["ratio_to_blender"] = seconds / result["rendering"]["seconds_per_frame"]
+            result["ratio_to_blender_pipeline"] = seconds * single.frames_per_s
     if memory_frames:
         say(f"memory over {memory_frames} frames")
         result["memory"] = memory_growth(memory_frames)
@@ -144,40 +155,12 @@ def _throughput(config: SynthConfig, frames: int, repeats: int, scheduler: str) 
     )
 
 
-def _blender(count: int, threads: int, cache: Path | None) -> dict[str, Any]:
-    """Blender on the first scenes of the run with one occupant."""
-    config = one_occupant()
-    maker = FrameMaker(config, _SEED)
-    scenes = [maker.make(index)[1] for index in range(count)]
-    return compare(scenes, config.camera.sensor_model.camera, threads=threads, folder=cache)
+def _scenes(count: int) -> list[Scene]:
+    """The first scenes of the run with one occupant."""
+    maker = FrameMaker(one_occupant(), _SEED)
+    return [maker.make(index)[1] for index in range(count)]
 
 
 def _rss_bytes() -> int:
     """Resident memory of this process."""
     return int(psutil.Process().memory_info().rss)
-
-
-def memory_growth(frames: int) -> dict[str, Any]:
-    """Resident memory of one worker over a long run with random people in random seats, written to disk part by part.
-
-    growth: of the median resident memory of the last tenth over that right after the first 500 frames (or the first tenth of
-    a short run); peak_mb: the greatest seen.
-    """
-    config = SynthConfig(output=Output(frames_per_part=_FRAMES_PER_PART))
-    samples: list[tuple[int, int]] = []
-
-    def watch(progress: Progress) -> None:
-        samples.append((progress.frames_done, _rss_bytes()))
-
-    with tempfile.TemporaryDirectory(prefix="cabinpose-bench-") as folder:
-        generate(config, frames, Path(folder) / "memory", seed=_SEED, workers=1, progress=watch)
-    warm = min(_WARM_FRAMES, frames // 10)
-    after = [rss for done, rss in samples if done >= warm]
-    count = max(len(after) // 10, 1)
-    first, last = statistics.median(after[:count]), statistics.median(after[-count:])
-    return {
-        "frames": frames,
-        "growth": last / first - 1,
-        "peak_mb": max(rss for _, rss in samples) / 1e6,
-        "rss_mb": [round(rss / 1e6, 1) for _, rss in samples[:: max(len(samples) // 50, 1)]],
-    }
