@@ -108,8 +108,9 @@ def joint_visibility(
         own, reach, labels, materials = visibility_tables()
         p_camera = np.empty((len(surface.vertices), 3), np.float32)
         to_camera(surface.vertices, np.ascontiguousarray(camera_from_vehicle, dtype=np.float64), p_camera)
-        passed = labels[surface.label] | materials[surface.material]
-        hit_z, hit_face = _first_hits(flat[rays], p_camera, surface.faces.view(np.uint32), passed)
+        hit_z, hit_face = _first_hits(
+            flat[rays], p_camera, surface.faces.view(np.uint32), surface.label, surface.material, labels, materials
+        )
         hit = hit_face >= 0
         face = np.where(hit, hit_face, 0)
         joint = rays % joints.shape[-2]
@@ -138,9 +139,12 @@ def _in_image(p_camera: NDArray[np.float64], camera: Camera) -> NDArray[np.bool_
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _first_hits(
-    targets: NDArray[np.float64], p_camera: NDArray[np.float32], faces: NDArray[np.uint32], passed: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    targets: NDArray[np.float64], p_camera: NDArray[np.float32], faces: NDArray[np.uint32], label: NDArray[np.uint8],
+    material: NDArray[np.uint8], passed_labels: NDArray[np.bool_], passed_materials: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # fmt: skip
     """Depth z and index of the first face on each segment from the camera to a target (n, 3); -1 where there is none.
+
+    label, material: (F,) · passed_labels, passed_materials: (256,) of what the segments pass through.
 
     Faces are tested against the rays of the tiles of the image plane that they touch; the test is that of the z-buffer
     (`zbuffer`).
@@ -161,7 +165,7 @@ def _first_hits(
     best, face = np.full(n, np.inf), np.full(n, -1)
     for f in range(len(faces)):
         i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
-        if outside[i0] & outside[i1] & outside[i2] or passed[f]:
+        if outside[i0] & outside[i1] & outside[i2]:
             continue
         c0, c1, r0, r1 = 0, _TILES - 1, 0, _TILES - 1  # cut by the near limit: perhaps everywhere
         if (outside[i0] | outside[i1] | outside[i2]) & 1 == 0:
@@ -181,6 +185,8 @@ def _first_hits(
             for r in range(r0, r1 + 1):
                 in_rows |= rows[r, word]
             bits = in_columns & in_rows
+            if bits and (passed_labels[label[f]] or passed_materials[material[f]]):
+                break
             i = word * 64
             while bits:
                 if bits & np.uint64(1):
