@@ -81,7 +81,10 @@ def _check_out(command: Evaluate) -> None:
 
 
 def _named_apart(models: Sequence[Predictions], paths: Sequence[Path]) -> list[Predictions]:
-    """The models, those that share a name told apart by their files."""
+    """The models, those that share a name told apart by their files; `ConfigError` for a file given twice."""
+    for path in paths:
+        if list(paths).count(path) > 1:
+            raise ConfigError(f"{path} is given twice", hint="name each predictions file once")
     names = [model_name(m) for m in models]
     shared = {name for name in names if names.count(name) > 1}
     return [

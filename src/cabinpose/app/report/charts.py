@@ -40,9 +40,7 @@ def line_chart(
     return _svg(width, height, body)
 
 
-def box_chart(
-    title: str, unit: str, boxes: Mapping[str, Mapping[str, Sequence[float]]], *, width: int = 1240, height: int = 320
-) -> str:
+def box_chart(title: str, boxes: Mapping[str, Mapping[str, Sequence[float]]], *, width: int = 1240, height: int = 320) -> str:
     """Boxes (5, 25, 50, 75, 95 % quantiles, a list of five or an empty one) by joint and model, side by side."""
     joints = list(dict.fromkeys(joint for by_joint in boxes.values() for joint in by_joint))
     models = list(boxes)
@@ -58,7 +56,6 @@ def box_chart(
     for value in np.arange(0, ceiling + step / 2, step):
         y = level(float(value))
         body += [_line(_LEFT, y, width - _RIGHT, y, "grid"), _text(_LEFT - 6, y + 4, f"{value:g}", "end")]
-    body.append(_text(12, _TOP - 6, unit, "soft"))
     slot = (width - _LEFT - _RIGHT) / len(joints)
     wide = min(slot * 0.7 / len(models), 26)
     for i, joint in enumerate(joints):

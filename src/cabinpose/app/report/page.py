@@ -125,7 +125,7 @@ def _boxes(reports: Sequence[Report]) -> str:
     for space in ("2d", "3d"):
         boxes = {r.model: r.boxes.get(space, {}) for r in reports}
         if any(boxes.values()):
-            charts.append(box_chart(f"Error, {_SPACE[space]}", _UNIT[space], boxes))
+            charts.append(box_chart(f"Error, {_SPACE[space]} ({_UNIT[space]})", boxes))
     return (legend([r.model for r in reports]) if len(reports) > 1 else "") + "".join(charts)
 
 

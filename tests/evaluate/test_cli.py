@@ -1,0 +1,163 @@
+"""`cabinpose evaluate`: its table, its page, its JSON, and one hint for what the user can mend."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from cabinpose.app.cli import main
+from cabinpose.evaluate.offline import dataset_id
+from cabinpose.store import read_manifest
+from cabinpose.store.predictions import Predictions, write_predictions
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], dataset_folder: Path) -> Callable[..., Outcome]:
+    """`run(file, "--json")`: the outcome of `cabinpose evaluate` on the sphere people, with few resamples."""
+
+    def call(*arguments: object, data: Path = dataset_folder) -> Outcome:
+        code = main(["evaluate", "--data", str(data), "--resamples", "5", "--predictions", *map(str, arguments)])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def files(tmp_path: Path, predictions: Predictions) -> list[Path]:
+    """Two models: one with 2D and 3D, one with 2D alone and without hands."""
+    arrays = {name: getattr(predictions, name)[:, :, 2:] for name in ("joints_2d", "joints_3d", "score", "presence")}
+    arrays["joints_3d"] = np.full_like(arrays["joints_3d"], np.nan)
+    flat = replace(predictions, model="flat <b>", joints=predictions.joints[2:], **arrays)
+    return [write_predictions(tmp_path / "a.jsonl", predictions), write_predictions(tmp_path / "b.jsonl", flat)]
+
+
+def test_table(run: Callable[..., Outcome], files: list[Path]) -> None:
+    code, out, err = run(files[0])
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == "noisy on dataset: 5 frames, 9 people"
+    assert [line.split()[0] for line in lines[2:9]] == ["All", "Head", "Shoulder", "Elbow", "Wrist", "Hip", "Hand"]
+    assert all(words in lines[1] for words in ("PCKh@0.5 2D %", "AUC 2D %", "mean 3D cm", "found %"))
+    assert "95 % interval" in out
+    assert re.search(r"^mAP@10 cm \(among detected\) 3D +\d", out, re.M)
+
+
+def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    code, out, err = run(*files, "--out", tmp_path / "out", "--json")
+    assert code == 0, err
+    assert out.count("\n") == 1
+    record = json.loads(out)
+    assert record == json.loads((tmp_path / "out" / "report.json").read_text())
+    noisy, flat = record["models"]
+    assert "lhand" in run(files[0], "--json").out
+    assert "lhand" not in record["joints"]  # both answer for the same joints
+    assert {v["space"] for v in flat["values"]} == {"2d", "image"}
+    for value in noisy["values"]:
+        assert value["denominator"]
+        assert {"unit", "threshold", "joints", "samples", "low", "high"} <= value.keys()
+    page = (tmp_path / "out" / "index.html").read_text()
+    mean = next(v for v in noisy["values"] if (v["metric"], v["space"], v["joints"]) == ("MPJPE", "3d", "Wrist"))
+    assert f"{mean['value']:.2f}" in page
+    assert "flat &lt;b&gt;" in page
+    assert "flat <b>" not in page
+    assert not re.search(r"<script|(?:src|href)=\"(?!data:)", page)
+    charts = re.findall(r"<svg.*?</svg>", page, re.S)
+    frames = [c for c in charts if 'class="frame"' in c]
+    assert len(frames) == 2 * 5
+    assert len(charts) == 2 * 5 + 4 * 6 + 2  # a chart for each space, kind and group, and the boxes
+    for chart in charts:
+        ET.fromstring(chart)
+    assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)
+
+
+def test_overwrite(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    assert run(files[0], "--out", tmp_path / "out").code == 0
+    before = (tmp_path / "out" / "index.html").read_bytes()
+    code, out, err = run(files[1], "--out", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert "already has index.html and report.json\nhint: --overwrite" in err
+    assert (tmp_path / "out" / "index.html").read_bytes() == before
+    assert run(files[1], "--out", tmp_path / "out", "--overwrite").code == 0
+    assert (tmp_path / "out" / "index.html").read_bytes() != before
+
+
+def test_selection(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    assert json.loads(run(files[0], "--json", "--select", "car=sedan").out)["frames"] == 2
+    assert json.loads(run(files[0], "--json", "--select", "car=sedan,van", "pov=driver").out)["frames"] == 3
+    assert json.loads(run(files[0], "--json", "--select", "sequence=0").out)["frames"] == 5
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("train: {car: [sedan, van]}\ntest: {car: [coupe]}\n")
+    assert json.loads(run(files[0], "--json", "--splits", splits, "--split", "test").out)["frames"] == 1
+
+
+def test_options_reach_the_numbers(run: Callable[..., Outcome], files: list[Path]) -> None:
+    changed = run(
+        files[0], "--json", "--min-visibility", "visible", "--head", "true", "--match", "distance", "--presence", "0.7",
+        "--pckh", "0.3", "--pck-px", "5", "--pck-cm", "8", "--seed", "3",
+    )  # fmt: skip
+    settings = json.loads(changed.out)["models"][0]["settings"]
+    assert settings == {
+        "min_visibility": "visible", "presence": 0.7, "head": "true", "pck_px": [5.0], "pck_m": [0.08], "pckh": [0.3],
+        "hit_px": 26.0, "hit_m": 0.1, "match": "distance", "resamples": 5, "seed": 3,
+    }  # fmt: skip
+
+
+def test_models_of_one_name_are_told_apart(run: Callable[..., Outcome], files: list[Path]) -> None:
+    other = files[0].with_name("c.jsonl")
+    other.write_bytes(files[0].read_bytes())
+    record = json.loads(run(files[0], other, "--json").out)
+    assert [m["model"] for m in record["models"]] == [f"noisy ({files[0]})", f"noisy ({other})"]
+    assert "is given twice" in run(files[0], files[0]).err
+
+
+def test_the_dataset_may_be_named(
+    run: Callable[..., Outcome], dataset_folder: Path, predictions: Predictions, tmp_path: Path
+) -> None:
+    for i, name in enumerate((dataset_id(read_manifest(dataset_folder)), "dataset")):
+        assert run(write_predictions(tmp_path / f"{i}.jsonl", replace(predictions, dataset=name))).code == 0
+    code, _, err = run(write_predictions(tmp_path / "other.jsonl", replace(predictions, dataset="other")))
+    assert code == 2
+    assert err.count("hint:") == 1
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--select", "car"), "'car' selects nothing"),
+        (("--select", "colour=red"), "unknown coordinate 'colour'"),
+        (("--select", "car=tank"), "the dataset has no car 'tank'"),
+        (("--select", "sequence=a"), "sequences are numbers"),
+        (("--select", "car=coupe", "pov=driver"), "no frame has all"),
+        (("--split", "test"), "a split needs its file"),
+        (("--presence", "2"), "presence is a probability"),
+        (("--pck-cm", "0"), "a threshold is a positive number"),
+        (("absent.jsonl",), "there is no predictions file"),
+    ],
+)
+def test_mistakes_have_one_hint(run: Callable[..., Outcome], files: list[Path], flags: tuple[str, ...], message: str) -> None:
+    code, out, err = run(files[0], *flags)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("hint: ") == 1
+    assert "Traceback" not in err
+
+
+def test_no_dataset(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    code, _, err = run(files[0], data=tmp_path)
+    assert code == 2
+    assert "holds no dataset" in err

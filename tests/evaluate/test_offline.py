@@ -1,0 +1,125 @@
+"""A dataset against a file or a detector: both give the same report, and what does not fit is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from cabinpose.core.errors import DatasetError, PredictionsError
+from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
+from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.evaluate import offline
+from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.store.predictions import Predictions
+
+OPTIONS = EvaluationOptions(resamples=0)
+
+
+class Replay:
+    """A detector that answers what a file says, frame after frame; it checks what it is given."""
+
+    def __init__(self, answers: Predictions) -> None:
+        self.name, self.persons, self.joints = answers.model, answers.persons, answers.joints
+        self._answers, self._next = answers, 0
+
+    def predict(self, frames: FrameBatch) -> PoseBatch:
+        count, height, width = frames["depth"].shape
+        assert (height, width) == (48, 64)
+        assert frames["depth"].dtype == np.float32
+        assert frames["amplitude"].shape == frames["depth"].shape
+        assert frames["camera_k"].shape == (count, 3, 3)
+        assert frames["camera_dist"].shape == (count, 5)
+        batch = self._answers.take(self._answers.frame[self._next : self._next + count])
+        self._next += count
+        return batch
+
+
+@pytest.mark.parametrize("batch", [2, 16])
+def test_a_detector_is_a_file_that_runs(
+    dataset: xr.Dataset, predictions: Predictions, monkeypatch: pytest.MonkeyPatch, batch: int
+) -> None:
+    monkeypatch.setattr(offline, "BATCH", batch)
+    replay = Replay(predictions)
+    assert isinstance(replay, Predictor)
+    done: list[int] = []
+    live = evaluate(dataset, replay, OPTIONS, progress=done.append)
+    assert done[-1] == 5
+    assert repr(live.values) == repr(evaluate(dataset, predictions, OPTIONS).values)
+
+
+def test_a_detector_of_wrong_shape_is_a_defect(dataset: xr.Dataset, predictions: Predictions) -> None:
+    replay = Replay(predictions)
+    replay.joints = replay.joints[:-1]
+    with pytest.raises(ValueError, match="joints_2d has the shape"):
+        evaluate(dataset, replay, OPTIONS)
+    with pytest.raises(DatasetError, match="no depth"):
+        evaluate(dataset.drop_vars("depth"), Replay(predictions), OPTIONS)
+
+
+def test_chunks_of_a_file(dataset: xr.Dataset, predictions: Predictions, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = evaluate(dataset, predictions, OPTIONS)
+    monkeypatch.setattr(offline, "CHUNK", 2)
+    assert repr(evaluate(dataset, predictions, OPTIONS).values) == repr(whole.values)
+
+
+def test_no_image_is_read(dataset: xr.Dataset, predictions: Predictions) -> None:
+    without = dataset.drop_vars([n for n in dataset.data_vars if "y" in dataset[n].dims])
+    assert repr(evaluate(without, predictions, OPTIONS).values) == repr(evaluate(dataset, predictions, OPTIONS).values)
+
+
+def test_frames_left_out_count_as_missed(dataset: xr.Dataset, predictions: Predictions) -> None:
+    some = Predictions(
+        *(getattr(predictions, n)[:3] for n in ("joints_2d", "joints_3d", "score", "presence", "frame")),
+        predictions.persons, predictions.joints, "some",
+    )  # fmt: skip
+    empty = evaluate(dataset, some, OPTIONS)
+    assert "2 of 5 frames are not in the predictions" in empty.notes[0]
+    three = evaluate(dataset.isel(frame=slice(0, 3)), some, OPTIONS)
+    for space in ("2d", "3d"):
+        all_five, first_three = empty.value("found", space), three.value("found", space)
+        assert all_five is not None
+        assert first_three is not None
+        assert all_five.samples > first_three.samples
+        assert all_five.value * all_five.samples == pytest.approx(first_three.value * first_three.samples)
+
+
+def test_assigned_people_keep_their_errors(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """With the people of every frame in another order, the assignment finds them again."""
+    truth = dataset.sel(joint=list(predictions.joints), person=list(predictions.persons))["joints_2d"].values
+    near = (truth + np.random.default_rng(1).normal(0, 0.2, truth.shape)).astype(np.float32)  # OKS finds no one 4 px off here
+    certain = replace(predictions, presence=np.ones_like(predictions.presence), joints_2d=near)
+    rng = np.random.default_rng(0)
+    order = np.array([rng.permutation(5) for _ in range(5)])
+    rows = np.arange(5)[:, None]
+    mixed = replace(
+        certain, persons=tuple("abcde"), **{n: getattr(certain, n)[rows, order] for n in ("joints_2d", "joints_3d", "score")}
+    )
+    wanted = evaluate(dataset, certain, OPTIONS)
+    for match in ("oks", "distance"):
+        found = evaluate(dataset, mixed, replace(OPTIONS, match=match))
+        for a, b in zip(wanted.values, found.values, strict=True):
+            assert (a.metric, a.samples) == (b.metric, b.samples)
+            assert a.value == pytest.approx(b.value, nan_ok=True)
+    with pytest.raises(PredictionsError, match="no slot a, b, c, d, e"):
+        evaluate(dataset, mixed, OPTIONS)
+
+
+def test_what_does_not_fit(dataset: xr.Dataset, predictions: Predictions) -> None:
+    check_predictions(predictions, dataset, ("ds", "sha256:1"))
+    check_predictions(replace(predictions, dataset="ds"), dataset, ("ds", "sha256:1"))
+    with pytest.raises(PredictionsError, match="of the dataset 'other'"):
+        check_predictions(replace(predictions, dataset="other"), dataset, ("ds", "sha256:1"))
+    with pytest.raises(PredictionsError, match="no frame 7") as caught:
+        check_predictions(replace(predictions, frame=np.array([0, 1, 2, 3, 7])), dataset)
+    assert "from 0 to 4" in str(caught.value.hint)
+    with pytest.raises(PredictionsError, match="no joint nose"):
+        common_joints(dataset, [replace(predictions, joints=("nose", *predictions.joints[1:]))])
+    assert common_joints(dataset, [predictions]) == tuple(n for n in dataset["joint"].values if n in UPPER_BODY)
+    with pytest.raises(PredictionsError, match="no joint in common"):
+        common_joints(dataset, [replace(predictions, joints=("head",)), replace(predictions, joints=("neck",))])
+    with pytest.raises(PredictionsError, match="no frames"):
+        evaluate(dataset.isel(frame=slice(0, 0)), predictions, OPTIONS)
