@@ -190,7 +190,6 @@ def test_root_moves_everything_rigidly() -> None:
     assert_allclose(moved.joints, still.joints @ move[:3, :3].T + move[:3, 3], atol=1e-12)
     assert_allclose(invert(move) @ moved.bones, still.bones, atol=1e-12)
     assert_allclose(body.joints(q, move), moved.joints, atol=0)
-
     for frame in (*moved.palms.values(), *moved.soles.values(), *moved.bones):
         assert is_rigid(frame)
     with pytest.raises(ValueError, match="shape"):

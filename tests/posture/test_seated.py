@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.stats
+from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel, Person, Phenotype
 from cabinpose.scene.cabin import PRESETS, SeatSetting, build_cabin
-from cabinpose.synth.posture import ACTIONS, actions_for, choose_setting, random_action, sample_pose, solve_posture
+from cabinpose.synth.posture import (
+    ACTIONS,
+    SeatOffset,
+    actions_for,
+    choose_setting,
+    draw_offset,
+    random_action,
+    sample_pose,
+    solve_posture,
+)
 from cabinpose.synth.posture.seat_fit import fit_seat
+from cabinpose.synth.posture.seating import CENTRED
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile
 
 LOWER, UPPER = (np.array([getattr(d, k) for d in DOFS]) for k in ("lower", "upper"))
@@ -189,3 +201,49 @@ def test_random_actions_follow_their_weights() -> None:
     for name in known:
         assert drawn.count(name) / 4000 == pytest.approx(ACTIONS[name].weight / total, abs=0.025)
     assert {random_action(seat, cabin, rng=rng, among=("drive", "sleep")) for _ in range(20)} == {"drive", "sleep"}
+
+
+def test_an_offset_moves_the_pelvis_and_hands_stay_on_the_wheel(people: dict[str, Person]) -> None:
+    cabin = build_cabin("sedan")
+    seat, wheel = cabin.seats["driver"], cabin.steering_wheel
+    assert wheel is not None
+    offset = SeatOffset(0.02, -0.012, np.radians(5.0), np.radians(1.5))
+    for name in ("S01", "S03", "S08"):
+        person = people[name]
+        setting = choose_setting(person, seat, cabin, rng=None)
+        still, moved = (
+            sample_pose(person, seat, setting, cabin, "drive", offset=o, rng=np.random.default_rng(4)) for o in (CENTRED, offset)
+        )
+        move = (moved.vehicle_from_root - still.vehicle_from_root)[:3, 3]
+        np.testing.assert_allclose(move, (0.02, -0.012, 0.0), atol=1e-12)  # the driver looks along the vehicle's x
+        turned = Rotation.from_matrix(moved.vehicle_from_root[:3, :3] @ still.vehicle_from_root[:3, :3].T)
+        np.testing.assert_allclose(turned.as_euler("XYZ"), Rotation.from_euler("zx", (offset.yaw, offset.roll)).as_euler("XYZ"))
+        assert max(moved.residuals_m["lhand"], moved.residuals_m["rhand"]) < HAND_M
+        assert max(moved.residuals_m["lfoot"], moved.residuals_m["rfoot"]) < FOOT_M
+        for palm in person.pose(moved.q, moved.vehicle_from_root).palms.values():
+            local = apply(invert(wheel.vehicle_from_wheel), palm[:3, 3])
+            assert np.hypot(np.hypot(local[0], local[1]) - wheel.rim_radius_m, local[2]) < 0.022
+
+
+def test_offsets_are_drawn_as_stated() -> None:
+    rng = np.random.default_rng(8)
+    drawn = np.array([draw_offset(0.015, 0.05, rng=rng) for _ in range(20_000)])
+    ahead, back = drawn[drawn[:, 0] > 0, 0], -drawn[drawn[:, 0] < 0, 0]
+    assert len(ahead) == pytest.approx(10_000, abs=300)
+    limits = np.array((0.015, 0.3 * 0.015, 0.6 * 0.015, 0.05, 0.3 * 0.05))
+    sides = [ahead, back, *np.abs(drawn[:, 1:]).T]
+    clipped = scipy.stats.norm.pdf([0, 2])
+    mean = 2 * (clipped[0] - clipped[1]) + 2 * 2 * scipy.stats.norm.sf(2)  # of |z| cut at 2, its mass beyond put there
+    for values, sigma in zip(sides, limits, strict=True):
+        assert values.mean() == pytest.approx(mean * sigma, rel=0.03)
+        assert values.max() == pytest.approx(2 * sigma)
+    np.testing.assert_allclose(drawn[:, 1:].mean(axis=0), 0.0, atol=4 * 0.05 / np.sqrt(20_000))
+
+
+def test_no_jitter_draws_nothing_and_moves_nothing(people: dict[str, Person]) -> None:
+    rng = np.random.default_rng(1)
+    before = rng.bit_generator.state
+    assert draw_offset(0.0, 0.0, rng=rng) == CENTRED
+    assert rng.bit_generator.state == before
+    root = fit_seat(people["S02"], build_cabin("sedan").seats["driver"], 0.4).seat_from_root
+    np.testing.assert_array_equal(CENTRED.applied(root), root)

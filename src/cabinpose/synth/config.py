@@ -137,6 +137,15 @@ class CabinScene(Model):
     seat_variation: float = Field(
         1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
     )
+    people_jitter_m: float = Field(
+        0.015,
+        ge=0.0,
+        le=0.1,
+        description="How far pelvises are ahead of their place (back 0.3, aside 0.6 of it): standard deviation, cut at twice it.",
+    )
+    people_jitter_deg: float = Field(
+        3.0, ge=0.0, le=20.0, description="How far they are turned about the seat's vertical, and tilted by 0.3 of it: likewise."
+    )
     belted: Probability = Field(0.9, description="Share of occupants who wear the seat belt.")
 
     @model_validator(mode="after")

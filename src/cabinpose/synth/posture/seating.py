@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from cabinpose.core.frames import Matrix, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
@@ -25,7 +28,44 @@ _PALM_REACH_M = 0.075  # wrist to the rim in the hand
 _HEIGHT_SPREAD_M = 0.02
 _SHORT_M, _TALL_M = 1.50, 1.90  # statures that put the seat at its highest and lowest
 _STEPS, _RECLINES_DEG = 21, (-6.0, -3.0, 0.0, 2.0, 4.0)
+_OFFSET_SIGMAS = 2.0  # where a draw of an offset is cut
+_BACK_SHARE, _ASIDE_SHARE = 0.3, 0.6  # what the backrest, and what bolsters and neighbours leave of it
+_ROLL_SHARE = 0.3  # a pelvis turns more on a cushion than it tilts
 _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m) and recline (rad)
+
+
+class SeatOffset(NamedTuple):
+    """How a person sits off the place that the seat gives: forward and left (m), turned to the left and to the right side (rad).
+
+    In the seat's frame: yaw about its z, roll about its x, both through the femur heads' middle.
+    """
+
+    forward_m: float = 0.0
+    left_m: float = 0.0
+    yaw: float = 0.0
+    roll: float = 0.0
+
+    def applied(self, seat_from_root: Matrix) -> Matrix:
+        """(4, 4) `seat_from_root` moved."""
+        turn = transform(Rotation.from_euler("zx", (self.yaw, self.roll)))
+        turn[:3, :3] = turn[:3, :3] @ seat_from_root[:3, :3]
+        turn[:3, 3] = seat_from_root[:3, 3] + (self.forward_m, self.left_m, 0.0)
+        return turn
+
+
+CENTRED = SeatOffset()
+
+
+def draw_offset(sigma_m: float, sigma: float, *, rng: np.random.Generator) -> SeatOffset:
+    """An offset that is normal with a standard deviation ahead (m) and in yaw (rad), all draws cut at twice it.
+
+    Less is left of it backwards, aside and in roll. Nothing is drawn where both are 0.
+    """
+    if sigma_m == 0.0 and sigma == 0.0:
+        return CENTRED
+    ahead, left, yaw, roll = (float(v) for v in np.clip(rng.standard_normal(4), -_OFFSET_SIGMAS, _OFFSET_SIGMAS))
+    forward = sigma_m * (ahead if ahead > 0.0 else _BACK_SHARE * ahead)
+    return SeatOffset(forward, _ASIDE_SHARE * sigma_m * left, sigma * yaw, _ROLL_SHARE * sigma * roll)
 
 
 def choose_setting(
