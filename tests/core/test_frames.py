@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from cabinpose.core.frames import FORWARD_FROM_CAMERA, apply, invert, is_rigid, look_at, transform
+from cabinpose.core.frames import FORWARD_FROM_CAMERA, apply, invert, is_rigid, look_at, rotation_vector, transform
 
 angle = st.floats(-3.1, 3.1)
 metre = st.floats(-10, 10)
@@ -28,6 +28,15 @@ def test_group_axioms(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     np.testing.assert_allclose(invert(a) @ a, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(invert(a @ b), invert(b) @ invert(a), atol=1e-8)
     assert is_rigid(a @ b)
+
+
+@given(vector=st.tuples(angle, angle, angle), scale=st.sampled_from((1.0, 1e-4, 1e-9, 0.0)))
+@settings(max_examples=100, deadline=None)
+def test_rotation_vector_is_scipys(vector: tuple[float, float, float], scale: float) -> None:
+    small = scale * np.array(vector)
+    np.testing.assert_allclose(
+        rotation_vector(small), Rotation.from_rotvec(small).as_matrix(), atol=1e-15 if scale < 1 else 1e-14
+    )
 
 
 @given(a=rigid(), seed=st.integers(0, 100))

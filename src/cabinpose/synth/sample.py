@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -30,11 +31,11 @@ from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng
-from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, draw_offset, random_action, sample_pose
+from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, random_action, sample_pose
 from cabinpose.synth.posture.motion import recorded_pose
 from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
-from cabinpose.synth.validate import Validator
+from cabinpose.synth.validate import Seated, Validator
 
 STANDING_SLOT = "standing"
 DriveSide = Literal["left", "right"]
@@ -171,8 +172,8 @@ class SceneSampler:
             else seat.default
             for slot, seat in cabin.seats.items()
         }
-        seated: list[ScenePerson] = []
-        wheel_angle, proposals = 0.0, 0
+        people_in: list[ScenePerson] = []
+        seated, proposals = validator.empty(settings), 0
         for slot, name in zip(taken, names, strict=True):
             for _ in range(self._config.limits.poses_per_person):
                 proposals += 1
@@ -182,23 +183,20 @@ class SceneSampler:
                     causes["reach"] += 1
                     continue
                 posed = people[slot].pose(pose.q, pose.vehicle_from_root)
-                angle = wheel_angle if pose.wheel_angle is None else pose.wheel_angle
-                others = [(p.slot, p.person, p.posed) for p in seated]
-                verdict = validator.check([*others, (slot, people[slot], posed)], settings, angle)
+                verdict, seated = validator.admit(seated, (slot, people[slot], posed), pose.wheel_angle)
                 if verdict.ok:
-                    wheel_angle = angle
-                    seated.append(ScenePerson(slot, name, pose.action, people[slot], posed))
+                    people_in.append(ScenePerson(slot, name, pose.action, people[slot], posed))
                     break
                 causes[f"{verdict.cause}: {verdict.detail}"] += 1
             else:
                 return None, proposals
         pov, camera = self._cabin_camera(cabin, rng)
-        if _blocked(camera[:3, 3], seated, validator, settings, wheel_angle):
+        if _blocked(camera[:3, 3], people_in, seated):
             causes["camera"] += 1
             return None, proposals
-        seated = [self._dressed(p, scene, cabin, settings, rng) for p in seated]
-        backdrop = cabin.surface(settings, wheel_angle=wheel_angle)
-        valid = Scene(backdrop, tuple(seated), camera, _place_name(car), pov, cabin, settings, wheel_angle)
+        dressed = tuple(self._dressed(p, scene, cabin, settings, rng) for p in people_in)
+        backdrop = cabin.surface(settings, wheel_angle=seated.wheel_angle)
+        valid = Scene(backdrop, dressed, camera, _place_name(car), pov, cabin, settings, seated.wheel_angle)
         return valid, proposals
 
     def _pose(
@@ -214,8 +212,7 @@ class SceneSampler:
         seat = cabin.seats[slot]
         weights = scene.motion.get(slot)
         action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng)
-        offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-        return sample_pose(person, seat, setting, cabin, action, scene.profile, index=index, offset=offset, rng=rng)
+        return sample_pose(person, seat, setting, cabin, action, scene.profile, index=index, rng=rng)
 
     def _cabin_camera(self, cabin: Cabin, rng: np.random.Generator) -> tuple[str, Matrix]:
         """The view's name and `vehicle_from_camera`, jittered."""
@@ -374,14 +371,19 @@ def _distinct(available: int, wanted: int, rng: np.random.Generator) -> Sequence
     return [int(i) for i in rng.choice(available, size=wanted, replace=wanted > available)]
 
 
-def _blocked(
-    eye: NDArray[np.float64],
-    people: Sequence[ScenePerson],
-    validator: Validator,
-    settings: Mapping[str, SeatSetting],
-    wheel_angle: float,
-) -> bool:
+def _blocked(eye: NDArray[np.float64], people: Sequence[ScenePerson], seated: Seated) -> bool:
     """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
-    if validator.contact is not None and validator.contact.clearance(eye[None], settings, wheel_angle)[0] < _LENS_M:
+    if seated.placed is not None and seated.placed.clearance(eye[None])[0] < _LENS_M:
         return True
-    return any(np.min(np.sum((p.posed.skin - eye.astype(np.float32)) ** 2, axis=1)) < _FACE_M**2 for p in people)
+    return any(_nearer(p.posed.skin, eye.astype(np.float32), _FACE_M) for p in people)
+
+
+@njit(cache=True, nogil=True)
+def _nearer(points, place, distance):  # type: ignore[no-untyped-def]
+    """Whether any of points (N, 3) is nearer to a place (3,) than `distance`, m."""
+    square = distance * distance
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
+        if x * x + y * y + z * z < square:
+            return True
+    return False

@@ -6,6 +6,7 @@ Contact is not collision: flesh yields by `FLESH_M`, seats by the `give_m` of th
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from time import perf_counter
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cabinpose.core.skeleton import INDEX
@@ -42,6 +44,8 @@ _AXES = tuple(
         (s + "foot", s + "ankle", s + "foot", 0.0),
     )
 )
+_AXIS_ENDS = np.array([(INDEX[start], INDEX[end]) for _, start, end, _ in _AXES])
+_AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
 STAGES = ("solids", "self", "person", "car")
 Cause = Literal["self", "person", "car"]
 
@@ -64,6 +68,17 @@ class Posed(Protocol):
     def joints(self) -> NDArray[np.float64]: ...
 
 
+Occupant = tuple[str, Skinned, Posed]
+
+
+class _Body(NamedTuple):
+    """Somebody to be judged: the slot, the solids of the posed body, its joints (20, 3) m."""
+
+    slot: str
+    solids: PosedSolids
+    joints: NDArray[np.float64]
+
+
 class Verdict(NamedTuple):
     """Whether a scene holds; else why not.
 
@@ -79,9 +94,25 @@ class Verdict(NamedTuple):
     slot: str = ""
 
 
+@dataclass(frozen=True)
+class Seated:
+    """People who hold together in a cabin so set: what `Validator.admit` need not test again. Made by `Validator.empty`.
+
+    placed: the cabin's fields there, None where only bodies are judged.
+    """
+
+    settings: Mapping[str, Any]
+    wheel_angle: float
+    placed: PlacedField | None
+    bodies: tuple[_Body, ...] = ()
+
+
 @dataclass
 class Tally:
-    """What a validator has done so far: scenes, occupants, rejections by cause and detail, seconds by test."""
+    """What a validator has done so far: scenes judged, occupants tested, rejections by cause and detail, seconds by test.
+
+    A scene that is built up by `Validator.admit` counts once for each person who is to be admitted, who alone is tested.
+    """
 
     scenes: int = 0
     occupants: int = 0
@@ -115,14 +146,52 @@ class Validator:
 
     def check(
         self,
-        occupants: Sequence[tuple[str, Skinned, Posed]],
+        occupants: Sequence[Occupant],
         settings: Mapping[str, Any],
         wheel_angle: float = 0.0,
     ) -> Verdict:
         """The verdict on occupants (slot, person, posed body) with these seat settings and wheel angle (rad)."""
+        clock = perf_counter()
+        bodies = [self._body(occupant) for occupant in occupants]
+        self._lap("solids", clock)
+        verdict = self._among(bodies, 0)
+        if verdict is None and self.contact is not None and bodies:
+            clock = perf_counter()
+            verdict = self._in_car(self.contact.at(settings, wheel_angle), bodies)
+            self._lap("car", clock)
+        return self._count(verdict or Verdict(True), len(bodies))
+
+    def empty(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> Seated:
+        """The cabin so set (wheel angle in rad) with nobody in it yet."""
+        return Seated(settings, wheel_angle, None if self.contact is None else self.contact.at(settings, wheel_angle))
+
+    def admit(self, seated: Seated, occupant: Occupant, wheel_angle: float | None = None) -> tuple[Verdict, Seated]:
+        """The verdict of `check` on the people seated and one more, and the people seated then: with him where it holds.
+
+        Only what the newcomer changes is tested: himself, he and the others, he in the car; and everybody in the car
+        where the wheel is turned (rad; left out: it stays).
+        """
+        clock = perf_counter()
+        new = self._body(occupant)
+        self._lap("solids", clock)
+        bodies = (*seated.bodies, new)
+        verdict = self._among(bodies, len(bodies) - 1)
+        placed, turned = seated.placed, wheel_angle is not None and wheel_angle != seated.wheel_angle
+        angle = seated.wheel_angle if wheel_angle is None else wheel_angle
+        if verdict is None and self.contact is not None:
+            clock = perf_counter()
+            if turned:
+                placed = self.contact.at(seated.settings, angle)
+            assert placed is not None  # `empty` saw to it
+            verdict = self._in_car(placed, bodies if turned else (new,))
+            self._lap("car", clock)
+        if verdict is not None:
+            return self._count(verdict, 1), seated
+        return self._count(Verdict(True), 1), Seated(seated.settings, angle, placed, bodies)
+
+    def _count(self, verdict: Verdict, occupants: int) -> Verdict:
         self.tally.scenes += 1
-        self.tally.occupants += len(occupants)
-        verdict = self._judge(occupants, settings, wheel_angle)
+        self.tally.occupants += occupants
         if verdict.ok:
             self.tally.accepted += 1
         else:
@@ -130,21 +199,22 @@ class Validator:
             self.tally.details[f"{verdict.cause}: {verdict.detail.partition(': ')[2]}"] += 1
         return verdict
 
-    def _judge(self, occupants: Sequence[tuple[str, Skinned, Posed]], settings: Mapping[str, Any], wheel_angle: float) -> Verdict:
+    def _body(self, occupant: Occupant) -> _Body:
+        slot, person, posed = occupant
+        return _Body(slot, PosedSolids.of(self._topology(person, posed), posed.skin), posed.joints)
+
+    def _among(self, bodies: Sequence[_Body], first: int) -> Verdict | None:
+        """Why the bodies from number `first` on do not hold by themselves, or with those before them; None where they do."""
         clock = perf_counter()
-        bodies = []
-        for slot, person, posed in occupants:
-            body = PosedSolids.of(self._topology(person, posed), posed.skin)
-            bodies.append((slot, body, posed))
-        clock = self._lap("solids", clock)
-        for slot, body, posed in bodies:
-            found = self_contact(body, posed.joints)
+        for slot, body, joints in bodies[first:]:
+            found = self_contact(body, joints)
             if found is not None:
                 pair, contact = found
-                clock = self._lap("self", clock)
+                self._lap("self", clock)
                 return Verdict(False, "self", f"{slot}: {pair.two} in {pair.one}", contact.depth_m, contact.where, slot)
         clock = self._lap("self", clock)
-        for i, (slot, body, _) in enumerate(bodies):
+        for i in range(first, len(bodies)):
+            slot, body, _ = bodies[i]
             for other_slot, other, _ in bodies[:i]:
                 crossing = person_contact(body, other)
                 if crossing is not None:
@@ -152,18 +222,14 @@ class Validator:
                     self._lap("person", clock)
                     detail = f"{slot}, {other_slot}: {which} in {contact.solid}"
                     return Verdict(False, "person", detail, contact.depth_m, contact.where, slot)
-        clock = self._lap("person", clock)
-        if self.contact is not None and bodies:
-            placed = self.contact.at(settings, wheel_angle)
-            for slot, body, posed in bodies:
-                verdict = self._against_car(placed, slot, body, posed)
-                if verdict is not None:
-                    self._lap("car", clock)
-                    return verdict
-            self._lap("car", clock)
-        return Verdict(True)
+        self._lap("person", clock)
+        return None
 
-    def _against_car(self, placed: PlacedField, slot: str, body: PosedSolids, posed: Posed) -> Verdict | None:
+    def _in_car(self, placed: PlacedField, bodies: Sequence[_Body]) -> Verdict | None:
+        return next((v for body in bodies if (v := self._against_car(placed, body)) is not None), None)
+
+    def _against_car(self, placed: PlacedField, somebody: _Body) -> Verdict | None:
+        slot, body, joints = somebody
         points, vertex = body.skin_points()
         touched = placed.deepest(points, FLESH_M)
         if touched is not None:
@@ -173,10 +239,10 @@ class Validator:
         if probed is not None:
             part, contact = probed
             return Verdict(False, "car", f"{slot}: {contact.solid} in {part}", contact.depth_m, contact.where, slot)
-        axis, limb = _limb_axes(posed.joints)
+        axis, limb = _limb_axes(joints, _AXIS_ENDS, _AXIS_SKIPPED)
         pierced = placed.deepest(axis, FLESH_M, give=False)
         if pierced is not None:
-            detail = f"{slot}: {limb[pierced.point]} through {pierced.part}"
+            detail = f"{slot}: {_AXES[limb[pierced.point]][0]} through {pierced.part}"
             return Verdict(False, "car", detail, pierced.depth_m, pierced.where, slot)
         return None
 
@@ -193,16 +259,26 @@ class Validator:
         return now
 
 
-def _limb_axes(joints: NDArray[np.float64]) -> tuple[NDArray[np.float32], list[str]]:
-    """Points (N, 3) every `AXIS_STEP_M` along the limbs' bones, and the limb of each.
+@njit(cache=True, nogil=True)
+def _limb_axes(joints, ends, skipped):  # type: ignore[no-untyped-def]
+    """Points (N, 3) every `AXIS_STEP_M` along the limbs' bones, and the row (N,) of `_AXES` of each.
 
     Foam gives way to the flesh of a limb, not to its bone: an arm that passes through a backrest is nowhere deeper in
     it than the foam gives, but its axis is inside.
     """
-    points, names = [], []
-    for name, start, end, skipped in _AXES:
-        a, b = joints[INDEX[start]], joints[INDEX[end]]
-        count = max(int(np.linalg.norm(b - a) / AXIS_STEP_M), 2)
-        points.append(a + np.linspace(skipped, 1.0, count)[:, None] * (b - a))
-        names += [name] * count
-    return np.concatenate(points).astype(np.float32), names
+    counts = np.empty(len(ends), np.int64)
+    for row in range(len(ends)):
+        way = joints[ends[row, 1]] - joints[ends[row, 0]]
+        counts[row] = max(int(math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2) / AXIS_STEP_M), 2)
+    points = np.empty((counts.sum(), 3), np.float32)
+    limb = np.empty(len(points), np.int64)
+    n = 0
+    for row in range(len(ends)):
+        a, b = joints[ends[row, 0]], joints[ends[row, 1]]
+        for k in range(counts[row]):
+            t = skipped[row] + k * ((1.0 - skipped[row]) / (counts[row] - 1))
+            for axis in range(3):
+                points[n, axis] = a[axis] + t * (b[axis] - a[axis])
+            limb[n] = row
+            n += 1
+    return points, limb

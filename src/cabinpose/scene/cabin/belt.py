@@ -159,20 +159,32 @@ def _sections(skin, faces, bones, girth, trunk, axes, origin, offsets):  # type:
     lowest, highest = offsets.min(), offsets.max()
     points = np.empty((len(offsets), 4096, 2))
     counts = np.zeros(len(offsets), np.int64)
-    p = np.empty(3)
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         da, db, dc = signed[a], signed[b], signed[c]
-        if max(da, db, dc) <= lowest or min(da, db, dc) > highest:
+        low, high = min(da, db, dc), max(da, db, dc)
+        if high <= lowest or low > highest:
             continue
-        for k in range(3):
-            p[k] = (skin[a, k] + skin[b, k] + skin[c, k]) / 3
-        best, kind = 1e9, 0
+        cut = False
+        for row in range(len(offsets)):
+            cut = cut or (low <= offsets[row] < high)
+        if not cut:
+            continue
+        x, y, z = (
+            (skin[a, 0] + skin[b, 0] + skin[c, 0]) / 3,
+            (skin[a, 1] + skin[b, 1] + skin[c, 1]) / 3,
+            (skin[a, 2] + skin[b, 2] + skin[c, 2]) / 3,
+        )
+        of_trunk, of_other = np.inf, np.inf
         for m in range(len(bones)):
-            distance = _to_segment(p, bones[m, 0], bones[m, 1]) / girth[m]
-            if distance < best:
-                best, kind = distance, m
-        if kind >= trunk:
+            near = _square_to_segment(x, y, z, bones[m, 0], bones[m, 1]) / (girth[m] * girth[m])
+            if m < trunk:
+                of_trunk = min(of_trunk, near)
+            else:
+                of_other = min(of_other, near)
+            if of_other < of_trunk and m >= trunk:
+                break
+        if of_other < of_trunk:
             continue
         for row in range(len(offsets)):
             for i, j in ((a, b), (b, c), (c, a)):
@@ -189,18 +201,15 @@ def _sections(skin, faces, bones, girth, trunk, axes, origin, offsets):  # type:
     return points, counts
 
 
-@nb.njit(cache=True, nogil=True)
-def _to_segment(p, a, b):  # type: ignore[no-untyped-def]
-    """Distance of a point from a segment, m."""
-    length = along = 0.0
-    for k in range(3):
-        length += (b[k] - a[k]) ** 2
-        along += (p[k] - a[k]) * (b[k] - a[k])
-    t = 0.0 if length == 0 else min(max(along / length, 0.0), 1.0)
-    square = 0.0
-    for k in range(3):
-        square += (p[k] - a[k] - t * (b[k] - a[k])) ** 2
-    return np.sqrt(square)
+@nb.njit(cache=True, nogil=True, inline="always")
+def _square_to_segment(x, y, z, a, b):  # type: ignore[no-untyped-def]
+    """Squared distance of a point from a segment, m2."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    px, py, pz = x - a[0], y - a[1], z - a[2]
+    length = ux * ux + uy * uy + uz * uz
+    t = 0.0 if length == 0 else min(max((px * ux + py * uy + pz * uz) / length, 0.0), 1.0)
+    dx, dy, dz = px - t * ux, py - t * uy, pz - t * uz
+    return dx * dx + dy * dy + dz * dz
 
 
 @nb.njit(cache=True, nogil=True)

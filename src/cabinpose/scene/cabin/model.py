@@ -102,8 +102,15 @@ class Seat:
     def vehicle_from_seat(self, setting: SeatSetting) -> Matrix:
         """Origin in the H-point, x the seat's forward, z up (not reclined)."""
         matrix = self._facing.copy()
-        matrix[:3, 3] = self.design_h_point + matrix[:3, 0] * setting.fore_aft_m + (0.0, 0.0, setting.height_m)
+        x, y, z, forward_x, forward_y = self._place
+        travel = setting.fore_aft_m
+        matrix[0, 3], matrix[1, 3], matrix[2, 3] = x + forward_x * travel, y + forward_y * travel, z + setting.height_m
         return matrix
+
+    @cached_property
+    def _place(self) -> tuple[float, ...]:
+        """The design H-point's x, y, z and the x, y of the seat's forward."""
+        return (*map(float, self.design_h_point), *self._facing[:2, 0].tolist())
 
     @cached_property
     def _facing(self) -> Matrix:
@@ -114,7 +121,10 @@ class Seat:
 
     def vehicle_from_back(self, setting: SeatSetting) -> Matrix:
         """Origin in the H-point, z along the torso line (up the back), x its normal towards the seat's front."""
-        matrix = self.vehicle_from_seat(setting)
+        return self._reclined(self.vehicle_from_seat(setting), setting)
+
+    def _reclined(self, vehicle_from_seat: Matrix, setting: SeatSetting) -> Matrix:
+        matrix = vehicle_from_seat.copy()
         matrix[:3, :3] = matrix[:3, :3] @ axis_rotation("y", -setting.torso_angle)
         return matrix
 
@@ -223,8 +233,8 @@ class Cabin:
         result: dict[str, Matrix] = {STATIC_GROUP: np.eye(4)}
         for slot, seat in self.seats.items():
             setting = self.setting(settings, slot)
-            result[f"seat:{slot}/base"] = seat.vehicle_from_seat(setting)
-            result[f"seat:{slot}/back"] = back = seat.vehicle_from_back(setting)
+            result[f"seat:{slot}/base"] = base = seat.vehicle_from_seat(setting)
+            result[f"seat:{slot}/back"] = back = seat._reclined(base, setting)
             result[f"seat:{slot}/headrest"] = back
         if self.steering_wheel is not None:
             turn = np.eye(4)

@@ -14,12 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix, apply, invert
+from cabinpose.scene.contact.depth import first_probe
 from cabinpose.scene.contact.grid import (
     balls_of,
     bit_rows,
@@ -29,12 +31,12 @@ from cabinpose.scene.contact.grid import (
     levels,
     merge_part,
     points_below,
-    points_in_boxes,
     sample,
     shut_off,
     splat,
     winding_at_nodes,
 )
+from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
 from cabinpose.scene.contact.triangles import WELD_M, TriangleMesh, edge_keys, triangle_mesh
 from cabinpose.scene.surface import Surface
@@ -124,6 +126,11 @@ class GroupField:
     def bound_m(self) -> float:
         """A distance changes by no more than the way to it, so interpolation is off by at most half a cell's diagonal."""
         return self.step * math.sqrt(3.0) / 2.0 + QUANTUM_M
+
+    @cached_property
+    def probe_balls(self) -> NDArray[np.float64]:
+        """`grid.balls_of` the probes."""
+        return np.asarray(balls_of(self.probes))
 
     @property
     def outside_m(self) -> float:
@@ -375,21 +382,15 @@ class PlacedField:
 
         Finds what passes between the skin's vertices: the wheel's rim in a forearm, a console's edge in a calf.
         """
-        # Nothing is deeper in a body than half its least extent: a hand need not be asked about foam.
-        reach = 0.5 * (body.boxes[:, 1] - body.boxes[:, 0]).min(axis=1)
         in_reach = ((self.low < body.box[1]) & (self.high > body.box[0])).all(axis=1)
         for (group, vehicle_from_group, _), near in zip(self.groups, in_reach, strict=True):
-            if not near:
-                continue
-            points, chosen, met = points_in_boxes(group.probes, vehicle_from_group, body.box, body.boxes)
-            if not len(chosen):
-                continue
-            limits = group.probe_give[chosen] + tolerance_m
-            index = np.arange(len(chosen), dtype=np.int32)
-            for solid in np.flatnonzero(met & (reach > limits.min())):
-                found = body.deepest(int(solid), points, index, limits)
-                if found is not None:
-                    return group.parts[group.probe_part[chosen[found.point]]].name, found
+            if near:
+                solid, probe, where, depth, excess = first_probe(
+                    group.probes, group.probe_balls, group.probe_give, vehicle_from_group, body.box, tolerance_m, body.arrays
+                )
+                if solid >= 0:
+                    name = group.parts[group.probe_part[probe]].name
+                    return name, SolidContact(SOLIDS[solid], depth, excess, probe, where)
         return None
 
 

@@ -362,27 +362,40 @@ def points_below(points, balls, group_from_vehicle, origin, step, quantum, outsi
 
 
 @njit(cache=True, nogil=True)
-def points_in_boxes(points, vehicle_from_group, box, boxes):  # type: ignore[no-untyped-def]
-    """The points of a group in a box of the vehicle frame: (n, 3) float32 there, their numbers, which `boxes` hold any."""
+def points_in_boxes(points, balls, vehicle_from_group, box, boxes):  # type: ignore[no-untyped-def]
+    """The points of a group in a box of the vehicle frame: (n, 3) float32 there, their numbers, which `boxes` hold any.
+
+    balls: `balls_of(points)`.
+    """
     m = vehicle_from_group
     inside = np.empty((len(points), 3), np.float32)
     chosen = np.empty(len(points), np.int32)
     met = np.zeros(len(boxes), np.bool_)
     n = 0
-    for p in range(len(points)):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+    for ball in range(len(balls)):
+        x, y, z, r = balls[ball]
+        r += 1e-6  # rounding
         u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
         v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
         w = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        if not (box[0, 0] < u < box[1, 0] and box[0, 1] < v < box[1, 1] and box[0, 2] < w < box[1, 2]):
+        if u + r < box[0, 0] or u - r > box[1, 0] or v + r < box[0, 1] or v - r > box[1, 1]:
             continue
-        inside[n, 0], inside[n, 1], inside[n, 2] = u, v, w
-        chosen[n] = p
-        n += 1
-        for s in range(len(boxes)):
-            met[s] = met[s] or (
-                boxes[s, 0, 0] < u < boxes[s, 1, 0]
-                and boxes[s, 0, 1] < v < boxes[s, 1, 1]
-                and boxes[s, 0, 2] < w < boxes[s, 1, 2]
-            )
+        if w + r < box[0, 2] or w - r > box[1, 2]:
+            continue
+        for p in range(ball * RUN, min((ball + 1) * RUN, len(points))):
+            x, y, z = points[p, 0], points[p, 1], points[p, 2]
+            u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+            v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            if not (box[0, 0] < u < box[1, 0] and box[0, 1] < v < box[1, 1] and box[0, 2] < w < box[1, 2]):
+                continue
+            inside[n, 0], inside[n, 1], inside[n, 2] = u, v, w
+            chosen[n] = p
+            n += 1
+            for s in range(len(boxes)):
+                met[s] = met[s] or (
+                    boxes[s, 0, 0] < u < boxes[s, 1, 0]
+                    and boxes[s, 0, 1] < v < boxes[s, 1, 1]
+                    and boxes[s, 0, 2] < w < boxes[s, 1, 2]
+                )
     return inside[:n], chosen[:n], met

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, is_rigid, look_at, transform
+from cabinpose.core.frames import Matrix, is_rigid, look_at, rotation_vector, transform
 
 _STRAIGHT = 1e-3  # sine of the angle to the vertical below which "up" is the vehicle's forward
 
@@ -49,9 +48,9 @@ def jittered(
         raise ConfigError(
             "the camera pose is not a rigid transform", hint="give a rotation and a translation as 4x4, last row 0 0 0 1"
         )
-    translation = np.broadcast_to(np.asarray(translation_jitter, dtype=np.float64), 3)
-    rotation = np.broadcast_to(np.asarray(rotation_jitter, dtype=np.float64), 3)
-    if not (np.all(translation >= 0) and np.all(rotation >= 0)):
+    translation = np.asarray(translation_jitter, dtype=np.float64)
+    rotation = np.asarray(rotation_jitter, dtype=np.float64)
+    if not ((translation >= 0).all() and (rotation >= 0).all()):
         raise ConfigError("camera jitter is negative", hint="give the half width of the jitter, 0 or more")
     draw = rng.uniform(-1.0, 1.0, 6)
-    return vehicle_from_camera @ transform(Rotation.from_rotvec(draw[3:] * rotation), draw[:3] * translation)
+    return vehicle_from_camera @ transform(rotation_vector(draw[3:] * rotation), draw[:3] * translation)

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.body.kinematics import RestArrays
@@ -76,7 +75,8 @@ def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, flo
     rest, lengths = _ball_frames(person.rest)
     along, out = pad[:3, 0], pad[:3, 2]
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
-    target = transform(Rotation.from_matrix(np.stack([along, pad[:3, 1], out], axis=1)), pad[:3, 3] + _PEDAL_M * out)
+    target = pad.copy()
+    target[:3, 3] += _PEDAL_M * out
     target[:3, 3] += min(lengths[side] - to_floor, 0.03) * along + aside * pad[:3, 1]
     weights = np.array([5.0, 4.0, 5.0]), np.array([0.05, 0.06, 0.05])
     return solve_leg(q, rest, root, side, LimbTask(target, *weights, _PEDAL_KNEE, _STIFFNESS))
@@ -94,7 +94,7 @@ def on_floor(
     """
     s = 1.0 - 2.0 * side
     vehicle_from_seat = seat.vehicle_from_seat(setting)
-    seat_from_vehicle = np.linalg.inv(vehicle_from_seat)
+    seat_from_vehicle = invert(vehicle_from_seat)
     hip_half = float(person.rest.offsets[BONE_INDEX["lthigh"], 1])
     hip = (seat_from_vehicle @ root @ np.array([0.0, s * hip_half, 0.0, 1.0]))[:3]
     lengths = person.segment_lengths
@@ -114,9 +114,9 @@ def on_floor(
         ankle_x = min(knee[0] + lean, max(reach, knee[0] - _SHIN_BEHIND))
         ankle = np.array([max(ankle_x + plan.forward, knee[0] - _SHIN_BEHIND), 0.0, floor + ankle_height])
         pitch, fixed = 0.0, 1.0
-    rotation = Rotation.from_euler("ZY", [s * plan.toe_out, pitch])
+    rotation = rotation_vector((0.0, 0.0, s * plan.toe_out)) @ rotation_vector((0.0, pitch, 0.0))
     ankle[1] = s * (hip_half + _KNEES_OUT_M + plan.out)
-    target = vehicle_from_seat @ transform(rotation, ankle + rotation.apply(sole[:3, 3]))
+    target = vehicle_from_seat @ transform(rotation, ankle + rotation @ sole[:3, 3])
     in_the_middle = abs(float(seat.design_h_point[1])) < 0.05  # feet stand on both sides of the tunnel
     aside = 0.0 if in_the_middle else foot_aside(room, target, side)
     target[1, 3] += aside

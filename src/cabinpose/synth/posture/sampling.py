@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, apply, invert, transform
+from cabinpose.core.frames import Matrix, apply, invert, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
+    ACTIONS,
     BREATHING,
     Action,
     Place,
@@ -35,7 +36,6 @@ from cabinpose.synth.posture.motion import upper_body_onto
 from cabinpose.synth.posture.room import Room, room_for, shoulder_aside
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
-from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]
@@ -117,23 +117,27 @@ def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, among: 
                 hint=f"there: {', '.join(known)}",
             )
         return names[int(rng.integers(len(names)))]
-    weights = np.array([action_named(n, seat, cabin).weight for n in known])
-    return known[int(rng.choice(len(known), p=weights / weights.sum()))]
+    return known[int(rng.choice(len(known), p=_shares(known)))]
+
+
+@lru_cache(maxsize=64)
+def _shares(actions: tuple[str, ...]) -> Array:
+    """The probability of each action in a random choice among them."""
+    weights = np.array([ACTIONS[n].weight for n in actions])
+    return np.asarray(weights / weights.sum())
 
 
 def sample_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
-    offset: SeatOffset = CENTRED, rng: np.random.Generator,
+    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
     """A pose of `person` in `seat`: the action, and then the profile on top of it.
 
     A profile that moves the trunk leaves hands where they belong: arms whose own degrees of freedom it does not name are
     solved again and so stay on the rim or in the lap. A mocap profile puts the recording's upper body onto the action's
     legs, with hands that would go through seat or door held at the lap or inside the door. `index` is the combination of
-    an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place.
-    Raises ConfigError for an action that makes no sense here, SceneError where a target is out of reach, MocapError for
-    an unfit recording.
+    an incremental profile, or the pose of a recording. Raises ConfigError for an action that makes no sense here,
+    SceneError where a target is out of reach, MocapError for an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -144,9 +148,9 @@ def sample_pose(
         inboard = 1 - inboard
     hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
     steers = any(hand.place == "wheel" for hand in hands)
-    turned = float(np.clip(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA), -_WHEEL_LIMIT, _WHEEL_LIMIT))
-    seat_from_root = offset.applied(fit.seat_from_root)
-    root = seat.vehicle_from_seat(setting) @ seat_from_root @ transform(Rotation.from_euler("y", _draw(chosen.pelvis, rng)))
+    turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
+    forwards = transform(rotation_vector((0.0, _draw(chosen.pelvis, rng), 0.0)))
+    root = seat.vehicle_from_seat(setting) @ fit.seat_from_root @ forwards
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room_for(person, fit, cabin, seat, setting))
 
@@ -154,7 +158,7 @@ def sample_pose(
     q = fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)
     _shoulders_inside(q, s)
-    missed = {"h_point": float(np.linalg.norm(seat_from_root[:3, 3]))}
+    missed = {"h_point": fit.h_offset_m}
     missed |= place_feet(q, person, root, seat, setting, fit, cabin, _foot_plans(seat, cabin, rng), s.room)
     for side, hand in enumerate(hands):
         if hand.place == "reach" and hand.point is not None:
@@ -165,7 +169,7 @@ def sample_pose(
         grip = _GRIP[hand.place]
         if wheel is not None and hand.place == "wheel":
             grip = at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
-        q[DOF_INDEX["lr"[side] + "hand.grip"]] = float(np.clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0))
+        q[DOF_INDEX["lr"[side] + "hand.grip"]] = _clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0)
     if isinstance(profile, MocapProfile):
         q = upper_body_onto(q, profile, index)
         _keep_hands_above_seat(q, s)
@@ -176,6 +180,10 @@ def sample_pose(
         if any(q[d] != before[d] for d in _TRUNK):
             missed |= _solve_hands(q, s, hands, chosen, tuple(side for side in (0, 1) if not _names_arm(profile, side)))
     return OccupantPose(np.clip(q, LOWER, UPPER), root, action, turned if wheel is not None else None, missed)
+
+
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
 
 
 def _draw(spread: Spread, rng: np.random.Generator) -> float:
@@ -234,7 +242,7 @@ def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Gener
             sign = 1.0 if name.endswith(".flexion") else side_sign
             value += sign * _draw((mean, sigma), rng)
         d = DOF_INDEX[name]
-        q[d] = np.clip(q[d] + value, LOWER[d], UPPER[d])
+        q[d] = _clip(q[d] + value, LOWER[d], UPPER[d])
 
 
 def _shoulders_inside(q: Array, s: _Situation) -> None:
@@ -245,7 +253,7 @@ def _shoulders_inside(q: Array, s: _Situation) -> None:
         depth = shoulder_aside(s.room, skeleton.position) * math.cos(s.seat.facing_yaw)
         if abs(depth) < 1e-3:
             return
-        q[d] = np.clip(q[d] - depth / _LOINS_TO_SHOULDER_M, LOWER[d], UPPER[d])
+        q[d] = _clip(q[d] - depth / _LOINS_TO_SHOULDER_M, LOWER[d], UPPER[d])
 
 
 def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
