@@ -31,7 +31,7 @@ from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng
-from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, random_action, sample_pose
+from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, draw_offset, random_action, sample_pose
 from cabinpose.synth.posture.motion import recorded_pose
 from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
@@ -212,7 +212,8 @@ class SceneSampler:
         seat = cabin.seats[slot]
         weights = scene.motion.get(slot)
         action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng)
-        return sample_pose(person, seat, setting, cabin, action, scene.profile, index=index, rng=rng)
+        offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
+        return sample_pose(person, seat, setting, cabin, action, scene.profile, index=index, offset=offset, rng=rng)
 
     def _cabin_camera(self, cabin: Cabin, rng: np.random.Generator) -> tuple[str, Matrix]:
         """The view's name and `vehicle_from_camera`, jittered."""

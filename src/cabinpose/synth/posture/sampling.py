@@ -36,6 +36,7 @@ from cabinpose.synth.posture.motion import upper_body_onto
 from cabinpose.synth.posture.room import Room, room_for, shoulder_aside
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
+from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]
@@ -129,15 +130,17 @@ def _shares(actions: tuple[str, ...]) -> Array:
 
 def sample_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0, rng: np.random.Generator,
+    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
+    offset: SeatOffset = CENTRED, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
     """A pose of `person` in `seat`: the action, and then the profile on top of it.
 
     A profile that moves the trunk leaves hands where they belong: arms whose own degrees of freedom it does not name are
     solved again and so stay on the rim or in the lap. A mocap profile puts the recording's upper body onto the action's
     legs, with hands that would go through seat or door held at the lap or inside the door. `index` is the combination of
-    an incremental profile, or the pose of a recording. Raises ConfigError for an action that makes no sense here,
-    SceneError where a target is out of reach, MocapError for an unfit recording.
+    an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place.
+    Raises ConfigError for an action that makes no sense here, SceneError where a target is out of reach, MocapError for
+    an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -150,7 +153,8 @@ def sample_pose(
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
     forwards = transform(rotation_vector((0.0, _draw(chosen.pelvis, rng), 0.0)))
-    root = seat.vehicle_from_seat(setting) @ fit.seat_from_root @ forwards
+    seat_from_root = offset.applied(fit.seat_from_root)
+    root = seat.vehicle_from_seat(setting) @ seat_from_root @ forwards
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room_for(person, fit, cabin, seat, setting))
 
@@ -158,7 +162,7 @@ def sample_pose(
     q = fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)
     _shoulders_inside(q, s)
-    missed = {"h_point": fit.h_offset_m}
+    missed = {"h_point": float(np.linalg.norm(seat_from_root[:3, 3]))}
     missed |= place_feet(q, person, root, seat, setting, fit, cabin, _foot_plans(seat, cabin, rng), s.room)
     for side, hand in enumerate(hands):
         if hand.place == "reach" and hand.point is not None:
