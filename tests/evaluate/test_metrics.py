@@ -231,6 +231,24 @@ def test_jitter_of_white_noise() -> None:
     assert value.value == pytest.approx(np.sqrt(6) * np.sqrt(8 / np.pi), rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("changed", "measured"),
+    [
+        ({}, 4),
+        ({"frame": [0, 1, 2, 4, 5, 6]}, 2),
+        ({"sequence": [0, 0, 0, 0, 1, 1]}, 2),
+        ({"sync_ns": [0, 0, 0, 0, 0, 0]}, 0),
+    ],
+)
+def test_jitter_only_where_frames_follow_each_other(changed: dict[str, list[int]], measured: int) -> None:
+    truth = np.zeros((6, 1, 1, 3)) + (0, 0, 2)
+    whole, batch = chunk(truth, np.full((6, 1, 1), 4), truth)
+    whole = replace(whole, **{name: np.array(values) for name, values in changed.items()})
+    value = reported(evaluated_skeleton(("head",)), (whole, batch)).value("jitter")
+    assert value is not None
+    assert value.samples == measured
+
+
 # ------------------------------------------------------------------------------------------------------ bootstrap
 
 

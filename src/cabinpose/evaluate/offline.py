@@ -87,7 +87,8 @@ def evaluate(
     notes: tuple[str, ...] = ()
     if isinstance(model, Predictions):
         absent = int((~np.isin(samples.frames, model.frame)).sum())
-        notes = (f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed",)
+        if absent:
+            notes = (f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed",)
     return make_report(samples, options, model_name(model), name, notes)
 
 

@@ -14,12 +14,19 @@ _RECALLS = np.linspace(0.0, 1.0, 101)
 _MAX_DETECTIONS = 20  # a frame, the best by score
 
 
-def oks(predicted: Array, true: Array, labelled: NDArray[np.bool_], area: Array, sigma: Array) -> Array:
+def oks(predicted: Array, true: Array, labelled: NDArray[np.bool_], area: Array, sigma: Array, box: Array | None = None) -> Array:
     """(D, G) similarity of D predicted (D, J, 2) and G true people (G, J, 2), px: the mean over the labelled joints (G, J) of
     exp(-d² / (2 s² k²)), with s² the person's area (G,) in px² and k = 2 sigma (J,). A joint without a prediction (NaN)
-    counts as 0, a person without a labelled joint gives 0.
+    counts as 0. Of a person without a labelled joint, d is the distance of all joints to their box (G, 4: left, top, width,
+    height in px), enlarged to three times its size, as COCO does; without boxes the similarity is 0.
     """
     squared = ((predicted[:, None] - true[None]) ** 2).sum(axis=-1)  # (D, G, J)
+    if box is not None:
+        corner, size = box[None, :, None, :2], box[None, :, None, 2:]
+        beyond = np.maximum(corner - size - predicted[:, None], 0) + np.maximum(predicted[:, None] - corner - 2 * size, 0)
+        bare = np.asarray(~labelled.any(axis=-1))
+        squared = np.where(bare[None, :, None], (beyond**2).sum(axis=-1), squared)
+        labelled = labelled | bare[:, None]
     exponent = squared / (2 * sigma) ** 2 / (area[None, :, None] + np.spacing(1)) / 2
     similar = np.where(labelled[None] & np.isfinite(exponent), np.exp(-np.nan_to_num(exponent, nan=np.inf, posinf=np.inf)), 0.0)
     return similar.sum(axis=-1) / np.maximum(labelled.sum(axis=-1), 1)[None]

@@ -132,19 +132,22 @@ def _add(
 ) -> None:
     options, skeleton = state.options, state.skeleton
     frames, slots, _ = truth.visibility.shape
-    area = _box_areas(truth.joints_2d)  # (F, P)
+    box = _boxes(truth.joints_2d)  # (F, P, 4)
     batch = _found_only(batch, options.presence)
     if options.match == "slot":
         places = slot_places(frames, persons, predicted_persons)
     else:
-        places = assigned_places(options.match, truth.joints_2d, truth.joints_3d, area, skeleton.sigma, batch)
+        places = assigned_places(
+            options.match, truth.joints_2d, truth.joints_3d, box[..., 2:].prod(axis=-1), skeleton.sigma, batch
+        )
     batch = placed(batch, places)
     extra = places.shape[1] - slots
     visibility = np.pad(truth.visibility, ((0, 0), (0, extra), (0, 0)))
     true_2d, true_3d = (
         np.pad(x, ((0, 0), (0, extra), (0, 0), (0, 0)), constant_values=np.nan) for x in (truth.joints_2d, truth.joints_3d)
     )
-    area = np.pad(area, ((0, 0), (0, extra)))
+    box = np.pad(box, ((0, 0), (0, extra), (0, 0)))
+    area = box[..., 2:].prod(axis=-1)
     heads = _head_sizes(true_2d, THESIS_HEAD_PX, state), _head_sizes(true_3d, THESIS_HEAD_M, state)
 
     counts = visibility >= options.min_visibility
@@ -158,7 +161,7 @@ def _add(
 
     similarity = np.zeros((frames, places.shape[1]), np.float32)
     for i in range(frames):
-        matrix = oks(batch.joints_2d[i], true_2d[i], counts[i], area[i], skeleton.sigma)
+        matrix = oks(batch.joints_2d[i], true_2d[i], counts[i], area[i], skeleton.sigma, box[i])
         similarity[i] = np.diagonal(matrix)
         state.detections.append(_detections(state.seen + i, matrix, batch.score[i], found_2d[i], true[i], counts[i].any(axis=-1)))
     offsets_2d, offsets_3d = batch.joints_2d - true_2d, batch.joints_3d - true_3d
@@ -235,12 +238,14 @@ def _head_sizes(true: NDArray[np.floating], thesis: float, state: _Collector) ->
     return np.where(size > 0, size, np.float32(np.nan))
 
 
-def _box_areas(joints_2d: Float) -> NDArray[np.float64]:
-    """(F, P) area in px² of the upright box about a person's joints, 0 without any."""
-    finite = np.isfinite(joints_2d)
-    low = np.where(finite, joints_2d, np.inf).min(axis=2)
-    high = np.where(finite, joints_2d, -np.inf).max(axis=2)
-    return np.maximum(high - low, 0).prod(axis=-1).astype(np.float64)
+def _boxes(joints_2d: Float) -> NDArray[np.float64]:
+    """(F, P, 4) left, top, width and height in px of the upright box about a person's joints, 0 without any."""
+    there = np.isfinite(joints_2d)
+    low = np.where(there, joints_2d, np.inf).min(axis=2)
+    high = np.where(there, joints_2d, -np.inf).max(axis=2)
+    known = low <= high
+    low, high = np.where(known, low, 0), np.where(known, high, 0)
+    return np.concatenate((low, high - low), axis=-1).astype(np.float64)
 
 
 def _detections(at: int, similarity: NDArray[np.float64], score: Float, found: Bool, true: Bool, counts: Bool) -> Detections:
