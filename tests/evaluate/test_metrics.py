@@ -14,6 +14,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import PoseBatch
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import GROUPS, UPPER_BODY
+from cabinpose.evaluate import bootstrap
 from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_quantiles, weighted_sums
 from cabinpose.evaluate.offline import evaluate
 from cabinpose.evaluate.options import EvaluationOptions
@@ -252,7 +253,8 @@ def test_jitter_only_where_frames_follow_each_other(changed: dict[str, list[int]
 # ------------------------------------------------------------------------------------------------------ bootstrap
 
 
-def test_resamples_are_drawn_frames() -> None:
+def test_resamples_are_drawn_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bootstrap, "_BLOCK", 7)
     rng = np.random.default_rng(0)
     values, weights = rng.normal(size=(30, 2)), frame_weights(30, 50, rng=rng)
     assert (weights.sum(axis=1) == 30).all()

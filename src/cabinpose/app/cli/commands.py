@@ -239,7 +239,8 @@ Command = (
 
 RUNNERS = MappingProxyType(
     {
-        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train", Bench: "bench",
+        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
+        Bench: "bench",
     }
 )  # fmt: skip
 
