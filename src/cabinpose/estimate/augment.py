@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
@@ -44,16 +44,21 @@ class AugmentConfig(BaseModel):
     occluder: Annotated[Probability, Field(description="Probability of an object in front of the scene.")] = 0.2
 
 
+class Mirror(NamedTuple):
+    """What a mirror image swaps: positions of the mirror joints and places, and the (256,) table of pixel classes."""
+
+    joints: Sequence[int]
+    slots: Sequence[int]
+    labels: Tensor
+
+
 def augment(
-    batch: Batch, config: AugmentConfig, rays: Tensor, focal: float, swap: Sequence[int], swap_slots: Sequence[int],
-    *, generator: torch.Generator,
-) -> Batch:  # fmt: skip
-    """A varied batch. rays: (2, h, w) x/z, y/z of the view's pixels · swap: index of each joint's mirror joint · swap_slots:
-    of each place's mirror place.
-    """
-    batch = move(batch, *_motion(len(batch.depth), config, batch.depth, generator), rays, focal)
-    batch = flip(batch, _chance(config.flip, batch.depth, generator), swap, swap_slots)
-    depth, amplitude = batch.depth, batch.amplitude
+    batch: Batch, config: AugmentConfig, rays: Tensor, focal: float, mirror: Mirror, *, generator: torch.Generator
+) -> Batch:
+    """A varied batch. rays: (2, h, w) x/z, y/z of the view's pixels · focal: of the view (px)."""
+    batch = move(batch, *draw_motion(len(batch.depth), config, batch.depth, generator), rays, focal)
+    batch = flip(batch, chance(config.flip, batch.depth, generator), mirror, batch.depth.shape[-1])
+    depth = batch.depth
     n = len(depth)
 
     def uniform(*shape: int) -> Tensor:
@@ -63,19 +68,21 @@ def augment(
     noise = torch.randn(depth.shape, generator=generator, device=depth.device) * (uniform(n, 1, 1) * config.noise_m)
     depth = torch.where(valid, (depth + noise).clamp(min=0.05), depth)
     depth = torch.where(uniform(*depth.shape) < uniform(n, 1, 1) * config.lost, depth.new_zeros(()), depth)
-    amplitude = amplitude * torch.exp((2 * uniform(n, 1, 1) - 1) * math.log(config.gain))
+    factor = torch.exp((2 * uniform(n, 1, 1) - 1) * math.log(config.gain))
+    amplitude = None if batch.amplitude is None else batch.amplitude * factor
     return occlude(
-        batch._replace(depth=depth, amplitude=amplitude), _chance(config.occluder, depth, generator), generator=generator
+        batch._replace(depth=depth, amplitude=amplitude), chance(config.occluder, depth, generator), generator=generator
     )
 
 
-def _chance(probability: float, like: Tensor, generator: torch.Generator) -> Tensor:
+def chance(probability: float, like: Tensor, generator: torch.Generator) -> Tensor:
+    """(N,) bool: which of the N frames of `like` something happens to."""
     return torch.rand(len(like), generator=generator, device=like.device) < probability
 
 
-def _motion(n: int, config: AugmentConfig, like: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Rotations (n, 3, 3) about the middle of each cloud, and translations (n, 3), identity where a frame stays."""
-    moved = _chance(config.shift, like, generator).unsqueeze(1)
+def draw_motion(n: int, config: AugmentConfig, like: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Rotations (n, 3, 3) and translations (n, 3), m; identity and zero where a frame stays."""
+    moved = chance(config.shift, like, generator).unsqueeze(1)
     axes = torch.rand((n, 3), generator=generator, device=like.device) < like.new_tensor(config.shift_axes)
     shift = torch.randn((n, 3), generator=generator, device=like.device) * config.shift_m * axes * moved
     angles = torch.randn((n, 3), generator=generator, device=like.device) * math.radians(config.rotate_deg) * moved
@@ -106,24 +113,22 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
     empty = nearest == none
     source = torch.where(empty, 0, nearest % (h * w))
     moved = torch.where(empty, 0.0, depth.gather(1, source)).reshape(n, h, w)
-    still = (rotation == torch.eye(3, device=p.device)).all(-1).all(-1) & (shift == 0).all(-1)
     source, taken = _fill(source.reshape(n, h, w), moved)
-    labels = batch.labels
-    if labels is not None:
-        labels = torch.where(taken > 0, labels.reshape(n, -1).gather(1, source.reshape(n, -1)).reshape(n, h, w), 0).to(
-            labels.dtype
-        )
-        labels = torch.where(still[:, None, None], batch.labels, labels)
-    amplitude = torch.where(taken > 0, batch.amplitude.reshape(n, -1).gather(1, source.reshape(n, -1)).reshape(n, h, w), 0.0)
-    joints, visibility = _move_joints(batch, rotation, shift, middle, focal)
+    uvz = move_points(batch.joints, rotation, shift, middle.reshape(n, 1, 1, 3), ((w - 1) / 2, (h - 1) / 2), focal)
+    # A frame that stays where it is keeps its very numbers.
+    still = (rotation == torch.eye(3, device=p.device)).all(-1).all(-1) & (shift == 0).all(-1)
     keep = still[:, None, None]
-    return Batch(
-        torch.where(keep, batch.depth, taken),
-        torch.where(keep, batch.amplitude, amplitude),
-        torch.where(keep.unsqueeze(-1), batch.joints, joints),
-        torch.where(keep, batch.visibility, visibility),
-        batch.present,
-        labels,
+
+    def carried(image: Tensor) -> Tensor:
+        values = image.reshape(n, -1).gather(1, source.reshape(n, -1)).reshape(n, h, w)
+        return torch.where(keep, image, torch.where(taken > 0, values, values.new_zeros(())))
+
+    return batch._replace(
+        depth=torch.where(keep, batch.depth, taken),
+        joints=torch.where(keep.unsqueeze(-1), batch.joints, uvz),
+        visibility=torch.where(keep, batch.visibility, _states_after(batch.visibility, uvz, w, h)),
+        amplitude=None if batch.amplitude is None else carried(batch.amplitude),
+        labels=None if batch.labels is None else carried(batch.labels),
     )
 
 
@@ -139,37 +144,44 @@ def _fill(source: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(fill, taken, source), torch.where(fill, -nearest, depth)
 
 
-def _move_joints(batch: Batch, rotation: Tensor, shift: Tensor, middle: Tensor, focal: float) -> tuple[Tensor, Tensor]:
-    """Joints (N, S, J, 3) and visibility after the same motion; what leaves the image is outside."""
-    n, h, w = batch.depth.shape
-    centre = batch.joints.new_tensor(((w - 1) / 2, (h - 1) / 2))
-    uv, z = batch.joints[..., :2], batch.joints[..., 2:]
-    p = torch.cat(((uv - centre) * z / focal, z), dim=-1)
-    origin = middle.reshape(n, 1, 1, 3)
-    p = torch.einsum("nij,nsaj->nsai", rotation, p - origin) + origin + shift.reshape(n, 1, 1, 3)
-    ahead = p[..., 2] > 0.05
-    seen = torch.where(ahead, p[..., 2], torch.nan).unsqueeze(-1)
-    joints = torch.cat((focal * p[..., :2] / seen + centre, seen), dim=-1)
-    inside = ((joints[..., :2] >= -0.5) & (joints[..., :2] < joints.new_tensor((w - 0.5, h - 0.5)))).all(-1)
-    visibility = torch.where((batch.visibility > 1) & ~inside, 1, batch.visibility)
+def move_points(
+    uvz: Tensor, rotation: Tensor, shift: Tensor, middle: Tensor, centre: tuple[float, float], focal: float
+) -> Tensor:
+    """Joints (N, S, J, 3) (u, v, z) after a motion: rotation (N, 3, 3) about `middle` (N, 1 or S, 1, 3), then shift (N, 3).
+
+    centre: principal point (px). NaN where a joint comes behind the camera.
+    """
+    n = len(uvz)
+    at = uvz.new_tensor(centre)
+    z = uvz[..., 2:]
+    p = torch.cat(((uvz[..., :2] - at) * z / focal, z), dim=-1)
+    p = torch.einsum("nij,nsaj->nsai", rotation, p - middle) + middle + shift.reshape(n, 1, 1, 3)
+    seen = torch.where(p[..., 2] > 0.05, p[..., 2], torch.nan).unsqueeze(-1)
+    return torch.cat((focal * p[..., :2] / seen + at, seen), dim=-1)
+
+
+def _states_after(visibility: Tensor, uvz: Tensor, width: int, height: int) -> Tensor:
+    """The states of joints that have moved to (N, S, J, 3): what has left the image is outside."""
+    inside = ((uvz[..., :2] >= -0.5) & (uvz[..., :2] < uvz.new_tensor((width - 0.5, height - 0.5)))).all(-1)
+    states = torch.where((visibility > 1) & ~inside, 1, visibility)
     # A joint that comes into the image was outside of what was rendered: whether it is seen nobody knows.
-    visibility = torch.where((batch.visibility == 1) & inside, 2, visibility)
-    return joints, visibility.to(batch.visibility.dtype)
+    return torch.where((visibility == 1) & inside, 2, states).to(visibility.dtype)
 
 
-def flip(batch: Batch, chosen: Tensor, swap: Sequence[int], swap_slots: Sequence[int]) -> Batch:
-    """Mirror images of the chosen frames (N,), left and right joints and places swapped."""
-    width = batch.depth.shape[-1]
-    mirrored = batch.joints[:, list(swap_slots)][:, :, list(swap)].clone()
+def flip(batch: Batch, chosen: Tensor, mirror: Mirror, width: int) -> Batch:
+    """Mirror images of the chosen frames (N,) of a view of `width` pixels; left and right joints, places and parts swapped."""
+    slots, joints = list(mirror.slots), list(mirror.joints)
+    mirrored = batch.joints[:, slots][:, :, joints].clone()
     mirrored[..., 0] = width - 1 - mirrored[..., 0]
     one, two, three = chosen[:, None], chosen[:, None, None], chosen[:, None, None, None]
-    return Batch(
-        torch.where(two, batch.depth.flip(-1), batch.depth),
-        torch.where(two, batch.amplitude.flip(-1), batch.amplitude),
-        torch.where(three, mirrored, batch.joints),
-        torch.where(two, batch.visibility[:, list(swap_slots)][:, :, list(swap)], batch.visibility),
-        torch.where(one, batch.present[:, list(swap_slots)], batch.present),
-        None if batch.labels is None else torch.where(two, batch.labels.flip(-1), batch.labels),
+    labels = None if batch.labels is None else mirror.labels.to(batch.labels.dtype)[batch.labels.long()].flip(-1)
+    return batch._replace(
+        depth=torch.where(two, batch.depth.flip(-1), batch.depth),
+        joints=torch.where(three, mirrored, batch.joints),
+        visibility=torch.where(two, batch.visibility[:, slots][:, :, joints], batch.visibility),
+        present=torch.where(one, batch.present[:, slots], batch.present),
+        amplitude=None if batch.amplitude is None else torch.where(two, batch.amplitude.flip(-1), batch.amplitude),
+        labels=None if batch.labels is None or labels is None else torch.where(two, labels, batch.labels),
     )
 
 
@@ -181,13 +193,22 @@ def occlude(batch: Batch, chosen: Tensor, *, generator: torch.Generator) -> Batc
     centre = torch.stack((w * r[:, 2], h * r[:, 3]), dim=1)
     v, u = torch.meshgrid(torch.arange(h, device=r.device), torch.arange(w, device=r.device), indexing="ij")
     du, dv = u - centre[:, 0, None, None], v - centre[:, 1, None, None]
-    plate = (0.25 + 0.5 * r[:, 4])[:, None, None] + (r[:, 5, None, None] - 0.5) * du / w + (r[:, 6, None, None] - 0.5) * dv / h
+    base, tilt = (0.25 + 0.5 * r[:, 4])[:, None, None], (r[:, 5:] - 0.5)[:, :, None, None] / r.new_tensor((w, h))[:, None, None]
+    plate = base + tilt[:, 0] * du + tilt[:, 1] * dv
     inside = (du.abs() < size[:, 0, None, None]) & (dv.abs() < size[:, 1, None, None]) & chosen[:, None, None]
     inside &= (batch.depth == 0) | (batch.depth > plate)
-    at = batch.joints[..., :2] - centre[:, None, None]
-    behind = (at.abs() < size[:, None, None]).all(-1) & chosen[:, None, None] & (batch.joints[..., 2] > 0.3)
+    at = torch.nan_to_num(batch.joints[..., :2], nan=-1.0).round()
+    within = ((at >= 0) & (at < at.new_tensor((w, h)))).all(-1)
+    pixel = torch.where(within, at[..., 1] * w + at[..., 0], 0).long().reshape(n, -1)
+    hidden = inside.reshape(n, -1).gather(1, pixel).reshape(within.shape) & within
+    behind = hidden & (batch.joints[..., 2] > plate.reshape(n, -1).gather(1, pixel).reshape(within.shape))
+    amplitude = batch.amplitude
+    if amplitude is not None:
+        amplitude = torch.where(inside, amplitude.mean((1, 2), keepdim=True), amplitude)
+    labels = None if batch.labels is None else torch.where(inside, 0, batch.labels).to(batch.labels.dtype)
     return batch._replace(
         depth=torch.where(inside, plate, batch.depth),
-        amplitude=torch.where(inside, batch.amplitude.mean((1, 2), keepdim=True), batch.amplitude),
+        amplitude=amplitude,
+        labels=labels,
         visibility=torch.where(behind & (batch.visibility > 2), 2, batch.visibility).to(batch.visibility.dtype),
     )

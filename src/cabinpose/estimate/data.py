@@ -16,38 +16,52 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, IterableDataset
 
-from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.inputs import InputView
+from cabinpose.estimate.inputs import InputView, camera_of
 
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
 _TICK_M = 1e-4
 
 
 class FrameSpec(NamedTuple):
-    """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop"), and pixel classes."""
+    """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop") with the joints of it, and
+    which images. Without depth, joints come in the view's pixels, and none of them counts as outside of it.
+    """
 
     view: InputView
     slots: tuple[str, ...]
     skeleton: str = "cabinpose"
+    joints: tuple[str, ...] = JOINTS
+    depth: bool = True
+    amplitude: bool = True
     labels: bool = False
 
     @property
-    def joints(self) -> tuple[str, ...]:
-        return ITOP_JOINTS if self.skeleton == "itop" else JOINTS
+    def images(self) -> tuple[str, ...]:
+        """The dataset's images that are read."""
+        return tuple(name for name in ("depth", "amplitude", "labels") if getattr(self, name))
+
+    @property
+    def columns(self) -> list[int]:
+        """Positions of the joints in the dataset's skeleton."""
+        known = ITOP_JOINTS if self.skeleton == "itop" else JOINTS
+        return [known.index(name) for name in self.joints]
 
 
 class Kept(NamedTuple):
-    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm."""
+    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm.
+
+    Images that the method does not read have the shape (0, 0).
+    """
 
     depth: NDArray[np.uint16]
-    amplitude: NDArray[np.uint16]
     joints: NDArray[np.float32]
     visibility: NDArray[np.uint8]
     present: NDArray[np.bool_]
+    amplitude: NDArray[np.uint16]
     labels: NDArray[np.uint8]
 
 
@@ -57,13 +71,13 @@ class StoredFrames(Dataset[Kept]):
     def __init__(self, dataset: xr.Dataset, spec: FrameSpec, *, keep: bool | None = None) -> None:
         """`keep` frames in memory once they were read; by default where they fill less than half of what is free.
 
-        Raises DatasetError for a dataset without frames, of another skeleton, or without one of the places.
+        Raises DatasetError for a dataset without frames, of another skeleton, or without one of the places or images.
         """
         self.spec = spec
         self._dataset = dataset
         self._rows = slot_rows(dataset, spec)
         count = dataset.sizes["frame"]
-        need = count * spec.view.width * spec.view.height * (5 if spec.labels else 4)
+        need = count * spec.view.width * spec.view.height * sum(1 if name == "labels" else 2 for name in spec.images)
         if keep is None:
             keep = need < 0.5 * psutil.virtual_memory().available
         self._kept: dict[int, Kept] | None = {} if keep else None
@@ -74,8 +88,7 @@ class StoredFrames(Dataset[Kept]):
     def __getitem__(self, index: int) -> Kept:
         if self._kept is not None and index in self._kept:
             return self._kept[index]
-        names = ["depth", "amplitude", *(["labels"] if self.spec.labels else [])]
-        names += [_joints_variable(self.spec), "visibility", "camera_k", "camera_dist", "subject"]
+        names = [*self.spec.images, _joints_variable(self.spec), "visibility", "camera_k", "camera_dist", "subject"]
         frame = {name: self._dataset[name][index].values for name in names}
         kept = view_frame(frame, self.spec, self._rows)
         if self._kept is not None:
@@ -91,12 +104,17 @@ class GeneratedFrames(IterableDataset[Kept]):
         self._make, self._count, self._spec = make, count, spec
         self._rows = [list(persons).index(slot) for slot in spec.slots]
         self.epoch = 0
+        self.rank, self.ranks = 0, 1  # which share of an epoch's frames this process makes, and how many share them
+
+    def __len__(self) -> int:
+        return self._count // self.ranks
 
     def __iter__(self) -> Iterator[Kept]:
         worker = torch.utils.data.get_worker_info()
-        first, step = (worker.id, worker.num_workers) if worker else (0, 1)
+        mine, workers = (worker.id, worker.num_workers) if worker else (0, 1)
+        first, step = self.rank + self.ranks * mine, self.ranks * workers
         start = self.epoch * self._count
-        for index in range(start + first, start + self._count, step):
+        for index in range(start + first, start + len(self) * self.ranks, step):
             yield view_frame(self._make(index), self._spec, self._rows)
 
 
@@ -113,6 +131,11 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
         raise DatasetError(
             f"the dataset has no {name}", hint="ITOP's joints are those of scenes in a room; or set skeleton: cabinpose"
         )
+    absent = [name for name in spec.images if name not in dataset]
+    if absent:
+        raise DatasetError(
+            f"the dataset has no {', '.join(absent)}", hint="generate it with these variables, or choose a method without them"
+        )
     if spec.skeleton == "cabinpose" and tuple(dataset["joint"].values) != JOINTS:
         raise DatasetError(
             f"the dataset has another skeleton: {', '.join(map(str, dataset['joint'].values))}",
@@ -126,23 +149,29 @@ def _joints_variable(spec: FrameSpec) -> str:
 
 
 def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -> Kept:
-    """One frame of the standard's variables in the view of a spec."""
-    height, width = frame["depth"].shape
-    source = camera_of(frame["camera_k"], frame["camera_dist"], width, height)
+    """One frame of the standard's variables in the view of a spec; `rows` of its persons are the places."""
     view = spec.view
     joints = np.asarray(frame[_joints_variable(spec)], dtype=np.float64)[rows]
+    uvz = view.to_view(joints)
     states = np.asarray(frame["visibility"])[rows]
-    visibility = _itop_visibility(view.to_view(joints), view) if spec.skeleton == "itop" else states
     there = [str(frame["subject"][row]) != "" for row in rows]
     seen = np.isin(states, (Visibility.VISIBLE, Visibility.SELF_OCCLUDED)).sum(axis=1) >= _SEEN_JOINTS
-    labels = view.resample(frame["labels"], source) if spec.labels else np.zeros((0, 0), np.uint8)
+    visibility = _itop_visibility(uvz, view) if spec.skeleton == "itop" else states
+    if spec.depth:  # the camera may see more than the view
+        visibility = np.where((visibility > 1) & ~view.camera.contains(uvz[..., :2]), Visibility.OUTSIDE_IMAGE, visibility)
+    images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in ("depth", "amplitude", "labels")}
+    for name in spec.images:
+        source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[::-1])
+        images[name] = view.resample(frame[name], source)
+    if spec.depth:
+        images["depth"] = np.round(view.in_range(images["depth"]) / _TICK_M)
     return Kept(
-        np.round(view.depth(frame["depth"], source) / _TICK_M).astype(np.uint16),
-        view.resample(frame["amplitude"], source).astype(np.uint16),
-        view.to_view(joints).astype(np.float32),
-        visibility.astype(np.uint8),
+        images["depth"].astype(np.uint16),
+        uvz[:, spec.columns].astype(np.float32),
+        visibility[:, spec.columns].astype(np.uint8),
         seen & np.array(there),
-        labels.astype(np.uint8),
+        images["amplitude"].astype(np.uint16),
+        images["labels"].astype(np.uint8),
     )
 
 
@@ -153,20 +182,14 @@ def _itop_visibility(uvz: NDArray[np.float64], view: InputView) -> NDArray[np.ui
     return np.where(np.isfinite(uvz).all(axis=-1), states, Visibility.ABSENT).astype(np.uint8)
 
 
-def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The camera of one frame's `camera_k` and `camera_dist`."""
-    coefficients = tuple(float(c) for c in dist)
-    return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), coefficients)  # type: ignore[arg-type]
-
-
 def collate(frames: Sequence[Kept]) -> Batch:
     """Frames in the view as one batch of float tensors."""
     stacked = Kept(*(np.stack(arrays) for arrays in zip(*frames, strict=True)))
     return Batch(
         torch.from_numpy(stacked.depth.astype(np.float32) * np.float32(_TICK_M)),
-        torch.from_numpy(stacked.amplitude.astype(np.float32)),
         torch.from_numpy(stacked.joints),
         torch.from_numpy(stacked.visibility),
         torch.from_numpy(stacked.present),
+        torch.from_numpy(stacked.amplitude.astype(np.float32)) if stacked.amplitude.size else None,
         torch.from_numpy(stacked.labels) if stacked.labels.size else None,
     )

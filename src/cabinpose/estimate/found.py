@@ -1,4 +1,4 @@
-"""What decoding gives: joints in the camera frame, with how sure the model is of them."""
+"""What decoding gives: joints in the view and in the camera frame, with how sure the model is of them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 class Found(NamedTuple):
     """Joints of N frames, P persons and J joints.
 
-    joints_3d: (N, P, J, 3) m, camera frame; NaN = no answer · score: (N, P, J), more is better · presence: (N, P, J)
-    probability that the joint is in the image.
+    uv: (N, P, J, 2) px of the model's view; NaN = no answer · joints_3d: (N, P, J, 3) m, camera frame; NaN = no answer ·
+    score: (N, P, J), more is better · presence: (N, P, J) probability that the joint is in the image.
     """
 
+    uv: NDArray[np.float64]
     joints_3d: NDArray[np.float64]
     score: NDArray[np.float64]
     presence: NDArray[np.float64]

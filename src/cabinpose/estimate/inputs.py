@@ -41,7 +41,8 @@ class InputView:
         """Images (..., H, W) of the source camera as (..., height, width) of this view; 0 where the source does not look."""
         if images.shape[-2:] != (source.height, source.width):
             raise ConfigError(
-                f"frames of {images.shape[-1]}x{images.shape[-2]} pixels do not belong to a camera of {source.width}x{source.height}",
+                f"frames of {images.shape[-1]}x{images.shape[-2]} pixels do not belong to a camera of "
+                f"{source.width}x{source.height}",
                 hint="give the intrinsics of the frames",
             )
         index, inside = _nearest(self, source)
@@ -50,8 +51,23 @@ class InputView:
 
     def depth(self, depth_m: NDArray[np.floating], source: Camera) -> F32:
         """Depth images (..., H, W) in metres, NaN or 0 where invalid, as this view's, 0 where invalid or out of range."""
-        seen = np.nan_to_num(self.resample(depth_m, source).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        return self.in_range(self.resample(depth_m, source))
+
+    def in_range(self, depth_m: NDArray[np.generic]) -> F32:
+        """Depths (...) in metres with 0 for what is invalid (NaN, infinite, 0) or out of the view's range."""
+        seen = np.nan_to_num(np.asarray(depth_m, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         return np.where((seen > 0) & (seen <= self.max_depth_m), seen, np.float32(0))
+
+    def to_source(self, images: NDArray[np.generic], source: Camera) -> NDArray[np.generic]:
+        """Images (..., height, width) of this view as (..., H, W) of the source camera; 0 where the view does not look."""
+        flat = images.reshape(*images.shape[:-2], -1)
+        index, inside = _nearest_back(self, source)
+        return np.where(inside, flat[..., index], flat.dtype.type(0))
+
+    def pixels(self, uv: NDArray[np.floating], source: Camera) -> Joints:
+        """Where the source camera sees what the view sees at (u, v) (..., 2), whatever its depth."""
+        xy = (np.asarray(uv, dtype=np.float64) - (self.camera.cx, self.camera.cy)) / self.focal
+        return source.project(np.concatenate((xy, np.ones((*xy.shape[:-1], 1))), axis=-1))
 
     def to_view(self, p_camera: Joints) -> Joints:
         """Points (..., 3) in the camera frame (m) to (u, v, z): pixels of this view and depth in metres."""
@@ -61,6 +77,12 @@ class InputView:
         """The inverse of `to_view`: (u, v, z) to points (..., 3) in the camera frame (m)."""
         uvz_ = np.asarray(uvz, dtype=np.float64)
         return self.camera.unproject(uvz_[..., :2], uvz_[..., 2])
+
+
+def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
+    """The camera of one frame's `camera_k` (3, 3) and `camera_dist` (5,)."""
+    k1, k2, p1, p2, k3 = (float(c) for c in dist)
+    return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), (k1, k2, p1, p2, k3))
 
 
 @lru_cache(maxsize=32)
@@ -75,3 +97,12 @@ def _nearest(view: InputView, source: Camera) -> tuple[NDArray[np.int64], NDArra
         inside &= np.linalg.norm(back - view.camera.rays, axis=-1) < 1e-3
     u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
     return np.clip(v, 0, source.height - 1) * source.width + np.clip(u, 0, source.width - 1), inside
+
+
+@lru_cache(maxsize=32)
+def _nearest_back(view: InputView, source: Camera) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Flat index of the view's pixel nearest to each of the source's pixels (H, W), and whether there is one."""
+    uv = source.rays * view.focal + (view.camera.cx, view.camera.cy)
+    inside = view.camera.contains(uv)
+    u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
+    return np.clip(v, 0, view.height - 1) * view.width + np.clip(u, 0, view.width - 1), inside

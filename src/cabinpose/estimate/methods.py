@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
@@ -12,26 +12,38 @@ from pydantic import BaseModel, ValidationError
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.estimate.compact import decode as compact_decode
 from cabinpose.estimate.compact.config import CompactConfig
-from cabinpose.estimate.found import Found
+from cabinpose.estimate.lifting import decode as lifting_decode
+from cabinpose.estimate.lifting.config import LiftingConfig
+from cabinpose.estimate.paf import decode as paf_decode
+from cabinpose.estimate.paf.config import PafConfig
+from cabinpose.estimate.unet import decode as unet_decode
+from cabinpose.estimate.unet.config import UnetConfig
+
+Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to find joints.
+    """A way to find joints or body parts.
 
-    config: its settings, with `view`, `slots`, `skeleton` and `joints` · outputs: names of the network's outputs, in order ·
-    decode: outputs as numpy arrays to joints · network, loss: import paths "module:name", loaded when a model is trained ·
-    labels: whether it learns from pixel classes.
+    task: "joints" (images to joints), "parts" (images to pixel classes) or "lift" (joints in 2D to 3D); `estimate.tasks` has
+    what training does for each · config: its settings (`estimate.settings.Settings`) · outputs: names of the network's outputs,
+    in order · decode(outputs, settings, seen): what the task gives, from the outputs and what the view saw (`depth`, and
+    `amplitude` where it is an input) as numpy arrays · network, loss, measure: import paths "module:name", loaded when a model
+    is trained; measure(settings, frames) fills the settings that are measured on the training frames · learning_rate,
+    weight_decay: what a run takes that names none.
     """
 
     name: str
+    task: Literal["joints", "parts", "lift"]
     config: type[BaseModel]
-    inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    decode: Callable[[Mapping[str, NDArray[Any]], Any], Found]
+    decode: Callable[[Arrays, Any, Arrays], Any]
     network: str
     loss: str
-    labels: bool = False
+    measure: str | None = None
+    learning_rate: float = 3e-3
+    weight_decay: float = 0.02
 
     def settings(self, values: Mapping[str, Any]) -> Any:
         """The settings that plain data describes; ConfigError names what is wrong."""
@@ -46,15 +58,52 @@ class Method:
 
 
 METHODS = {
-    "compact": Method(
-        "compact",
-        CompactConfig,
-        ("depth", "amplitude"),
-        ("joints", "inside", "visible", "present"),
-        compact_decode.decode,
-        "cabinpose.estimate.compact.model:Compact",
-        "cabinpose.estimate.compact.fit:loss",
-    ),
+    method.name: method
+    for method in (
+        Method(
+            "compact",
+            "joints",
+            CompactConfig,
+            ("joints", "inside", "visible", "present"),
+            compact_decode.decode,
+            "cabinpose.estimate.compact.model:Compact",
+            "cabinpose.estimate.compact.fit:loss",
+        ),
+        Method(
+            "paf",
+            "joints",
+            PafConfig,
+            ("fields", "heat", "presence"),
+            paf_decode.decode,
+            "cabinpose.estimate.paf.model:Paf",
+            "cabinpose.estimate.paf.fit:loss",
+            measure="cabinpose.estimate.paf.measure:measured",
+            learning_rate=4e-4,
+            weight_decay=0.01,
+        ),
+        Method(
+            "lifting",
+            "lift",
+            LiftingConfig,
+            ("relative", "root"),
+            lifting_decode.decode,
+            "cabinpose.estimate.lifting.model:Lifting",
+            "cabinpose.estimate.lifting.fit:loss",
+            learning_rate=1e-3,
+            weight_decay=0.01,
+        ),
+        Method(
+            "unet",
+            "parts",
+            UnetConfig,
+            ("person", "parts"),
+            unet_decode.decode,
+            "cabinpose.estimate.unet.model:Unet",
+            "cabinpose.estimate.unet.fit:loss",
+            learning_rate=1e-3,
+            weight_decay=0.01,
+        ),
+    )
 }
 
 

@@ -6,28 +6,40 @@ A run that was killed goes on from its last whole epoch with the numbers that it
 
 from __future__ import annotations
 
+import logging
+import warnings
+from collections.abc import Iterator, Mapping, Sized
+from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import lightning
 import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, EMAWeightAveraging, ModelCheckpoint
-from lightning.pytorch.loggers import CSVLogger
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from cabinpose.core.errors import ConfigError, ModelError
-from cabinpose.core.skeleton import SYMMETRIC_PAIRS
-from cabinpose.estimate.augment import AugmentConfig, augment
+from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import FrameSpec, GeneratedFrames, Kept, collate
 from cabinpose.estimate.methods import Method, method_named
+from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
+from cabinpose.estimate.tasks import TASKS, Setting, Task
 
-HEAD_M = 0.2  # PCKh's head in 3D (pose.md's protocol); in the image it is this length at the joint's depth
-_MIRROR_SLOTS = {"rear_left": "rear_right", "rear_right": "rear_left"}  # the driver stays at the wheel of the mirrored car
+_MEASURED = 500  # training frames that open settings are measured on
+_NOISE = (
+    ".*does not have many workers.*",
+    ".*exists and is not empty.*",
+    ".*The number of training batches .* is smaller than the logging interval.*",
+    ".*isinstance\\(treespec, LeafSpec\\).*",
+)
 Positive = Annotated[int, Field(ge=1)]
 
 
@@ -36,13 +48,15 @@ class TrainConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: Annotated[str, Field(description="compact, paf, ...")] = "compact"
+    method: Annotated[str, Field(description="compact, paf, lifting or unet.")] = "compact"
     settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(default_factory=dict)
     augment: AugmentConfig = Field(default_factory=AugmentConfig)
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
-    learning_rate: Annotated[float, Field(gt=0, description="Greatest rate of the one-cycle schedule (AdamW).")] = 3e-3
-    weight_decay: Annotated[float, Field(ge=0, description="AdamW's weight decay.")] = 0.02
+    learning_rate: Annotated[
+        float | None, Field(gt=0, description="Greatest rate of the one-cycle schedule (AdamW); default: the method's.")
+    ] = None
+    weight_decay: Annotated[float | None, Field(ge=0, description="AdamW's weight decay; default: the method's.")] = None
     average: Annotated[float, Field(ge=0, lt=1, description="Decay of the weights' moving average; 0 = none.")] = 0.998
     precision: Annotated[Literal["32-true", "16-mixed", "bf16-mixed"], Field(description="Lightning's precision.")] = "32-true"
     workers: Annotated[int, Field(ge=0, description="Processes that read frames beside the training; 0 = none.")] = 0
@@ -52,66 +66,64 @@ class TrainConfig(BaseModel):
 class Detector(lightning.LightningModule):
     """A network in training, with its loss, optimiser and validation figures."""
 
+    rays: Tensor
+    mirror_labels: Tensor
+
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
         self.settings = config
         self.method: Method = method_named(config.method)
+        self.task: Task = TASKS[self.method.task]
         self.method_config = self.method.settings(config.settings)
         self.network: nn.Module = load_symbol(self.method.network)(self.method_config)
         self._loss = load_symbol(self.method.loss)
-        joints, slots = self.method_config.joints, self.method_config.slots
-        names = {n: m for a, b in SYMMETRIC_PAIRS for n, m in ((a, b), (b, a))}
-        names |= {"lhip": "rhip", "rhip": "lhip"}  # ITOP's
-        self._swap = [joints.index(names.get(name, name)) for name in joints]
-        mirrored = [_MIRROR_SLOTS.get(name, name) for name in slots]
-        self._swap_slots = [slots.index(name) if name in slots else i for i, name in enumerate(mirrored)]
+        self._mirrors = mirrored_joints(self.method_config.joints), mirrored_slots(self.method_config.slots)
         rays = self.method_config.view.camera.rays.transpose(2, 0, 1)
-        self.register_buffer("_rays", torch.tensor(rays, dtype=torch.float32), persistent=False)
+        self.register_buffer("rays", torch.tensor(rays, dtype=torch.float32), persistent=False)
+        self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []
+        self.spare_batches = 0  # steps of the schedule beyond those that Lightning expects
         self.save_hyperparameters({"config": config.model_dump(mode="json")})
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         """The loss of an augmented batch."""
-        generator = torch.Generator(device=batch.depth.device)
+        generator = torch.Generator(device=batch.joints.device)
         generator.manual_seed(hash((self.settings.seed, self.current_epoch, index, self.global_rank)) & 0x7FFFFFFFFFFFFFFF)
+        setting = Setting(self.rays, self.method_config.view.focal, Mirror(*self._mirrors, self.mirror_labels))
         with torch.no_grad():
-            varied = augment(
-                batch, self.settings.augment, self._rays, self.method_config.view.focal, self._swap, self._swap_slots,
-                generator=generator,
-            )  # fmt: skip
-        terms = self._loss(self.network, varied)
+            varied = self.task.vary(batch, self.settings.augment, self.method_config, setting, generator)
+        terms: dict[str, Tensor] = self._loss(self.network, varied)
         self.log_dict({f"train_{name}": value.detach() for name, value in terms.items()}, on_epoch=True, on_step=False,
-                      batch_size=len(batch.depth))  # fmt: skip
+                      batch_size=len(batch.joints), sync_dist=True)  # fmt: skip
         self.log("loss", terms["loss"].detach(), prog_bar=True, on_step=True, on_epoch=False)
         return terms["loss"]
 
     def validation_step(self, batch: Batch, index: int) -> None:  # noqa: ARG002 - the signature is Lightning's
-        """Collects the image errors, in heads, of the joints in the image of people who are there."""
-        found = self.method.decode(outputs_of(self.network, self.method, batch), self.method_config)
-        uvz = self.method_config.view.to_view(found.joints_3d)
-        truth = batch.joints.cpu().numpy().astype(np.float64)
-        head_px = HEAD_M * self.method_config.view.focal / truth[..., 2]
-        error = np.linalg.norm(uvz[..., :2] - truth[..., :2], axis=-1) / head_px
-        known = batch.present.cpu().numpy()[..., None] & (batch.visibility.cpu().numpy() > 1) & np.isfinite(head_px)
-        self._errors.append(np.where(np.isnan(error), np.inf, error)[known])
+        """Collects what the method's task judges it by."""
+        seen = self.task.inputs(batch, self.method_config)
+        outputs = outputs_of(self.network, self.method, self.method_config, seen)
+        arrays = {name: value.cpu().numpy() for name, value in seen.items()}
+        decoded = self.method.decode(outputs, self.method_config, arrays)
+        self._errors.append(self.task.errors(decoded, batch, self.method_config))
 
     def on_validation_epoch_end(self) -> None:
-        """PCKh@0.5 and the area under PCKh from 0 to 0.5, in percent; the best epoch is the one with the greatest area."""
-        errors = np.concatenate(self._errors) if self._errors else np.zeros(0)
-        self._errors = []
-        if not errors.size:
-            return
-        self.log("val_pckh", float(100 * np.mean(errors <= 0.5)), prog_bar=True)
-        self.log("val_auc", float(100 * np.mean(np.clip(1 - errors / 0.5, 0, 1))), prog_bar=True)
+        """The validation figures of the task; with several processes the mean of theirs."""
+        figures, self._errors = self.task.figures(self._errors), []
+        self.log_dict(figures, prog_bar=True, sync_dist=True)
 
     def configure_optimizers(self) -> Any:
         """AdamW under one cycle (Smith and Topin 2018); norms and biases do not decay."""
-        decayed = [p for p in self.network.parameters() if p.ndim > 1]
-        others = [p for p in self.network.parameters() if p.ndim <= 1]
-        groups = [{"params": decayed, "weight_decay": self.settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
-        optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate)
-        steps = int(self.trainer.estimated_stepping_batches)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, self.settings.learning_rate, total_steps=steps, pct_start=0.15)
+        named = list(self.network.named_parameters())
+        decayed = [p for name, p in named if p.ndim > 1 and not name.endswith("bias")]
+        others = [p for name, p in named if p.ndim <= 1 or name.endswith("bias")]
+        groups: list[dict[str, Any]] = [
+            {"params": decayed, "weight_decay": _given(self.settings.weight_decay, self.method.weight_decay)},
+            {"params": others, "weight_decay": 0.0},
+        ]
+        rate = _given(self.settings.learning_rate, self.method.learning_rate)
+        optimiser = torch.optim.AdamW(groups, lr=rate)
+        steps = int(self.trainer.estimated_stepping_batches) + self.spare_batches
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=0.15)
         return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
@@ -127,9 +139,11 @@ class _Frames(lightning.LightningDataModule):
         epoch = self.trainer.current_epoch if self.trainer is not None else 0
         if isinstance(self._training, GeneratedFrames):
             self._training.epoch = epoch
+            if self.trainer is not None:
+                self._training.rank, self._training.ranks = self.trainer.global_rank, self.trainer.world_size
             return self._loader(self._training)
         rng = np.random.Generator(np.random.Philox(key=(self._config.seed, epoch)))
-        order = rng.permutation(len(self._training)).tolist()  # type: ignore[arg-type]
+        order = rng.permutation(len(cast(Sized, self._training))).tolist()
         return self._loader(self._training, sampler=order, drop_last=len(order) >= self._config.batch)
 
     def val_dataloader(self) -> DataLoader[Kept]:
@@ -147,9 +161,9 @@ def load_symbol(path: str) -> Any:
 
 
 @torch.no_grad()
-def outputs_of(network: nn.Module, method: Method, batch: Batch) -> dict[str, np.ndarray]:
-    """The network's outputs for a batch by name, as numpy arrays."""
-    values = network(*(getattr(batch, name) for name in method.inputs))
+def outputs_of(network: nn.Module, method: Method, settings: Any, seen: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
+    """The network's outputs by name, as numpy arrays, for what the view saw."""
+    values = network(*(seen[name] for name in settings.inputs))
     return {name: getattr(values, name).float().cpu().numpy() for name in method.outputs}
 
 
@@ -169,6 +183,7 @@ def fit(
     `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). Raises ConfigError where
     `out` holds another run and `resume` is not asked for, ModelError where the run to resume is of another network.
     """
+    config = complete(config, training)
     last = out / "last.ckpt"
     if last.exists() and not resume:
         raise ConfigError(
@@ -179,27 +194,46 @@ def fit(
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     out.mkdir(parents=True, exist_ok=True)
     frames = _Frames(config, training, validation)
-    best = ModelCheckpoint(out, "best", monitor="val_auc", mode="max", enable_version_counter=False)
+    monitor = TASKS[method_named(config.method).task].best
+    best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [EMAWeightAveraging(decay=config.average)] if config.average else []
-    trainer = lightning.Trainer(
-        default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
-        callbacks=[*average, best, newest, *callbacks], logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10,
-        enable_model_summary=False, reload_dataloaders_every_n_epochs=1,
-    )  # fmt: skip
-    trainer.fit(Detector(config), datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=False)
+    with _quiet():
+        trainer = lightning.Trainer(
+            default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
+            callbacks=[*average, best, newest, *callbacks], logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10,
+            enable_model_summary=False, reload_dataloaders_every_n_epochs=1,
+        )  # fmt: skip
+        detector = Detector(config)
+        if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
+            detector.spare_batches = config.epochs * config.workers
+        trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=False)
     return out / "best.ckpt"
 
 
 def _loggers(out: Path) -> list[Any]:
+    """A CSV file, and TensorBoard's where one of its writers is installed."""
     loggers: list[Any] = [CSVLogger(out, name="", version="log")]
-    try:
-        from lightning.pytorch.loggers import TensorBoardLogger
-
+    if any(find_spec(name) is not None for name in ("tensorboard", "tensorboardX")):
         loggers.append(TensorBoardLogger(out, name="", version="log"))
-    except ModuleNotFoundError:
-        pass
     return loggers
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Lightning's advice and its list of devices are left out; its errors and the progress bar stay."""
+    talkers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
+    levels = [talker.level for talker in talkers]
+    with warnings.catch_warnings():
+        for pattern in _NOISE:
+            warnings.filterwarnings("ignore", pattern)
+        for talker in talkers:
+            talker.setLevel(logging.ERROR)
+        try:
+            yield
+        finally:
+            for talker, level in zip(talkers, levels, strict=True):
+                talker.setLevel(level)
 
 
 def check_same(checkpoint: Path, config: TrainConfig) -> None:
@@ -237,5 +271,31 @@ def load_detector(path: Path) -> Detector:
 def frame_spec(config: TrainConfig) -> FrameSpec:
     """What a run takes of each frame."""
     method = method_named(config.method)
+    return TASKS[method.task].spec(method.settings(config.settings))
+
+
+def complete(config: TrainConfig, training: Dataset[Kept]) -> TrainConfig:
+    """The configuration with what it leaves open: the method's optimiser, and settings that are measured on the frames."""
+    method = method_named(config.method)
     settings = method.settings(config.settings)
-    return FrameSpec(settings.view, settings.slots, settings.skeleton, labels=method.labels)
+    if method.measure is not None:
+        settings = load_symbol(method.measure)(settings, _some(training))
+    return config.model_copy(
+        update={
+            "settings": settings.model_dump(mode="json"),
+            "learning_rate": _given(config.learning_rate, method.learning_rate),
+            "weight_decay": _given(config.weight_decay, method.weight_decay),
+        }
+    )
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _some(training: Dataset[Kept]) -> list[Kept]:
+    """At most _MEASURED frames, evenly spread, or the first of those that are made."""
+    if isinstance(training, GeneratedFrames):
+        return list(islice(iter(training), _MEASURED))
+    count = len(cast(Sized, training))
+    return [training[int(i)] for i in np.unique(np.linspace(0, count - 1, min(count, _MEASURED)).astype(int))]

@@ -16,8 +16,8 @@ class CompactConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    width: Annotated[int, Field(ge=32, le=1024, description="Width of the network's view (px); a multiple of 16.")] = 176
-    height: Annotated[int, Field(ge=32, le=1024, description="Height of the network's view (px); a multiple of 16.")] = 144
+    width: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Width of the network's view (px).")] = 176
+    height: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Height of the network's view (px).")] = 144
     focal: Annotated[float, Field(gt=0, description="Focal length of the network's view (px).")] = 80.0
     max_depth_m: Annotated[float, Field(gt=0, le=20, description="What lies farther counts as invalid (m).")] = 3.0
     amplitude: Annotated[bool, Field(description="Use the amplitude image beside the depth.")] = True
@@ -35,3 +35,8 @@ class CompactConfig(BaseModel):
     def joints(self) -> tuple[str, ...]:
         """(J,) names of the joints that it predicts."""
         return ITOP_JOINTS if self.skeleton == "itop" else JOINTS
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the network's inputs."""
+        return ("depth", "amplitude") if self.amplitude else ("depth",)

@@ -18,7 +18,8 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
     """The terms of the loss and their weighted sum, `loss`.
 
     image: smooth L1 of u, v in cells · depth: smooth L1 of z in decimetres · votes: cross entropy of the weights with a
-    Gaussian around the joint · inside, visible, present: binary cross entropies. Only people who are there count for their joints.
+    Gaussian around the joint · inside, visible, present: binary cross entropies. Only people who are there count for
+    their joints.
     """
     votes: Votes = network(batch.depth, batch.amplitude)
     truth = batch.joints

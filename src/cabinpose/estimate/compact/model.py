@@ -39,6 +39,9 @@ class Votes(NamedTuple):
 class Compact(nn.Module):
     """The network of the compact detector."""
 
+    rays: Tensor
+    cells: Tensor
+
     def __init__(self, config: CompactConfig) -> None:
         super().__init__()
         self.config = config

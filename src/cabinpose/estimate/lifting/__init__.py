@@ -1,0 +1,1 @@
+"""Lifting: 2D joints of one person to 3D with a residual fully connected network."""

@@ -1,0 +1,49 @@
+"""Settings of the lifting network."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.skeleton import JOINTS, UPPER_BODY
+from cabinpose.estimate.inputs import InputView
+
+ROOT = "neck"  # in a car the joint that is hidden least; the hip is under the belt, the wheel, or outside the image
+
+
+class LiftingConfig(BaseModel):
+    """Lifting: the joints, the size of the network, and what its 2D joints suffer in training."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    body: Annotated[Literal["upper", "full"], Field(description="Joints: the upper body's 14, or all 20.")] = "upper"
+    slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places whose people it learns from.")] = OCCUPANT_SLOTS
+    width: Annotated[int, Field(ge=4, description="Neurons in a layer.")] = 1024
+    blocks: Annotated[int, Field(ge=1, description="Residual blocks of two layers.")] = 2
+    dropout: Annotated[float, Field(ge=0, lt=1, description="Share of neurons that are dropped in training.")] = 0.5
+    noise: Annotated[float, Field(ge=0, description="Greatest noise of 2D joints in training, in focal lengths.")] = 0.015
+    drop: Annotated[float, Field(ge=0, lt=1, description="Greatest share of joints that are dropped in training.")] = 0.3
+    min_joints: Annotated[int, Field(ge=1, description="People of fewer 2D joints are not lifted.")] = 3
+    presence: Annotated[float, Field(ge=0, le=1, description="Least presence of a 2D joint that is believed.")] = 0.5
+
+    @property
+    def view(self) -> InputView:
+        """The view whose pixels training joints come in; the network sees directions, whatever the camera."""
+        return InputView(352, 288, 160.0)
+
+    @property
+    def skeleton(self) -> str:
+        """Which of the dataset's skeletons the joints are of."""
+        return "cabinpose"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """(J,) names of the joints."""
+        return JOINTS if self.body == "full" else UPPER_BODY
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the network's inputs."""
+        return ("pose",)

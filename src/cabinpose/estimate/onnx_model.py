@@ -1,0 +1,109 @@
+"""Trained models in ONNX files, run by ONNX Runtime without torch."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.core.ports import FrameBatch
+from cabinpose.estimate.inputs import InputView, camera_of
+from cabinpose.estimate.methods import Method, method_named
+
+METADATA_KEY = "cabinpose"
+BATCH = 16  # frames that go through a network at a time
+
+
+class OnnxModel:
+    """A network that `cabinpose export --onnx` wrote, with its method and settings."""
+
+    task = "joints"  # what the method has to do; see `Method.task`
+
+    def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
+        """Raises ModelError for a file that is missing, truncated, not a model of this package, or of another task."""
+        self.path = Path(path)
+        if not self.path.is_file():
+            known = ", ".join(packaged_models()) or "none"
+            raise ModelError(f"there is no model {self.path}", hint=f"give an ONNX file, or a packaged model ({known})")
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        options.intra_op_num_threads = threads or os.cpu_count() or 1
+        try:
+            self._session = onnxruntime.InferenceSession(str(self.path), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # ONNX Runtime's own errors share no base class
+            raise ModelError(
+                f"{self.path} cannot be read: {error}", hint="copy the file again, or export the model again"
+            ) from error
+        properties: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
+        if METADATA_KEY not in properties:
+            raise ModelError(f"{self.path} is an ONNX file of another program", hint="export models with `cabinpose export`")
+        try:
+            self.metadata: dict[str, Any] = json.loads(properties[METADATA_KEY])
+            self.method: Method = method_named(str(self.metadata["method"]))
+            self.config = self.method.settings(self.metadata["config"])
+        except (ValueError, KeyError, TypeError, ConfigError) as error:
+            raise ModelError(
+                f"{self.path} does not say what it is: {error}", hint="export it again with this version of cabinpose"
+            ) from error
+        if self.method.task != self.task:
+            raise ModelError(f"{self.path} is a model of {self.method.name}", hint=_LOADERS[self.method.task])
+        self.name = str(self.metadata.get("name", self.path.stem))
+
+    def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
+        """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
+        values = self._session.run(self.method.outputs, {name: seen[name] for name in self.config.inputs})
+        return self.method.decode(dict(zip(self.method.outputs, values, strict=True)), self.config, seen)
+
+
+_LOADERS = {
+    "joints": "load it with cabinpose.estimate.predictor.load_model",
+    "parts": "load it with cabinpose.estimate.unet.segment.OnnxSegmenter",
+    "lift": "load it with cabinpose.estimate.lifting.predict.OnnxLifting",
+}
+
+
+def slices(count: int) -> list[slice]:
+    """Frames in batches; one, empty batch where there are none."""
+    return [slice(i, i + BATCH) for i in range(0, max(count, 1), BATCH)]
+
+
+def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
+    """The camera of each of some frames."""
+    depth = frames["depth"][which]
+    count, height, width = depth.shape
+    k = np.broadcast_to(frames["camera_k"] if np.ndim(frames["camera_k"]) == 2 else frames["camera_k"][which], (count, 3, 3))
+    dist = np.broadcast_to(
+        frames["camera_dist"] if np.ndim(frames["camera_dist"]) == 1 else frames["camera_dist"][which], (count, 5)
+    )
+    return [camera_of(m, d, width, height) for m, d in zip(k, dist, strict=True)]
+
+
+def view_inputs(
+    frames: FrameBatch, which: slice, cameras: list[Camera], view: InputView, *, amplitude: bool
+) -> dict[str, NDArray[np.float32]]:
+    """Arrays (N, h, w) of a view from frames of their cameras: depth (m, 0 = invalid) and, where asked for, amplitude."""
+    empty = np.zeros((0, view.height, view.width), np.float32)
+    if not cameras:
+        return {"depth": empty, "amplitude": empty} if amplitude else {"depth": empty}
+    inputs = {"depth": np.stack([view.depth(d, c) for d, c in zip(frames["depth"][which], cameras, strict=True)])}
+    if amplitude:
+        if "amplitude" not in frames:
+            raise ConfigError("this model reads amplitudes, and the frames have none", hint="take a model of depth alone")
+        seen = [view.resample(a, c) for a, c in zip(frames["amplitude"][which], cameras, strict=True)]
+        inputs["amplitude"] = np.stack(seen).astype(np.float32)
+    return inputs
+
+
+def packaged_models() -> dict[str, Path]:
+    """The models that come with the package, by name."""
+    folder = Path(str(resources.files("cabinpose.estimate") / "models"))
+    return {path.stem: path for path in sorted(folder.glob("*.onnx"))}

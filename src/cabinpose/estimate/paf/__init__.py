@@ -1,0 +1,1 @@
+"""Part affinity fields: the thesis' network, peaks, and people assembled along the fields."""

@@ -1,0 +1,92 @@
+"""Settings of the part affinity fields."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS, LIMBS, UPPER_BODY
+from cabinpose.estimate.settings import ViewSettings
+
+# Half the depth of the body at the joint, for an adult of medium size: what lies between the skin that a camera in front
+# sees and the joint (m). ITOP's hand and foot are those of its own skeleton.
+DEFAULT_SKIN_OFFSET_M = {
+    "head": 0.09, "neck": 0.06, "chest": 0.11, "torso": 0.11, "hip": 0.11, "pelvis": 0.09, "shoulder": 0.06, "elbow": 0.04,
+    "wrist": 0.025, "hand": 0.015, "knee": 0.06, "ankle": 0.04, "foot": 0.03,
+}  # fmt: skip
+
+_ITOP_LIMBS = (
+    ("neck", "head"), ("neck", "rshoulder"), ("neck", "lshoulder"), ("rshoulder", "relbow"), ("lshoulder", "lelbow"),
+    ("relbow", "rhand"), ("lelbow", "lhand"), ("neck", "torso"), ("torso", "rhip"), ("torso", "lhip"), ("rhip", "rknee"),
+    ("lhip", "lknee"), ("rknee", "rfoot"), ("lknee", "lfoot"),
+)  # fmt: skip
+
+
+class PafConfig(ViewSettings):
+    """The part affinity fields: input, stages and size of the network, and how people are read off its maps."""
+
+    input: Annotated[Literal["depth", "cloud", "amplitude"], Field(description="What the network sees.")] = "depth"
+    body: Annotated[Literal["upper", "full", "itop"], Field(description="Joints: the upper body's 14, all 20, or ITOP's.")] = (
+        "upper"
+    )
+    stages: Annotated[int, Field(ge=1, le=6, description="1 = the thesis; the original refines in 5 more.")] = 1
+    channels: Annotated[float, Field(gt=0, le=2, description="Factor on the thesis' numbers of channels.")] = 1.0
+    depth_scale_m: Annotated[float, Field(gt=0, description="Depth (m) that is mapped to 255.")] = 1.8
+    sigma_px: Annotated[float, Field(gt=0, description="Spread of a joint's peak in the training maps (px).")] = 8.0
+    limb_px: Annotated[float, Field(gt=0, description="Half width of a limb in the training fields (px).")] = 8.0
+    peak: Annotated[float, Field(gt=0, lt=1, description="Least height of a peak.")] = 0.1
+    affinity: Annotated[float, Field(ge=-1, le=1, description="Least mean of the field along a limb.")] = 0.05
+    presence: Annotated[float, Field(ge=0, le=1, description="Least presence of a joint; 0 = the branch gates nothing.")] = 0.5
+    min_joints: Annotated[int, Field(ge=1, description="People of fewer joints are dropped.")] = 3
+    slot_anchors: Annotated[
+        dict[str, tuple[float, float]] | None,
+        Field(description="Mean (u, v) of the neck in the view by place; measured on the training frames if not given."),
+    ] = None
+    skin_offset_m: Annotated[
+        dict[str, float] | None,
+        Field(description="From skin to joint along the view (m); measured on the training frames if not given."),
+    ] = None
+
+    @field_validator("slot_anchors")
+    @classmethod
+    def _some_anchor(cls, value: dict[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]] | None:
+        if value is not None and not value:
+            raise ValueError("no place has an anchor")
+        return value
+
+    @property
+    def skeleton(self) -> str:
+        """Which of the dataset's skeletons the joints are of."""
+        return "itop" if self.body == "itop" else "cabinpose"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """(J,) names of the joints that it predicts."""
+        return {"upper": UPPER_BODY, "full": JOINTS, "itop": ITOP_JOINTS}[self.body]
+
+    @property
+    def limbs(self) -> tuple[tuple[int, int], ...]:
+        """(C,) pairs of joints, parent first: the tree that ties all of them."""
+        joints = self.joints
+        pairs = _ITOP_LIMBS if self.body == "itop" else LIMBS
+        return tuple((joints.index(a), joints.index(b)) for a, b in pairs if a in joints and b in joints)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the network's inputs."""
+        return ("amplitude",) if self.input == "amplitude" else ("depth",)
+
+    @property
+    def offsets_m(self) -> tuple[float, ...]:
+        """(J,) from the skin to the joint, m: measured, or half the depth of an adult's body."""
+        measured = self.skin_offset_m or {}
+        return tuple(measured.get(name, DEFAULT_SKIN_OFFSET_M[plain(name)]) for name in self.joints)
+
+
+def plain(joint: str) -> str:
+    """A joint's name without its side; a femur joint is called pelvis, ITOP's hip too."""
+    if joint in DEFAULT_SKIN_OFFSET_M:
+        return joint
+    name = joint[1:]
+    return "pelvis" if name == "hip" else name

@@ -1,0 +1,69 @@
+"""Training of the part affinity fields: the maps that are asked for, and the thesis' loss (equations 6.7 to 6.11)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.paf.config import PafConfig
+from cabinpose.estimate.paf.model import STRIDE, Maps, Paf
+
+
+def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
+    """The terms of the loss and their sum, `loss`, as means over the frames.
+
+    heat, fields: half the squared L2 norm of the maps' error, all stages · presence: for each joint half the cross entropy of
+    absent and present (the mean over the two classes), summed over the joints.
+    """
+    image = batch.amplitude if network.config.input == "amplitude" else batch.depth
+    if image is None:
+        raise ValueError("this model reads amplitudes")
+    maps: Maps = network(image)
+    height, width = maps.heat.shape[-2:]
+    heat, fields = targets(batch, network.config, height, width)
+    n = len(image)
+    there = in_image(batch).any(dim=1)
+    zero = maps.heat.new_zeros(())
+    terms = {
+        "fields": sum((0.5 * ((f - fields) ** 2).sum() / n for f, _ in maps.stages), start=zero),
+        "heat": sum((0.5 * ((h - heat) ** 2).sum() / n for _, h in maps.stages), start=zero),
+        "presence": 0.5 * functional.cross_entropy(maps.presence.flatten(0, 1), there.long().flatten(), reduction="sum") / n,
+    }
+    terms["loss"] = terms["fields"] + terms["heat"] + terms["presence"]
+    return terms
+
+
+def in_image(batch: Batch) -> Tensor:
+    """(N, S, J) bool: joints in the image, seen or hidden, of people who are there."""
+    return batch.present.unsqueeze(-1) & (batch.visibility > 1) & torch.isfinite(batch.joints).all(-1)
+
+
+@torch.no_grad()
+def targets(batch: Batch, config: PafConfig, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Heat maps (N, J + 1, height, width) and fields (N, 2C, height, width) at stride 8 that the people of a batch ask for.
+
+    heat: Gaussians at the joints, the greatest of all people, and 1 minus the greatest of all joints as background · fields:
+    along each limb of which both ends are in the image its unit vector, the mean where people overlap.
+    """
+    known = in_image(batch)
+    uv = torch.nan_to_num(batch.joints[..., :2])
+    rows, columns = torch.meshgrid(torch.arange(height, device=uv.device), torch.arange(width, device=uv.device), indexing="ij")
+    cells = torch.stack((columns, rows)) * STRIDE + (STRIDE - 1) / 2  # (2, h, w), px of the view
+    squared = ((uv[..., None, None] - cells) ** 2).sum(-3)
+    peaks = (torch.exp(-squared / (2 * config.sigma_px**2)) * known[..., None, None]).amax(dim=1)
+    heat = torch.cat((peaks, 1 - peaks.amax(dim=1, keepdim=True)), dim=1)
+    fields = []
+    for a, b in config.limbs:
+        along = uv[:, :, b] - uv[:, :, a]
+        length = along.norm(dim=-1)
+        unit = along / length.clamp(min=1e-6).unsqueeze(-1)
+        offset = cells - uv[:, :, a, :, None, None]  # (N, S, 2, h, w)
+        on = (offset * unit[..., None, None]).sum(-3)
+        beside = (offset[:, :, 0] * unit[..., 1, None, None] - offset[:, :, 1] * unit[..., 0, None, None]).abs()
+        both = (known[:, :, a] & known[:, :, b] & (length > 1e-3))[..., None, None]
+        limb = both & (on >= 0) & (on <= length[..., None, None]) & (beside <= config.limb_px)
+        count = limb.sum(dim=1).clamp(min=1)
+        fields.append((limb.unsqueeze(2) * unit[..., None, None]).sum(dim=1) / count.unsqueeze(1))
+    return heat, torch.cat(fields, dim=1)

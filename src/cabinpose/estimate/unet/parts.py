@@ -1,0 +1,44 @@
+"""The classes that the segmentation tells apart, and the dataset's classes that each of them merges.
+
+The thesis trains on "8 body parts" (section 5.3.2.5) without a list of them; the eight here are those that an upper body in a
+car is judged by, cut at the joints: head, torso, and left and right upper arm, forearm with hand, and leg.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.scene.labels import BODY_PARTS, ID
+
+
+class Part(NamedTuple):
+    """A class of the segmentation and the ids of the dataset's classes (`scene.labels`) that belong to it."""
+
+    name: str
+    ids: tuple[int, ...]
+
+
+def _both(name: str, members: tuple[str, ...]) -> tuple[Part, Part]:
+    left, right = (Part(f"{name}_{side}", tuple(ID[f"{m}_{side}"] for m in members)) for side in ("left", "right"))
+    return left, right
+
+
+MERGED: tuple[Part, ...] = (
+    Part("head", tuple(ID[name] for name in ("head_left", "head_right", "hair", "headwear", "glasses", "neck"))),
+    Part("torso", tuple(ID[name] for name in ("torso_left", "torso_right", "hip_left", "hip_right", "hip_center"))),
+    *_both("upper_arm", ("shoulder", "upper_arm")),
+    *_both("forearm", ("elbow", "forearm", "wrist", "hand")),
+    *_both("leg", ("thigh", "knee", "shin", "ankle", "foot")),
+)
+ALL: tuple[Part, ...] = tuple(Part(label.name, (label.id,)) for label in BODY_PARTS)
+
+
+def class_table(parts: tuple[Part, ...]) -> NDArray[np.uint8]:
+    """(256,) by a pixel's class in the dataset: 0 = nobody, else 1 + the position of its part."""
+    table = np.zeros(256, dtype=np.uint8)
+    for number, part in enumerate(parts, 1):
+        table[list(part.ids)] = number
+    return table
