@@ -23,7 +23,7 @@ def person() -> Person:
 def test_sides_are_where_rays_meet_the_car(person: Person) -> None:
     cabin = build_cabin("sedan")
     seat = cabin.seats["rear_left"]
-    room = room_for(person, fit_seat(person, seat, seat.default.torso_angle), cabin, seat, seat.default)
+    room = room_for(person, cabin, seat, seat.default)
     meshes = [trimesh.Trimesh(p.surface.vertices, p.surface.faces, process=False) for p in cabin.parts if p.group == "body"]
     car = trimesh.util.concatenate(meshes)
     h = seat.design_h_point
@@ -43,7 +43,7 @@ def test_own_tubes_hold_the_skin(person: Person) -> None:
     cabin = build_cabin("sedan")
     seat = cabin.seats["front_passenger"]
     fit = fit_seat(person, seat, seat.default.torso_angle)
-    room = room_for(person, fit, cabin, seat, seat.default)
+    room = room_for(person, cabin, seat, seat.default)
     skeleton = frames(fit.q, person.rest, fit.seat_from_root)
     skin = person.pose(fit.q, fit.seat_from_root).skin.astype(np.float64)
     way = np.empty(3)
@@ -64,7 +64,7 @@ def test_arms_give_way_and_most_poses_hold(slot: str, person: Person) -> None:
     validator = Validator(None)
     rng = np.random.default_rng(1)
     setting = choose_setting(person, seat, cabin, rng=None)
-    room = room_for(person, fit_seat(person, seat, setting.torso_angle), cabin, seat, setting)
+    room = room_for(person, cabin, seat, setting)
     trouble, held = [], 0
     for _ in range(12):
         pose = sample_pose(person, seat, setting, cabin, "rest_lap", rng=rng)

@@ -119,7 +119,7 @@ def test_frames_hold_together(reference: Path) -> None:
         assert np.median(np.abs(clean[both] - noisy[both])) < 0.02
         # A visible joint lies under the skin seen at its pixel: behind it, but not deeper than a body is thick.
         for u, v, z in np.c_[pixels[0], joints[0, :, 2]][state[0] == Visibility.VISIBLE]:
-            assert -0.03 < z - clean[round(v), round(u)] < 0.25
+            assert -0.03 < z - clean[round(v), round(u)] < 0.30
 
 
 def test_a_finished_dataset_is_neither_overwritten_nor_mixed(reference: Path) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -42,6 +42,11 @@ DriveSide = Literal["left", "right"]
 # Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
 _PEOPLE_STREAM = 2**64 - 1
 _ROOM_STREAM = 2**63
+_BLOCK_STREAM = 2**62
+# Frames of one block share a few people, cars and rooms, so that a worker prepares few of them for each part. Over a dataset all
+# appear equally often, and a frame still depends on the seed and its number alone.
+_BLOCK = 50  # frames
+_BLOCK_PEOPLE, _BLOCK_CARS, _BLOCK_ROOMS = 8, 2, 4
 _LENS_M = 0.01  # free space a lens needs around it
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
 
@@ -124,6 +129,14 @@ class ImpossibleSceneError(SceneError):
         return SceneError, (str(self),), {"hint": self.hint}
 
 
+class _Block(NamedTuple):
+    """Indices of the people, cars and rooms that a block of frames draws from."""
+
+    people: list[int]
+    cars: list[int]
+    rooms: list[int]
+
+
 class SceneSampler:
     """Draws the scenes of one dataset. Holds the bodies, cabins and rooms used last, a bounded number of each."""
 
@@ -133,7 +146,7 @@ class SceneSampler:
         self._model = BodyModel.load()
         self._subjects = subject_names(config)
         self._slots = person_slots(config)
-        self._person = lru_cache(maxsize=64)(self._make_person)
+        self._person = lru_cache(maxsize=32)(self._make_person)
         self._cabin = lru_cache(maxsize=16)(_judged_cabin)
         self._room = lru_cache(maxsize=16)(self._make_room)
         self._bodies = Validator(None)
@@ -153,6 +166,19 @@ class SceneSampler:
                 return replace(found, proposals=proposals, rejections=_by_cause(causes))
         raise ImpossibleSceneError(index, proposals, causes)
 
+    def _block(self, index: int) -> _Block:
+        """Who and what the frames around `index` draw from."""
+        scene = self._config.scene
+        rng = frame_rng(self._seed, _BLOCK_STREAM + index // _BLOCK)
+        cars = len(scene.cars) if isinstance(scene, CabinScene) else 0
+        rooms = scene.rooms if isinstance(scene, RoomScene) else 0
+        return _Block(
+            *(
+                rng.choice(count, min(count, most), replace=False).tolist()
+                for count, most in ((len(self._subjects), _BLOCK_PEOPLE), (cars, _BLOCK_CARS), (rooms, _BLOCK_ROOMS))
+            )
+        )
+
     def _make_person(self, subject: str) -> Person:
         return self._model.person(*subject_body(self._config, self._seed, subject))
 
@@ -161,10 +187,11 @@ class SceneSampler:
 
     def _seated(self, scene: CabinScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
-        car = scene.cars[rng.integers(len(scene.cars))]
+        block = self._block(index)
+        car = scene.cars[block.cars[rng.integers(len(block.cars))]]
         cabin, validator = self._cabin(car, "right" if rng.random() < scene.right_hand_drive else "left")
         taken = _occupied(scene, cabin, rng)
-        names = [self._subjects[i] for i in _distinct(len(self._subjects), len(taken), rng)]
+        names = [self._subjects[block.people[i]] for i in _distinct(len(block.people), len(taken), rng)]
         people = {slot: self._person(name) for slot, name in zip(taken, names, strict=True)}
         settings = {
             slot: choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
@@ -241,9 +268,10 @@ class SceneSampler:
 
     def _standing(self, scene: RoomScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a person in a room, or None, and the number of poses it took."""
-        number = int(rng.integers(scene.rooms))
+        block = self._block(index)
+        number = block.rooms[rng.integers(len(block.rooms))]
         room = self._room(number)
-        subject = self._subjects[rng.integers(len(self._subjects))]
+        subject = self._subjects[block.people[rng.integers(len(block.people))]]
         person = self._person(subject)
         camera = place_room_camera(rng=rng)
         spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))

@@ -20,7 +20,7 @@ from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Part, Seat, SeatSetting
 from cabinpose.synth.posture.limbs import Frames, frames
-from cabinpose.synth.posture.seat_fit import SeatFit
+from cabinpose.synth.posture.seat_fit import common_fit
 
 Array = NDArray[np.float64]
 
@@ -153,9 +153,13 @@ def _limb_radii(person: Person, skeleton: Frames, skin: Array, segment: str, bon
     return np.array([float(np.percentile(radius[n], 85)) for n in near])
 
 
-@lru_cache(maxsize=256)
-def _own(person: Person, fit: SeatFit) -> tuple[Array, float, Array, Array, Array, Array, Array]:
-    """A seated person's trunk, its axis, thigh, arm radii and hand points: see `Room`."""
+@lru_cache(maxsize=64)
+def _own(person: Person) -> tuple[Array, float, Array, Array, Array, Array, Array]:
+    """A seated person's trunk, its axis, thigh, arm radii and hand points: see `Room`.
+
+    They are given in the bones' frames, where the seat hardly matters: a common one stands for all.
+    """
+    fit = common_fit(person)
     q = fit.q.copy()
     for side in "lr":
         q[DOF_INDEX[side + "hand.grip"]] = 0.1
@@ -202,7 +206,7 @@ def _spread(points: Array, frame: Array) -> Array:
     return local[chosen]
 
 
-def room_for(person: Person, fit: SeatFit, cabin: Cabin, seat: Seat, setting: SeatSetting) -> Room:
+def room_for(person: Person, cabin: Cabin, seat: Seat, setting: SeatSetting) -> Room:
     """The room of a person's arms in a seat at a setting; all but the placing of folding armrests is cached."""
     fixed, own = _sides(cabin, seat.slot)
     h = seat.design_h_point
@@ -215,7 +219,7 @@ def room_for(person: Person, fit: SeatFit, cabin: Cabin, seat: Seat, setting: Se
         sides, middle = np.stack((fixed, turned)), np.array([h[1], place[1]])
         corner = np.stack((corner[0], place[[0, 2]] + start))
     back, back_from_vehicle = _backrest(cabin, seat.slot), invert(seat.vehicle_from_back(setting))
-    tube, trunk_x, pelvis, thigh, radii, hands, shoe = _own(person, fit)
+    tube, trunk_x, pelvis, thigh, radii, hands, shoe = _own(person)
     femur = person.segment_lengths["thigh"]
     return Room(sides, middle, corner, back, back_from_vehicle, tube, trunk_x, pelvis, thigh, femur, radii, hands, shoe)
 

@@ -156,7 +156,7 @@ def sample_pose(
     seat_from_root = offset.applied(fit.seat_from_root)
     root = seat.vehicle_from_seat(setting) @ seat_from_root @ forwards
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
-    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room_for(person, fit, cabin, seat, setting))
+    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room_for(person, cabin, seat, setting))
 
     side_sign = _busy_side(chosen, inboard, rng)  # + left
     q = fit.q.copy()

@@ -32,6 +32,7 @@ _ABDUCTION = np.radians(7.0)  # of the thighs, at rest
 _CUSHION_FRONT_M = 0.375  # front edge of production cushions ahead of the H-point
 _MAX_SLIDE_M = 0.12
 _ROUNDS = 7
+_COMMON_SEAT = (0.25, 0.058, 0.095, 0.42)  # angle of the cushion, H-point above it and before the back, torso angle (rad, m)
 _TRUNK, _THIGHS = ("pelvis", "abdomen", "thorax"), ("lthigh", "rthigh")
 _FEMUR_STATIONS = 11
 
@@ -58,6 +59,11 @@ class SeatFit:
 def fit_seat(person: Person, seat: Seat, torso_angle: float) -> SeatFit:
     """The fit of a person in a seat whose backrest stands at `torso_angle` (rad from the vertical); cached."""
     return _fit(person, seat.cushion_angle, seat.cushion_below_h_m, seat.backrest_behind_h_m, round(float(torso_angle), 6))
+
+
+def common_fit(person: Person) -> SeatFit:
+    """The fit of a person in a seat of middling dimensions, for what hardly depends on the seat."""
+    return _fit(person, *_COMMON_SEAT)
 
 
 def _posture(pitch: float, thigh: float) -> Array:
@@ -89,7 +95,7 @@ def _lowest(values: Array, count: int) -> float:
     return float(np.partition(values, count - 1)[:count].mean())
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=128)
 def _fit(person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float) -> SeatFit:
     rows, segment = _skin()
     posed = person.skin_part(rows)

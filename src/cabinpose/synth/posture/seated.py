@@ -59,7 +59,7 @@ def solve_posture(
     fit = fit_seat(person, seat, setting.torso_angle)
     root = seat.vehicle_from_seat(setting) @ fit.seat_from_root
     q = fit.q.copy()
-    room = room_for(person, fit, cabin, seat, setting)
+    room = room_for(person, cabin, seat, setting)
     missed = {"h_point": fit.h_offset_m}
     missed |= place_feet(q, person, root, seat, setting, fit, cabin, default_plans(seat, cabin), room)
     turn_head(q, person.rest, root, head_rotation(seat.facing_yaw, _LEVEL_PITCH))

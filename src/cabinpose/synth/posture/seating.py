@@ -97,7 +97,7 @@ def choose_setting(
     )
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=128)
 def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> SeatSetting:
     """The least discomfort over fore-aft, height and recline, in closed form in side view.
 
