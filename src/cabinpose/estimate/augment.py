@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from cabinpose.estimate.batch import Batch
 
-_FILL_NEIGHBOURS = 5  # of 8 that have to be hit for an empty pixel between them to be filled
+_BEHIND_M = 0.1  # farther than that behind its neighbours, a pixel shows through them
 Probability = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -42,6 +42,8 @@ class AugmentConfig(BaseModel):
     lost: Annotated[Probability, Field(description="Greatest share of pixels that are lost.")] = 0.03
     gain: Annotated[float, Field(ge=1, description="Amplitudes are multiplied by up to this factor, or divided.")] = 2.0
     occluder: Annotated[Probability, Field(description="Probability of an object in front of the scene.")] = 0.2
+    rescale: Annotated[Probability, Field(description="Probability that depths lose their scale (joints keep theirs).")] = 0.0
+    rescale_sigma: Annotated[NotNegative, Field(description="Standard deviation of the logarithm of the lost scale.")] = 0.15
 
 
 class Mirror(NamedTuple):
@@ -68,6 +70,10 @@ def augment(
     noise = torch.randn(depth.shape, generator=generator, device=depth.device) * (uniform(n, 1, 1) * config.noise_m)
     depth = torch.where(valid, (depth + noise).clamp(min=0.05), depth)
     depth = torch.where(uniform(*depth.shape) < uniform(n, 1, 1) * config.lost, depth.new_zeros(()), depth)
+    if config.rescale > 0:
+        # Frames that were scaled to [0, 1] each come back with a guessed scale: the true one shows in people and rooms only.
+        guess = torch.exp(config.rescale_sigma * torch.randn((n, 1, 1), generator=generator, device=depth.device))
+        depth = torch.where(uniform(n, 1, 1) < config.rescale, depth * guess, depth)
     factor = torch.exp((2 * uniform(n, 1, 1) - 1) * math.log(config.gain))
     amplitude = None if batch.amplitude is None else batch.amplitude * factor
     return occlude(
@@ -133,13 +139,24 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
 
 
 def _fill(source: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels without a hit among at least five that have one take the nearest of them, and where that came from."""
+    """Holes take the nearest of their neighbours, and where that came from.
+
+    A hole is a pixel without a hit, or one that shows what is behind a surface that fell apart, between two neighbours on
+    opposite sides that are hit, or lie in front of it.
+    """
     n, h, w = depth.shape
     hit = depth > 0
+    around = functional.pad(depth, (1, 1, 1, 1))
+
+    def before(dy: int, dx: int) -> Tensor:
+        other = around[:, 1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w]
+        return (other > 0) & (~hit | (other < depth - _BEHIND_M))
+
+    fill = torch.zeros_like(hit)
+    for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        fill |= before(dy, dx) & before(-dy, -dx)
     nearness = torch.where(hit, -depth, -torch.inf)
     nearest, which = functional.max_pool2d(nearness, 3, 1, 1, return_indices=True)
-    around = functional.avg_pool2d(hit.to(depth.dtype), 3, 1, 1, divisor_override=1)
-    fill = ~hit & (around >= _FILL_NEIGHBOURS)
     taken = source.reshape(n, -1).gather(1, which.reshape(n, -1)).reshape(n, h, w)
     return torch.where(fill, taken, source), torch.where(fill, -nearest, depth)
 

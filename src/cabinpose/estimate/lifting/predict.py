@@ -80,7 +80,7 @@ class LiftedPredictor:
         directions[:, :, ours] = np.where(believed, directions[:, :, ours], np.nan)
         lifted = self._lifting.lift(directions.reshape(n * persons, -1, 2)).reshape(n, persons, -1, 3)
         joints_3d = found.joints_3d.copy()
-        answered = np.isfinite(uv).all(axis=-1)[..., None]
+        answered = np.isfinite(uv).all(axis=-1, keepdims=True)
         joints_3d[:, :, theirs] = np.where(answered, lifted[:, :, ours], np.nan)
         return replace(found, joints_3d=joints_3d)
 
