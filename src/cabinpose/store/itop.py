@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from cabinpose.core.errors import DatasetError
+from cabinpose.core.ports import FrameBatch
 from cabinpose.core.skeleton import ITOP_JOINTS
 
 K = np.array([[1 / 0.0035, 0.0, 160.0], [0.0, 1 / 0.0035, 120.0], [0.0, 0.0, 1.0]])
+NOMINAL_SCALE_M = 4.24  # metres that a depth of 1 stands for in the frames scaled to 0 .. 1 (their source's figure)
+_CROP_PX = 100
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
 
 
@@ -56,6 +59,27 @@ def read_itop_reference(path: Path | str) -> ItopReference:
     if joints.ndim != 3 or joints.shape[1:] != (len(ITOP_JOINTS), 3):
         raise DatasetError(f"{file}: joints of the shape {joints.shape}", hint="ITOP has 15 joints of 3 coordinates a frame")
     return ItopReference(frame.astype(np.int64), joints * _UP_TO_DOWN, valid)
+
+
+def read_itop_frames(path: Path | str) -> FrameBatch:
+    """The frames of a `.npz` with `depth01` (F, 100, 100): ITOP's columns 40 .. 279 at 2.4 px each, scaled to 0 .. 1 each.
+
+    The metric scale of a frame is lost: `NOMINAL_SCALE_M` stands for all of them. Raises `DatasetError` for other files.
+    """
+    file = Path(path)
+    try:
+        with np.load(file) as arrays:
+            scaled = arrays["depth01"].astype(np.float32)
+    except (OSError, KeyError, ValueError) as error:
+        raise DatasetError(
+            f"{file} holds no ITOP frames ({error})", hint="give a .npz with depth01, joints_3d and frame"
+        ) from error
+    if scaled.ndim != 3 or scaled.shape[1:] != (_CROP_PX, _CROP_PX):
+        raise DatasetError(f"{file}: frames of the shape {scaled.shape}", hint=f"depth01 is (frames, {_CROP_PX}, {_CROP_PX})")
+    step = 240 / _CROP_PX
+    k = np.array([[K[0, 0] / step, 0.0, (K[0, 2] - 40) / step], [0.0, K[1, 1] / step, K[1, 2] / step], [0.0, 0.0, 1.0]])
+    depth = np.where(scaled > 0, scaled * np.float32(NOMINAL_SCALE_M), np.float32(np.nan))
+    return {"depth": depth, "camera_k": k, "camera_dist": np.zeros(5)}
 
 
 def project(joints_3d: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -133,15 +133,21 @@ class Export:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Hold predictions against a dataset: a table by joint group, and with --out a page and report.json.
+    """Hold predictions, or models, against a dataset: a table by joint group, and with --out a page and report.json.
 
-    Several predictions files are set side by side, on the joints that all of them answer for.
+    Several predictions files and models are set side by side, on the joints that all of them answer for.
     """
 
-    data: Path
+    data: Path | None = None
     """Folder of the dataset."""
-    predictions: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
+    itop_npz: Path | None = None
+    """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
+    predictions: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one a model."""
+    model: Annotated[tuple[str, ...], arg(metavar="MODEL [MODEL ...]")] = ()
+    """Models to run: names of those in the package, or ONNX files."""
+    persons: Annotated[tuple[str, ...], arg(metavar="SLOT [SLOT ...]")] = ()
+    """Only the people in these slots."""
     out: Path | None = None
     """Folder for index.html and report.json."""
     splits: Path | None = None

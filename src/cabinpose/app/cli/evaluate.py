@@ -18,11 +18,16 @@ from cabinpose.app.report.frames import worst_figures
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
 from cabinpose.app.report.page import page_html
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
+from cabinpose.core.ports import Predictor
 from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.estimate.predictor import load_model
+from cabinpose.evaluate.itop import evaluate_itop, itop_summary
 from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
 from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store.itop import read_itop_frames, read_itop_reference
 from cabinpose.store.part import disk_errors
 from cabinpose.store.predictions import Predictions, read_predictions
 from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
@@ -31,13 +36,20 @@ from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_split
 def run(command: Evaluate) -> None:
     """Evaluate every file; the table goes to stdout, the page to `out`."""
     options = _options(command)
+    if command.itop_npz is not None:
+        _run_itop(command, command.itop_npz, options)
+        return
+    if command.data is None or not (command.predictions or command.model):
+        raise ConfigError(
+            "there is nothing to evaluate", hint="give --data with --predictions or --model, or --itop-npz with --model"
+        )
     _check_out(command)
     whole = open_dataset(command.data)
-    models = [read_predictions(path) for path in command.predictions]
+    files = [read_predictions(path) for path in command.predictions]
     names = (dataset_id(read_manifest(command.data)), command.data.resolve().name)
-    for model in models:
-        check_predictions(model, whole, names)
-    models = _named_apart(models, command.predictions)
+    for file in files:
+        check_predictions(file, whole, names)
+    models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(load_model, command.model)]
     dataset = _selected(whole, command)
     joints = common_joints(dataset, models)
     frames = dataset.sizes["frame"]
@@ -56,6 +68,23 @@ def run(command: Evaluate) -> None:
         print_report(report)
     if command.out is not None:
         print(f"open {command.out / 'index.html'}", file=sys.stderr)
+
+
+def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> None:
+    """One model on ITOP frames, by ITOP's protocol."""
+    if len(command.model) != 1 or command.predictions or command.data is not None:
+        raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
+    model = load_model(command.model[0])
+    if model.joints != ITOP_JOINTS or len(model.persons) != 1:
+        raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
+    found = model.predict(read_itop_frames(frames))
+    report = evaluate_itop(
+        read_itop_reference(frames), found.joints_3d[:, 0], options, joints_2d=None, model=model.name, name=frames.name
+    )
+    if command.as_json:
+        print_json(itop_summary(report))
+    else:
+        print_report(report)
 
 
 def _options(command: Evaluate) -> EvaluationOptions:
@@ -104,6 +133,12 @@ def _selected(dataset: xr.Dataset, command: Evaluate) -> xr.Dataset:
             raise unknown_name("split", command.split, list(splits))
         mask &= frame_mask(dataset, splits[command.split])
     mask &= frame_mask(dataset, _selection(command.select))
+    if command.persons:
+        known = [str(name) for name in dataset["person"].values]
+        for name in command.persons:
+            if name not in known:
+                raise unknown_name("slot", name, known)
+        dataset = dataset.sel(person=list(command.persons))
     if not mask.any():
         raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
     return dataset.isel(frame=np.flatnonzero(mask))

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from cabinpose.app.view.draw import depth_image
 from cabinpose.app.view.sheet import caption
+from cabinpose.core.ports import PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
+from cabinpose.evaluate.offline import frame_batch
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import ALL, Report
 from cabinpose.evaluate.skeletons import EvaluatedSkeleton, evaluated_skeleton
@@ -23,21 +25,28 @@ TRUTH, PREDICTION, ERROR = "#ffffff", "#ff9f1c", "#ff3b3b"
 _HALF = 0.5  # a pixel's centre is a whole number for us, half of one for SVG
 
 
-def worst_figures(dataset: xr.Dataset, report: Report, predictions: Predictions, options: EvaluationOptions) -> list[str]:
+def _answer(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> PoseBatch:
+    """What a model says of the frame of this number."""
+    if isinstance(model, Predictions):
+        return model.take(np.array([number]))
+    return model.predict(frame_batch(dataset.sel(frame=[number]), slice(0, 1)))
+
+
+def worst_figures(dataset: xr.Dataset, report: Report, model: Predictions | Predictor, options: EvaluationOptions) -> list[str]:
     """Figures of a report's worst frames; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
     skeleton = evaluated_skeleton(report.joint_sets[ALL])
-    columns = [predictions.joints.index(name) for name in skeleton.joints]
+    columns = [model.joints.index(name) for name in skeleton.joints]
     small = [str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]
     wanted = dataset[[*small, "depth"]].sel(joint=list(skeleton.joints))
     figures = []
     for number in report.worst:
-        batch = predictions.take(np.array([number]))
+        batch = _answer(dataset, model, number)
         uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
         if options.match == "slot":  # in the order of the dataset's people, so that each joint has its true one
-            uv = uv[[predictions.persons.index(p) for p in dataset["person"].values.tolist() if p in predictions.persons]]
-        figures.append(overlay(wanted.sel(frame=number).load(), skeleton, uv, predictions.persons, options.match == "slot"))
+            uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
+        figures.append(overlay(wanted.sel(frame=number).load(), skeleton, uv, model.persons, options.match == "slot"))
     return figures
 
 
