@@ -16,3 +16,31 @@ for folder in (Path(__file__).parent, Path(__file__).parents[1] / "store"):
 def one_thread() -> None:
     """Tiny networks lose more by threads than they win, and other work shares the cores."""
     torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A checkpoint of each method, trained for an epoch on sphere people; read only."""
+    import small
+
+    from cabinpose.estimate.data import StoredFrames
+    from cabinpose.estimate.training import TrainConfig, fit, frame_spec
+
+    folder, dataset = tmp_path_factory.mktemp("trained"), small.dataset(8)
+    made = {}
+    for method, settings in small.TINY.items():
+        config = TrainConfig(method=method, settings=settings, epochs=1, batch=4, average=0.5)
+        frames = StoredFrames(dataset, frame_spec(config))
+        made[method] = fit(config, frames, frames, folder / method, devices=1)
+    return made
+
+
+@pytest.fixture(scope="session")
+def trained(checkpoints: dict[str, Path]) -> dict[str, Path]:
+    """The ONNX models of the checkpoints; read only."""
+    from cabinpose.estimate.export import export_onnx
+
+    made = {method: path.parent / f"{method}.onnx" for method, path in checkpoints.items()}
+    for method, path in made.items():
+        export_onnx(checkpoints[method], path, name=method, card={"data": "spheres"})
+    return made
