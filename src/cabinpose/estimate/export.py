@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -49,10 +50,13 @@ def export_onnx(checkpoint: Path, out: Path, *, name: str, card: Mapping[str, An
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
     partial = out.with_name(out.name + ".tmp")
     out.parent.mkdir(parents=True, exist_ok=True)
-    torch.onnx.export(
-        network, tuple(examples.values()), str(partial), input_names=list(examples), output_names=list(method.outputs),
-        dynamo=False, opset_version=_OPSET, dynamic_axes={n: {0: "frames"} for n in (*examples, *method.outputs)},
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        # The exporter that traces is deprecated, and needs nothing beside torch and onnx; the newer one does.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            network, tuple(examples.values()), str(partial), input_names=list(examples), output_names=list(method.outputs),
+            dynamo=False, opset_version=_OPSET, dynamic_axes={n: {0: "frames"} for n in (*examples, *method.outputs)},
+        )  # fmt: skip
     model = onnx.load(str(partial))
     metadata = {"name": name, "method": method.name, "config": config.model_dump(mode="json"), "card": dict(card)}
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})

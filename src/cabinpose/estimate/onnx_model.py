@@ -60,7 +60,13 @@ class OnnxModel:
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
-        values = self._session.run(self.method.outputs, {name: seen[name] for name in self.config.inputs})
+        inputs = {name: seen[name] for name in self.config.inputs}
+        empty = not any(len(array) for array in inputs.values())
+        if empty:  # no network takes an empty batch
+            inputs = {name: np.zeros((1, *array.shape[1:]), array.dtype) for name, array in inputs.items()}
+        values = self._session.run(self.method.outputs, inputs)
+        if empty:
+            values = [value[:0] for value in values]
         return self.method.decode(dict(zip(self.method.outputs, values, strict=True)), self.config, seen)
 
 

@@ -34,7 +34,9 @@ from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored
 from cabinpose.estimate.tasks import TASKS, Setting, Task
 
 _MEASURED = 500  # training frames that open settings are measured on
+_SEEDS = 0x7FFFFFFFFFFFFFFF
 _NOISE = (
+    ".*`IterableDataset` has `__len__` defined.*",
     ".*does not have many workers.*",
     ".*exists and is not empty.*",
     ".*The number of training batches .* is smaller than the logging interval.*",
@@ -88,7 +90,9 @@ class Detector(lightning.LightningModule):
     def training_step(self, batch: Batch, index: int) -> Tensor:
         """The loss of an augmented batch."""
         generator = torch.Generator(device=batch.joints.device)
-        generator.manual_seed(hash((self.settings.seed, self.current_epoch, index, self.global_rank)) & 0x7FFFFFFFFFFFFFFF)
+        where = (self.settings.seed, self.current_epoch, index, self.global_rank)
+        generator.manual_seed(hash(where) & _SEEDS)
+        torch.manual_seed(hash((*where, 1)) & _SEEDS)  # what a network draws for itself: dropout
         setting = Setting(self.rays, self.method_config.view.focal, Mirror(*self._mirrors, self.mirror_labels))
         with torch.no_grad():
             varied = self.task.vary(batch, self.settings.augment, self.method_config, setting, generator)

@@ -30,8 +30,6 @@ class OnnxLifting(OnnxModel):
         """
         known = np.isfinite(directions).all(axis=-1, keepdims=True)
         pose = np.concatenate((np.where(known, directions, 0.0), known), axis=-1).astype(np.float32)
-        if not len(pose):
-            return np.zeros(pose.shape)
         joints: NDArray[np.float64] = self.run({"pose": pose})
         return joints
 

@@ -1,0 +1,47 @@
+"""`cabinpose train` and `cabinpose export --onnx` for every method, from a dataset's folder to a model that answers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import small
+import sphere_people
+import yaml
+
+from cabinpose.app.cli import main
+from cabinpose.estimate.methods import METHODS
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    manifest = sphere_people.manifest(frames=12, frames_per_part=6, width=small.SIZE[0], height=small.SIZE[1])
+    return sphere_people.write(tmp_path_factory.mktemp("data") / "spheres", manifest)
+
+
+def run(*arguments: str) -> int:
+    try:
+        return int(main(list(arguments)) or 0)
+    except SystemExit as done:
+        return int(done.code or 0)
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_train_and_export(method: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "run.yaml"
+    config.write_text(yaml.safe_dump({"settings": json.loads(json.dumps(small.TINY[method])), "epochs": 1, "batch": 4}))
+    out = tmp_path / "run"
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
+    arguments = ["train", "--method", method, "--config", str(config), "--data", str(data), "--out", str(out), "--json"]
+    assert run(*arguments, "--devices", "1", "--splits", str(splits)) == 0
+    said = capsys.readouterr()
+    best = json.loads(said.out.strip().splitlines()[-1])["best"]
+    assert run("export", "--onnx", best, "--out", str(tmp_path / "model.onnx"), "--json") == 0
+    assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["difference"] <= 1e-4
+
+
+def test_a_run_needs_one_source_of_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("train", "--out", str(tmp_path)) == 2
+    assert "hint: give one of --data and --synth" in capsys.readouterr().err

@@ -1,0 +1,186 @@
+"""Training: a run that was killed goes on as if nothing had happened, and what does not fit is refused."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import small
+import torch
+from lightning.pytorch.callbacks import Callback
+
+from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
+from cabinpose.estimate.found import Found
+from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
+from cabinpose.estimate.training import Detector, TrainConfig, check_same, complete, fit, frame_spec, load_detector
+from cabinpose.estimate.unet.parts import MERGED, class_table
+
+
+class KilledError(Exception):
+    """What ends a run in its middle."""
+
+
+class KillInEpoch(Callback):
+    def __init__(self, epoch: int) -> None:
+        self._epoch = epoch
+
+    def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, index: int) -> None:
+        if trainer.current_epoch == self._epoch and index == 1:
+            raise KilledError
+
+
+def config(method: str, **changes: Any) -> TrainConfig:
+    return TrainConfig(**({"method": method, "settings": small.TINY[method], "epochs": 4, "batch": 4, "average": 0.5} | changes))
+
+
+def frames(c: TrainConfig, count: int = 8) -> StoredFrames:
+    return StoredFrames(small.dataset(count), frame_spec(c))
+
+
+def curve(folder: Path) -> dict[tuple[str, int], float]:
+    """Every number of the log by its name and step."""
+    rows = list(csv.DictReader((folder / "log" / "metrics.csv").open()))
+    return {
+        (name, int(row["step"])): float(value)
+        for row in rows
+        for name, value in row.items()
+        if name not in ("step", "epoch") and value not in ("", None)
+    }
+
+
+@pytest.mark.parametrize("method", ["compact", "lifting"])
+def test_a_killed_run_goes_on_with_the_same_curve(method: str, tmp_path: Path) -> None:
+    c = config(method)
+    fit(c, frames(c), frames(c), tmp_path / "whole", devices=1)
+    with pytest.raises(KilledError):
+        fit(c, frames(c), frames(c), tmp_path / "killed", callbacks=(KillInEpoch(2),), devices=1)
+    fit(c, frames(c), frames(c), tmp_path / "killed", resume=True, devices=1)
+    whole, resumed = curve(tmp_path / "whole"), curve(tmp_path / "killed")
+    losses = [step for name, step in whole if name == "train_loss"]
+    assert len(losses) == 4
+    assert len({whole["train_loss", step] for step in losses}) == 4
+    for key, value in resumed.items():
+        assert whole[key] == pytest.approx(value, rel=1e-6), key
+    assert ("train_loss", max(losses)) in resumed
+    a, b = (torch.load(tmp_path / run / "last.ckpt", weights_only=False)["state_dict"] for run in ("whole", "killed"))
+    for name, value in a.items():
+        torch.testing.assert_close(b[name], value, rtol=1e-6, atol=1e-7)
+
+
+def test_the_same_seed_gives_the_same_run_and_another_does_not(tmp_path: Path) -> None:
+    for run, seed in (("a", 1), ("b", 1), ("c", 2)):
+        c = config("lifting", epochs=1, seed=seed)
+        fit(c, frames(c), frames(c), tmp_path / run, devices=1)
+    assert curve(tmp_path / "a") == curve(tmp_path / "b")
+    assert curve(tmp_path / "a") != curve(tmp_path / "c")
+
+
+def test_another_runs_folder_is_not_overwritten(tmp_path: Path) -> None:
+    c = config("lifting", epochs=1)
+    fit(c, frames(c), frames(c), tmp_path, devices=1)
+    with pytest.raises(ConfigError, match="already holds") as caught:
+        fit(c, frames(c), frames(c), tmp_path, devices=1)
+    assert "--resume" in caught.value.hint
+    with pytest.raises(ModelError, match="another epochs, batch"):
+        fit(config("lifting", epochs=2, batch=2), frames(c), frames(c), tmp_path, resume=True, devices=1)
+
+
+def test_a_checkpoint_of_another_network_is_refused(checkpoints: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="another method, settings"):
+        check_same(checkpoints["compact"], complete(config("unet"), frames(config("unet"))))
+    data = torch.load(checkpoints["lifting"], weights_only=False)
+    data["hyper_parameters"]["config"]["settings"]["width"] = 32
+    torch.save(data, tmp_path / "other.ckpt")
+    with pytest.raises(ModelError, match="does not fit its network"):
+        load_detector(tmp_path / "other.ckpt")
+    (tmp_path / "torn.ckpt").write_bytes(checkpoints["lifting"].read_bytes()[:5000])
+    for name in ("torn.ckpt", "missing.ckpt"):
+        with pytest.raises(ModelError, match="no checkpoint") as caught:
+            load_detector(tmp_path / name)
+        assert caught.value.hint
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_every_method_leaves_a_best_epoch(method: str, checkpoints: dict[str, Path]) -> None:
+    detector = load_detector(checkpoints[method])
+    assert detector.method.name == method
+    assert not detector.training
+    log = curve(checkpoints[method].parent)
+    assert math.isfinite(next(value for (name, _), value in log.items() if name == TASKS[METHODS[method].task].best))
+    assert detector.settings.learning_rate == METHODS[method].learning_rate
+    if method == "paf":
+        assert set(detector.method_config.slot_anchors) == set(small.PERSONS)
+
+
+def test_training_from_generated_frames(tmp_path: Path) -> None:
+    c = config("compact", epochs=2)
+    made = [GeneratedFrames(small.frame, count, frame_spec(c), small.PERSONS) for count in (6, 2)]
+    assert fit(c, *made, tmp_path, devices=1).exists()
+    assert made[0].epoch == 1
+    assert made[1].epoch == 0
+
+
+def batch_of(method: str) -> tuple[Batch, Any]:
+    c = config(method)
+    some = frames(c, 3)
+    return collate([some[i] for i in range(3)]), Detector(c).method_config
+
+
+def test_joints_are_judged_in_heads() -> None:
+    batch, settings = batch_of("compact")
+    truth = batch.joints.double().numpy()
+    known = (batch.present[..., None] & (batch.visibility > 1)).numpy()
+    uv = truth[..., :2].copy()
+    uv[0] += (3.0, 4.0)
+    uv[1] = np.nan
+    found = Found(uv, truth, truth[..., 0], truth[..., 0])
+    errors = Joints().errors(found, batch, settings)
+    in_heads = 5 / (0.2 * 51.2 / truth[0, ..., 2][known[0]])
+    expected = np.concatenate((in_heads, np.full(known[1].sum(), np.inf), np.zeros(known[2].sum())))
+    np.testing.assert_allclose(errors, expected, atol=1e-6)
+    figures = Joints().figures([errors])
+    assert figures["val_pckh"] == pytest.approx(100 * np.mean(expected <= 0.5))
+    thresholds = np.linspace(0, 0.5, 20001)
+    area = np.mean([(expected <= t).mean() for t in thresholds])
+    assert figures["val_auc"] == pytest.approx(100 * area, abs=0.02)
+
+
+def test_lifted_joints_are_judged_in_space() -> None:
+    batch, settings = batch_of("lifting")
+    joints = TASKS["lift"].inputs(batch, settings)["pose"].numpy()
+    truth = small.dataset(3)["joints_3d"].values[small.dataset(3)["subject"].values != ""]
+    truth = truth[:, [list(small.dataset(3)["joint"].values).index(name) for name in settings.joints]]
+    assert len(joints) == len(truth) == 6
+    errors = Lift().errors(truth + np.array([0.0, 0.04, 0.03]), batch, settings)
+    assert errors.shape == (6 * 14,)
+    np.testing.assert_allclose(errors, 0.25, atol=1e-4)
+
+
+def test_parts_are_judged_by_iou() -> None:
+    batch, settings = batch_of("unet")
+    truth = class_table(MERGED)[batch.labels.numpy()]
+    said = truth.copy()
+    head, torso = 1, 2
+    assert set(np.unique(truth)) == {0, head, torso}
+    said[truth == head] = torso
+    figures = Parts().figures([Parts().errors(said[:2], batch._replace(labels=batch.labels[:2]), settings)] * 2)
+    t, s = truth[:2], said[:2]
+    iou = ((t == torso) & (s == torso)).sum() / ((t == torso) | (s == torso)).sum()
+    assert figures["val_iou"] == pytest.approx(100 * (0 + iou) / 2)
+    assert figures["val_person_iou"] == pytest.approx(100)
+    assert Parts().figures([]) == {}
+
+
+def test_advice_is_left_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    c = config("lifting", epochs=1)
+    fit(c, frames(c), frames(c), tmp_path, devices=1)
+    captured = capfd.readouterr()
+    for noise in ("💡", "Tip", "available:", "does not have many workers", "Seed set"):
+        assert noise not in captured.out + captured.err
