@@ -147,6 +147,17 @@ def test_augmentation_follows_its_seed() -> None:
     assert not torch.equal(one.depth, other.depth)
 
 
+def test_depths_may_lose_their_scale_while_joints_keep_theirs() -> None:
+    b = random_batch()
+    config = NOTHING.model_copy(update={"rescale": 1.0, "rescale_sigma": 0.3})
+    result = augment(b, config, RAYS, VIEW.focal, MIRROR, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(result.joints, b.joints)
+    factors = [(result.depth[i] / b.depth[i])[b.depth[i] > 0] for i in range(3)]
+    for factor in factors:
+        torch.testing.assert_close(factor, factor[:1].expand_as(factor))
+    assert len({round(float(factor[0]), 4) for factor in factors}) == 3
+
+
 def test_images_that_a_method_does_not_read_may_be_absent() -> None:
     b = random_batch()._replace(amplitude=None, labels=None)
     result = augment(b, AugmentConfig(), RAYS, VIEW.focal, MIRROR, generator=torch.Generator().manual_seed(3))

@@ -1,0 +1,81 @@
+"""docs/training.md: every key with its default, and the examples as they stand."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.estimate.augment import AugmentConfig
+from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.training import TrainConfig, frame_spec
+from cabinpose.store.split import parse_splits
+
+PAGE = (Path(__file__).parents[2] / "docs" / "training.md").read_text("utf-8")
+SECTIONS: dict[str, type[BaseModel]] = {"## Configuration": TrainConfig, "### Augmentation": AugmentConfig} | {
+    f"### Settings of {name}": method.config for name, method in METHODS.items()
+}
+WORDS = {
+    "the method's": None, "measured": None, "160 at a width of 352": None, "all five": OCCUPANT_SLOTS,
+}  # fmt: skip
+
+
+def rows(heading: str) -> dict[str, Any]:
+    """The keys of a section's table and the defaults that it states."""
+    section = re.split(r"^##", PAGE.split(f"{heading}\n", 1)[1], maxsplit=1, flags=re.M)[0]
+    found: dict[str, Any] = {}
+    for keys, default in re.findall(r"^\| (`[^|]+`) \| ([^|]+) \|", section, re.M):
+        names = re.findall(r"`(\w+)`", keys)
+        values = default.split(", ") if len(names) > 1 else [default]
+        for name, value in zip(names, values, strict=True):
+            read = WORDS[value] if value in WORDS else yaml.safe_load(value)
+            found[name] = tuple(read) if isinstance(read, list) else read
+    return found
+
+
+@pytest.mark.parametrize("heading", SECTIONS)
+def test_every_key_stands_with_its_default(heading: str) -> None:
+    expected = {}
+    for name, field in SECTIONS[heading].model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        expected[name] = {} if isinstance(default, BaseModel) else default
+    assert rows(heading) == expected
+
+
+def test_the_stated_rates_are_the_methods() -> None:
+    rates = {name: method.learning_rate for name, method in METHODS.items()}
+    decays = {name: method.weight_decay for name, method in METHODS.items()}
+    assert "compact 3e-3, paf 4e-4, lifting and unet 1e-3" in PAGE
+    assert rates == {"compact": 3e-3, "paf": 4e-4, "lifting": 1e-3, "unet": 1e-3}
+    assert "compact 0.02, the others 0.01" in PAGE
+    assert decays == {"compact": 0.02, "paf": 0.01, "lifting": 0.01, "unet": 0.01}
+
+
+def test_the_examples_are_valid() -> None:
+    splits, run = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.S))
+    assert set(parse_splits(splits, "docs")) == {"train", "validate"}
+    config = TrainConfig.model_validate(run)
+    assert frame_spec(config).slots == ("driver", "front_passenger")
+
+
+def test_the_python_examples_run(trained: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import shutil
+
+    import small
+    import sphere_people
+
+    monkeypatch.chdir(tmp_path)
+    sphere_people.write(tmp_path / "my-dataset", sphere_people.manifest(frames=3, width=small.SIZE[0], height=small.SIZE[1]))
+    for name in ("compact", "paf", "lifting", "unet"):
+        shutil.copy(trained[name], tmp_path / f"{name}.onnx")
+    scope: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE, re.S):
+        exec(block, scope)
+    assert scope["poses"].joints_3d.shape == (3, 3, 20, 3)
+    assert scope["lifted"].joints_3d.shape == (3, 3, 14, 3)
+    assert scope["labels"].shape == (3, 48, 64)
