@@ -7,7 +7,7 @@ default it stays in memory after the first epoch, as the integers of the disk.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import psutil
@@ -63,6 +63,9 @@ class Kept(NamedTuple):
     present: NDArray[np.bool_]
     amplitude: NDArray[np.uint16]
     labels: NDArray[np.uint8]
+
+
+Frames: TypeAlias = Dataset[Kept]  # what trains or validates
 
 
 class StoredFrames(Dataset[Kept]):

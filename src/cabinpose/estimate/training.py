@@ -21,14 +21,14 @@ import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, EMAWeightAveraging, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.data import FrameSpec, GeneratedFrames, Kept, collate
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, Kept, collate
 from cabinpose.estimate.methods import Method, method_named
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.estimate.tasks import TASKS, Setting, Task
@@ -134,7 +134,7 @@ class Detector(lightning.LightningModule):
 class _Frames(lightning.LightningDataModule):
     """The loaders of a run: each epoch in a new order (or of new frames), known from the seed and the epoch's number."""
 
-    def __init__(self, config: TrainConfig, training: Dataset[Kept], validation: Dataset[Kept]) -> None:
+    def __init__(self, config: TrainConfig, training: Frames, validation: Frames) -> None:
         super().__init__()
         self._config, self._training, self._validation = config, training, validation
 
@@ -154,7 +154,7 @@ class _Frames(lightning.LightningDataModule):
         """The validation frames in their order."""
         return self._loader(self._validation)
 
-    def _loader(self, frames: Dataset[Kept], **how: Any) -> DataLoader[Kept]:
+    def _loader(self, frames: Frames, **how: Any) -> DataLoader[Kept]:
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
 
 
@@ -173,8 +173,8 @@ def outputs_of(network: nn.Module, method: Method, settings: Any, seen: Mapping[
 
 def fit(
     config: TrainConfig,
-    training: Dataset[Kept],
-    validation: Dataset[Kept],
+    training: Frames,
+    validation: Frames,
     out: Path,
     *,
     resume: bool = False,
@@ -242,12 +242,23 @@ def _quiet() -> Iterator[None]:
 
 def check_same(checkpoint: Path, config: TrainConfig) -> None:
     """Raises ModelError where a checkpoint was trained with another configuration."""
-    before, now = read_checkpoint(checkpoint)["config"], config.model_dump(mode="json")
-    differing = [name for name in now if before.get(name) != now[name]]
+    before = _filled(_configuration(checkpoint, read_checkpoint(checkpoint))).model_dump(mode="json")
+    now = _filled(config).model_dump(mode="json")
+    differing = [name for name in now if before[name] != now[name]]
     if differing:
         raise ModelError(
             f"{checkpoint} was trained with another {', '.join(differing)}", hint="resume with the configuration of that run"
         )
+
+
+def _configuration(path: Path, checkpoint: Mapping[str, Any]) -> TrainConfig:
+    """The configuration in a checkpoint; ModelError where this version does not know its keys."""
+    try:
+        return TrainConfig.model_validate(checkpoint["config"])
+    except ValidationError as error:
+        raise ModelError(
+            f"{path} was trained by another version of cabinpose: {error.errors()[0]['msg']}", hint="train it again"
+        ) from error
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -264,7 +275,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 def load_detector(path: Path) -> Detector:
     """The trained detector of a checkpoint, ready to infer. Raises ModelError for a checkpoint of another network."""
     data = read_checkpoint(path)
-    detector = Detector(TrainConfig.model_validate(data["config"]))
+    detector = Detector(_configuration(path, data))
     try:
         detector.load_state_dict(data["state"])
     except RuntimeError as error:
@@ -278,15 +289,21 @@ def frame_spec(config: TrainConfig) -> FrameSpec:
     return TASKS[method.task].spec(method.settings(config.settings))
 
 
-def complete(config: TrainConfig, training: Dataset[Kept]) -> TrainConfig:
+def complete(config: TrainConfig, training: Frames) -> TrainConfig:
     """The configuration with what it leaves open: the method's optimiser, and settings that are measured on the frames."""
+    filled, method = _filled(config), method_named(config.method)
+    if method.measure is None:
+        return filled
+    settings = load_symbol(method.measure)(method.settings(config.settings), _some(training))
+    return filled.model_copy(update={"settings": settings.model_dump(mode="json")})
+
+
+def _filled(config: TrainConfig) -> TrainConfig:
+    """The configuration with the defaults of its method."""
     method = method_named(config.method)
-    settings = method.settings(config.settings)
-    if method.measure is not None:
-        settings = load_symbol(method.measure)(settings, _some(training))
     return config.model_copy(
         update={
-            "settings": settings.model_dump(mode="json"),
+            "settings": method.settings(config.settings).model_dump(mode="json"),
             "learning_rate": _given(config.learning_rate, method.learning_rate),
             "weight_decay": _given(config.weight_decay, method.weight_decay),
         }
@@ -297,7 +314,7 @@ def _given(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-def _some(training: Dataset[Kept]) -> list[Kept]:
+def _some(training: Frames) -> list[Kept]:
     """At most _MEASURED frames, evenly spread, or the first of those that are made."""
     if isinstance(training, GeneratedFrames):
         return list(islice(iter(training), _MEASURED))

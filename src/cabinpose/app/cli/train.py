@@ -16,16 +16,21 @@ def run(command: Train) -> None:
     """Train with Lightning's progress bar and name the best checkpoint."""
     require("torch", "lightning", extra="train")
     from cabinpose.app.training import generated_frames, read_train_config, stored_frames
+    from cabinpose.estimate.data import Frames
     from cabinpose.estimate.training import fit, frame_spec
 
-    if (command.data is None) == (command.synth is None):
+    if command.data is not None and command.synth is not None:
         raise ConfigError("a detector learns from a dataset or from generated scenes", hint="give one of --data and --synth")
     config = read_train_config(command.config, command.method)
     spec = frame_spec(config)
+    training: Frames
+    validation: Frames
     if command.data is not None:
         training, validation = stored_frames(open_dataset(command.data), spec, command.splits, command.train, command.validate)
-    else:
+    elif command.synth is not None:
         training, validation = generated_frames(SynthConfig.load(command.synth), spec, command.frames, config.seed)
+    else:
+        raise ConfigError("there is nothing to learn from", hint="give one of --data and --synth")
     best = fit(
         config, training, validation, command.out, resume=command.resume, devices=_devices(command.devices), nodes=command.nodes
     )
