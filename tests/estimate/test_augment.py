@@ -207,3 +207,11 @@ def test_an_occluder_hides_only_what_is_behind_it(seed: int) -> None:
     behind = inside & plate[frame, v, u] & (b.joints[..., 2] > result.depth[frame, v, u])
     assert torch.equal(changed, behind & (b.visibility > 2))
     assert (result.visibility[changed] == 2).all()
+
+
+def test_what_shows_through_a_surface_is_covered_by_it() -> None:
+    depth, plate = drawn()
+    depth[24, 32] = WALL_M  # the wall, seen through one pixel of the plate
+    result = moved(batch(depth), np.eye(3), (0, 0, 1e-5)).depth[0].numpy()
+    assert result[24, 32] == pytest.approx(PLATE_M, abs=1e-4)
+    np.testing.assert_allclose(result[~plate], WALL_M, atol=1e-4)

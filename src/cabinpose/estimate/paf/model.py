@@ -7,7 +7,7 @@ pose estimation using part affinity fields", CVPR 2017; the thesis keeps its fir
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -78,6 +78,12 @@ class Paf(nn.Module):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+        # As in the original, answers begin near zero: large first errors leave the features without variation.
+        for last in (self.fields[-1], self.heat[-1], self.presence[-1], *(m[-1] for m in self._refined())):
+            nn.init.normal_(cast(nn.Conv2d, last).weight, std=0.01)
+
+    def _refined(self) -> list[nn.Sequential]:
+        return [cast(nn.Sequential, module) for module in (*self.refined_fields, *self.refined_heat)]
 
     def scaled(self, image: Tensor) -> Tensor:
         """The input (N, 1 or 3, h, w) in 0..255 as in the thesis, from depth (m, 0 = invalid) or amplitude (N, h, w)."""
