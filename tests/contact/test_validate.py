@@ -10,7 +10,7 @@ import trimesh
 from capsule_people import StubCabin, StubPart, StubSeat, capsule, person, surface
 
 from cabinpose.core.frames import Matrix, transform
-from cabinpose.scene.contact import FLESH_M, OUTSIDE
+from cabinpose.scene.contact import BOTH_YIELD_M, FLESH_M, OUTSIDE
 from cabinpose.scene.contact.exact import exact_penetrations
 from cabinpose.synth import validate
 from cabinpose.synth.validate import Validator
@@ -56,8 +56,8 @@ def test_a_hand_may_rest_on_the_thigh_as_deep_as_stated(validator: Validator, ov
         assert verdict.depth_m == pytest.approx(overlap, abs=0.001)
 
 
-@pytest.mark.parametrize(("overlap", "ok"), [(FLESH_M - 0.001, True), (FLESH_M + 0.002, False)])
-def test_people_may_touch_as_deep_as_flesh_gives(validator: Validator, overlap: float, ok: bool) -> None:
+@pytest.mark.parametrize(("overlap", "ok"), [(BOTH_YIELD_M - 0.001, True), (BOTH_YIELD_M + 0.002, False)])
+def test_people_may_touch_as_deep_as_both_yield(validator: Validator, overlap: float, ok: bool) -> None:
     """Two heads of 100 mm side by side, as far apart as 200 mm less the overlap."""
     reach = {"lelbow": (0.0, 0.25, 1.2), "lwrist": (0.0, 0.25, 1.0), "lhand": (0.0, 0.25, 0.95)}
     lean = {"head": (0, -0.4 - overlap / 2, 1.7), "neck": (0, -0.1, 1.5)}

@@ -2,8 +2,8 @@
 
 A scene is drawn in two rings. The inner one poses a person, again and again until the pose holds against the body
 itself, the people already seated and the car. Where that fails for too long the outer ring draws everything anew
-(car, seats, people); where that fails too the run ends with an error that names the cause. Only the person whose pose
-failed is posed again: the others were valid and stay, so full cars cost little more than the sum of their people.
+(car, seats, people); where that fails too the run ends with an error that names the cause. `boarding` keeps the inner ring:
+only the person whose pose failed is posed again, or the neighbour who leaves no room.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ from cabinpose.scene.contact import ContactField
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
+from cabinpose.synth.boarding import board, slimmest_in_the_middle
 from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng
 from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, draw_offset, random_action, sample_pose
+from cabinpose.synth.posture.company import Company
 from cabinpose.synth.posture.motion import recorded_pose
 from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
@@ -192,31 +194,28 @@ class SceneSampler:
         cabin, validator = self._cabin(car, "right" if rng.random() < scene.right_hand_drive else "left")
         taken = _occupied(scene, cabin, rng)
         names = [self._subjects[block.people[i]] for i in _distinct(len(block.people), len(taken), rng)]
-        people = {slot: self._person(name) for slot, name in zip(taken, names, strict=True)}
+        by_slot = slimmest_in_the_middle(dict(zip(taken, names, strict=True)), cabin, self._person)
+        people = {slot: self._person(name) for slot, name in by_slot.items()}
         settings = {
             slot: choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
             if slot in people
             else seat.default
             for slot, seat in cabin.seats.items()
         }
-        people_in: list[ScenePerson] = []
-        seated, proposals = validator.empty(settings), 0
-        for slot, name in zip(taken, names, strict=True):
-            for _ in range(self._config.limits.poses_per_person):
-                proposals += 1
-                try:
-                    pose = self._pose(scene, index, people[slot], cabin, slot, settings[slot], rng)
-                except SceneError:
-                    causes["reach"] += 1
-                    continue
-                posed = people[slot].pose(pose.q, pose.vehicle_from_root)
-                verdict, seated = validator.admit(seated, (slot, people[slot], posed), pose.wheel_angle)
-                if verdict.ok:
-                    people_in.append(ScenePerson(slot, name, pose.action, people[slot], posed))
-                    break
-                causes[f"{verdict.cause}: {verdict.detail}"] += 1
-            else:
-                return None, proposals
+
+        def make_pose(slot: str, company: Company | None) -> OccupantPose:
+            return self._pose(scene, index, people[slot], cabin, slot, settings[slot], company, rng)
+
+        boarded, proposals = board(
+            people, cabin, validator, validator.empty(settings), make_pose,
+            poses_per_person=self._config.limits.poses_per_person, causes=causes, rng=rng,
+        )  # fmt: skip
+        if boarded is None:
+            return None, proposals
+        people_in = [
+            ScenePerson(slot, by_slot[slot], pose.action, people[slot], posed) for slot, (pose, posed) in boarded.poses.items()
+        ]
+        seated = boarded.seated
         pov, camera = self._cabin_camera(cabin, rng)
         if _blocked(camera[:3, 3], people_in, seated):
             causes["camera"] += 1
@@ -234,13 +233,17 @@ class SceneSampler:
         cabin: Cabin,
         slot: str,
         setting: SeatSetting,
+        company: Company | None,
         rng: np.random.Generator,
     ) -> OccupantPose:
         seat = cabin.seats[slot]
         weights = scene.motion.get(slot)
-        action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng)
+        left_out = frozenset[str]() if company is None else company.left_out
+        action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-        return sample_pose(person, seat, setting, cabin, action, scene.profile, index=index, offset=offset, rng=rng)
+        return sample_pose(
+            person, seat, setting, cabin, action, scene.profile, index=index, offset=offset, company=company, rng=rng
+        )
 
     def _cabin_camera(self, cabin: Cabin, rng: np.random.Generator) -> tuple[str, Matrix]:
         """The view's name and `vehicle_from_camera`, jittered."""
@@ -322,7 +325,7 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
     if isinstance(scene, RoomScene):
         return
     for car in scene.cars:
-        cabin = _open_cabin(car, "left")
+        cabin = open_cabin(car, "left")
         if not any(scene.occupancy.get(slot, 0.0) > 0 for slot in cabin.seats):
             raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(cabin.seats)} an occupancy")
         for slot, weights in scene.motion.items():
@@ -367,12 +370,13 @@ def _by_cause(causes: Counter[str]) -> dict[str, int]:
     return dict(sorted(totals.items()))
 
 
-def _open_cabin(car: str, drive_side: DriveSide) -> Cabin:
+def open_cabin(car: str, drive_side: DriveSide) -> Cabin:
+    """A preset by its name, or a user's own cabin by the path of its YAML file."""
     return build_cabin(car, drive_side=drive_side) if car in PRESETS else load_cabin(car)
 
 
 def _judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-    cabin = _open_cabin(car, drive_side)
+    cabin = open_cabin(car, drive_side)
     return cabin, Validator(cabin)
 
 

@@ -1,7 +1,7 @@
 """Whether a scene is possible: bodies with themselves, with each other, with the car, in this order with early exit.
 
 The order and the early exit are those of the thesis (section 5.2.1.3): a cheap test that fails spares the others.
-Contact is not collision: flesh yields by `FLESH_M`, seats by the `give_m` of their parts.
+Contact is not collision: flesh yields by `FLESH_M`, that of two people by `BOTH_YIELD_M`, seats by the `give_m` of their parts.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Verdict(NamedTuple):
     """Whether a scene holds; else why not.
 
     cause: which test failed · detail: who and what, such as "driver: lhand in steering_wheel" · depth_m: of the point
-    found, below the surface it went through · where: (3,) m, vehicle frame · slot: the occupant.
+    found, below the surface it went through · where: (3,) m, vehicle frame · slot: the occupant · other: the one he met.
     """
 
     ok: bool
@@ -92,6 +92,7 @@ class Verdict(NamedTuple):
     depth_m: float = 0.0
     where: NDArray[np.float64] | None = None
     slot: str = ""
+    other: str = ""
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,7 @@ class Validator:
                     which, contact = crossing
                     self._lap("person", clock)
                     detail = f"{slot}, {other_slot}: {which} in {contact.solid}"
-                    return Verdict(False, "person", detail, contact.depth_m, contact.where, slot)
+                    return Verdict(False, "person", detail, contact.depth_m, contact.where, slot, other_slot)
         self._lap("person", clock)
         return None
 

@@ -1,7 +1,7 @@
 """Contact between bodies, and between bodies and the cabin: what yields, by how much, and what collides."""
 
 from cabinpose.scene.contact.field import BAND_M, OUTSIDE, Contact, ContactField, ContactScene, PlacedField
-from cabinpose.scene.contact.pairs import FLESH_M, PAIRS, SOLIDS, Pair
+from cabinpose.scene.contact.pairs import BOTH_YIELD_M, FLESH_M, PAIRS, SOLIDS, Pair
 from cabinpose.scene.contact.solids import (
     PosedSolids,
     SolidContact,
@@ -13,6 +13,7 @@ from cabinpose.scene.contact.solids import (
 
 __all__ = [
     "BAND_M",
+    "BOTH_YIELD_M",
     "FLESH_M",
     "OUTSIDE",
     "PAIRS",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cabinpose.core.frames import apply
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.contact.field import ContactScene
-from cabinpose.scene.contact.pairs import FLESH_M, PAIRS, SOLIDS
+from cabinpose.scene.contact.pairs import BOTH_YIELD_M, FLESH_M, PAIRS, SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidTopology
 
 
@@ -119,8 +119,8 @@ def exact_penetrations(
         skins.append((slot, posed.skin, _closed(posed.skin, person.skin_faces)))
     for i, (slot, skin, mesh) in enumerate(skins):
         for other_slot, other_skin, other in skins[:i]:
-            found += _worst("person", f"{slot} in {other_slot}", other, skin, FLESH_M)
-            found += _worst("person", f"{other_slot} in {slot}", mesh, other_skin, FLESH_M)
+            found += _worst("person", f"{slot} in {other_slot}", other, skin, BOTH_YIELD_M)
+            found += _worst("person", f"{other_slot} in {slot}", mesh, other_skin, BOTH_YIELD_M)
     if cabin is None:
         return found
     transforms = cabin.group_transforms(settings, wheel_angle=wheel_angle)

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 # Skin and what lies under it yield under a light touch: 5-10 mm over most of the body at a few newtons.
 FLESH_M = 0.008
+# Between two people both yield.
+BOTH_YIELD_M = 2 * FLESH_M
 
 SOLIDS: tuple[str, ...] = (
     "torso", "head",

@@ -24,7 +24,7 @@ from cabinpose.scene.contact.depth import (
     first_of_pairs,
     sampled_skin,
 )
-from cabinpose.scene.contact.pairs import FLESH_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
+from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
 
 SPACING_M = 0.025  # torso and thighs have edges up to 75 mm
 
@@ -220,11 +220,11 @@ _PAIRED = np.array([(SOLIDS.index(p.one), SOLIDS.index(p.two)) for p in PAIRS])
 _TOLERANCES = np.array([p.tolerance_m for p in PAIRS])
 _JOINT_ENDS = np.array([(INDEX[p.joint], INDEX[p.end]) if p.joint else (-1, -1) for p in PAIRS])
 _ZONES = np.array([p.zone for p in PAIRS])
-_FLESH = np.array([FLESH_M])
+_FLESH = np.array([BOTH_YIELD_M])
 
 
 def person_contact(one: PosedSolids, two: PosedSolids) -> tuple[str, SolidContact] | None:
-    """Where two bodies overlap deeper than `FLESH_M`: the solid that goes in and the contact; None where they do not."""
+    """Where two bodies overlap deeper than `BOTH_YIELD_M`: the solid that goes in and the contact; None where they do not."""
     if not ((one.box[0] < two.box[1]) & (two.box[0] < one.box[1])).all():
         return None
     for body, other in ((one, two), (two, one)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.chain import Residual
 from cabinpose.synth.posture.limbs import LimbTask, frames, solve_leg
-from cabinpose.synth.posture.room import Room, foot_aside
+from cabinpose.synth.posture.room import Room, foot_aside, leg_aside
 from cabinpose.synth.posture.seat_fit import SeatFit
 
 Array = NDArray[np.float64]
@@ -40,6 +41,9 @@ _FEET_CLOSER_M = 0.05  # a foot that is pushed further drives the other one befo
 _FOOT_SHARE = 0.155  # length of a shoe, of the stature
 _SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front seat) leaves no more
 _KNEES_OUT_M = 0.03  # feet from below the hips to the sides
+_TOE_GAP_M = 0.01  # from the middle between two who face each other
+_TUNNEL_AHEAD_M = 1.0  # of the rearmost seat, where feet stand
+_LEG_ROUNDS, _LEG_SQUEEZE_M = 3, 0.008
 _SHIN_BEHIND = 0.015  # how far an ankle may stand behind the knee: what the seat's base leaves
 
 
@@ -84,13 +88,15 @@ def on_pedal(q: Array, person: Person, root: Matrix, side: int, pad: Matrix, flo
 
 def on_floor(
     q: Array, person: Person, root: Matrix, side: int, seat: Seat, setting: SeatSetting, fit: SeatFit, plan: FootPlan,
-    room: Room, *, ahead: float = math.inf,
+    room: Room, *, ahead: float = math.inf, crowded: bool = False,
 ) -> tuple[Residual, float]:  # fmt: skip
     """Put a foot flat on the floor before the seat, in place of q, with the thigh on the cushion where the legs allow it.
 
     Where the shin is longer than the cushion is high the foot goes forward, up to a little past the seat's heel
     point, and the knee rises; where it is shorter the foot hangs, and nothing is missed. A foot in the tunnel or the door
-    moves aside. `ahead` is what toes have before they meet a seat's base (m). Returns the residual and the shift to the left (m).
+    moves aside, and among close neighbours (`crowded`) so does the whole leg. `ahead` is what toes have before they meet
+    a seat's base (m).
+    Returns the residual and the shift to the left (m).
     """
     s = 1.0 - 2.0 * side
     vehicle_from_seat = seat.vehicle_from_seat(setting)
@@ -123,6 +129,13 @@ def on_floor(
     rotations = np.array([0.06, 0.06, 0.04]) * fixed
     task = LimbTask(target, np.full(3, 4.0), rotations, _FREE_KNEE, _STIFFNESS)
     residual = solve_leg(q, person.rest, root, side, task)
+    for _ in range(_LEG_ROUNDS if crowded else 0):
+        shift = leg_aside(room, frames(q, person.rest, root).position, side)
+        if abs(shift) < _LEG_SQUEEZE_M:
+            break
+        aside += shift
+        task.target[1, 3] += shift
+        residual = solve_leg(q, person.rest, root, side, task)
     if drop >= shin:
         return Residual(0.0, 0.0), aside
     if frames(q, person.rest, root).soles[side][2, 0] < -0.01:  # the ankle gives no more: the heel lifts, not the toes sink
@@ -134,10 +147,11 @@ def on_floor(
 
 def place_feet(
     q: Array, person: Person, root: Matrix, seat: Seat, setting: SeatSetting, fit: SeatFit, cabin: Cabin,
-    plans: tuple[FootPlan, FootPlan], room: Room,
+    plans: tuple[FootPlan, FootPlan], room: Room, *, faced: bool = False, crowded: bool = False,
 ) -> dict[str, float]:  # fmt: skip
     """Solve both legs in q, in place; returns what each foot misses its place by (m).
 
+    faced: somebody sits opposite, so that toes stay on the own side · crowded: people sit close beside.
     Raises SceneError where a foot does not reach its pedal.
     """
     missed, pushed = {}, 0.0
@@ -147,8 +161,9 @@ def place_feet(
         plan, name = plans[side], "lr"[side] + "foot"
         if plan.pedal is None:
             outer = max(-towards_middle * pushed - _FEET_CLOSER_M, 0.0)
-            plan = plan._replace(out=plan.out + outer)
-            residual, pushed = on_floor(q, person, root, side, seat, setting, fit, plan, room, ahead=_room_ahead(seat, cabin))
+            plan = plan._replace(forward=min(plan.forward, 0.0) if faced else plan.forward, out=plan.out + outer)
+            ahead = _room_ahead(seat, cabin, faced)
+            residual, pushed = on_floor(q, person, root, side, seat, setting, fit, plan, room, ahead=ahead, crowded=crowded)
         else:
             residual = on_pedal(q, person, root, side, cabin.pedals[plan.pedal], seat.floor_z, _ASIDE_M.get(plan.pedal, 0.0))
             if residual.position > MISS_M:
@@ -161,12 +176,34 @@ def place_feet(
     return missed
 
 
-def _room_ahead(seat: Seat, cabin: Cabin) -> float:
-    """How far (m) toes may reach ahead of the H-point before they meet the base of the seat in front."""
+def _room_ahead(seat: Seat, cabin: Cabin, faced: bool) -> float:
+    """How far (m) toes may reach ahead of the H-point before they meet those opposite, or the base of the seat in front."""
+    if faced:
+        away = [abs(float(o.design_h_point[0] - seat.design_h_point[0])) for o in cabin.seats.values() if is_opposite(seat, o)]
+        return 0.5 * min(away, default=math.inf) - _TOE_GAP_M
     if not seat.slot.startswith("rear") or "driver" not in cabin.seats or cabin.seats["driver"].facing_yaw != seat.facing_yaw:
         return math.inf
     front = cabin.seats["driver"].design_h_point
     return float(front[0] - seat.design_h_point[0]) - _SEAT_BASE_M[0 if front[2] > _HIGH_SEAT_M else 1]
+
+
+@lru_cache(maxsize=32)
+def tunnel_m(cabin: Cabin) -> float:
+    """Height of the floor's tunnel along the centre line over the floor beside it, m; 0 in a car without a part "floor"."""
+    floor = next((p.surface.vertices for p in cabin.parts if p.name == "floor"), None)
+    if floor is None:
+        return 0.0
+    rear = min(float(s.design_h_point[0]) for s in cabin.seats.values())
+    before = (floor[:, 0] > rear) & (floor[:, 0] < rear + _TUNNEL_AHEAD_M)
+    across = np.abs(floor[:, 1])
+    middle, beside = floor[before & (across < 0.05), 2], floor[before & (across > 0.2) & (across < 0.5), 2]
+    return float(middle.max() - np.median(beside)) if len(middle) and len(beside) else 0.0
+
+
+def is_opposite(seat: Seat, other: Seat) -> bool:
+    """Whether two seats face each other."""
+    ahead = math.cos(seat.facing_yaw) * float(other.design_h_point[0] - seat.design_h_point[0])
+    return math.cos(seat.facing_yaw - other.facing_yaw) < -0.5 and ahead > 0.0
 
 
 def default_plans(seat: Seat, cabin: Cabin) -> tuple[FootPlan, FootPlan]:

@@ -7,7 +7,6 @@ of the palm; the thumb points along -y of a right hand and +y of a left one.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from cabinpose.core.frames import Matrix, cross
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.limbs import LOWER, Frames, LimbTask, frames
+from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import SeatFit
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ CROSS_ARM = np.radians((40.0, 0.0, 50.0, 95.0, 20.0, 0.0, 0.0))
 UP_ARM = np.radians((95.0, 25.0, 0.0, 45.0, 20.0, 0.0, 0.0))
 
 
-@lru_cache(maxsize=256)
+@kept_with_person
 def elbow_room(person: Person) -> float:
     """Abduction (rad) by which a person's upper arms clear the flanks when they hang before them."""
     segment = person.skin_segment
@@ -72,7 +72,7 @@ class RimGrip(NamedTuple):
     off: float
 
 
-@lru_cache(maxsize=256)
+@kept_with_person
 def rim_grip(person: Person, section_m: float) -> RimGrip:
     """The tightest grip around a rim of this section radius (m) that presses the skin by no more than `_PRESSED_M`."""
     hand = person.skin_segment == SEGMENTS.index("lhand")

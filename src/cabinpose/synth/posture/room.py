@@ -15,16 +15,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cabinpose.core.frames import invert
+from cabinpose.core.frames import Matrix, invert
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Part, Seat, SeatSetting
 from cabinpose.synth.posture.limbs import Frames, frames
+from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import common_fit
 
 Array = NDArray[np.float64]
 
-_CELL_M = 0.015  # of a side's height field
+CELL_M = 0.015  # of a side's height field
 _BOX_M = (-0.35, 0.95, -0.48, 0.75)  # of the H-point: rear, front, below, above
 _BESIDE_M = 0.12  # nearer to the seat's middle plane nothing counts as a side
 _BACK_FROM_M = (-0.30, -0.15)
@@ -35,12 +36,15 @@ _THIGH_STATIONS = 14
 _ON_UPPER_ARM = np.array([0.55, 0.8, 1.0])
 _ON_FOREARM = np.array([0.2, 0.5, 0.8])
 _HAND_POINTS = 24
+_CALF = 0.75  # a calf's radius, of the thigh's
 # How much deeper than its skin a limb may lie in trunk, thigh and car: the validator's tolerances less a reserve (m).
 YIELD_M = np.array([0.018, 0.006, 0.002])
 _FOAM_M = 0.05  # a backrest gives way to flesh, not to the bone within
 _THORAX = BONE_INDEX["spine01"]
 _UPPERARM = tuple(BONE_INDEX[s + "upperarm"] for s in "lr")
 _HAND = tuple(BONE_INDEX[s + "hand"] for s in "lr")
+_SHIN = tuple(BONE_INDEX[s + "shank"] for s in "lr")
+_FOOT = tuple(BONE_INDEX[s + "foot"] for s in "lr")
 _THIGH = tuple(BONE_INDEX[s + "thigh"] for s in "lr")
 
 
@@ -72,11 +76,13 @@ class Room(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _project(corners: Array, middle: float, x0: float, z0: float, cell: float, beside: float, field: Array) -> None:
-    """Lower a height field (2, X, Z) to triangles (N, 3, 3), seen from the plane y = middle to the left and right."""
+def _project(
+    vertices: Array, faces: NDArray[np.integer], middle: float, x0: float, z0: float, cell: float, beside: float, field: Array
+) -> None:
+    """Lower a height field (2, X, Z) to a mesh (V, 3), (F, 3), seen from the plane y = middle to the left and right."""
     nx, nz = field.shape[1], field.shape[2]
-    for k in range(len(corners)):
-        a, b, c = corners[k, 0], corners[k, 1], corners[k, 2]
+    for k in range(len(faces)):
+        a, b, c = vertices[faces[k, 0]], vertices[faces[k, 1]], vertices[faces[k, 2]]
         area = (b[0] - a[0]) * (c[2] - a[2]) - (c[0] - a[0]) * (b[2] - a[2])
         if abs(area) < 1e-12:
             continue
@@ -97,35 +103,55 @@ def _project(corners: Array, middle: float, x0: float, z0: float, cell: float, b
                     field[side, i, j] = min(field[side, i, j], abs(away))
 
 
-def _height_field(parts: list[Part], middle: float, x: float, z: float) -> Array:
+def no_sides() -> Array:
+    """(2, X, Z) a height field with nothing in it: inf."""
     rear, front, below, above = _BOX_M
-    shape = (2, int((front - rear) / _CELL_M) + 1, int((above - below) / _CELL_M) + 1)
-    field = np.full(shape, np.inf)
+    return np.full((2, int((front - rear) / CELL_M) + 1, int((above - below) / CELL_M) + 1), np.inf)
+
+
+def sides_corner(seat: Seat) -> Array:
+    """(2,) x, z of the first point of a seat's height fields, m: they reach farther before the seat than behind it."""
+    rear, front, below, _ = _BOX_M
+    start = rear if math.cos(seat.facing_yaw) > 0.0 else -front
+    return np.asarray(seat.design_h_point[[0, 2]] + (start, below), np.float64)
+
+
+def lower_sides(
+    field: Array, vertices: NDArray[np.floating], faces: NDArray[np.integer], middle: float, corner: Array, beside_m: float
+) -> None:
+    """Bring a mesh (V, 3), (F, 3) nearer than what a height field (2, X, Z) holds into it, in place.
+
+    middle: y of the plane it is seen from · corner: (2,) as of `sides_corner` · beside_m: nearer to the plane nothing counts.
+    """
+    _project(np.asarray(vertices, np.float64), faces, middle, float(corner[0]), float(corner[1]), CELL_M, beside_m, field)
+
+
+def _height_field(parts: list[Part], middle: float, corner: Array) -> Array:
+    field = no_sides()
     for part in parts:
-        corners = np.ascontiguousarray(part.surface.vertices[part.surface.faces], dtype=np.float64)
-        _project(corners, middle, x + rear, z + below, _CELL_M, _BESIDE_M, field)
+        lower_sides(field, part.surface.vertices, part.surface.faces, middle, corner, _BESIDE_M)
     return field
 
 
 @lru_cache(maxsize=64)
 def _backrest(cabin: Cabin, slot: str) -> Array:
     """The backrest's front (Y, Z): x in the back frame at points across and up from `_BACK_FROM_M`; -inf beside it."""
-    field = np.full((2, int(-2 * _BACK_FROM_M[0] / _CELL_M) + 1, int(0.75 / _CELL_M)), np.inf)
+    field = np.full((2, int(-2 * _BACK_FROM_M[0] / CELL_M) + 1, int(0.75 / CELL_M)), np.inf)
     for part in cabin.parts:
         if part.group == f"seat:{slot}/back" and part.name.endswith("backrest"):
-            corners = part.surface.vertices[part.surface.faces].astype(np.float64)
-            seen = np.ascontiguousarray(np.stack((corners[..., 1], 1.0 - corners[..., 0], corners[..., 2]), axis=-1))
-            _project(seen, 0.0, *_BACK_FROM_M, _CELL_M, 0.0, field)
+            x, y, z = part.surface.vertices.astype(np.float64).T
+            _project(np.stack((y, 1.0 - x, z), axis=-1), part.surface.faces, 0.0, *_BACK_FROM_M, CELL_M, 0.0, field)
     return 1.0 - field[0]
 
 
 @lru_cache(maxsize=64)
 def _sides(cabin: Cabin, slot: str) -> tuple[Array, Array | None]:
     """The height fields of the car about a seat's design H-point, and of the seat's own armrests in its frame."""
-    h = cabin.seats[slot].design_h_point
-    fixed = _height_field([p for p in cabin.parts if p.group == "body"], float(h[1]), float(h[0]), float(h[2]))
+    seat = cabin.seats[slot]
+    body = [p for p in cabin.parts if p.group == "body"]
+    fixed = _height_field(body, float(seat.design_h_point[1]), sides_corner(seat))
     own = [p for p in cabin.parts if p.group == f"seat:{slot}/base" and p.name.endswith("armrests")]
-    return fixed, _height_field(own, 0.0, 0.0, 0.0) if own else None
+    return fixed, _height_field(own, 0.0, np.array([_BOX_M[0], _BOX_M[2]])) if own else None
 
 
 def _tube(local: Array, start: float, step: float, count: int) -> Array:
@@ -153,7 +179,7 @@ def _limb_radii(person: Person, skeleton: Frames, skin: Array, segment: str, bon
     return np.array([float(np.percentile(radius[n], 85)) for n in near])
 
 
-@lru_cache(maxsize=64)
+@kept_with_person
 def _own(person: Person) -> tuple[Array, float, Array, Array, Array, Array, Array]:
     """A seated person's trunk, its axis, thigh, arm radii and hand points: see `Room`.
 
@@ -191,16 +217,21 @@ def _own(person: Person) -> tuple[Array, float, Array, Array, Array, Array, Arra
     foot = skin[segment == SEGMENTS.index("lfoot")] - posed.soles["l"][:3, 3]
     foot = foot @ posed.soles["l"][:3, :3]
     shoe = np.array([foot[:, 0].max(), foot[:, 1].min(), foot[:, 1].max()])
-    hands = np.stack([_spread(skin[segment == SEGMENTS.index(s + "hand")], posed.palms[s]) for s in "lr"])
+    hands = np.stack([spread_points(skin[segment == SEGMENTS.index(s + "hand")], posed.palms[s], _HAND_POINTS) for s in "lr"])
     return tube, trunk_x, pelvis, thigh, radii, hands, shoe
 
 
-def _spread(points: Array, frame: Array) -> Array:
-    """The points (N, 3) that lie furthest from each other, in a frame: each next one furthest from those before it."""
+def arm_radii(person: Person) -> Array:
+    """(6,) m radii of a person's upper arm and forearm, from shoulder to wrist."""
+    return _own(person)[4]
+
+
+def spread_points(points: Array, frame: Matrix, count: int) -> Array:
+    """`count` of points (N, 3) that lie furthest from each other, in a frame: each next one furthest from those before it."""
     local = (points - frame[:3, 3]) @ frame[:3, :3]
     chosen = [int(np.argmax(local[:, 0]))]
     distance = np.full(len(local), np.inf)
-    for _ in range(_HAND_POINTS - 1):
+    for _ in range(count - 1):
         distance = np.minimum(distance, np.linalg.norm(local - local[chosen[-1]], axis=1))
         chosen.append(int(np.argmax(distance)))
     return local[chosen]
@@ -211,7 +242,7 @@ def room_for(person: Person, cabin: Cabin, seat: Seat, setting: SeatSetting) -> 
     fixed, own = _sides(cabin, seat.slot)
     h = seat.design_h_point
     low = np.array([_BOX_M[0], _BOX_M[2]])
-    sides, middle, corner = fixed[None], h[1:2].astype(np.float64), (h[[0, 2]] + low)[None]
+    sides, middle, corner = fixed[None], h[1:2].astype(np.float64), sides_corner(seat)[None]
     if own is not None:
         place = seat.vehicle_from_seat(setting)[:3, 3]
         turned = own if abs(seat.facing_yaw) < 1e-6 else np.ascontiguousarray(own[::-1, ::-1])
@@ -235,8 +266,8 @@ def beside(room: Room, x: float, y: float, z: float, r: float) -> tuple[float, f
         for k in range(5):
             dx = 0.8 * r * (1.0 if k == 1 else -1.0 if k == 2 else 0.0)
             dz = 0.8 * r * (1.0 if k == 3 else -1.0 if k == 4 else 0.0)
-            i = math.floor((x + dx - room.corner[m, 0]) / _CELL_M + 0.5)
-            j = math.floor((z + dz - room.corner[m, 1]) / _CELL_M + 0.5)
+            i = math.floor((x + dx - room.corner[m, 0]) / CELL_M + 0.5)
+            j = math.floor((z + dz - room.corner[m, 1]) / CELL_M + 0.5)
             if i < 0 or j < 0 or i >= nx or j >= nz:
                 continue
             depth = abs(away) + (r if k == 0 else 0.6 * r) - room.sides[m, side, i, j]
@@ -301,10 +332,10 @@ def behind_front(room: Room, p: Array) -> float:
     x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]
     y = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3]
     z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3]
-    j = math.floor((z - _BACK_FROM_M[1]) / _CELL_M + 0.5)
+    j = math.floor((z - _BACK_FROM_M[1]) / CELL_M + 0.5)
     deepest = -1.0
     for step in range(-1, 2):  # a bolster's edge
-        i = math.floor((y - _BACK_FROM_M[0]) / _CELL_M + 0.5) + step
+        i = math.floor((y - _BACK_FROM_M[0]) / CELL_M + 0.5) + step
         if i >= 0 and j >= 0 and i < room.back.shape[0] and j < room.back.shape[1]:
             deepest = max(deepest, room.back[i, j] - x)
     return deepest
@@ -378,6 +409,22 @@ def foot_aside(room: Room, sole: Array, side: int) -> float:
             depth, way = beside(room, px, py, sole[2, 3] + up, 0.005)
             if depth > deepest:
                 deepest, sign = depth, way
+    return sign * deepest
+
+
+@njit(cache=True, nogil=True)
+def leg_aside(room: Room, position: Array, side: int) -> float:
+    """The shift along y (m) that takes a leg, thigh to ankle, out of the car's sides and neighbours."""
+    hip, knee, ankle = position[_THIGH[side]], position[_SHIN[side]], position[_FOOT[side]]
+    girth = room.thigh[_THIGH_STATIONS // 2].mean()
+    deepest, sign = 0.0, 0.0
+    for k in range(5):
+        t = (0.6, 0.95, 0.15, 0.45, 0.75)[k]
+        a, b = (hip, knee) if k < 2 else (knee, ankle)
+        r = girth if k < 2 else _CALF * girth
+        depth, way = beside(room, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2]), r)
+        if depth > deepest:
+            deepest, sign = depth, way
     return sign * deepest
 
 

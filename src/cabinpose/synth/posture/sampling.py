@@ -28,8 +28,9 @@ from cabinpose.synth.posture.actions import (
     inboard_side,
     target_name,
 )
+from cabinpose.synth.posture.company import Company, give_way, within
 from cabinpose.synth.posture.elbows import settle_arm
-from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet
+from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet, tunnel_m
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, lean_to_reach, look_angles, turn_head
 from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, arm_angles, frames, solve_arm
 from cabinpose.synth.posture.motion import upper_body_onto
@@ -46,6 +47,8 @@ _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
+_ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
+_LOW_TUNNEL_M = 0.04
 _GRIP_SIGMA = 0.025
 _LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
 _LOINS_TO_SHOULDER_M = 0.40
@@ -94,6 +97,7 @@ class _Situation:
     wheel_angle: float
     comfort: Array  # (2, 7) what each arm's prior departs by, rad
     room: Room
+    close: tuple[bool, bool]  # neighbours within touch, at the left hand and at the right
 
     @property
     def up(self) -> Array:
@@ -104,10 +108,17 @@ class _Situation:
         return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
 
 
-def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, among: tuple[str, ...] | None = None) -> str:
+def random_action(
+    seat: Seat,
+    cabin: Cabin,
+    *,
+    rng: np.random.Generator,
+    among: tuple[str, ...] | None = None,
+    left_out: frozenset[str] = frozenset(),
+) -> str:
     """An action that makes sense in a seat, by the actions' weights, or evenly from `among` (those that make sense).
 
-    Raises ConfigError where none of `among` makes sense here.
+    left_out: what is not chosen by weight. Raises ConfigError where none of `among` makes sense here.
     """
     known = actions_for(seat, cabin)
     if among is not None:
@@ -118,6 +129,7 @@ def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, among: 
                 hint=f"there: {', '.join(known)}",
             )
         return names[int(rng.integers(len(names)))]
+    known = tuple(name for name in known if name not in left_out) or known
     return known[int(rng.choice(len(known), p=_shares(known)))]
 
 
@@ -131,14 +143,15 @@ def _shares(actions: tuple[str, ...]) -> Array:
 def sample_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
-    offset: SeatOffset = CENTRED, rng: np.random.Generator,
+    offset: SeatOffset = CENTRED, company: Company | None = None, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
     """A pose of `person` in `seat`: the action, and then the profile on top of it.
 
     A profile that moves the trunk leaves hands where they belong: arms whose own degrees of freedom it does not name are
     solved again and so stay on the rim or in the lap. A mocap profile puts the recording's upper body onto the action's
     legs, with hands that would go through seat or door held at the lap or inside the door. `index` is the combination of
-    an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place.
+    an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `company`
+    are the neighbours, to whom trunk, arms and feet give way.
     Raises ConfigError for an action that makes no sense here, SceneError where a target is out of reach, MocapError for
     an unfit recording.
     """
@@ -152,18 +165,30 @@ def sample_pose(
     hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
-    forwards = transform(rotation_vector((0.0, _draw(chosen.pelvis, rng), 0.0)))
+    lean = _draw(chosen.pelvis, rng)
+    if company is not None:
+        lean = max(lean, company.lean)
+    forwards = transform(rotation_vector((0.0, lean, 0.0)))
     seat_from_root = offset.applied(fit.seat_from_root)
     root = seat.vehicle_from_seat(setting) @ seat_from_root @ forwards
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
-    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room_for(person, cabin, seat, setting))
-
+    room = room_for(person, cabin, seat, setting)
     side_sign = _busy_side(chosen, inboard, rng)  # + left
     q = fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)
-    _shoulders_inside(q, s)
-    missed = {"h_point": float(np.linalg.norm(seat_from_root[:3, 3]))}
-    missed |= place_feet(q, person, root, seat, setting, fit, cabin, _foot_plans(seat, cabin, rng), s.room)
+    close = (False, False) if company is None else company.close
+    crowded = any(close)
+    if company is not None:
+        room = within(room, seat, company.people)
+        if crowded:
+            root = give_way(q, person, root, seat, room)
+        room = within(room, seat, company.borders)
+    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room, close)
+    if not crowded:
+        _shoulders_inside(q, s)
+    missed = {"h_point": float(np.linalg.norm(root[:3, 3] - seat.vehicle_from_seat(setting)[:3, 3]))}
+    plans, opposite = _foot_plans(seat, cabin, rng), company is not None and company.faced
+    missed |= place_feet(q, person, root, seat, setting, fit, cabin, plans, room, faced=opposite, crowded=crowded)
     for side, hand in enumerate(hands):
         if hand.place == "reach" and hand.point is not None:
             _lean(q, s, side, hand.point)
@@ -266,7 +291,7 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
     chance, both = float(rng.random()), 0.02 * float(rng.standard_normal())
     apart = max(0.02 * float(rng.standard_normal()), -0.02)
     draws = rng.standard_normal((2, 2))
-    if abs(float(seat.design_h_point[1])) < 0.05:
+    if abs(float(seat.design_h_point[1])) < 0.05 and tunnel_m(cabin) > _LOW_TUNNEL_M:
         apart += _OVER_TUNNEL_M
     if plans[1].pedal == "accelerator":
         if chance < 0.25 and "brake" in cabin.pedals:
@@ -336,7 +361,8 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         high = hand.point[2] > shoulder[2]
         return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
     femur = s.person.segment_lengths["thigh"]
-    return at.on_thigh(skeleton, s.fit, femur, side, side, 0.69 + 0.06 * a, 0.015 + 0.015 * b)
+    along, inward = (_ARM_BEFORE if s.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
+    return at.on_thigh(skeleton, s.fit, femur, side, side, float(along), float(inward))
 
 
 def _solve_hands(q: Array, s: _Situation, hands: tuple[_Hand, _Hand], action: Action, sides: tuple[int, ...]) -> dict[str, float]:

@@ -10,7 +10,7 @@ away from the H-point is reported. Sitting turns the pelvis backwards and takes 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
 from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.limbs import frames
+from cabinpose.synth.posture.memory import kept_with_person
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def _lowest(values: Array, count: int) -> float:
     return float(np.partition(values, count - 1)[:count].mean())
 
 
-@lru_cache(maxsize=128)
+@kept_with_person
 def _fit(person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float) -> SeatFit:
     rows, segment = _skin()
     posed = person.skin_part(rows)
@@ -135,7 +136,7 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
     skin = posed(q, root)
     skeleton = frames(q, person.rest, root)
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
-    front = skin[trunk & (skin @ normal > 0.0)][::4]
+    front = skin[trunk & (skin @ normal > 0.0)][::4].copy()  # not a view, which would keep the whole
     return SeatFit(
         q, root, thigh, float(np.linalg.norm(place)), shoulders, front, _thigh_top(skin, segment, skeleton.bone("lthigh"), femur)
     )

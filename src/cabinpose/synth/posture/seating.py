@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from cabinpose.core.frames import Matrix, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
+from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import fit_seat
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ def choose_setting(
     )
 
 
-@lru_cache(maxsize=128)
+@kept_with_person
 def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> SeatSetting:
     """The least discomfort over fore-aft, height and recline, in closed form in side view.
 
