@@ -55,7 +55,7 @@ def test_the_nearest_skin_bounds_the_room(people: dict[str, Person]) -> None:
     np.minimum.at(nearest, tuple(cells[held].T), away[held])
     both = np.isfinite(nearest) & np.isfinite(company.people[1])
     assert both.sum() > 500
-    assert np.median(np.abs(nearest - company.people[1])[both]) < 0.006
+    assert np.median(np.abs(nearest[both] - company.people[1][both])) < 0.006
 
 
 def test_who_comes_first_keeps_to_a_fair_border(people: dict[str, Person]) -> None:
