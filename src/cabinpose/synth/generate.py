@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from distributed import Client, KilledWorker, LocalCluster, as_completed
+from distributed import Client, KilledWorker, LocalCluster, as_completed, wait
 
 import cabinpose
 from cabinpose.core.errors import ConfigError, SceneError
@@ -22,6 +22,7 @@ from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.rehearse import SHARES, rehearse
 from cabinpose.synth.sample import person_slots, preflight
 from cabinpose.synth.write import PartReport, make_part
 
@@ -129,6 +130,9 @@ def _make_parts(
             yield make_part(folder, plan, config, manifest)
         return
     with _client(count, scheduler) as client:
+        if scheduler is None:  # the workers of a cluster elsewhere may share no disk with each other
+            shares = client.map(rehearse, [config] * SHARES, [manifest.seed] * SHARES, range(SHARES), pure=False)
+            wait(shares)
         futures = client.map(make_part, [folder] * len(plans), plans, [config] * len(plans), [manifest] * len(plans), pure=False)
         try:
             for future in as_completed(futures):

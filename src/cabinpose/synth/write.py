@@ -61,6 +61,10 @@ class FrameMaker:
         rng = frame_rng(self._seed, index)
         with self.stage("sample_and_validate"):
             scene = self._sampler.sample(index, rng=rng)
+        return self.see(scene, rng=rng), scene
+
+    def see(self, scene: Scene, *, rng: np.random.Generator) -> Frame:
+        """A scene as the camera delivers it: every variable of the dataset standard."""
         with self.stage("assemble"):
             surface = scene.surface()
         camera_from_world = invert(scene.world_from_camera)
@@ -72,7 +76,7 @@ class FrameMaker:
             joints = self._joints(scene, camera_from_world)
             visibility = joint_visibility(joints["joints_3d"], self._instances, surface, camera_from_world, self._sensor.camera)
         camera = self._sensor.camera
-        frame: Frame = {
+        return {
             "depth": seen.depth_m,
             "depth_clean": rendered.depth_clean,
             "amplitude": seen.amplitude,
@@ -92,7 +96,6 @@ class FrameMaker:
             "car": scene.place,
             "pov": scene.pov,
         }
-        return frame, scene
 
     def _per_slot(self, scene: Scene, attribute: str) -> list[str]:
         names = {person.slot: getattr(person, attribute) for person in scene.people}
@@ -114,9 +117,13 @@ class FrameMaker:
         return result
 
 
+def frame_maker(config: SynthConfig, seed: int) -> FrameMaker:
+    """One `FrameMaker` a process and configuration: parts that follow each other share its bodies and cabins."""
+    return _maker(config.model_dump_json(), seed)
+
+
 @lru_cache(maxsize=2)
 def _maker(config_json: str, seed: int) -> FrameMaker:
-    """One `FrameMaker` a process and configuration: parts that follow each other share its bodies and cabins."""
     return FrameMaker(SynthConfig.model_validate_json(config_json), seed)
 
 
@@ -124,7 +131,7 @@ def make_part(folder: Path, plan: PartPlan, config: SynthConfig, manifest: Manif
     """Make the frames of one part and write them, whole or not at all."""
     # One thread: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
     with threadpool_limits(1):
-        maker = _maker(config.model_dump_json(), manifest.seed)
+        maker = frame_maker(config, manifest.seed)
         maker.seconds.clear()
         proposals = 0
         rejections: Counter[str] = Counter()
