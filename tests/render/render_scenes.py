@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,35 @@ def cabin_view(distance: float = 0.0) -> Matrix:
 
 def small_camera(dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)) -> Camera:
     return Camera.from_fov(176, 143, np.deg2rad(100), np.deg2rad(85), dist)
+
+
+def people_in_cars() -> Iterator[tuple[Surface, Matrix, NDArray[np.float64]]]:
+    """Three cars with two people each, seen from two places: surface, camera from vehicle, joints (2, 20, 3) in the camera."""
+    from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel
+    from cabinpose.scene.cabin import build_cabin
+
+    rng = np.random.default_rng(3)
+    model = BodyModel.load()
+    people = [model.person(s.phenotype, s.outfit) for s in list(SUBJECTS.values())[:3]]
+    for preset in ("city_car", "sedan", "van"):
+        cabin = build_cabin(preset)
+        settings = {slot: seat.default for slot, seat in cabin.seats.items()}
+        for view_name in ("driver", "front_row"):
+            parts, joints = [cabin.surface(settings)], []
+            for k, slot in enumerate(("driver", "front_passenger")):
+                q = np.zeros(len(DOFS))
+                for side in "lr":
+                    for dof, low, high in (
+                        ("hip.flexion", 70, 100), ("knee.flexion", 60, 90), ("shoulder.flexion", 0, 80),
+                        ("elbow.flexion", 10, 100), ("shoulder.rotation", 0, 40),
+                    ):  # fmt: skip
+                        q[DOF_INDEX[f"{side}{dof}"]] = np.deg2rad(rng.uniform(low, high))
+                body = people[(k + len(preset)) % 3].pose(q, cabin.seats[slot].vehicle_from_seat(settings[slot]))
+                parts.append(body.surface(k + 1))
+                joints.append(body.joints)
+            anchor = cabin.view(view_name)
+            view = invert(look_at(anchor.eye, anchor.target))
+            yield merge(parts), view, apply(view, np.array(joints))
 
 
 class Embree:

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from render_scenes import BARREL, Embree, ball, cabin_view, person, room, small_camera
+from render_scenes import BARREL, Embree, ball, cabin_view, people_in_cars, person, room, small_camera
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, invert, look_at
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.sensor import SENSORS, PhysicalNoise, StructuredLightNoise, simulate
+from cabinpose.scene.sensor.buffers import in_parts
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.synth.render import Rasteriser
 
@@ -54,17 +56,23 @@ def test_sub_pixels_agree_with_embree(supersample: int, dist: tuple[float, ...])
     scene = merge([room(), person()])
     view = cabin_view()
     camera = small_camera(dist)
-    buffers = Rasteriser(camera, supersample).render(scene, view).buffers
+    buffers = Rasteriser(camera, supersample, adaptive=False).render(scene, view).buffers
     sub = camera.scaled(supersample)
     oracle = Embree(scene, view)
     z, face = oracle.cast(sub.rays.reshape(-1, 2))
-    shape = buffers.depth_m.shape
-    assert shape == (camera.height * supersample, camera.width * supersample)
-    assert (np.abs(buffers.depth_m.ravel() - z) <= 1e-4).mean() >= 0.999
-    np.testing.assert_array_equal(buffers.material.ravel() == MATERIAL["headliner"], (face >= 0) & (scene.material[face] == 12))
+    assert buffers.shape == (camera.height, camera.width)
+    assert buffers.supersample == supersample
+    np.testing.assert_array_equal(np.sort(buffers.mixed), np.arange(buffers.depth_m.size))
+    order = in_parts(np.arange(z.size).reshape(sub.height, sub.width), supersample)[buffers.mixed].ravel()
+    z, face = z[order], face[order]
+    depth_m, cos_incidence = buffers.parts_depth_m.ravel(), buffers.parts_cos_incidence.ravel()
+    assert (np.abs(depth_m - z) <= 1e-4).mean() >= 0.999
+    np.testing.assert_array_equal(
+        buffers.parts_material.ravel() == MATERIAL["headliner"], (face >= 0) & (scene.material[face] == 12)
+    )
 
     # |cos| between the ray and the normal interpolated at the hit
-    rays = np.concatenate((sub.rays.reshape(-1, 2), np.ones((z.size, 1))), axis=1)
+    rays = np.concatenate((sub.rays.reshape(-1, 2)[order], np.ones((z.size, 1))), axis=1)
     hit = np.flatnonzero(face >= 0)
     corners = oracle.vertices[scene.faces[face[hit]]]
     point = rays[hit] * z[hit, None]
@@ -75,8 +83,8 @@ def test_sub_pixels_agree_with_embree(supersample: int, dist: tuple[float, ...])
     expected = (
         np.abs(np.einsum("nk,nk->n", normal, rays[hit])) / np.linalg.norm(normal, axis=1) / np.linalg.norm(rays[hit], axis=1)
     )
-    same = np.abs(buffers.depth_m.ravel()[hit] - z[hit]) <= 1e-4
-    assert np.percentile(np.abs(buffers.cos_incidence.ravel()[hit] - expected)[same], 99.9) < 2e-3
+    same = np.abs(depth_m[hit] - z[hit]) <= 1e-4
+    assert np.percentile(np.abs(cos_incidence[hit] - expected)[same], 99.9) < 2e-3
 
 
 def test_a_plane_has_the_depth_of_its_equation() -> None:
@@ -92,10 +100,18 @@ def test_a_plane_has_the_depth_of_its_equation() -> None:
     expected = 1.5 / (1 + 0.1 * y)
     seen = np.abs(-expected * y) < 4.9
     np.testing.assert_allclose(frame.depth_clean[seen], expected[seen], atol=2e-6)
-    rays = camera.scaled(2).rays
-    cosine = np.abs(10 + rays[..., 1]) / np.sqrt(101) / np.sqrt(1 + (rays**2).sum(-1))
-    hit = frame.buffers.depth_m > 0
-    np.testing.assert_allclose(frame.buffers.cos_incidence[hit], cosine[hit], atol=2e-6)
+    buffers = frame.buffers
+    for rays, depth, ours in (
+        (camera.rays, buffers.depth_m, buffers.cos_incidence),
+        (
+            np.stack([in_parts(camera.scaled(2).rays[..., k], 2)[buffers.mixed] for k in (0, 1)], axis=-1),
+            buffers.parts_depth_m,
+            buffers.parts_cos_incidence,
+        ),
+    ):
+        cosine = np.abs(10 + rays[..., 1]) / np.sqrt(101) / np.sqrt(1 + (rays**2).sum(-1))
+        assert (depth > 0).sum() > 100
+        np.testing.assert_allclose(ours[depth > 0], cosine[depth > 0], atol=2e-6)
 
 
 def test_a_sphere_has_the_depth_of_its_equation() -> None:
@@ -118,6 +134,7 @@ def test_a_camera_inside_a_closed_box_sees_no_gap() -> None:
             frame = Rasteriser(small_camera(dist)).render(room(), view)
             assert (frame.face_id >= 0).all()
             assert (frame.buffers.depth_m > 0).all()
+            assert (frame.buffers.parts_depth_m > 0).all()
 
 
 def test_triangles_behind_the_camera_are_not_seen() -> None:
@@ -125,6 +142,7 @@ def test_triangles_behind_the_camera_are_not_seen() -> None:
     frame = Rasteriser(small_camera()).render(behind, FORWARD)
     assert (frame.face_id < 0).all()
     assert not frame.buffers.depth_m.any()
+    assert not frame.buffers.parts_depth_m.any()
 
 
 def test_nothing_nearer_than_the_near_limit_is_seen() -> None:
@@ -178,12 +196,13 @@ def test_same_input_gives_same_bytes_and_memory_is_reused() -> None:
     kept = [
         first.depth_clean.copy(),
         first.labels.copy(),
-        *(b.copy() for b in (first.buffers.depth_m, first.buffers.cos_incidence)),
+        *(b.copy() for b in (first.buffers.depth_m, first.buffers.parts_depth_m, first.buffers.parts_cos_incidence)),
     ]
     middle = rasteriser.render(small, FORWARD)
     again = rasteriser.render(scene, cabin_view())
     assert again.buffers.depth_m is first.buffers.depth_m
-    for a, b in zip(kept, (again.depth_clean, again.labels, again.buffers.depth_m, again.buffers.cos_incidence), strict=True):
+    sampled = (again.buffers.depth_m, again.buffers.parts_depth_m, again.buffers.parts_cos_incidence)
+    for a, b in zip(kept, (again.depth_clean, again.labels, *sampled), strict=True):
         assert a.tobytes() == b.tobytes()
     assert first.depth_clean.tobytes() == kept[0].tobytes()  # the pixel images are not lent
     fresh = Rasteriser(camera).render(small, FORWARD)
@@ -198,8 +217,8 @@ def test_windows_are_surfaces_and_spectacle_lenses_are_seen_through_by_the_senso
         frame = Rasteriser(small_camera()).render(scene, FORWARD)
         assert frame.labels[71, 88] == LABEL["glasses"]
         assert frame.depth_clean[71, 88] == pytest.approx(0.55, abs=2e-3)
-        assert frame.buffers.depth_m[143, 177] == pytest.approx(0.8 if through else 0.55, abs=2e-3)
-        assert frame.buffers.material[143, 177] == MATERIAL["cotton" if through else material]
+        assert frame.buffers.depth_m[71, 88] == pytest.approx(0.8 if through else 0.55, abs=2e-3)
+        assert frame.buffers.material[71, 88] == MATERIAL["cotton" if through else material]
 
 
 @pytest.mark.parametrize("dist", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
@@ -213,6 +232,76 @@ def test_tiny_triangles_leave_no_hole_in_a_closed_surface(dist: tuple[float, ...
     distance = np.linalg.norm(np.cross(rays, centre), axis=-1)
     assert (frame.face_id[distance < 0.2995] >= 0).all()
     assert (frame.face_id[distance > 0.3001] < 0).all()
+
+
+@pytest.mark.parametrize("supersample", [1, 2, 3])
+@pytest.mark.parametrize("dist", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
+def test_the_parts_of_mixed_pixels_are_those_of_all_pixels(supersample: int, dist: tuple[float, ...]) -> None:
+    lens = replace(ball((0.6, 0.1, 0.8), 0.06, "glasses"), material=np.full(1280, MATERIAL["spectacle_lens"], np.uint8))
+    scene, view, camera = merge([room(), person(), lens]), cabin_view(), small_camera(dist)
+    some, every = (Rasteriser(camera, supersample, adaptive=a).render(scene, view) for a in (True, False))
+    for a, b in zip(some[:4], every[:4], strict=True):
+        assert a.tobytes() == b.tobytes()
+    mine, full = some.buffers, every.buffers
+    assert len(full.mixed) == full.depth_m.size
+    where = full.slots().ravel()[mine.mixed]
+    for name in ("parts_depth_m", "parts_cos_incidence", "parts_material"):
+        assert getattr(mine, name).tobytes() == getattr(full, name)[where].tobytes()
+    for name in ("depth_m", "cos_incidence", "material"):  # behind the lens too
+        assert getattr(mine, name).tobytes() == getattr(full, name).tobytes()
+    seen_through = scene.material[np.maximum(some.face_id, 0)] == MATERIAL["spectacle_lens"]
+    assert seen_through.sum() > 20
+    assert (mine.slots()[seen_through] >= 0).all()
+    if supersample > 1:
+        assert 0.05 < len(mine.mixed) / mine.depth_m.size < 0.5
+        left = np.setdiff1d(np.arange(mine.depth_m.size), mine.mixed)
+        slots = full.slots().ravel()[left]
+        z = mine.depth_m.ravel()[left, None]
+        assert (np.abs(full.parts_depth_m[slots] - z) <= 0.05 * z).mean() > 0.9999
+        assert (full.parts_material[slots] == mine.material.ravel()[left, None]).mean() > 0.9999
+
+
+@pytest.mark.parametrize("name", ["pico_monstar_105/3", "pico_monstar_105/5", "evk75023", "evk75123"])
+def test_cameras_see_with_mixed_pixels_what_they_see_with_all(name: str) -> None:
+    """Without random noise, on people in cars: the centre of a pixel that is not mixed stands for its parts."""
+    sensor = SENSORS[name]
+    noise = PhysicalNoise(shot_noise=False, read_noise=False, range_window=False)
+    adaptive, full = (Rasteriser(sensor.camera, adaptive=a) for a in (True, False))
+    errors, invalid, flying = [], 0, np.zeros(2)
+    for scene, view, _ in people_in_cars():
+        depths, clean = [], adaptive.render(scene, view).depth_clean
+        for k, rasteriser in enumerate((adaptive, full)):
+            frame = rasteriser.render(scene, view)
+            assert frame.depth_clean.tobytes() == clean.tobytes()
+            depth = simulate(frame.buffers, sensor, noise, rng=np.random.default_rng(1)).depth_m
+            flying[k] += (np.abs(depth - clean) > 0.03).sum()
+            depths.append(depth)
+        both = np.isfinite(depths[0]) & np.isfinite(depths[1])
+        invalid += (np.isfinite(depths[0]) != np.isfinite(depths[1])).sum()
+        errors.append(np.abs(depths[0] - depths[1])[both])
+    error = np.concatenate(errors)
+    assert np.median(error) < 1e-5
+    assert np.percentile(error, 99) < 3e-4
+    assert np.percentile(error, 99.9) < 5e-4
+    assert np.sqrt((error**2).mean()) < 1e-4
+    assert invalid < 2e-4 * error.size
+    assert flying[1] > 1000
+    assert flying[0] == pytest.approx(flying[1], rel=0.02)
+
+
+def test_a_structured_light_camera_sees_with_mixed_pixels_what_it_sees_with_all() -> None:
+    sensor, noise = SENSORS["kinect_v1"], StructuredLightNoise(axial=False, quantise=False)
+    adaptive, full = (Rasteriser(sensor.camera, 3, adaptive=a) for a in (True, False))
+    scene, view, _ = next(people_in_cars())
+    some, every = (
+        simulate(r.render(scene, view).buffers, sensor, noise, rng=np.random.default_rng(1)).depth_m for r in (adaptive, full)
+    )
+    both = np.isfinite(some) & np.isfinite(every)
+    assert both.mean() > 0.3
+    assert (np.isfinite(some) != np.isfinite(every)).mean() < 2e-3
+    error = np.abs(some - every)[both]
+    assert np.median(error) < 5e-5
+    assert np.percentile(error, 99) < 3e-3
 
 
 def test_supersampling_out_of_range_is_refused() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from render_scenes import BARREL, Embree, ball, cabin_view, person, rod, room, small_camera
+from render_scenes import BARREL, Embree, ball, cabin_view, people_in_cars, person, rod, room, small_camera
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix, apply, invert, look_at
@@ -142,36 +142,13 @@ def test_agrees_with_a_ray_test_on_random_points_of_crude_people() -> None:
 
 
 def test_agrees_with_a_ray_test_on_people_in_cars() -> None:
-    from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel
-    from cabinpose.scene.cabin import build_cabin
     from cabinpose.scene.sensor import SENSORS
 
-    rng = np.random.default_rng(3)
-    model, camera = BodyModel.load(), SENSORS["pico_monstar_105"].camera
-    people = [model.person(s.phenotype, s.outfit) for s in list(SUBJECTS.values())[:3]]
+    camera = SENSORS["pico_monstar_105"].camera
     agree = total = 0
-    for preset in ("city_car", "sedan", "van"):
-        cabin = build_cabin(preset)
-        settings = {slot: seat.default for slot, seat in cabin.seats.items()}
-        for view_name in ("driver", "front_row"):
-            parts, joints = [cabin.surface(settings)], []
-            for k, slot in enumerate(("driver", "front_passenger")):
-                q = np.zeros(len(DOFS))
-                for side in "lr":
-                    for dof, low, high in (
-                        ("hip.flexion", 70, 100), ("knee.flexion", 60, 90), ("shoulder.flexion", 0, 80),
-                        ("elbow.flexion", 10, 100), ("shoulder.rotation", 0, 40),
-                    ):  # fmt: skip
-                        q[DOF_INDEX[f"{side}{dof}"]] = np.deg2rad(rng.uniform(low, high))
-                body = people[(k + len(preset)) % 3].pose(q, cabin.seats[slot].vehicle_from_seat(settings[slot]))
-                parts.append(body.surface(k + 1))
-                joints.append(body.joints)
-            anchor = cabin.view(view_name)
-            view = invert(look_at(anchor.eye, anchor.target))
-            in_camera = apply(view, np.array(joints))
-            scene = merge(parts)
-            ours = joint_visibility(in_camera, [1, 2], scene, view, camera)
-            agree += (ours == by_rays(in_camera, [1, 2], scene, view, camera)).sum()
-            total += ours.size
+    for scene, view, joints in people_in_cars():
+        ours = joint_visibility(joints, [1, 2], scene, view, camera)
+        agree += (ours == by_rays(joints, [1, 2], scene, view, camera)).sum()
+        total += ours.size
     assert total == 240
     assert agree >= 0.999 * total

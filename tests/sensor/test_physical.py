@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sensor_scenes import WHITE, generator, small_sensor, sphere_of_range, step_edge, use_case, wall
+from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_range, step_edge, use_case, wall
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.materials import ID, MATERIALS
@@ -147,7 +147,9 @@ def test_inconsistent_phases_are_invalid() -> None:
     sensor = small_sensor(frequencies_hz=(80e6, 60e6))
     near, far, column = 0.65, 1.65, 40
     split = step_edge(sensor, near, far, 2 * column + 1)
-    split.material[:, : 2 * column + 1] = ID["soft_trim"]
+    depth, cosine, material = samples(split)
+    material[:, : 2 * column + 1] = ID["soft_trim"]
+    split = GeometryBuffers.dense(2, depth, cosine, material)
     mixed = {"flying_pixels": True, "wrapping": True, "reflectance": True}
     rho = [MATERIALS[ID[name]].reflectance for name in ("soft_trim", WHITE)]
     row = sensor.camera.height // 2
@@ -181,6 +183,31 @@ def test_without_flying_pixels_no_depth_lies_between() -> None:
     sensor = small_sensor()
     depth = simulate(step_edge(sensor, 0.7, 1.1, 81), sensor, NO_EFFECTS, rng=generator(1, 1)).depth_m
     assert np.all((np.abs(depth - 0.7) < 1e-3) | (np.abs(depth - 1.1) < 1e-3))
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.01, 0.03])
+def test_the_centre_of_a_smooth_pixel_stands_for_its_parts(slope: float) -> None:
+    """A tilted wall, depth (1 + slope u) m at u pixels from the middle: with and without parts, far below the noise."""
+    sensor = small_sensor()
+    fine = sensor.camera.scaled(2)
+    x, normal = fine.rays[..., 0], np.array([slope * sensor.camera.fx, 1.0])
+    depth = 1.0 / (1.0 - normal[0] * np.where(np.abs(x) < 10 / sensor.camera.fx, x, 0.0))
+    rays = np.concatenate((fine.rays, np.ones((*x.shape, 1))), axis=-1)
+    tilt = np.array([-normal[0], 0.0, 1.0])
+    cosine = (rays @ tilt) / np.linalg.norm(tilt) / np.linalg.norm(rays, axis=-1)
+    material = np.full(x.shape, ID[WHITE], np.uint8)
+    dense = GeometryBuffers.dense(2, depth.astype(np.float32), np.abs(cosine).astype(np.float32), material)
+    ray = sensor.camera.rays
+    z = 1.0 / (1.0 - normal[0] * ray[..., 0])
+    tilted = np.concatenate((ray, np.ones((*z.shape, 1))), axis=-1)
+    one = (tilted @ tilt) / np.linalg.norm(tilt) / np.linalg.norm(tilted, axis=-1)
+    centre = GeometryBuffers.dense(1, z.astype(np.float32), np.abs(one).astype(np.float32), material[::2, ::2])
+    parts, whole = (simulate(b, sensor, only(flying_pixels=True, incidence=True), rng=generator(1, 1)) for b in (dense, centre))
+    near = np.abs(ray[..., 0]) < 9 / sensor.camera.fx
+    difference = np.abs(parts.depth_m - whole.depth_m)[near]
+    assert difference.max() < (1e-4 if slope < 0.02 else 4e-4)
+    brightness = np.abs(parts.amplitude[near] / whole.amplitude[near].astype(float) - 1)
+    assert brightness.max() < 1e-3 + 1 / whole.amplitude[near].min()
 
 
 # ------------------------------------------------------------------------------------------------- wrapping, second frequency
@@ -284,7 +311,8 @@ def test_amplitude_falls_with_range_incidence_reflectance_and_lens() -> None:
 def test_window_panes_return_next_to_nothing() -> None:
     sensor = SENSORS["pico_monstar_105"]
     flat = wall(sensor, 1.0, material="glass")
-    steep = GeometryBuffers(2, flat.depth_m, np.full_like(flat.cos_incidence, 0.6), flat.material)
+    depth, cosine, material = samples(flat)
+    steep = GeometryBuffers.dense(2, depth, np.full_like(cosine, 0.6), material)
     full = PhysicalNoise()
     with_glass = simulate(steep, sensor, full, rng=generator(1, 1))
     assert np.isfinite(with_glass.depth_m).mean() < 0.05
@@ -299,7 +327,7 @@ def test_window_panes_return_next_to_nothing() -> None:
 def test_nothing_hit_is_invalid() -> None:
     sensor = use_case(3)
     flat = wall(sensor, 1.0, 1)
-    empty = GeometryBuffers(1, np.zeros_like(flat.depth_m), np.zeros_like(flat.cos_incidence), np.zeros_like(flat.material))
+    empty = GeometryBuffers.dense(1, np.zeros_like(flat.depth_m), np.zeros_like(flat.cos_incidence), np.zeros_like(flat.material))
     frame = simulate(empty, sensor, PhysicalNoise(), rng=generator(1, 1))
     assert np.isfinite(frame.depth_m).mean() < 0.03
     silent = simulate(empty, sensor, NO_EFFECTS, rng=generator(1, 1))
@@ -333,7 +361,7 @@ SWITCHES: dict[str, object] = {
 def busy_scene(sensor: Sensor) -> GeometryBuffers:
     """Walls before and behind the window, one too near, one beyond the wrap, an edge and a pane, tilted."""
     flat = wall(sensor, 1.2)
-    depth, material = flat.depth_m.copy(), flat.material.copy()
+    depth, cosine, material = samples(flat)
     height, width = depth.shape
     depth[:, : width // 5] = 0.04
     depth[: height // 4, width // 2 :] = 4.0
@@ -341,7 +369,7 @@ def busy_scene(sensor: Sensor) -> GeometryBuffers:
     depth[:, -width // 8 :] = 8.0
     material[: height // 3, width // 3 : width // 2] = ID["glass"]
     material[height // 3 : height // 2, width // 3 : width // 2] = ID["rubber"]
-    return GeometryBuffers(2, depth, 0.8 * flat.cos_incidence, material)
+    return GeometryBuffers.dense(2, depth, np.float32(0.8) * cosine, material)
 
 
 @pytest.mark.parametrize("switch", list(SWITCHES))

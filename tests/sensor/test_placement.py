@@ -133,7 +133,7 @@ def test_buffers_of_unlike_shapes_are_refused() -> None:
     depth = np.ones((6, 8), np.float32)
     material = np.zeros((6, 8), np.uint8)
     with pytest.raises(ConfigError, match="differ"):
-        GeometryBuffers(2, depth, depth[:4], material)
+        GeometryBuffers.dense(2, depth, depth[:4], material)
     with pytest.raises(ConfigError, match="samples"):
-        GeometryBuffers(4, depth, depth, material)
-    assert GeometryBuffers(2, depth, depth, material).shape == (3, 4)
+        GeometryBuffers.dense(4, depth, depth, material)
+    assert GeometryBuffers.dense(2, depth, depth, material).shape == (3, 4)

@@ -16,7 +16,7 @@ QUIET = StructuredLightNoise(axial=False, lateral_px=0.0, quantise=False, shadow
 def facing(depth: float) -> GeometryBuffers:
     """A wall seen square to every ray."""
     flat = wall(KINECT, depth, 1)
-    return GeometryBuffers(1, flat.depth_m, np.ones_like(flat.depth_m), flat.material)
+    return GeometryBuffers.dense(1, flat.depth_m, np.ones_like(flat.depth_m), flat.material)
 
 
 @pytest.mark.parametrize("depth", [0.8, 1.5, 2.5, 4.0])
@@ -29,7 +29,7 @@ def test_axial_noise_is_nguyens(depth: float) -> None:
 
 def test_disparity_comes_in_eighths() -> None:
     depth = np.linspace(0.6, 4.5, 320 * 240).reshape(240, 320).astype(np.float32)
-    ramp = GeometryBuffers(1, depth, np.ones_like(depth), facing(1.0).material)
+    ramp = GeometryBuffers.dense(1, depth, np.ones_like(depth), facing(1.0).material)
     measured = simulate(ramp, KINECT, QUIET.model_copy(update={"quantise": True}), rng=generator(1, 1)).depth_m
     disparity = 2 * 285.714 * 0.075 / measured.astype(np.float64)
     np.testing.assert_allclose(disparity * 8, np.round(disparity * 8), atol=1e-4)
@@ -45,7 +45,7 @@ def test_shadow_has_the_width_of_the_disparity_step() -> None:
     depth = flat.depth_m.copy()
     depth[:, split:220] = near
     noise = QUIET.model_copy(update={"shadow": True})
-    scene = GeometryBuffers(1, depth, flat.cos_incidence, flat.material)
+    scene = GeometryBuffers.dense(1, depth, flat.cos_incidence, flat.material)
     measured = simulate(scene, KINECT, noise, rng=generator(1, 1)).depth_m
     width = 285.714 * 0.075 * (1 / near - 1 / far)
     hidden = np.flatnonzero(np.isnan(measured[100]))
@@ -70,10 +70,10 @@ def test_lateral_noise_frays_edges() -> None:
 def test_grazing_and_dark_surfaces_are_holes() -> None:
     flat = facing(2.0)
     cosine = np.broadcast_to(np.linspace(0.01, 1, 320, dtype=np.float32), flat.depth_m.shape).copy()
-    tilted = GeometryBuffers(1, flat.depth_m, cosine, flat.material)
+    tilted = GeometryBuffers.dense(1, flat.depth_m, cosine, flat.material)
     holes = np.isnan(simulate(tilted, KINECT, QUIET.model_copy(update={"grazing_deg": 80.0}), rng=generator(1, 1)).depth_m)
     np.testing.assert_array_equal(holes, cosine < np.cos(np.radians(80)))
-    dark = GeometryBuffers(1, flat.depth_m, flat.cos_incidence, np.full_like(flat.material, ID["rubber"]))
+    dark = GeometryBuffers.dense(1, flat.depth_m, flat.cos_incidence, np.full_like(flat.material, ID["rubber"]))
     noise = QUIET.model_copy(update={"min_return": 0.05 / 4})  # the very light that rubber returns at 2 m
     assert np.isnan(simulate(dark, KINECT, noise, rng=generator(1, 1)).depth_m).mean() == pytest.approx(0.5, abs=0.02)
     assert np.isfinite(simulate(flat, KINECT, noise, rng=generator(1, 1)).depth_m).all()

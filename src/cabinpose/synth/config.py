@@ -98,7 +98,7 @@ class Camera(Model):
     )
     jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="The position moves by up to this along each of the camera's axes.")
     jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="The orientation turns by up to this about each of its axes.")
-    supersample: int = Field(2, ge=1, le=4, description="Sub-pixels a side of every pixel (flying pixels need 2).")
+    supersample: int = Field(2, ge=1, le=4, description="Parts a side of a pixel that sees an edge (flying pixels need 2).")
 
     @field_validator("sensor")
     @classmethod

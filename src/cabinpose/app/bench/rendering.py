@@ -25,8 +25,8 @@ def pinhole(camera: Camera) -> Camera:
 def rendering_speed(scenes: Sequence[Scene], camera: Camera, *, workers: int, repeats: int) -> dict[str, Any]:
     """Wall time of our rendering, with as many scenes side by side as there are workers.
 
-    One frame is everything from the surface in the vehicle frame to images: projecting, rasterising the pixels and their
-    2 x 2 sub-pixels, shading and classifying. Threads render, each with a rasteriser of its own; the kernels hold no lock.
+    One frame is everything from the surface in the vehicle frame to images: projecting, rasterising the pixels and the 2 x 2
+    parts of mixed ones, shading and classifying. Threads render, each with a rasteriser of its own; the kernels hold no lock.
     Assembling the surfaces is not counted, as Blender's import of meshes is not.
 
     Keys: seconds_per_frame (median over the runs of wall time over the frames of a run), runs (the same of each run), frames

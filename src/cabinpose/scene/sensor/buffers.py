@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -11,77 +12,110 @@ from numpy.typing import NDArray
 from cabinpose.core.errors import ConfigError
 
 
+def centre_part(supersample: int) -> int:
+    """Which of a pixel's parts is at its centre or, where their number is even, beside it."""
+    return supersample // 2 * (supersample + 1)
+
+
+def in_parts(dense: NDArray[Any], supersample: int) -> NDArray[Any]:
+    """An image (H * s, W * s) of `camera.scaled(s)` as (H * W, s * s): the parts of each pixel, row by row."""
+    s = supersample
+    height, width = dense.shape[0] // s, dense.shape[1] // s
+    return dense.reshape(height, s, width, s).swapaxes(1, 2).reshape(height * width, s * s)
+
+
 @dataclass(frozen=True)
 class GeometryBuffers:
-    """Geometry of a view, `supersample` x `supersample` samples a pixel: the view of `camera.scaled(supersample)`.
+    """Geometry of a view: one sample a pixel, and `supersample` x `supersample` parts of the pixels that need them.
 
-    depth_m: (H * s, W * s) float32, z along the optical axis in metres, 0 where nothing was hit ·
-    cos_incidence: (H * s, W * s) float32, cosine of the angle between the ray and the surface normal, 0..1 ·
-    material: (H * s, W * s) uint8, ids of `scene.materials`.
+    depth_m: (H, W) float32, z along the optical axis in metres at the pixel's centre, 0 where nothing was hit ·
+    cos_incidence: (H, W) float32, cosine of the angle between the ray and the surface normal, 0..1 ·
+    material: (H, W) uint8, ids of `scene.materials` ·
+    mixed: (M,) int32, flat indices, in any order, of the pixels whose light is the mean of their parts': those that see an edge,
+    a crease or a steep surface. The other pixels see one smooth surface, whose centre stands for all of it ·
+    parts_depth_m, parts_cos_incidence, parts_material: (M, s * s), the same at the centres of the parts of these pixels, row by
+    row: pixels of `camera.scaled(s)`.
     """
 
     supersample: int
     depth_m: NDArray[np.float32]
     cos_incidence: NDArray[np.float32]
     material: NDArray[np.uint8]
+    mixed: NDArray[np.int32]
+    parts_depth_m: NDArray[np.float32]
+    parts_cos_incidence: NDArray[np.float32]
+    parts_material: NDArray[np.uint8]
 
     def __post_init__(self) -> None:
-        shape = self.depth_m.shape
-        if self.supersample < 1 or len(shape) != 2 or shape[0] % self.supersample or shape[1] % self.supersample:
-            raise ConfigError(
-                f"geometry of shape {shape} is not {self.supersample} samples a pixel side",
-                hint="render with camera.scaled(supersample)",
-            )
+        shape, parts = self.depth_m.shape, (len(self.mixed), self.supersample**2)
         if self.cos_incidence.shape != shape or self.material.shape != shape:
             raise ConfigError("depth, incidence and material of a view differ in shape", hint="fill all three at one resolution")
+        if any(a.shape != parts for a in (self.parts_depth_m, self.parts_cos_incidence, self.parts_material)):
+            raise ConfigError(
+                f"the parts of {parts[0]} pixels are not {parts[0]} x {parts[1]} samples",
+                hint="give supersample x supersample samples for every mixed pixel",
+            )
+
+    @classmethod
+    def dense(
+        cls, supersample: int, depth_m: NDArray[np.float32], cos_incidence: NDArray[np.float32], material: NDArray[np.uint8]
+    ) -> GeometryBuffers:
+        """The geometry (H * s, W * s) that `camera.scaled(s)` sees, all parts of all pixels."""
+        shape, s = depth_m.shape, supersample
+        if s < 1 or len(shape) != 2 or shape[0] % s or shape[1] % s:
+            raise ConfigError(
+                f"geometry of shape {shape} is not {s} samples a pixel side", hint="render with camera.scaled(supersample)"
+            )
+        if cos_incidence.shape != shape or material.shape != shape:
+            raise ConfigError("depth, incidence and material of a view differ in shape", hint="fill all three at one resolution")
+        pixels, centre = (shape[0] // s, shape[1] // s), centre_part(s)
+        depth, cosine, materials = in_parts(depth_m, s), in_parts(cos_incidence, s), in_parts(material, s)
+        mixed = np.arange(len(depth) if s > 1 else 0, dtype=np.int32)
+        return cls(
+            s, depth[:, centre].reshape(pixels), cosine[:, centre].reshape(pixels), materials[:, centre].reshape(pixels),
+            mixed, depth[: len(mixed)], cosine[: len(mixed)], materials[: len(mixed)],
+        )  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W): the image in pixels."""
-        return self.depth_m.shape[0] // self.supersample, self.depth_m.shape[1] // self.supersample
+        return self.depth_m.shape[0], self.depth_m.shape[1]
+
+    def slots(self) -> NDArray[np.int32]:
+        """(H, W): where in `mixed` each pixel is; -1 where it is not."""
+        slots = np.full(self.depth_m.size, -1, np.int32)
+        slots[self.mixed] = np.arange(len(self.mixed), dtype=np.int32)
+        return slots.reshape(self.shape)
 
     def one_sample(self) -> GeometryBuffers:
-        """The geometry with one sample a pixel: that beside the pixel's centre, or at it where the number is odd."""
-        half, s = self.supersample // 2, self.supersample
-        every = (slice(half, None, s), slice(half, None, s))
-        return GeometryBuffers(
-            1,
-            np.ascontiguousarray(self.depth_m[every]),
-            np.ascontiguousarray(self.cos_incidence[every]),
-            np.ascontiguousarray(self.material[every]),
-        )
+        """The geometry with one sample a pixel."""
+        return GeometryBuffers.dense(1, self.depth_m, self.cos_incidence, self.material)
 
     def pixels(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
         """Depth, incidence and material (H, W) of one surface a pixel.
 
-        The depth is the mean of a pixel's samples where they lie on one surface, and one of them where they do not:
+        The depth is the mean of a pixel's parts where they lie on one surface, and that of its centre where they do not:
         depths of two surfaces are never mixed.
         """
-        depth = np.empty(self.shape, np.float32)
-        _pixel_depth(self.depth_m, self.supersample, depth)
-        sample = self.one_sample()
-        return depth, sample.cos_incidence, sample.material
+        depth = self.depth_m.copy()
+        _mean_depth(self.mixed, self.parts_depth_m, depth.reshape(-1))
+        return depth, self.cos_incidence, self.material
 
 
-# Samples of one pixel that differ by more than this share of the depth are of different surfaces.
+# Parts of one pixel that differ from its centre by more than this share of the depth are of different surfaces.
 _ONE_SURFACE = np.float32(0.02)
 
 
 @njit(cache=True, nogil=True)
-def _pixel_depth(depth: NDArray[np.float32], s: int, out: NDArray[np.float32]) -> None:
-    for v in range(out.shape[0]):
-        for u in range(out.shape[1]):
-            centre = depth[v * s + s // 2, u * s + s // 2]
-            if not centre > 0:
-                out[v, u] = 0.0
-                continue
-            total, agree = np.float32(0.0), True
-            for i in range(s):
-                for j in range(s):
-                    z = depth[v * s + i, u * s + j]
-                    total += z
-                    agree &= abs(z - centre) <= _ONE_SURFACE * centre
-            out[v, u] = total / np.float32(s * s) if agree else centre
+def _mean_depth(mixed: NDArray[np.int32], parts: NDArray[np.float32], depth: NDArray[np.float32]) -> None:
+    for k in range(len(mixed)):
+        centre = depth[mixed[k]]
+        total, agree = np.float32(0.0), centre > 0
+        for j in range(parts.shape[1]):
+            total += parts[k, j]
+            agree &= abs(parts[k, j] - centre) <= _ONE_SURFACE * centre
+        if agree:
+            depth[mixed[k]] = total / np.float32(parts.shape[1])
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cabinpose.scene.sensor.buffers import CONFIDENCE_SIGMA_M
 
 F32 = np.float32
-Row = NDArray[np.float32]  # (W,), or (W * s,) of samples
+Row = NDArray[np.float32]  # (W,), or (n,) of samples
 Image = NDArray[np.float32]
 
 # sin(2 pi a) / a in powers of a^2 for |a| <= 1/4, least squares on Chebyshev nodes: error below 1e-8.
@@ -29,6 +29,7 @@ _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7 = _A
 # The triangle's first harmonic has 8 / pi^2 of its peak.
 _TRIANGLE_PEAK = F32(np.pi**2 / 8)
 _CONFIDENCE_SIGMA = F32(CONFIDENCE_SIGMA_M)
+_SAMPLES = 1024  # of parts at a time: what is computed of them stays in the cache
 
 
 @njit(inline="always")
@@ -47,13 +48,12 @@ def _light_of_row(
     table: NDArray[np.float32],
     lambert: bool,
     inverse_gloss: np.float32,
-    energy: Row,
     ranges: Row,
-    sum_energy: Row,
-    sum_moment: Row,
-    sum_ambient: Row,
+    energy: Row,
+    moment: Row,
+    ambient: Row,
 ) -> None:
-    """Energy and range of a row of samples, and their sums over the rows of a pixel."""
+    """Range, energy, energy x range and ambient light of a row of samples."""
     zero, one = F32(0.0), F32(1.0)
     for x in range(depth.size):
         m = material[x]
@@ -62,19 +62,18 @@ def _light_of_row(
         if r > zero:
             gloss = max(zero, one - (one - c) * inverse_gloss)
             e = (table[m, 0] * (c if lambert else one) + table[m, 1] * gloss * gloss) / (r * r)
-            ambient = table[m, 2]
+            light = table[m, 2]
         else:
-            r, e, ambient = zero, zero, table[0, 2]
+            r, e, light = zero, zero, table[0, 2]
         ranges[x] = r
         energy[x] = e
-        sum_energy[x] += e
-        sum_moment[x] += e * r
-        sum_ambient[x] += ambient
+        moment[x] = e * r
+        ambient[x] = light
 
 
 @njit(cache=True, nogil=True)
-def _phasors_of_row(energy: Row, ranges: Row, per_m: np.float32, triangle: float, sum_cos: Row, sum_sin: Row) -> None:
-    """Adds energy x (cos, sin) of the phase, of a correlation that is part cosine, part triangle."""
+def _phasors_of_row(energy: Row, ranges: Row, per_m: np.float32, triangle: float, in_phase: Row, quadrature: Row) -> None:
+    """Energy x (cos, sin) of the phase, of a correlation that is part cosine, part triangle."""
     share, keep = F32(triangle) * _TRIANGLE_PEAK, F32(1.0 - triangle)
     zero, quarter, half, one, four = F32(0.0), F32(0.25), F32(0.5), F32(1.0), F32(4.0)
     for x in range(energy.size):
@@ -85,21 +84,22 @@ def _phasors_of_row(energy: Row, ranges: Row, per_m: np.float32, triangle: float
         fold = fold if t >= zero else -fold
         cosine = keep * _sine_of_quarter(quarter - magnitude) + share * (one - four * magnitude)
         sine = keep * _sine_of_quarter(fold) + share * (four * fold)
-        sum_cos[x] += energy[x] * cosine
-        sum_sin[x] += energy[x] * sine
+        in_phase[x] = energy[x] * cosine
+        quadrature[x] = energy[x] * sine
 
 
 @njit(cache=True, nogil=True)
-def _mean_of_columns(wide: Row, supersample: int, scale: np.float32, out: Row) -> None:
-    if supersample == 2:
-        for u in range(out.size):
-            out[u] = (wide[2 * u] + wide[2 * u + 1]) * scale
-        return
-    for u in range(out.size):
-        total = F32(0.0)
-        for j in range(supersample):
-            total += wide[u * supersample + j]
-        out[u] = total * scale
+def _mean_of_parts(samples: Row, mixed: NDArray[np.int32], count: int, image: Row) -> None:
+    """Sets the pixels `mixed` of a flat image to the mean of their `count` samples."""
+    scale = F32(1.0 / count)
+    for k in range(mixed.size):
+        if count == 4:
+            total = (samples[4 * k] + samples[4 * k + 1]) + (samples[4 * k + 2] + samples[4 * k + 3])
+        else:
+            total = F32(0.0)
+            for j in range(count):
+                total += samples[count * k + j]
+        image[mixed[k]] = total * scale
 
 
 @njit(cache=True, nogil=True)
@@ -108,7 +108,6 @@ def collect_phasors(
     cos_incidence: Image,
     material: NDArray[np.uint8],
     range_over_depth: Image,
-    supersample: int,
     lambert: bool,
     table: NDArray[np.float32],
     gloss_width: float,
@@ -119,36 +118,70 @@ def collect_phasors(
     ambient: Image,
     phasor: Image,
 ) -> None:
-    """Averages energy and phasors of every pixel's samples.
+    """Light and phasors of every pixel, seen as one surface.
 
-    In: sub-pixel geometry (H * s, W * s), material `table` (256, 3), `turns_per_m` (F,) = 2 f / c, `triangle` 0..1 the
-    share of a triangular correlation. Out, all (H, W), relative to a white surface facing the camera at 1 m: `energy`
-    (mean of rho cos / r^2), `moment` (mean of energy x range), `ambient` (mean of its return), `phasor` (2 F, H, W): mean
-    of energy x (cos, sin) of the phase.
+    In, (H, W): geometry; material `table` (256, 3), `turns_per_m` (F,) = 2 f / c, `triangle` 0..1 the share of a triangular
+    correlation. Out, all (H, W), relative to a white surface facing the camera at 1 m: `energy` (rho cos / r^2), `moment`
+    (energy x range), `ambient` (its return), `phasor` (2 F, H, W): energy x (cos, sin) of the phase.
     """
-    s = supersample
-    height, width = energy.shape
-    n_phasors = 2 * turns_per_m.size
-    row_energy = np.empty(width * s, np.float32)
-    row_range = np.empty(width * s, np.float32)
-    sums = np.empty((3 + n_phasors, width * s), np.float32)
-    scale = F32(1.0 / (s * s))
+    ranges = np.empty(depth.shape[1], np.float32)
     inverse_gloss = F32(1.0 / gloss_width)
-    for v in range(height):
-        sums[:] = 0.0
-        for i in range(s):
-            y = v * s + i
-            _light_of_row(
-                depth[y], cos_incidence[y], material[y], range_over_depth[y], table, lambert, inverse_gloss,
-                row_energy, row_range, sums[0], sums[1], sums[2],
-            )  # fmt: skip
-            for k in range(turns_per_m.size):
-                _phasors_of_row(row_energy, row_range, turns_per_m[k], triangle, sums[3 + 2 * k], sums[4 + 2 * k])
-        _mean_of_columns(sums[0], s, scale, energy[v])
-        _mean_of_columns(sums[1], s, scale, moment[v])
-        _mean_of_columns(sums[2], s, scale, ambient[v])
-        for k in range(n_phasors):
-            _mean_of_columns(sums[3 + k], s, scale, phasor[k, v])
+    for v in range(depth.shape[0]):
+        _light_of_row(
+            depth[v], cos_incidence[v], material[v], range_over_depth[v], table, lambert, inverse_gloss, ranges, energy[v],
+            moment[v], ambient[v],
+        )  # fmt: skip
+        for k in range(turns_per_m.size):
+            _phasors_of_row(energy[v], ranges, turns_per_m[k], triangle, phasor[2 * k, v], phasor[2 * k + 1, v])
+
+
+@njit(cache=True, nogil=True)
+def average_parts(
+    mixed: NDArray[np.int32],
+    depth: Image,
+    cos_incidence: Image,
+    material: NDArray[np.uint8],
+    range_over_depth: Image,
+    lambert: bool,
+    table: NDArray[np.float32],
+    gloss_width: float,
+    turns_per_m: NDArray[np.float32],
+    triangle: float,
+    energy: Image,
+    moment: Image,
+    ambient: Image,
+    phasor: Image,
+) -> None:
+    """Sets light and phasors of the pixels `mixed` (M,), as of `collect_phasors`, to the means of their parts'.
+
+    In: geometry of the parts (M, n); `range_over_depth` (H * W, n) of the parts of all pixels.
+    """
+    count = depth.shape[1]
+    most = max(1, _SAMPLES // count)
+    factor = np.empty(most * count, np.float32)
+    light = np.empty((4, most * count), np.float32)
+    phase = np.empty((2, most * count), np.float32)
+    inverse_gloss = F32(1.0 / gloss_width)
+    means = (energy.reshape(-1), moment.reshape(-1), ambient.reshape(-1))
+    phasors = phasor.reshape(phasor.shape[0], -1)
+    flat_depth, flat_cosine, flat_material = depth.reshape(-1), cos_incidence.reshape(-1), material.reshape(-1)
+    for first in range(0, mixed.size, most):
+        pixels = mixed[first : first + most]
+        n = pixels.size * count
+        for k in range(pixels.size):
+            for j in range(count):
+                factor[k * count + j] = range_over_depth[pixels[k], j]
+        here = slice(first * count, first * count + n)
+        _light_of_row(
+            flat_depth[here], flat_cosine[here], flat_material[here], factor[:n], table, lambert, inverse_gloss, light[0, :n],
+            light[1, :n], light[2, :n], light[3, :n],
+        )  # fmt: skip
+        for k in range(3):
+            _mean_of_parts(light[1 + k, :n], pixels, count, means[k])
+        for k in range(turns_per_m.size):
+            _phasors_of_row(light[1, :n], light[0, :n], turns_per_m[k], triangle, phase[0, :n], phase[1, :n])
+            _mean_of_parts(phase[0, :n], pixels, count, phasors[2 * k])
+            _mean_of_parts(phase[1, :n], pixels, count, phasors[2 * k + 1])
 
 
 @njit(cache=True, nogil=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core.camera import Camera
 from cabinpose.scene.materials import MATERIALS
+from cabinpose.scene.sensor.buffers import in_parts
 from cabinpose.scene.sensor.presets import Sensor
 
 # A pane sends back towards a source beside the lens what dust and scratches scatter, and a mirror image where it
@@ -44,12 +45,13 @@ def material_table(reflectance: bool, glass: bool, ambient: float, daylight: flo
 class LensMaps:
     """What depends on the pixel alone.
 
-    range_over_depth: (H, W) · sub_range_over_depth: (H * s, W * s) · vignetting, illumination: (H, W), 1 on the axis ·
+    range_over_depth: (H, W) · parts_range_over_depth: (H * W, s * s), see `in_parts` ·
+    vignetting, illumination: (H, W), 1 on the axis ·
     field: (H, W) bool, inside the image circle. float32.
     """
 
     range_over_depth: NDArray[np.float32]
-    sub_range_over_depth: NDArray[np.float32]
+    parts_range_over_depth: NDArray[np.float32]
     vignetting: NDArray[np.float32]
     illumination: NDArray[np.float32]
     field: NDArray[np.bool_]
@@ -72,7 +74,7 @@ def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
         field &= np.hypot(columns - camera.cx, rows - camera.cy) < sensor.field_radius_px
     return LensMaps(
         centre,
-        centre if supersample == 1 else _factor(camera.scaled(supersample)),
+        in_parts(centre if supersample == 1 else _factor(camera.scaled(supersample)), supersample),
         (cosine**sensor.vignetting_exponent).astype(np.float32),
         (cosine**sensor.illumination_exponent).astype(np.float32),
         field,

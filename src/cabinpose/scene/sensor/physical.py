@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.continuous_wave import collect_phasors, decode, mean_light, spread
+from cabinpose.scene.sensor.continuous_wave import average_parts, collect_phasors, decode, mean_light, spread
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT, Sensor
@@ -32,7 +32,7 @@ class PhysicalNoise(BaseModel):
     shot_noise: bool = Field(default=True, description="Photon noise of signal and ambient light.")
     read_noise: bool = Field(default=True, description="Read noise of the taps.")
     full_well: bool = Field(default=True, description="Taps clip at their full well; a clipped pixel is invalid.")
-    flying_pixels: bool = Field(default=True, description="Average the phasors of a pixel's samples; off: take one sample.")
+    flying_pixels: bool = Field(default=True, description="Average the phasors of a mixed pixel's parts; off: take one sample.")
     blur: float = Field(
         default=0.1, ge=0, le=0.25, description="Share of a pixel's light that the lens spills to its neighbour on each side."
     )
@@ -108,10 +108,14 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
     energy, moment, daylight = (np.empty((height, width), np.float32) for _ in range(3))
     phasor = np.empty((2 * len(frequencies), height, width), np.float32)
     table = material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight)
-    collect_phasors(
-        buffers.depth_m, buffers.cos_incidence, buffers.material, maps.sub_range_over_depth, buffers.supersample,
-        noise.incidence, table, GLOSS_WIDTH,
-        (2.0 * frequencies / SPEED_OF_LIGHT).astype(np.float32), noise.wiggling, energy, moment, daylight, phasor,
+    light = (
+        noise.incidence, table, GLOSS_WIDTH, (2.0 * frequencies / SPEED_OF_LIGHT).astype(np.float32), noise.wiggling,
+        energy, moment, daylight, phasor,
+    )  # fmt: skip
+    collect_phasors(buffers.depth_m, buffers.cos_incidence, buffers.material, maps.range_over_depth, *light)
+    average_parts(
+        buffers.mixed, buffers.parts_depth_m, buffers.parts_cos_incidence, buffers.parts_material,
+        maps.parts_range_over_depth, *light,
     )  # fmt: skip
     if noise.blur > 0:
         for image in (energy, moment, daylight, *phasor):

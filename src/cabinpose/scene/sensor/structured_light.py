@@ -57,7 +57,8 @@ def simulate_structured_light(
     depth = np.empty((height, width), np.float32)
     sigma = np.empty((height, width), np.float32)
     _match(
-        buffers.depth_m, buffers.cos_incidence, buffers.material, buffers.supersample,
+        buffers.depth_m, buffers.cos_incidence, buffers.material, buffers.supersample, buffers.slots(),
+        buffers.parts_depth_m, buffers.parts_cos_incidence, buffers.parts_material,
         material_table(True, True, 0.0, 0.0)[:, 0].copy(), random_words((height, width), rng=rng), normal_quantiles(),
         noise.axial, noise.lateral_px / sensor.native_scale, focal * sensor.baseline_m,
         noise.disparity_step_px if noise.quantise else 0.0, np.cos(np.radians(noise.grazing_deg)), noise.min_return, depth, sigma,
@@ -77,11 +78,21 @@ def simulate_structured_light(
 
 
 @njit(cache=True, nogil=True)
+def _slope(line: NDArray[np.float32], at: int) -> float:
+    """Central difference in a line of depths, per pixel; 0 at its ends."""
+    return (float(line[at + 1]) - float(line[at - 1])) / 2 if 0 < at < line.size - 1 else 0.0
+
+
+@njit(cache=True, nogil=True)
 def _match(
     depth: NDArray[np.float32],
     cos_incidence: NDArray[np.float32],
     material: NDArray[np.uint8],
     s: int,
+    slots: NDArray[np.int32],
+    parts_depth: NDArray[np.float32],
+    parts_cosine: NDArray[np.float32],
+    parts_material: NDArray[np.uint8],
     reflectance: NDArray[np.float32],
     words: NDArray[np.uint64],
     quantiles: NDArray[np.float32],
@@ -94,7 +105,10 @@ def _match(
     out: NDArray[np.float32],
     sigma_out: NDArray[np.float32],
 ) -> None:
-    """Depth of every pixel from its own disparity; NaN where no dot is matched. `focal_baseline` in px m."""
+    """Depth of every pixel from its own disparity; NaN where no dot is matched. `focal_baseline` in px m.
+
+    slots: (H, W) of `GeometryBuffers.slots`. A pixel without parts is a smooth surface, continued along its slope.
+    """
     height, width = out.shape
     for v in range(height):
         for u in range(width):
@@ -105,13 +119,20 @@ def _match(
             n_return = quantiles[(word >> np.uint64(48)) & np.uint64(0xFFFF)]
             x = min(max(int(np.floor((u + 0.5 + du) * s)), 0), width * s - 1)
             y = min(max(int(np.floor((v + 0.5 + dv) * s)), 0), height * s - 1)
-            z, c = float(depth[y, x]), float(cos_incidence[y, x])
+            row, column = y // s, x // s
+            slot, part = slots[row, column], (y - row * s) * s + x - column * s
+            if slot >= 0:
+                z, c, m = float(parts_depth[slot, part]), float(parts_cosine[slot, part]), parts_material[slot, part]
+            else:
+                z, c, m = float(depth[row, column]), float(cos_incidence[row, column]), material[row, column]
+                z += _slope(depth[row], column) * ((x + 0.5) / s - 0.5 - column)
+                z += _slope(depth[:, column], row) * ((y + 0.5) / s - 0.5 - row)
             out[v, u] = np.nan
             sigma_out[v, u] = np.inf
             if not z > 0 or c < grazing_cosine:
                 continue
             # The dots' contrast varies; a third of the threshold makes the border of a hole ragged.
-            if reflectance[material[y, x]] * c / (z * z) < min_return * (1 + n_return / 3):
+            if reflectance[m] * c / (z * z) < min_return * (1 + n_return / 3):
                 continue
             angle = np.arccos(min(c, 1.0))
             sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2 + 0.0001 / np.sqrt(z) * angle**2 / (np.pi / 2 - angle) ** 2

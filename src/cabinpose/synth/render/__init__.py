@@ -1,6 +1,6 @@
 """What a camera sees of a scene: a z-buffer, and the visibility of joints.
 
-`Rasteriser` renders depth, labels, instances and the sub-pixel buffers of the sensor model; `joint_visibility` states for
+`Rasteriser` renders depth, labels, instances and the buffers of the sensor model; `joint_visibility` states for
 every joint how it is seen.
 """
 

@@ -21,10 +21,10 @@ U8 = NDArray[np.uint8]
 
 
 class Lens(NamedTuple):
-    """The projection of a sub-pixel camera, for kernels.
+    """The projection of a camera, for kernels.
 
-    fx, fy, cx, cy: sub-pixels · dist: (5,) of the camera · box: (4,) x min, y min, x max, y max of the image's rays, a little
-    widened · curvature: sub-pixels, a bound on the second derivative of the projection in the box; 0 for a pinhole.
+    fx, fy, cx, cy: pixels · dist: (5,) of the camera · box: (4,) x min, y min, x max, y max of the image's rays, a little
+    widened · curvature: pixels, a bound on the second derivative of the projection in the box; 0 for a pinhole.
     """
 
     fx: float
@@ -59,7 +59,7 @@ def to_camera(vertices: F32, camera_from_vehicle: F64, out: F32) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def pixel(x: float, y: float, lens: Lens) -> tuple[float, float]:
-    """Sub-pixel u, v of ideal coordinates."""
+    """Pixel u, v of ideal coordinates."""
     k1, k2, p1, p2, k3 = lens.dist
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -84,7 +84,7 @@ def _inside(x: float, y: float, z: float, plane: int, box: F64) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def project(p_camera: F32, lens: Lens, out: F32, outside: U8) -> None:
-    """Vertices (V, 3) of the camera frame to (V, 5): ideal x, y, 1/z, and sub-pixel u, v; and where they lie outside.
+    """Vertices (V, 3) of the camera frame to (V, 5): ideal x, y, 1/z, and pixel u, v; and where they lie outside.
 
     outside: (V,) a bit for each plane beyond which the vertex lies: 1 the near limit, 2 .. 16 the sides of the lens' box.
     Nothing else is set for a vertex nearer than `NEAR_M`; outside the box, where the distortion polynomial may fold over,
@@ -138,7 +138,7 @@ def clip(corners: F64, box: F64, crossed: int, scratch: F64) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def bulge(longest_squared: float, curvature: float) -> float:
-    """How far (sub-pixels, along u and along v) the lens may move a point of a polygon out of its corners' convex hull.
+    """How far (pixels, along u and along v) the lens may move a point of a polygon out of its corners' convex hull.
 
     By Taylor's theorem f(sum(b_i v_i)) - sum(b_i f(v_i)) is at most M / 2 sum(b_i |v_i - p|^2) <= M L^2 / 6 on a triangle
     with longest edge L, where M (`Lens.curvature`) bounds the second derivative of the projection f. The constant covers
