@@ -1,7 +1,5 @@
 """Resident memory of one worker over a long run, in a process of its own.
 
-python -m cabinpose.app.bench.memory FRAMES
-
 The process does nothing but make frames, so that what it holds is what a worker holds; its last line on stdout is JSON.
 """
 
@@ -35,7 +33,8 @@ def memory_growth(frames: int) -> dict[str, Any]:
     """
     if frames < 1:
         raise ConfigError(f"memory over {frames} frames cannot be watched", hint="give memory_frames at least 1")
-    command = [sys.executable, "-m", __name__, str(frames)]
+    program = f"import json, {__name__} as memory; print(json.dumps(memory.watch({frames})))"
+    command = [sys.executable, "-c", program]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
@@ -65,7 +64,3 @@ def watch(frames: int) -> dict[str, Any]:
         "peak_mb": max(rss for _, rss in samples) / 1e6,
         "rss_mb": [round(rss / 1e6, 1) for _, rss in samples[:: max(len(samples) // 50, 1)]],
     }
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(watch(int(sys.argv[1]))) + "\n")
