@@ -16,7 +16,7 @@ from cabinpose.core.frames import transform
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
 from cabinpose.scene.sensor import place_camera
 from cabinpose.synth.config import CabinScene, SynthConfig, frame_rng
-from cabinpose.synth.sample import Scene, ScenePerson, open_cabin, person_slots
+from cabinpose.synth.sample import Scene, ScenePerson, judged_cabin, person_slots
 from cabinpose.synth.validate import Validator
 from cabinpose.synth.write import frame_maker
 
@@ -40,11 +40,10 @@ def _aloft(config: SynthConfig) -> Scene:
     person = BodyModel.load().person(named.phenotype, named.outfit)
     posed = person.pose(np.zeros(len(DOFS)), transform(None, (0.0, 0.0, _ALOFT_M)))
     slot = person_slots(config)[0]
-    cabin, settings = None, {}
+    cabin, settings, validator = None, {}, Validator(None)
     if isinstance(config.scene, CabinScene):
-        cabin = open_cabin(config.scene.cars[0], "left")
+        cabin, validator = judged_cabin(config.scene.cars[0], "left")
         settings = {name: seat.default for name, seat in cabin.seats.items()}
-    validator = Validator(cabin)
     validator.admit(validator.empty(settings), (slot, person, posed), None)
     camera = place_camera((2.0, 0.0, _ALOFT_M), (0.0, 0.0, _ALOFT_M), rng=frame_rng(0, 0))
     somebody = ScenePerson(slot, "", "", person, posed, (posed.surface(1),))

@@ -149,7 +149,7 @@ class SceneSampler:
         self._subjects = subject_names(config)
         self._slots = person_slots(config)
         self._person = lru_cache(maxsize=32)(self._make_person)
-        self._cabin = lru_cache(maxsize=16)(_judged_cabin)
+        self._cabin = lru_cache(maxsize=16)(judged_cabin)
         self._room = lru_cache(maxsize=16)(self._make_room)
         self._bodies = Validator(None)
 
@@ -182,6 +182,8 @@ class SceneSampler:
         )
 
     def _make_person(self, subject: str) -> Person:
+        if subject in SUBJECTS:
+            return _named_person(subject)
         return self._model.person(*subject_body(self._config, self._seed, subject))
 
     def _make_room(self, number: int) -> Room:
@@ -375,9 +377,23 @@ def open_cabin(car: str, drive_side: DriveSide) -> Cabin:
     return build_cabin(car, drive_side=drive_side) if car in PRESETS else load_cabin(car)
 
 
-def _judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+def judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+    """A cabin and who judges scenes in it. A preset's are built once a process; a user's mesh may change between calls."""
+    if car in PRESETS:
+        return _judged_preset(car, drive_side)
     cabin = open_cabin(car, drive_side)
     return cabin, Validator(cabin)
+
+
+@lru_cache(maxsize=16)
+def _judged_preset(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+    cabin = open_cabin(car, drive_side)
+    return cabin, Validator(cabin)
+
+
+@lru_cache(maxsize=len(SUBJECTS))
+def _named_person(subject: str) -> Person:
+    return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
 
 
 def _place_name(car: str) -> str:
