@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from distributed import Client, LocalCluster
+from distributed import Client
 
 from cabinpose.app.bench.blender import compare
 from cabinpose.app.bench.memory import memory_growth
@@ -21,7 +21,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import PRESETS, build_cabin
 from cabinpose.synth.config import CabinScene, Camera, Output, SynthConfig
-from cabinpose.synth.generate import GenerationReport, generate
+from cabinpose.synth.generate import GenerationReport, generate, local_cluster
 from cabinpose.synth.sample import Scene
 from cabinpose.synth.write import FrameMaker
 
@@ -91,9 +91,7 @@ def run_bench(
     """
     if min(frames, repeats, workers, blender_scenes) < 1:
         raise ConfigError("the bench needs frames, repeats, workers and scenes", hint="give each at least 1")
-    with LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs="ERROR"
-    ) as cluster:
+    with local_cluster(workers) as cluster:
         started = time.perf_counter()
         address = cluster.scheduler_address
         say(f"one occupant: {repeats} runs of {frames} frames on {workers} workers")
