@@ -73,17 +73,22 @@ def evaluate(
     options: EvaluationOptions,
     *,
     joints: Sequence[str] | None = None,
+    persons: Sequence[str] | None = None,
     name: str = "",
     progress: Progress | None = None,
 ) -> Report:
     """The report of one model on a dataset or a selection of it (`name` is what the report calls it).
 
-    joints: those that are evaluated; all that both have, where left out. Frames without an answer count as missed.
+    joints: those that are evaluated; all that both have, where left out. persons: the slots that are evaluated, true and
+    predicted; all of them, where left out. Frames without an answer count as missed.
     """
     chosen = tuple(joints) if joints is not None else common_joints(dataset, [model])
-    persons = [str(p) for p in dataset["person"].values]
-    chunks = _chunks(dataset, model, chosen, progress or (lambda _: None))
-    samples = collect(chunks, evaluated_skeleton(chosen), persons, model.persons, options)
+    predicted = model.persons
+    if persons is not None:
+        dataset, predicted = dataset.sel(person=list(persons)), tuple(p for p in model.persons if p in persons)
+    true = [str(p) for p in dataset["person"].values]
+    chunks = _chunks(dataset, model, chosen, predicted, progress or (lambda _: None))
+    samples = collect(chunks, evaluated_skeleton(chosen), true, predicted, options)
     notes: tuple[str, ...] = ()
     if isinstance(model, Predictions):
         absent = int((~np.isin(samples.frames, model.frame)).sum())
@@ -93,9 +98,9 @@ def evaluate(
 
 
 def _chunks(
-    dataset: xr.Dataset, model: Predictions | Predictor, joints: Sequence[str], progress: Progress
+    dataset: xr.Dataset, model: Predictions | Predictor, joints: Sequence[str], persons: Sequence[str], progress: Progress
 ) -> Iterator[tuple[TruthChunk, PoseBatch]]:
-    columns = [model.joints.index(name) for name in joints]
+    rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in joints]
     count = dataset.sizes["frame"]
     step = CHUNK if isinstance(model, Predictions) else BATCH
     truth = dataset[["joints_2d", "joints_3d", "visibility", "sequence", "sync_ns"]].sel(joint=list(joints))
@@ -117,10 +122,10 @@ def _chunks(
         yield (
             chunk,
             PoseBatch(
-                batch.joints_2d[:, :, columns],
-                batch.joints_3d[:, :, columns],
-                batch.score[:, :, columns],
-                batch.presence[:, :, columns],
+                batch.joints_2d[:, rows][:, :, columns],
+                batch.joints_3d[:, rows][:, :, columns],
+                batch.score[:, rows][:, :, columns],
+                batch.presence[:, rows][:, :, columns],
             ),
         )
         progress(min(start + step, count))

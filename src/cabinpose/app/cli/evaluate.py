@@ -56,10 +56,13 @@ def run(command: Evaluate) -> None:
     reports = []
     for model in models:
         with progress(frames, "frames") as show:
-            reports.append(evaluate(dataset, model, options, joints=joints, name=names[1], progress=show))
+            reports.append(
+                evaluate(dataset, model, options, joints=joints, persons=command.persons or None, name=names[1], progress=show)
+            )
     record = {"data": str(command.data), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
-        worst = {r.model: worst_figures(dataset, r, m, options) for r, m in zip(reports, models, strict=True)}
+        shown = dataset.sel(person=list(command.persons)) if command.persons else dataset
+        worst = {r.model: worst_figures(shown, r, m, options) for r, m in zip(reports, models, strict=True)}
         _write(command.out, page_html(reports, worst), record)
     if command.as_json:
         print_json(record)
@@ -138,7 +141,6 @@ def _selected(dataset: xr.Dataset, command: Evaluate) -> xr.Dataset:
         for name in command.persons:
             if name not in known:
                 raise unknown_name("slot", name, known)
-        dataset = dataset.sel(person=list(command.persons))
     if not mask.any():
         raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
     return dataset.isel(frame=np.flatnonzero(mask))
