@@ -28,6 +28,11 @@ from cabinpose.synth.sample import person_slots, preflight
 from cabinpose.synth.write import PartReport, make_part
 
 
+# glibc's allocator in a worker: what a frame frees (under 4 MB a piece) is kept for the next one, what building a car's fields took
+# goes back to the system.
+ALLOCATOR = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": str(2**22), "MALLOC_TRIM_THRESHOLD_": str(2**28)}
+
+
 @dataclass(frozen=True)
 class Progress:
     """How far a run is: frames on disk, and the poses proposed and rejected (by cause) in this run."""
@@ -168,9 +173,8 @@ def local_cluster(workers: int) -> LocalCluster:
     Every frame fills and frees the same megabytes. Dask's workers give each back to the system at once, which then clears it
     anew: 6 of 62 ms a frame, and most of the time spent in the system.
     """
-    kept = {"MALLOC_ARENA_MAX": 1, "MALLOC_MMAP_THRESHOLD_": 2**25, "MALLOC_TRIM_THRESHOLD_": 2**28}
     threads = dask.config.get("distributed.nanny.pre-spawn-environ")
-    with dask.config.set({"distributed.nanny.pre-spawn-environ": {**threads, **kept}}):
+    with dask.config.set({"distributed.nanny.pre-spawn-environ": {**threads, **ALLOCATOR}}):
         return LocalCluster(
             n_workers=workers,
             threads_per_worker=1,

@@ -6,6 +6,7 @@ The process does nothing but make frames, so that what it holds is what a worker
 from __future__ import annotations
 
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import psutil
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.synth.config import Output, SynthConfig
-from cabinpose.synth.generate import Progress, generate
+from cabinpose.synth.generate import ALLOCATOR, Progress, generate
 
 _FRAMES_PER_PART = 50
 _WARM_FRAMES = 500  # after which memory should no longer grow
@@ -35,7 +36,7 @@ def memory_growth(frames: int) -> dict[str, Any]:
         raise ConfigError(f"memory over {frames} frames cannot be watched", hint="give memory_frames at least 1")
     program = f"import json, {__name__} as memory; print(json.dumps(memory.watch({frames})))"
     command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **ALLOCATOR})
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise SceneError(f"the process whose memory was watched failed: {last}", hint="generate a few frames by themselves")
