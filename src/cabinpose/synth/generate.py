@@ -27,9 +27,8 @@ from cabinpose.synth.rehearse import SHARES, rehearse
 from cabinpose.synth.sample import person_slots, preflight
 from cabinpose.synth.write import PartReport, make_part
 
-
-# glibc's allocator in a worker: what a frame frees (under 4 MB a piece) is kept for the next one, what building a car's fields took
-# goes back to the system.
+# glibc's allocator in a worker: what a frame frees (under 4 MB a piece) is kept for the next one, what building a car's fields
+# took goes back to the system.
 ALLOCATOR = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": str(2**22), "MALLOC_TRIM_THRESHOLD_": str(2**28)}
 
 
