@@ -24,6 +24,7 @@ from cabinpose.synth.config import SynthConfig, frame_rng
 from cabinpose.synth.sample import SceneSampler
 
 ROUNDING_M = 1e-6
+_APART = 17  # frames
 
 
 def judge(task: tuple[str, int, list[int]]) -> list[dict[str, Any]]:
@@ -55,7 +56,8 @@ def main() -> None:
     parser.add_argument("--config", type=Path, help="a configuration; left out: the default one")
     arguments = parser.parse_args()
     config = SynthConfig.load(arguments.config) if arguments.config else SynthConfig()
-    shares = [list(range(w, arguments.scenes, arguments.workers)) for w in range(arguments.workers)]
+    # Frames of a block share their cars: far apart, they meet all of them.
+    shares = [[_APART * i for i in range(w, arguments.scenes, arguments.workers)] for w in range(arguments.workers)]
     tasks = [(config.model_dump_json(), arguments.seed, share) for share in shares]
     with get_context("spawn").Pool(arguments.workers) as pool:
         rows = [row for part in pool.map(judge, tasks) for row in part]
