@@ -187,12 +187,12 @@ def fit(
     `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). Raises ConfigError where
     `out` holds another run and `resume` is not asked for, ModelError where the run to resume is of another network.
     """
-    config = complete(config, training)
     last = out / "last.ckpt"
     if last.exists() and not resume:
         raise ConfigError(
             f"{out} already holds a training run", hint="--resume goes on with it, or give another folder with --out"
         )
+    config = complete(config, training)  # reads frames where settings are measured: not before a run that is refused
     if resume and last.exists():
         check_same(last, config)
     lightning.seed_everything(config.seed, workers=True, verbose=False)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
@@ -41,16 +42,11 @@ def _unit(v: Array) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _cross(a: Array, b: Array) -> Array:
-    # np.cross spends most of its time on axes; a person needs about forty products
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def _frame(z: Array, y: Array) -> Array:
     """Right-handed axes (columns) with this z and the y nearest to the given one."""
     z = _unit(z)
-    x = _unit(_cross(y, z))
-    return np.stack([x, _cross(z, x), z], axis=1)
+    x = _unit(cross(y, z))
+    return np.stack([x, cross(z, x), z], axis=1)
 
 
 def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[RestArrays, Array]:
@@ -79,16 +75,16 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
         shoulder, elbow, wrist, hip, knee, ankle = (
             head(side, b) for b in ("upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")
         )
-        elbow_axis = -_cross(elbow - shoulder, wrist - elbow)
+        elbow_axis = -cross(elbow - shoulder, wrist - elbow)
         frames[BONE_INDEX[side + "upperarm"]] = _frame(shoulder - elbow, elbow_axis)
         forearm = frames[BONE_INDEX[side + "forearm"]] = _frame(elbow - wrist, elbow_axis)
         knuckles = [head(side, f"finger{f}_1") for f in (2, 3, 4, 5)]
         long = wrist - knuckles[1]
-        hand = _frame(long, _cross(long, knuckles[0] - knuckles[3]))
+        hand = _frame(long, cross(long, knuckles[0] - knuckles[3]))
         frames[BONE_INDEX[side + "hand"]] = hand
         pronation[number] = -s * np.arctan2(hand[:, 0] @ forearm[:, 1], hand[:, 0] @ forearm[:, 0])
         heading = (head(side, "toe3_1") - ankle) * (1, 1, 0)
-        knee_axis = _cross(np.array([0.0, 0.0, 1.0]), heading)
+        knee_axis = cross(np.array([0.0, 0.0, 1.0]), heading)
         frames[BONE_INDEX[side + "thigh"]] = _frame(hip - knee, knee_axis)
         frames[BONE_INDEX[side + "shank"]] = _frame(knee - ankle, knee_axis)
         foot = frames[BONE_INDEX[side + "foot"]] = _frame(np.array([0.0, 0.0, 1.0]), knee_axis)
@@ -126,9 +122,9 @@ def _palm(hand: Array, wrist: Array, knuckles: list[Array], s: float) -> Array:
     size = np.linalg.norm(middle)
     normal = np.array([0.0, -s, 0.0])
     along = hand.T @ (knuckles[3] - knuckles[0]) * (1, 0, 1)  # index to little finger
-    x = _unit(_cross(normal, along)) * s
+    x = _unit(cross(normal, along)) * s
     result = np.eye(4)
-    result[:3, :3] = np.stack([x, _cross(normal, x), normal], axis=1)
+    result[:3, :3] = np.stack([x, cross(normal, x), normal], axis=1)
     result[:3, 3] = hand.T @ middle * _RIM_BELOW + normal * (_PALM_DEPTH * size + RIM_RADIUS_M)
     return result
 
