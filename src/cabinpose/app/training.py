@@ -11,10 +11,10 @@ import xarray as xr
 import yaml
 from pydantic import ValidationError
 
-from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
+from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import FrameSpec, GeneratedFrames, StoredFrames
 from cabinpose.estimate.training import TrainConfig
-from cabinpose.store.split import read_splits, split_dataset
+from cabinpose.store.split import read_named_splits, split_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import person_slots, preflight
 from cabinpose.synth.write import FrameMaker
@@ -52,11 +52,7 @@ def training_split(dataset: xr.Dataset, splits: Path | None, train: str, validat
     shows one of them. Raises DatasetError where one side is empty, or the sides share people.
     """
     if splits is not None:
-        named = read_splits(splits)
-        for name in (train, validate):
-            if name not in named:
-                raise unknown_name("split", name, list(named))
-        chosen = split_dataset(dataset, {name: named[name] for name in (train, validate)})
+        chosen = split_dataset(dataset, read_named_splits(splits, (train, validate)))
         sides = chosen[train], chosen[validate]
     else:
         subjects = sorted(people_of(dataset))

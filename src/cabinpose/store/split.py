@@ -21,7 +21,7 @@ import xarray as xr
 import yaml
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core.errors import DatasetError, unknown_name
 
 COORDINATES = ("subject", "car", "pov", "action", "sequence")
 
@@ -68,6 +68,15 @@ def read_splits(path: Path | str) -> dict[str, dict[str, tuple[Any, ...]]]:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise DatasetError(f"cannot read the splits of {path}: {error}", hint="check the file's name and its YAML") from error
     return parse_splits(data, path)
+
+
+def read_named_splits(path: Path | str, names: Sequence[str]) -> dict[str, dict[str, tuple[Any, ...]]]:
+    """Some splits of a YAML file, by name; raises as `read_splits` does, and `ConfigError` for a name that is not there."""
+    splits = read_splits(path)
+    for name in names:
+        if name not in splits:
+            raise unknown_name("split", name, list(splits))
+    return {name: splits[name] for name in names}
 
 
 def write_splits(path: Path | str, splits: Splits) -> None:

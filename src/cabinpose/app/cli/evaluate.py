@@ -13,6 +13,7 @@ import xarray as xr
 
 from cabinpose.app.cli.commands import Evaluate
 from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.splits import chosen_split
 from cabinpose.app.finite import finite
 from cabinpose.app.report.frames import worst_figures
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
@@ -30,7 +31,7 @@ from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.itop import read_itop_frames, read_itop_reference
 from cabinpose.store.part import disk_errors
 from cabinpose.store.predictions import Predictions, read_predictions
-from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
+from cabinpose.store.split import COORDINATES, Selection, frame_mask
 
 
 def run(command: Evaluate) -> None:
@@ -127,15 +128,9 @@ def _named_apart(models: Sequence[Predictions], paths: Sequence[Path]) -> list[P
 
 def _selected(dataset: xr.Dataset, command: Evaluate) -> xr.Dataset:
     """The frames of the split and of every selection."""
-    if (command.splits is None) != (command.split is None):
-        raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
     mask = np.ones(dataset.sizes["frame"], bool)
-    if command.splits is not None and command.split is not None:
-        splits = read_splits(command.splits)
-        if command.split not in splits:
-            raise unknown_name("split", command.split, list(splits))
-        mask &= frame_mask(dataset, splits[command.split])
-    mask &= frame_mask(dataset, _selection(command.select))
+    for selection in (*chosen_split(command.splits, command.split).values(), _selection(command.select)):
+        mask &= frame_mask(dataset, selection)
     if command.persons:
         known = [str(name) for name in dataset["person"].values]
         for name in command.persons:

@@ -9,11 +9,12 @@ import yaml
 
 from cabinpose.app.cli.commands import Export
 from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.splits import chosen_split
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.errors import ConfigError
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import export_dataset
-from cabinpose.store.split import read_splits, split_dataset
+from cabinpose.store.split import split_dataset
 
 
 def run(command: Export) -> None:
@@ -23,14 +24,10 @@ def run(command: Export) -> None:
         return
     if command.dataset is None or command.format is None:
         raise ConfigError("there is nothing to export", hint="give DATASET and --format, or --onnx CHECKPOINT")
-    if (command.splits is None) != (command.split is None):
-        raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
+    split = chosen_split(command.splits, command.split)
     dataset = open_dataset(command.dataset)
-    if command.splits is not None and command.split is not None:
-        splits = read_splits(command.splits)
-        if command.split not in splits:
-            raise unknown_name("split", command.split, list(splits))
-        dataset = split_dataset(dataset, {command.split: splits[command.split]})[command.split]
+    for chosen in split_dataset(dataset, split).values():
+        dataset = chosen
     frames = dataset.sizes["frame"]
     with progress(frames, "frames") as report:
         folder = export_dataset(dataset, command.format, command.out, overwrite=command.overwrite, report=report)
