@@ -57,7 +57,7 @@ def test_pixels_keep_unknown_joints_unknown() -> None:
 
 def test_depth_is_zero_where_invalid_or_out_of_range() -> None:
     image = np.full((48, 64), 1.5, np.float32)
-    image[0, :4] = np.nan, 0.0, np.inf, 3.01
+    image[0, :6] = np.nan, 0.0, np.inf, -np.inf, 3.01, -1.5
     expected = np.where(image == 1.5, image, 0)
     assert np.array_equal(VIEW.depth(image, VIEW.camera), expected)
 

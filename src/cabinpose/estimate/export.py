@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 import torch
 from torch import Tensor, nn
 
 from cabinpose.core.errors import ModelError
-from cabinpose.estimate.onnx_model import METADATA_KEY
+from cabinpose.estimate.onnx_model import METADATA_KEY, open_session
 from cabinpose.estimate.tasks import TASKS
-from cabinpose.estimate.training import load_detector
+from cabinpose.estimate.training import Detector, load_detector
 
 TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime, in units of the outputs (px, m, logits)
 _OPSET = 18
@@ -44,7 +43,11 @@ def export_onnx(checkpoint: Path, out: Path, *, name: str, card: Mapping[str, An
     """
     if out.exists() and not overwrite:
         raise ModelError(f"{out} exists", hint="--overwrite replaces it")
-    detector = load_detector(checkpoint)
+    return write_onnx(load_detector(checkpoint), out, name=name, card=card)
+
+
+def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, Any]) -> float:
+    """As `export_onnx`, of a detector in memory; replaces `out`."""
     method, config = detector.method, detector.method_config
     network = _Named(detector.network, method.outputs).eval()
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
@@ -74,9 +77,7 @@ def export_onnx(checkpoint: Path, out: Path, *, name: str, card: Mapping[str, An
 @torch.no_grad()
 def _difference(network: nn.Module, path: Path, examples: Mapping[str, Tensor], outputs: Sequence[str]) -> float:
     """The greatest difference between torch and ONNX Runtime over all outputs, for all examples and for the first alone."""
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    session = open_session(path)
     greatest = 0.0
     for count in (None, 1):  # a network that has only learnt its example's size fails here
         some = {name: value[:count] for name, value in examples.items()}

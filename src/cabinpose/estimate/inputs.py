@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +46,7 @@ class InputView:
                 f"{source.width}x{source.height}",
                 hint="give the intrinsics of the frames",
             )
-        index, inside = _nearest(self, source)
-        flat = images.reshape(*images.shape[:-2], -1)
-        return np.where(inside, flat[..., index], flat.dtype.type(0))
+        return _gather(images, _nearest(self, source))
 
     def depth(self, depth_m: NDArray[np.floating], source: Camera) -> F32:
         """Depth images (..., H, W) in metres, NaN or 0 where invalid, as this view's, 0 where invalid or out of range."""
@@ -55,18 +54,18 @@ class InputView:
 
     def in_range(self, depth_m: NDArray[np.generic]) -> F32:
         """Depths (...) in metres with 0 for what is invalid (NaN, infinite, 0) or out of the view's range."""
-        seen = np.nan_to_num(np.asarray(depth_m, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        return np.where((seen > 0) & (seen <= self.max_depth_m), seen, np.float32(0))
+        seen = np.asarray(depth_m, dtype=np.float32)
+        valid = (seen > 0) & (seen <= self.max_depth_m)  # False for NaN and the infinities
+        return np.where(valid, seen, np.float32(0))
 
     def to_source(self, images: NDArray[np.generic], source: Camera) -> NDArray[np.generic]:
         """Images (..., height, width) of this view as (..., H, W) of the source camera; 0 where the view does not look."""
-        flat = images.reshape(*images.shape[:-2], -1)
-        index, inside = _nearest_back(self, source)
-        return np.where(inside, flat[..., index], flat.dtype.type(0))
+        return _gather(images, _nearest_back(self, source))
 
     def pixels(self, uv: NDArray[np.floating], source: Camera) -> Joints:
         """Where the source camera sees what the view sees at (u, v) (..., 2), whatever its depth."""
-        xy = (np.asarray(uv, dtype=np.float64) - (self.camera.cx, self.camera.cy)) / self.focal
+        camera = self.camera
+        xy = (np.asarray(uv, dtype=np.float64) - (camera.cx, camera.cy)) / self.focal
         return source.project(np.concatenate((xy, np.ones((*xy.shape[:-1], 1))), axis=-1))
 
     def to_view(self, p_camera: Joints) -> Joints:
@@ -85,9 +84,25 @@ def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, hei
     return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), (k1, k2, p1, p2, k3))
 
 
+class _Nearest(NamedTuple):
+    """For each pixel the flat index `at` (h, w) of another camera's nearest one; `outside`: flat positions where there is none."""
+
+    at: NDArray[np.int64]
+    outside: NDArray[np.int64]
+
+
+def _gather(images: NDArray[np.generic], nearest: _Nearest) -> NDArray[np.generic]:
+    """Images (..., H, W) read at the nearest pixels (..., h, w); 0 where there is none."""
+    lead = images.shape[:-2]
+    # Every index is in range; "clip" spares the check, and half of the time.
+    taken = images.reshape(*lead, -1).take(nearest.at, axis=-1, mode="clip")
+    taken.reshape(*lead, -1)[..., nearest.outside] = 0
+    return taken
+
+
 @lru_cache(maxsize=32)
-def _nearest(view: InputView, source: Camera) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Flat index of the source pixel nearest to each of the view's pixels (height, width), and whether there is one."""
+def _nearest(view: InputView, source: Camera) -> _Nearest:
+    """The source pixel nearest to each of the view's pixels (height, width)."""
     uv = source.distort(view.camera.rays) * (source.fx, source.fy) + (source.cx, source.cy)
     inside = source.contains(uv)
     if source.is_distorted:  # beyond its fold the polynomial maps far rays back into the image
@@ -96,13 +111,13 @@ def _nearest(view: InputView, source: Camera) -> tuple[NDArray[np.int64], NDArra
         )
         inside &= np.linalg.norm(back - view.camera.rays, axis=-1) < 1e-3
     u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
-    return np.clip(v, 0, source.height - 1) * source.width + np.clip(u, 0, source.width - 1), inside
+    return _Nearest(np.clip(v, 0, source.height - 1) * source.width + np.clip(u, 0, source.width - 1), np.flatnonzero(~inside))
 
 
 @lru_cache(maxsize=32)
-def _nearest_back(view: InputView, source: Camera) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Flat index of the view's pixel nearest to each of the source's pixels (H, W), and whether there is one."""
+def _nearest_back(view: InputView, source: Camera) -> _Nearest:
+    """The view's pixel nearest to each of the source's pixels (H, W)."""
     uv = source.rays * view.focal + (view.camera.cx, view.camera.cy)
     inside = view.camera.contains(uv)
     u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
-    return np.clip(v, 0, view.height - 1) * view.width + np.clip(u, 0, view.width - 1), inside
+    return _Nearest(np.clip(v, 0, view.height - 1) * view.width + np.clip(u, 0, view.width - 1), np.flatnonzero(~inside))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -34,11 +34,8 @@ class OnnxModel:
         if not self.path.is_file():
             known = ", ".join(packaged_models()) or "none"
             raise ModelError(f"there is no model {self.path}", hint=f"give an ONNX file, or a packaged model ({known})")
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        options.intra_op_num_threads = threads or os.cpu_count() or 1
         try:
-            self._session = onnxruntime.InferenceSession(str(self.path), options, providers=["CPUExecutionProvider"])
+            self._session = open_session(self.path, threads=threads)
         except Exception as error:  # ONNX Runtime's own errors share no base class
             raise ModelError(
                 f"{self.path} cannot be read: {error}", hint="copy the file again, or export the model again"
@@ -60,6 +57,10 @@ class OnnxModel:
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
+        return self.decode(self.outputs(seen), seen)
+
+    def outputs(self, seen: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """The network's outputs by name for a batch of inputs."""
         inputs = {name: seen[name] for name in self.config.inputs}
         empty = not any(len(array) for array in inputs.values())
         if empty:  # no network takes an empty batch
@@ -67,7 +68,11 @@ class OnnxModel:
         values = self._session.run(self.method.outputs, inputs)
         if empty:
             values = [value[:0] for value in values]
-        return self.method.decode(dict(zip(self.method.outputs, values, strict=True)), self.config, seen)
+        return dict(zip(self.method.outputs, values, strict=True))
+
+    def decode(self, outputs: Mapping[str, NDArray[Any]], seen: Mapping[str, NDArray[Any]]) -> Any:
+        """What the method decodes from outputs of the network and what the view saw."""
+        return self.method.decode(outputs, self.config, seen)
 
 
 _LOADERS = {
@@ -75,6 +80,14 @@ _LOADERS = {
     "parts": "load it with cabinpose.estimate.unet.segment.OnnxSegmenter",
     "lift": "load it with cabinpose.estimate.lifting.predict.OnnxLifting",
 }
+
+
+def open_session(path: Path, *, threads: int | None = None) -> onnxruntime.InferenceSession:
+    """ONNX Runtime on the CPU with its own defaults, but for `threads` (default: one a core), and told to be quiet."""
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads or os.cpu_count() or 1
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
 def slices(count: int) -> list[slice]:
@@ -94,7 +107,7 @@ def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
 
 
 def view_inputs(
-    frames: FrameBatch, which: slice, cameras: list[Camera], view: InputView, *, amplitude: bool
+    frames: FrameBatch, which: slice, cameras: Sequence[Camera], view: InputView, *, amplitude: bool
 ) -> dict[str, NDArray[np.float32]]:
     """Arrays (N, h, w) of a view from frames of their cameras: depth (m, 0 = invalid) and, where asked for, amplitude."""
     empty = np.zeros((0, view.height, view.width), np.float32)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.core.camera import Camera
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.onnx_model import OnnxModel, cameras_of, packaged_models, slices, view_inputs
@@ -23,17 +27,27 @@ class OnnxPredictor(OnnxModel):
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
-        results = [self._predict(frames, which) for which in slices(len(frames["depth"]))]
-        return PoseBatch(*(np.concatenate(arrays) for arrays in zip(*results, strict=True)))
+        batches = []
+        for which in slices(len(frames["depth"])):
+            cameras = cameras_of(frames, which)
+            seen = self.seen(frames, which, cameras)
+            batches.append(self.poses(self.outputs(seen), seen, cameras))
+        return PoseBatch(*(np.concatenate([getattr(batch, f.name) for batch in batches]) for f in fields(PoseBatch)))
 
-    def _predict(self, frames: FrameBatch, which: slice) -> tuple[NDArray[np.float32], ...]:
-        cameras = cameras_of(frames, which)
+    def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
+        """What the model's view sees of some frames by name; the first of the three stages of `predict`."""
+        return view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
+
+    def poses(
+        self, outputs: Mapping[str, NDArray[Any]], seen: Mapping[str, NDArray[Any]], cameras: Sequence[Camera]
+    ) -> PoseBatch:
+        """The joints in the frames' own cameras, from the network's outputs; the last of the stages."""
+        found: Found = self.decode(outputs, seen)
         view = self.config.view
-        found: Found = self.run(view_inputs(frames, which, cameras, view, amplitude="amplitude" in self.config.inputs))
         joints_2d = np.empty_like(found.uv)
         for camera, uv, pixels in zip(cameras, found.uv, joints_2d, strict=True):
             pixels[...] = view.pixels(uv, camera)
-        return tuple(a.astype(np.float32) for a in (joints_2d, found.joints_3d, found.score, found.presence))
+        return PoseBatch(*(a.astype(np.float32) for a in (joints_2d, found.joints_3d, found.score, found.presence)))
 
 
 def load_model(model: str | Path, *, threads: int | None = None) -> OnnxPredictor:
