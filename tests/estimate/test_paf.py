@@ -94,6 +94,15 @@ def test_the_network_is_the_stated_one() -> None:
     assert PafConfig(width=176, height=144).view.focal == 80
 
 
+def test_each_hidden_convolution_is_normalised_or_none_is() -> None:
+    small_view = {"width": 32, "height": 16, "channels": 0.05, "slots": SLOTS}
+    for batch_norm, norms in ((True, 12 + 3 * 4), (False, 0)):
+        layers = list(Paf(PafConfig(**small_view, batch_norm=batch_norm)).modules())
+        assert sum(isinstance(layer, torch.nn.BatchNorm2d) for layer in layers) == norms
+        with_bias = [layer for layer in layers if isinstance(layer, torch.nn.Conv2d) and layer.bias is not None]
+        assert len(with_bias) == (3 if batch_norm else 12 + 3 * 5)  # a norm has a bias of its own; a branch's last has none
+
+
 @pytest.mark.parametrize(("what", "channels"), [("depth", 1), ("cloud", 3), ("amplitude", 1)])
 def test_inputs_are_scaled_as_stated(what: str, channels: int) -> None:
     config = PafConfig(width=32, height=16, focal=20, input=what, channels=0.05)

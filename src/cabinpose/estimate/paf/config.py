@@ -32,6 +32,9 @@ class PafConfig(ViewSettings):
     )
     stages: Annotated[int, Field(ge=1, le=6, description="1 = the thesis; the original refines in 5 more.")] = 1
     channels: Annotated[float, Field(gt=0, le=2, description="Factor on the thesis' numbers of channels.")] = 1.0
+    batch_norm: Annotated[
+        bool, Field(description="Normalise over the batch after each convolution; false = the thesis, for pretrained weights.")
+    ] = True
     depth_scale_m: Annotated[float, Field(gt=0, description="Depth (m) that is mapped to 255.")] = 1.8
     sigma_px: Annotated[float, Field(gt=0, description="Spread of a joint's peak in the training maps (px).")] = 8.0
     limb_px: Annotated[float, Field(gt=0, description="Half width of a limb in the training fields (px).")] = 8.0

@@ -45,16 +45,22 @@ class Paf(nn.Module):
         def c(channels: int) -> int:
             return max(4, round(config.channels * channels))
 
+        def conv(inputs: int, outputs: int, size: int = 3) -> tuple[nn.Module, ...]:
+            """A convolution, normalised over the batch if the settings ask for it, and rectified."""
+            layer = nn.Conv2d(inputs, outputs, size, padding=size // 2, bias=not config.batch_norm)
+            norm = (nn.BatchNorm2d(outputs),) if config.batch_norm else ()
+            return layer, *norm, nn.ReLU(inplace=True)
+
         self.features = nn.Sequential(
-            *_conv(3 if config.input == "cloud" else 1, c(64)), *_conv(c(64), c(64)), nn.MaxPool2d(2),
-            *_conv(c(64), c(128)), *_conv(c(128), c(128)), nn.MaxPool2d(2),
-            *_conv(c(128), c(256)), *_conv(c(256), c(256)), *_conv(c(256), c(256)), *_conv(c(256), c(256)), nn.MaxPool2d(2),
-            *_conv(c(256), c(512)), *_conv(c(512), c(512)), *_conv(c(512), c(256)), *_conv(c(256), c(128)),
+            *conv(3 if config.input == "cloud" else 1, c(64)), *conv(c(64), c(64)), nn.MaxPool2d(2),
+            *conv(c(64), c(128)), *conv(c(128), c(128)), nn.MaxPool2d(2),
+            *conv(c(128), c(256)), *conv(c(256), c(256)), *conv(c(256), c(256)), *conv(c(256), c(256)), nn.MaxPool2d(2),
+            *conv(c(256), c(512)), *conv(c(512), c(512)), *conv(c(512), c(256)), *conv(c(256), c(128)),
         )  # fmt: skip
 
         def branch(last: int, outputs: int) -> nn.Sequential:
-            hidden = (layer for _ in range(3) for layer in _conv(c(128), c(128)))
-            return nn.Sequential(*hidden, *_conv(c(128), c(last), 1), nn.Conv2d(c(last), outputs, 1))
+            hidden = (layer for _ in range(3) for layer in conv(c(128), c(128)))
+            return nn.Sequential(*hidden, *conv(c(128), c(last), 1), nn.Conv2d(c(last), outputs, 1))
 
         self.fields = branch(512, 2 * limbs)
         self.heat = branch(512, joints + 1)
@@ -64,8 +70,8 @@ class Paf(nn.Module):
 
         def refine(outputs: int) -> nn.Sequential:
             first = c(128) + 2 * limbs + joints + 1
-            hidden = (layer for i in range(5) for layer in _conv(first if i == 0 else c(128), c(128), 7))
-            return nn.Sequential(*hidden, *_conv(c(128), c(128), 1), nn.Conv2d(c(128), outputs, 1))
+            hidden = (layer for i in range(5) for layer in conv(first if i == 0 else c(128), c(128), 7))
+            return nn.Sequential(*hidden, *conv(c(128), c(128), 1), nn.Conv2d(c(128), outputs, 1))
 
         more = range(config.stages - 1)
         self.refined_fields = nn.ModuleList(refine(2 * limbs) for _ in more)
@@ -122,7 +128,3 @@ class Presence(nn.Module):
         x = torch.relu(maps).flatten(2).transpose(0, 1)
         hidden = torch.relu(x @ self.first + self.first_bias)
         return (hidden @ self.second + self.second_bias).transpose(0, 1)
-
-
-def _conv(inputs: int, outputs: int, size: int = 3) -> tuple[nn.Module, nn.Module]:
-    return nn.Conv2d(inputs, outputs, size, padding=size // 2), nn.ReLU(inplace=True)
