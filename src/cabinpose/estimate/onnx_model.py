@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ BATCH = 16  # frames that go through a network at a time
 class OnnxModel:
     """A network that `cabinpose export --onnx` wrote, with its method and settings."""
 
-    task = "joints"  # what the method has to do; see `Method.task`
+    task: str | None = "joints"  # what the method has to do, see `Method.task`; None = anything
 
     def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
         """Raises ModelError for a file that is missing, truncated, not a model of this package, or of another task."""
@@ -35,12 +36,12 @@ class OnnxModel:
             known = ", ".join(packaged_models()) or "none"
             raise ModelError(f"there is no model {self.path}", hint=f"give an ONNX file, or a packaged model ({known})")
         try:
-            self._session = open_session(self.path, threads=threads)
+            self.session = open_session(self.path, threads=threads)
         except Exception as error:  # ONNX Runtime's own errors share no base class
             raise ModelError(
                 f"{self.path} cannot be read: {error}", hint="copy the file again, or export the model again"
             ) from error
-        properties: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
+        properties: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
         if METADATA_KEY not in properties:
             raise ModelError(f"{self.path} is an ONNX file of another program", hint="export models with `cabinpose export`")
         try:
@@ -51,7 +52,7 @@ class OnnxModel:
             raise ModelError(
                 f"{self.path} does not say what it is: {error}", hint="export it again with this version of cabinpose"
             ) from error
-        if self.method.task != self.task:
+        if self.task is not None and self.method.task != self.task:
             raise ModelError(f"{self.path} is a model of {self.method.name}", hint=_LOADERS[self.method.task])
         self.name = str(self.metadata.get("name", self.path.stem))
 
@@ -65,7 +66,7 @@ class OnnxModel:
         empty = not any(len(array) for array in inputs.values())
         if empty:  # no network takes an empty batch
             inputs = {name: np.zeros((1, *array.shape[1:]), array.dtype) for name, array in inputs.items()}
-        values = self._session.run(self.method.outputs, inputs)
+        values = self.session.run(self.method.outputs, inputs)
         if empty:
             values = [value[:0] for value in values]
         return dict(zip(self.method.outputs, values, strict=True))
@@ -126,3 +127,27 @@ def packaged_models() -> dict[str, Path]:
     """The models that come with the package, by name."""
     folder = Path(str(resources.files("cabinpose.estimate") / "models"))
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
+
+
+class _AnyModel(OnnxModel):
+    task = None
+
+
+def describe_model(path: Path | str) -> dict[str, Any]:
+    """What an ONNX file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, settings, card.
+
+    Raises ModelError as `OnnxModel` does.
+    """
+    model = _AnyModel(path)
+    return {
+        "name": model.name,
+        "file": str(model.path),
+        "bytes": model.path.stat().st_size,
+        "method": model.method.name,
+        "view": dataclasses.asdict(model.config.view),
+        "inputs": list(model.config.inputs),
+        "persons": list(model.config.slots),
+        "joints": list(model.config.joints),
+        "settings": model.metadata["config"],
+        "card": model.metadata.get("card", {}),
+    }

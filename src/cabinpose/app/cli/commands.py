@@ -108,14 +108,14 @@ class View:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a dataset in another format (png-json, coco, itop or ply), or a trained model as ONNX."""
+    """Write a dataset in another format (png-json, coco, itop, ntu or ply), or a trained model as ONNX."""
 
     out: Path
     """Folder (with --onnx: file) to write; it appears when the export is whole."""
     dataset: Annotated[Positional[Path | None], arg(metavar="DATASET")] = None
     """Folder of the dataset."""
     format: str | None = None
-    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ply: point clouds."""
+    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ntu: NTU RGB+D's skeletons; ply: point clouds."""
     onnx: Path | None = None
     """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
     name: str | None = None
@@ -128,6 +128,29 @@ class Export:
     """Name of the split to export."""
     overwrite: bool = False
     """Replace the folder."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Import:
+    """Make a dataset of one in another format: an export of ours, COCO keypoints, ITOP, or skeletons of NTU RGB+D."""
+
+    source: Annotated[Positional[Path], arg(metavar="SOURCE")]
+    """Folder or file to read."""
+    format: str
+    """png-json: an export of ours; coco: COCO keypoints; itop: ITOP's HDF5; ntu: NTU RGB+D's .skeleton files."""
+    out: Path
+    """Folder of the dataset; it appears when the import is whole."""
+    images: Path | None = None
+    """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
+    keep_invalid: bool = False
+    """itop: keep the frames whose labels are marked as not valid, without their joints."""
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx fy cx cy of the camera in px, in place of those of the source."""
+    licence: str | None = None
+    """Licence of the data; default: what the source says."""
+    overwrite: bool = False
+    """Replace the dataset that is in the folder."""
     as_json: JsonFlag = False
 
 
@@ -214,11 +237,37 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Bench:
-    """Measure what the package promises on this machine: frames a second, stages, acceptance, Blender on the same scenes."""
+class Models:
+    """List the trained models that come with the package, or say all that is known of one."""
 
-    what: Annotated[Positional[Literal["synth"]], arg(metavar="synth")]
-    """What to measure: generation."""
+    model: Annotated[Positional[str | None], arg(metavar="MODEL")] = None
+    """Name of a packaged model, or an ONNX file."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Predict:
+    """Run a model over a dataset and write the joints that it finds, as a predictions file."""
+
+    data: Path
+    """Folder of the dataset."""
+    model: str
+    """Name of a packaged model, or an ONNX file."""
+    out: Path
+    """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
+    splits: Path | None = None
+    """YAML file of splits, of which one is run."""
+    split: str | None = None
+    """Name of the split to run."""
+    overwrite: bool = False
+    """Replace the file."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class BenchSynth:
+    """Measure generation: frames a second, stages, acceptance, memory, and Blender on the same scenes."""
+
     frames: int = 400
     """Frames of each timed run."""
     repeats: int = 3
@@ -232,21 +281,53 @@ class Bench:
     as_json: JsonFlag = False
 
 
+@dataclass(frozen=True)
+class BenchDetect:
+    """Measure detectors on the CPU, from a camera's frame to joints, one frame at a time, with networks of others beside.
+
+    The packaged models; and, with the extra `train`, `compact` and `paf` with default settings and fresh weights.
+    """
+
+    model: Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")] = ()
+    """ONNX files of models to measure as well."""
+    frames: int = 100
+    """Frames of each timed run."""
+    repeats: int = 3
+    """Timed runs, of which the medians are reported."""
+    threads: int = 2
+    """Threads of ONNX Runtime."""
+    skip_fresh: bool = False
+    """Leave out the detectors with fresh weights."""
+    skip_peers: bool = False
+    """Leave out the networks of others."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure what the package promises on this machine."""
+
+    action: Annotated[BenchSynth, subcommand("synth")] | Annotated[BenchDetect, subcommand("detect")]
+
+
 Command = (
     Annotated[Synth, subcommand("synth")]
     | Annotated[Config, subcommand("config")]
     | Annotated[Info, subcommand("info")]
     | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
+    | Annotated[Import, subcommand("import")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Train, subcommand("train")]
+    | Annotated[Models, subcommand("models")]
+    | Annotated[Predict, subcommand("predict")]
     | Annotated[Bench, subcommand("bench")]
 )
 
 RUNNERS = MappingProxyType(
     {
-        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
-        Bench: "bench",
+        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Import: "importing", Evaluate: "evaluate", Train: "train",
+        Models: "models", Predict: "predict", Bench: "bench",
     }
 )  # fmt: skip
 
