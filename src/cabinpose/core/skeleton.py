@@ -88,7 +88,32 @@ RIGS = MappingProxyType(
             },
             "L", "R",
         ),
+        # The trunk's are the nearest to ours: SpineShoulder lies between the shoulders, SpineBase between the hips. Kinect's Head
+        # is the middle of the head and its Neck lies below the skull base: neither is our head.
+        "kinect_v2": _sided(
+            {"neck": "SpineShoulder", "chest": "SpineMid", "hip": "SpineBase"},
+            {
+                "shoulder": "Shoulder{}", "elbow": "Elbow{}", "wrist": "Wrist{}", "hand": "Hand{}",
+                "pelvis": "Hip{}", "knee": "Knee{}", "ankle": "Ankle{}", "foot": "Foot{}",
+            },
+            "Left", "Right",
+        ),
+        "coco": _sided(  # a face's keypoints (nose, eyes, ears) are none of ours
+            {},
+            {
+                "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist", "pelvis": "{}_hip", "knee": "{}_knee",
+                "ankle": "{}_ankle",
+            },
+            "left", "right",
+        ),
     }
+)  # fmt: skip
+
+# The 25 joints of Kinect v2, in the order of NTU RGB+D's files (Shahroudy et al. 2016, Fig. 1; Kinect SDK 2.0, JointType).
+NTU_JOINTS: tuple[str, ...] = (
+    "SpineBase", "SpineMid", "Neck", "Head", "ShoulderLeft", "ElbowLeft", "WristLeft", "HandLeft", "ShoulderRight",
+    "ElbowRight", "WristRight", "HandRight", "HipLeft", "KneeLeft", "AnkleLeft", "FootLeft", "HipRight", "KneeRight",
+    "AnkleRight", "FootRight", "SpineShoulder", "HandTipLeft", "ThumbLeft", "HandTipRight", "ThumbRight",
 )  # fmt: skip
 
 # ITOP's 15 joints in its order (right before left) and the joint of ours that each stands for. ITOP's head is the

@@ -256,6 +256,8 @@ def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict
         "generator_version": manifest.generator_version,
         "seed": manifest.seed,
         "licence": manifest.licence,
+        "width": manifest.width,
+        "height": manifest.height,
         "planned_frames": manifest.frames,
         "skipped_frames": sum(len(part["skipped"]) for part in parts),
         "proposals": sum(part.get("proposals", part["frames"]) for part in parts),

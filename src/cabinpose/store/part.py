@@ -52,7 +52,7 @@ def disk_errors(folder: Path) -> Iterator[None]:
             raise
         raise DatasetError(
             f"no space left while writing to {folder}",
-            hint="free some disk space, then run the same command with --resume; complete parts are kept",
+            hint="free some disk space, then run the same command again (synth: with --resume; complete parts are kept)",
         ) from error
 
 

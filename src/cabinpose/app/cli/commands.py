@@ -115,7 +115,7 @@ class Export:
     dataset: Annotated[Positional[Path | None], arg(metavar="DATASET")] = None
     """Folder of the dataset."""
     format: str | None = None
-    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ntu: NTU RGB+D's skeletons; ply: point clouds."""
+    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ntu: NTU skeletons; ply: point clouds."""
     onnx: Path | None = None
     """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
     name: str | None = None
@@ -326,8 +326,8 @@ Command = (
 
 RUNNERS = MappingProxyType(
     {
-        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Import: "importing", Evaluate: "evaluate", Train: "train",
-        Models: "models", Predict: "predict", Bench: "bench",
+        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
+        Models: "models", Predict: "predict", Bench: "bench", Import: "importing",
     }
 )  # fmt: skip
 

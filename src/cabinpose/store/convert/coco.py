@@ -3,6 +3,7 @@
 Visibility (COCO data format): v = 0 not labelled (absent, or outside the image; x = y = 0), 1 labelled but occluded, by
 something else or by the person's own body, 2 labelled and visible. The box, area and segmentation are those of the
 person's visible pixels; a person without any is left out. Keypoints keep our pixels: an integer is a pixel's centre.
+Beyond COCO's keys, an image has its camera, car and view, a person its slot, subject and action, `info` the list of slots.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
         name = f"{file_stem(frame)}.png"
         height, width = frame["depth"].shape
         image = int(frame["frame"])
-        images.append({"id": image, "file_name": name, "width": width, "height": height})
+        images.append({"id": image, "file_name": name, "width": width, "height": height, **_place(frame)})
         write_png(folder / "images" / name, depth_mm(frame["depth"].values))
         for person in people(frame):
             mask = frame["instance"].values == person.position + 1
@@ -50,13 +51,24 @@ def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
     joints = [str(name) for name in dataset["joint"].values]
     skeleton = [[joints.index(a) + 1, joints.index(b) + 1] for a, b in LIMBS if a in joints and b in joints]
     content = {
-        "info": {"description": f"made with {dataset.attrs['generator']} {dataset.attrs['generator_version']}", "version": "1.0"},
+        "info": {
+            "description": f"made with {dataset.attrs['generator']} {dataset.attrs['generator_version']}",
+            "version": "1.0",
+            "slots": [str(name) for name in dataset["person"].values],
+        },
         "licenses": [{"id": 1, "name": dataset.attrs["licence"], "url": ""}],
         "categories": [{"id": 1, "name": "person", "supercategory": "person", "keypoints": joints, "skeleton": skeleton}],
         "images": [{**image, "license": 1} for image in images],
         "annotations": annotations,
     }
     (folder / "annotations" / "person_keypoints.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def _place(frame: xr.Dataset) -> dict[str, Any]:
+    """What an image says beyond COCO; the camera is left out where it is not known."""
+    cameras = {name: frame[name].values for name in ("camera_k", "camera_dist", "vehicle_from_camera")}
+    known = {name: values.tolist() for name, values in cameras.items() if np.isfinite(values).all()}
+    return {"car": str(frame["car"].values), "pov": str(frame["pov"].values), **known}
 
 
 def annotation(person: PersonInFrame, mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -76,6 +88,7 @@ def annotation(person: PersonInFrame, mask: NDArray[np.bool_]) -> dict[str, Any]
         "keypoints": keypoints,
         "subject": person.subject,
         "slot": person.slot,
+        "action": person.action,
     }
 
 

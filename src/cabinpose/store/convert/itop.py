@@ -3,7 +3,8 @@
 `depth_map.h5` has `id` and `data` (n, H, W) float16 m; `labels.h5` has `id`, `is_valid`, `visible_joints` (n, 15) int16,
 `image_coordinates` (n, 15, 2) int16 px, `real_world_coordinates` (n, 15, 3) float16 m and `segmentation` (n, H, W) int8:
 the index of the joint whose body part a pixel shows, -1 for the background. Its camera frame has y up, ours down. ITOP's
-images are 320x240; other sizes keep theirs. `id` is subject and frame, "XX_YYYYY".
+images are 320x240; other sizes keep theirs. `id` is subject and frame, "XX_YYYYY". ITOP's files do not say their intrinsics;
+what is exported has them beside the depth, as `camera_k` (n, 3, 3) and `camera_dist` (n, 5).
 """
 
 from __future__ import annotations
@@ -79,7 +80,9 @@ def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
         small = {
             "id": ids, "is_valid": valid, "visible_joints": visible, "image_coordinates": uv, "real_world_coordinates": xyz,
         }  # fmt: skip
-        depth_file.create_dataset("id", data=ids, track_times=False)
+        intrinsics = {name: dataset[name].values for name in ("camera_k", "camera_dist")}
+        for name, values in ({"id": ids} | intrinsics).items():
+            depth_file.create_dataset(name, data=values, track_times=False)
         for name, values in small.items():
             label_file.create_dataset(name, data=values, track_times=False)
 

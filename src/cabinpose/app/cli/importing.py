@@ -1,0 +1,30 @@
+"""`cabinpose import`: a dataset of the standard from one in another format."""
+
+from __future__ import annotations
+
+import sys
+
+from cabinpose.app.cli.commands import Import
+from cabinpose.app.cli.output import print_json, progress
+from cabinpose.core.errors import ConfigError
+from cabinpose.store.convert import check_new_dataset, import_source, open_source
+from cabinpose.store.convert.source import ImportOptions
+
+
+def run(command: Import) -> None:
+    """Import with a progress bar and name what was written."""
+    for flag, given, name in (("--images", command.images is not None, "coco"), ("--keep-invalid", command.keep_invalid, "itop")):
+        if given and command.format != name:
+            raise ConfigError(f"{flag} is of the format {name}, not {command.format}", hint=f"leave out {flag}")
+    check_new_dataset(command.out, overwrite=command.overwrite)
+    options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
+    source = open_source(command.source, command.format, options)
+    frames = source.manifest.frames
+    with progress(frames, "frames") as report:
+        folder = import_source(source, command.out, overwrite=command.overwrite, report=report)
+    if command.as_json:
+        variables = list(source.manifest.variables)
+        print_json({"out": str(folder), "format": command.format, "frames": frames, "variables": variables})
+    else:
+        print(f"{folder}: {frames} frames of {command.format}")
+        print(f"see what it holds with: cabinpose info {folder}", file=sys.stderr)

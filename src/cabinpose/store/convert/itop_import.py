@@ -1,0 +1,250 @@
+"""Reading ITOP's files (Haque et al. 2016), its own and what `store.convert.itop` exports; the layout is described there.
+
+The traps: y points up, depth is float16 with 0 for no answer, ids are bytes, and more than half of the frames of a test
+set carry labels that `is_valid` says not to trust. Such a frame shows a person whom nobody has labelled, so that to a
+detector it would be a wrong example; the literature leaves these frames out, and so does `read` unless told otherwise.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.store.convert.source import UNKNOWN, BlankFrame, ImportOptions, Source, make_manifest, put_camera, put_person
+from cabinpose.store.itop import K
+from cabinpose.store.schema import LabelRow, Manifest
+
+PERSON = "standing"  # the place of the person in a room, as `synth` calls it
+_SIZE = (320, 240)
+_BLOCK = 16  # frames read at a time
+_NEEDED = ("id", "is_valid", "visible_joints", "real_world_coordinates")
+_ID = re.compile(rb"(\d+)_(\d+)")
+_MOST_PX = 20.0  # between labels in the image and the projection of those in the room, in the median
+_UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
+# Ours -> ITOP's, where both mean the same point. Its head is the middle of the head and its neck lies between the shoulders; its
+# torso is no joint, and its foot lies somewhere between our ankle and foot. All 15 are kept as `itop_joints_3d`.
+_SAME = MappingProxyType(
+    {
+        f"{side}{ours}": f"{side}{theirs}"
+        for side in "lr"
+        for ours, theirs in (("shoulder", "shoulder"), ("elbow", "elbow"), ("hand", "hand"), ("pelvis", "hip"), ("knee", "knee"))
+    }
+)
+_OURS = np.array([INDEX[name] for name in _SAME])
+_THEIRS = np.array([ITOP_JOINTS.index(name) for name in _SAME.values()])
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One set: its two files, the frames to import, and whether it has what is optional."""
+
+    depth: Path
+    labels: Path
+    frames: NDArray[np.int64]
+    size: tuple[int, int]
+    segmented: bool
+    pov: str
+
+
+def read(path: Path, options: ImportOptions) -> Source:
+    """The frames of a set (either of its files) or of all sets in a folder, one `sequence` a set.
+
+    Raises `DatasetError` for files that are damaged, lack a dataset, contradict each other, or have another geometry.
+    """
+    pairs = [_open(depth, labels, options) for depth, labels in _pairs(path)]
+    if len({pair.size for pair in pairs}) > 1:
+        raise DatasetError(f"the sets of {path} have images of different sizes", hint="import them one by one")
+    segmented = all(pair.segmented for pair in pairs)
+    images = ("depth", "labels", "instance") if segmented else ("depth",)
+    manifest = make_manifest(
+        "itop",
+        path,
+        options,
+        frames=sum(len(pair.frames) for pair in pairs),
+        size=pairs[0].size,
+        persons=(PERSON,),
+        variables=(*images, "itop_joints_3d"),
+        labels=label_rows() if segmented else (),
+        config={"keep_invalid": options.keep_invalid},
+    )
+
+    def frames() -> Iterator[dict[str, Any]]:
+        for sequence, pair in enumerate(pairs):
+            yield from _frames(pair, sequence, manifest, options)
+
+    return Source(path, manifest, frames)
+
+
+def label_rows() -> tuple[LabelRow, ...]:
+    """The classes of ITOP's segmentation: background, then the parts in the order of `ITOP_JOINTS`."""
+    rows = [LabelRow(id=0, name="background", rgb=0x000000)]
+    for i, joint in enumerate(ITOP_JOINTS, 1):
+        side = {"r": "_right", "l": "_left"}.get(joint[0], "")
+        rgb = (90 * i % 256) << 16 | (150 * i % 256) << 8 | (60 + 40 * i) % 256  # told apart at a glance
+        rows.append(LabelRow(id=i, name=joint[1:] + side if side else joint, rgb=rgb))
+    return tuple(rows)
+
+
+def _pairs(path: Path) -> list[tuple[Path, Path]]:
+    """(depth, labels) files of a file's set, or of the sets in a folder, by name."""
+    if path.is_dir():
+        found = sorted(path.glob("*labels.h5")) + sorted(path.glob("*depth_map.h5"))
+        stems = sorted({_stem(file) for file in found})
+        if not stems:
+            packed = ": unpack its .h5.gz first" if any(path.glob("*.h5.gz")) else ""
+            raise DatasetError(f"{path} holds no set of ITOP{packed}", hint="give the folder of *_depth_map.h5 and *_labels.h5")
+        folder = path
+    else:
+        stems, folder = [_stem(path)], path.parent
+    pairs = [(folder / f"{stem}depth_map.h5", folder / f"{stem}labels.h5") for stem in stems]
+    for file in (file for pair in pairs for file in pair):
+        if not file.is_file():
+            raise DatasetError(f"there is no {file}", hint="a set of ITOP is a depth_map.h5 and a labels.h5 side by side")
+    return pairs
+
+
+def _stem(file: Path) -> str:
+    for end in ("depth_map.h5", "labels.h5"):
+        if file.name.endswith(end):
+            return file.name.removesuffix(end)
+    raise DatasetError(
+        f"{file} is no file of ITOP", hint="give a *_depth_map.h5 or *_labels.h5 (not the point clouds), or their folder"
+    )
+
+
+@contextmanager
+def _h5(path: Path) -> Iterator[h5py.File]:
+    """An HDF5 file whose damage is a `DatasetError`."""
+    try:
+        with h5py.File(path) as file:
+            yield file
+    except (OSError, RuntimeError, KeyError) as error:
+        raise DatasetError(f"{path} is damaged: {error}", hint="it may be cut short; copy or unpack it again") from error
+
+
+def _open(depth_path: Path, labels_path: Path, options: ImportOptions) -> _Pair:
+    """Check one set, and choose its frames."""
+    with _h5(depth_path) as depth, _h5(labels_path) as labels:
+        for file, path, names in ((labels, labels_path, _NEEDED), (depth, depth_path, ("data",))):
+            missing = [name for name in names if name not in file]
+            if missing:
+                there = ", ".join(file) or "nothing"
+                raise DatasetError(
+                    f"{path} lacks the dataset {', '.join(missing)}", hint=f"it has {there}; is it a file of ITOP?"
+                )
+        data, count = depth["data"], len(labels["id"])
+        if data.ndim != 3 or len(data) != count:
+            raise DatasetError(
+                f"{depth_path} has depth of the shape {data.shape}, {labels_path.name} labels of {count} frames",
+                hint="give the two files of one set",
+            )
+        shapes = {"visible_joints": (count, 15), "real_world_coordinates": (count, 15, 3), "is_valid": (count,)}
+        optional = {"segmentation": data.shape, "image_coordinates": (count, 15, 2)}
+        for name, shape in (shapes | optional).items():
+            if name in labels and labels[name].shape != shape:
+                raise DatasetError(f"{labels_path}: {name} has the shape {labels[name].shape}, not {shape}", hint="is it ITOP's?")
+        if "id" in depth and not np.array_equal(depth["id"][...], labels["id"][...]):
+            raise DatasetError(
+                f"{depth_path.name} and {labels_path.name} have different ids", hint="give the two files of one set"
+            )
+        size = (data.shape[2], data.shape[1])
+        valid = labels["is_valid"][...].astype(bool)
+        if options.intrinsics is None and "camera_k" not in depth and size != _SIZE:
+            raise DatasetError(
+                f"{depth_path}: the intrinsics of images of {size[0]}x{size[1]} are not known", hint="give them with --intrinsics"
+            )
+        if "image_coordinates" in labels:
+            _check_axes(depth, labels, labels_path, np.flatnonzero(valid), size, options)
+        frames = np.arange(count) if options.keep_invalid else np.flatnonzero(valid)
+        pov = next((view for view in ("side", "top") if view in labels_path.name.lower()), UNKNOWN)
+        return _Pair(depth_path, labels_path, frames.astype(np.int64), size, "segmentation" in labels, pov)
+
+
+def _check_axes(
+    depth: h5py.File, labels: h5py.File, path: Path, valid: NDArray[np.int64], size: tuple[int, int], options: ImportOptions
+) -> None:
+    """Both kinds of labels have to tell the same: a file with y down, or in mm, does not."""
+    some = valid[:: max(1, len(valid) // 100)]
+    if not len(some):
+        return
+    world = labels["real_world_coordinates"][some, ...].astype(np.float64) * _UP_TO_DOWN
+    given = labels["image_coordinates"][some, ...].astype(np.float64)
+    projected = np.stack(
+        [_camera(depth, i, size, options).project(joints) for i, joints in zip(some.tolist(), world, strict=True)]
+    )
+    apart = np.linalg.norm(projected - given, axis=-1)
+    if np.isfinite(apart).any() and np.nanmedian(apart) > _MOST_PX:
+        raise DatasetError(
+            f"{path}: image_coordinates lie {np.nanmedian(apart):.0f} px from the projection of real_world_coordinates",
+            hint="ITOP's are in metres with y up, x = (u - 160) z 0.0035; for another camera give --intrinsics",
+        )
+
+
+def _camera(depth: h5py.File, index: int, size: tuple[int, int], options: ImportOptions) -> Camera:
+    """The user's camera, or the one in the file, or ITOP's."""
+    given = options.camera(*size)
+    if given is not None:
+        return given
+    k = depth["camera_k"][index] if "camera_k" in depth else K
+    dist = depth["camera_dist"][index].tolist() if "camera_dist" in depth else (0.0,) * 5
+    return Camera(*size, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), tuple(dist))
+
+
+def _frames(pair: _Pair, sequence: int, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
+    blank = BlankFrame(manifest)
+    with _h5(pair.depth) as depth, _h5(pair.labels) as labels:
+        small = {name: labels[name][...] for name in _NEEDED}
+        for start in range(0, len(small["id"]), _BLOCK):
+            mine = pair.frames[(pair.frames >= start) & (pair.frames < start + _BLOCK)]
+            if not len(mine):
+                continue
+            images = depth["data"][start : start + _BLOCK]
+            parts = labels["segmentation"][start : start + _BLOCK] if "labels" in manifest.variables else None
+            for index in mine.tolist():
+                frame = blank.new()
+                frame["sequence"], frame["pov"], frame["car"] = np.int64(sequence), pair.pov, "room"
+                frame["depth"] = images[index - start].astype(np.float32)
+                if parts is not None:
+                    frame["labels"], frame["instance"] = _classes(parts[index - start], index, pair.labels)
+                camera = _camera(depth, index, pair.size, options)
+                put_camera(frame, camera)
+                _put_labels(frame, {name: values[index] for name, values in small.items()}, camera, pair.labels)
+                yield frame
+
+
+def _put_labels(frame: dict[str, Any], labels: dict[str, Any], camera: Camera, path: Path) -> None:
+    match = _ID.fullmatch(labels["id"] if isinstance(labels["id"], bytes) else str(labels["id"]).encode())
+    if match is None:
+        raise DatasetError(f"{path}: the id {labels['id']!r} is none of ITOP's", hint="ids are subject and frame, as 05_00123")
+    frame["subject"], frame["action"] = [match[1].decode()], [UNKNOWN]
+    if not labels["is_valid"]:
+        return
+    world = labels["real_world_coordinates"].astype(np.float64) * _UP_TO_DOWN
+    # Nothing but the person stands in front of an ITOP camera: what is hidden is hidden by the body itself.
+    states = np.where(labels["visible_joints"] > 0, Visibility.VISIBLE, Visibility.SELF_OCCLUDED)
+    frame["itop_joints_3d"][0] = world
+    joints, visibility = np.full((len(INDEX), 3), np.nan), np.zeros(len(INDEX), np.uint8)
+    joints[_OURS], visibility[_OURS] = world[_THEIRS], states[_THEIRS]
+    put_person(frame, 0, camera, joints, visibility)
+
+
+def _classes(segmentation: NDArray[np.integer], index: int, path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Class ids and instances (H, W) of a segmentation of joints' indices, -1 for the background."""
+    if segmentation.min() < -1 or segmentation.max() >= len(ITOP_JOINTS):
+        raise DatasetError(
+            f"{path}: frame {index} has the segments {segmentation.min()} to {segmentation.max()}", hint="ITOP's are -1 to 14"
+        )
+    return (segmentation + 1).astype(np.uint8), (segmentation >= 0).astype(np.uint8)
