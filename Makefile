@@ -38,8 +38,9 @@ format: $(VENV)/.dev  ## let ruff mend what it can
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-bench: $(VENV)/.dev  ## the figures of docs/benchmarks.md, as JSON on stdout
+bench: $(VENV)/.dev  ## the figures of docs/benchmarks.md, as two lines of JSON on stdout
 	$(BIN)/cabinpose bench synth --json
+	$(BIN)/cabinpose bench detect --json
 
 docs: $(VENV)/.dev  ## run every command and example of the documentation, follow its links
 	$(BIN)/pytest -q tests/docs

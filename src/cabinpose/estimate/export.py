@@ -53,13 +53,7 @@ def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, A
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
     partial = out.with_name(out.name + ".tmp")
     out.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
-        # The exporter that traces is deprecated, and needs nothing beside torch and onnx; the newer one does.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.onnx.export(
-            network, tuple(examples.values()), str(partial), input_names=list(examples), output_names=list(method.outputs),
-            dynamo=False, opset_version=_OPSET, dynamic_axes={n: {0: "frames"} for n in (*examples, *method.outputs)},
-        )  # fmt: skip
+    write_graph(network, examples, method.outputs, partial)
     model = onnx.load(str(partial))
     metadata = {"name": name, "method": method.name, "config": config.model_dump(mode="json"), "card": dict(card)}
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
@@ -72,6 +66,17 @@ def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, A
         )
     partial.replace(out)
     return difference
+
+
+def write_graph(network: nn.Module, examples: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:
+    """Trace a network with named example inputs (N, ...) to an ONNX file that takes any number of frames N."""
+    with warnings.catch_warnings():
+        # The exporter that traces is deprecated, and needs nothing beside torch and onnx; the newer one does.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            network, tuple(examples.values()), str(path), input_names=list(examples), output_names=list(outputs),
+            dynamo=False, opset_version=_OPSET, dynamic_axes={n: {0: "frames"} for n in (*examples, *outputs)},
+        )  # fmt: skip
 
 
 @torch.no_grad()

@@ -85,7 +85,7 @@ def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, hei
 
 
 class _Nearest(NamedTuple):
-    """For each pixel the flat index `at` (h, w) of another camera's nearest one; `outside`: flat positions where there is none."""
+    """at: (h, w) flat index of another camera's pixel, the nearest to each · outside: flat positions that have none."""
 
     at: NDArray[np.int64]
     outside: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""`cabinpose bench synth`: the figures of generation on this machine."""
+"""`cabinpose bench`: the figures of generation and of the detectors on this machine."""
 
 from __future__ import annotations
 
@@ -6,25 +6,50 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from cabinpose.app.bench import run_bench
-from cabinpose.app.cli.commands import Bench
-from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.bench import run_bench, run_detect_bench
+from cabinpose.app.cli.commands import Bench, BenchDetect, BenchSynth
+from cabinpose.app.cli.output import print_json, print_rows, print_table
+
+_STAGES = ("input", "network", "decode")
 
 
 def run(command: Bench) -> None:
     """Measure, saying on stderr what is under way."""
-    result = run_bench(
+    action = command.action
+    result = _synth(action) if isinstance(action, BenchSynth) else _detect(action)
+    if action.as_json:
+        print_json(result)
+    elif isinstance(action, BenchSynth):
+        print_rows(_rows(result))
+    else:
+        _print_detectors(result)
+
+
+def _synth(command: BenchSynth) -> dict[str, Any]:
+    return run_bench(
         frames=command.frames,
         repeats=command.repeats,
         workers=command.workers,
         blender=not command.skip_blender,
         memory_frames=command.memory_frames,
-        say=lambda words: print(words, file=sys.stderr),
+        say=_say,
     )
-    if command.as_json:
-        print_json(result)
-    else:
-        print_rows(_rows(result))
+
+
+def _detect(command: BenchDetect) -> dict[str, Any]:
+    return run_detect_bench(
+        command.model,
+        frames=command.frames,
+        repeats=command.repeats,
+        threads=command.threads,
+        fresh=not command.skip_fresh,
+        peers=not command.skip_peers,
+        say=_say,
+    )
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr)
 
 
 def _rows(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
@@ -33,3 +58,27 @@ def _rows(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]
             yield from _rows(value, f"{path}{name}.")
         else:
             yield f"{path}{name}", str(value)
+
+
+def _print_detectors(result: Mapping[str, Any]) -> None:
+    """A line for each model and each peer: frames/s, milliseconds of a frame and its stages, and the peers' as its multiples."""
+    models, peers = result["models"], result["peers"]
+    head = ["", "frames/s", "aim", "p50 ms", "p95 ms", *(f"{stage} ms" for stage in _STAGES), "batch frames/s"]
+    rows = [[*head, *(f"{peer} takes" for peer in peers)]]
+    for name, figures in (models | peers).items():
+        rates = figures["frames_per_s"], figures.get("aim")
+        times = figures["p50_ms"], figures["p95_ms"], *(figures["stages_ms"].get(stage) for stage in _STAGES)
+        cells = [*(_cell(x, 1) for x in rates), *(_cell(x, 2) for x in times), _cell(figures.get("frames_per_s_batch"), 1)]
+        takes = (figures.get("peers_take", {}).get(peer) for peer in peers)
+        rows.append([name, *cells, *("" if x is None else f"{x:.1f} x" for x in takes)])
+    print_table(rows)
+    runtime = result["runtime"]
+    print(
+        f"{result['repeats']} runs of {result['frames']} frames; ONNX Runtime {runtime['onnxruntime']}, "
+        f"{runtime['intra_op_num_threads']} threads of {result['cores']} cores; "
+        f"load {result['load_average']['before'][0]:.1f} before, {result['load_average']['after'][0]:.1f} after"
+    )
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.app.cli.commands import Evaluate
-from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.output import print_json, print_table, progress
 from cabinpose.app.cli.splits import chosen_split
 from cabinpose.app.finite import finite
 from cabinpose.app.report.frames import worst_figures
@@ -177,22 +177,14 @@ def print_report(report: Report) -> None:
     rows += [
         [group, *(number(report.value(c.metric, c.space, group, c.threshold)) for c in columns)] for group in report.joint_sets
     ]
-    _print_table(rows)
+    print_table(rows)
     print()
     rows = [["", "value", "95 % interval", "samples", "of what; how averaged"]]
     rows += [
         [name, f"{number(v)} {v.unit}".rstrip(), interval(v), str(v.samples), f"{v.denominator}; {v.average}"]
         for name, v in people_rows(report)
     ]
-    _print_table(rows, words=(0, 4))
+    print_table(rows, words=(0, 4))
     for note in report.notes:
         print(note)
     print()
-
-
-def _print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> None:
-    """Columns aligned: those of words to the left, numbers to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        cells = (c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
-        print("  ".join(cells).rstrip())
