@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,15 @@ def frames(c: TrainConfig, count: int = 8) -> StoredFrames:
     return StoredFrames(small.dataset(count), frame_spec(c))
 
 
+class RaiseInEpoch(Callback):
+    def __init__(self, epoch: int, error: Exception) -> None:
+        self._epoch, self._error = epoch, error
+
+    def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, index: int) -> None:
+        if trainer.current_epoch == self._epoch:
+            raise self._error
+
+
 def curve(folder: Path) -> dict[tuple[str, int], float]:
     """Every number of the log by its name and step."""
     rows = list(csv.DictReader((folder / "log" / "metrics.csv").open()))
@@ -80,6 +91,69 @@ def test_the_same_seed_gives_the_same_run_and_another_does_not(tmp_path: Path) -
         fit(c, frames(c), frames(c), tmp_path / run, devices=1)
     assert curve(tmp_path / "a") == curve(tmp_path / "b")
     assert curve(tmp_path / "a") != curve(tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("[enforce fail at alloc_cpu.cpp:124] err == 0. DefaultCPUAllocator: can't allocate memory: you tried ..."),
+        RuntimeError("std::bad_alloc"),
+        torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB."),
+        RuntimeError("cuDNN error: CUDNN_STATUS_ALLOC_FAILED"),
+    ],
+)
+def test_too_little_memory_names_the_batch(error: Exception, tmp_path: Path) -> None:
+    c = config("lifting", epochs=1)
+    with pytest.raises(ConfigError, match="too little memory for batches of 4 frames") as caught:
+        fit(c, frames(c), frames(c), tmp_path, callbacks=(RaiseInEpoch(0, error),), devices=1)
+    assert "smaller `batch`" in caught.value.hint
+    assert "--resume" not in caught.value.hint  # no epoch is whole: there is nothing to go on from
+    assert caught.value.__cause__ is error
+    c = config("lifting", epochs=1, batch=2)
+    assert fit(c, frames(c), frames(c), tmp_path, devices=1).exists()
+
+
+def test_too_little_memory_in_a_later_epoch_hints_to_resume(tmp_path: Path) -> None:
+    c = config("lifting", epochs=2)
+    with pytest.raises(ConfigError, match="batches of 4 frames") as caught:
+        fit(c, frames(c), frames(c), tmp_path, callbacks=(RaiseInEpoch(1, MemoryError("no 8 GB")),), devices=1)
+    assert "no 8 GB" in str(caught.value)
+    assert "--resume" in caught.value.hint
+    assert fit(c, frames(c), frames(c), tmp_path, resume=True, devices=1).exists()
+
+
+def test_other_errors_while_training_stay_what_they_are(tmp_path: Path) -> None:
+    c = config("lifting", epochs=1)
+    with pytest.raises(RuntimeError, match="shapes differ"):
+        fit(c, frames(c), frames(c), tmp_path, callbacks=(RaiseInEpoch(0, RuntimeError("shapes differ")),), devices=1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited by its size in /proc")
+def test_a_batch_that_does_not_fit_is_named(tmp_path: Path) -> None:
+    """For real: a process that may only take 400 MB more than it has learns from frames of 1024 x 1024."""
+    program = f"""
+import resource, sys
+from pathlib import Path
+sys.path[:0] = {sys.path!r}
+import small, torch
+from cabinpose.core.errors import ConfigError
+from cabinpose.estimate.data import StoredFrames
+from cabinpose.estimate.training import TrainConfig, fit, frame_spec
+torch.set_num_threads(1)
+c = TrainConfig(method="compact", settings=small.TINY["compact"] | {{"width": 1024, "height": 1024}}, epochs=1, batch=8)
+frames = StoredFrames(small.dataset(8), frame_spec(c))
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 400_000_000,) * 2)
+try:
+    fit(c, frames, frames, Path({str(tmp_path)!r}), devices=1)
+except ConfigError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "too little memory for batches of 8 frames: " in done.stdout
 
 
 def test_another_runs_folder_is_not_overwritten(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ A run that was killed goes on from its last whole epoch with the numbers that it
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sized
 from contextlib import contextmanager
@@ -42,6 +43,7 @@ _NOISE = (
     ".*The number of training batches .* is smaller than the logging interval.*",
     ".*isinstance\\(treespec, LeafSpec\\).*",
 )
+_NO_MEMORY = re.compile("can't allocate memory|out of memory|bad_alloc|ALLOC_FAILED")
 Positive = Annotated[int, Field(ge=1)]
 
 
@@ -185,7 +187,8 @@ def fit(
     """Train into the folder `out` and return the best epoch's checkpoint.
 
     `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). Raises ConfigError where
-    `out` holds another run and `resume` is not asked for, ModelError where the run to resume is of another network.
+    `out` holds another run and `resume` is not asked for, or where there is too little memory for a batch; ModelError where the
+    run to resume is of another network.
     """
     last = out / "last.ckpt"
     if last.exists() and not resume:
@@ -202,7 +205,7 @@ def fit(
     best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [EMAWeightAveraging(decay=config.average)] if config.average else []
-    with _quiet():
+    with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
             callbacks=[*average, best, newest, *callbacks], logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10,
@@ -238,6 +241,21 @@ def _quiet() -> Iterator[None]:
         finally:
             for talker, level in zip(talkers, levels, strict=True):
                 talker.setLevel(level)
+
+
+@contextmanager
+def _too_little_memory(batch: int, last: Path) -> Iterator[None]:
+    """What torch, its devices and numpy raise for want of memory becomes a ConfigError that names the batch."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:  # torch's allocator on the CPU has no class of its own
+        if not isinstance(error, MemoryError | torch.OutOfMemoryError) and _NO_MEMORY.search(str(error)) is None:
+            raise
+        hint = "set a smaller `batch` in the file of --config"
+        if last.exists():
+            hint = "free memory and go on with --resume, or start a run with a smaller `batch` in another folder"
+        first = (str(error).splitlines() or ["no memory"])[0]
+        raise ConfigError(f"too little memory for batches of {batch} frames: {first}", hint=hint) from error
 
 
 def check_same(checkpoint: Path, config: TrainConfig) -> None:
