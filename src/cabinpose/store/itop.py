@@ -21,6 +21,16 @@ from cabinpose.core.skeleton import ITOP_JOINTS
 K = np.array([[1 / 0.0035, 0.0, 160.0], [0.0, 1 / 0.0035, 120.0], [0.0, 0.0, 1.0]])
 NOMINAL_SCALE_M = 4.24  # metres that a depth of 1 stands for in the frames scaled to 0 .. 1 (their source's figure)
 _CROP_PX = 100
+# The camera measures disparity in eighths of a pixel at 640 px of width, its projector 75 mm beside it (Khoshelham and
+# Elberink 2012), so that its depths lie on a lattice: 1/z comes in steps of 1 / (8 f b), per m.
+_STEP = 1.0 / (8 * 2 * K[0, 0] * 0.075)
+_SCALES_M = np.arange(2.0, 10.0, 0.001)
+_CLEAR = 0.7  # strength of the lattice, of at most 1, from which on it is believed
+_ALIAS = 0.9  # share of the greatest strength that the true scale has too: half and third of it fit as well
+_NEAR = 2.5  # 1 / scaled depth; nearer than that the levels are finer than the numbers of the file
+# ITOP's labels lie nearer to the camera than the joints of a body: those of arms on the skin that the camera sees, those of
+# the trunk half as deep as its middle, the head's in its middle. How much nearer, in round numbers, per joint.
+_NEARER_M = np.array([{"head": 0.0, "hand": 0.04, "foot": 0.04}.get(name.lstrip("rl"), 0.08) for name in ITOP_JOINTS])
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
 
 
@@ -64,7 +74,7 @@ def read_itop_reference(path: Path | str) -> ItopReference:
 def read_itop_frames(path: Path | str) -> FrameBatch:
     """The frames of a `.npz` with `depth01` (F, 100, 100): ITOP's columns 40 .. 279 at 2.4 px each, scaled to 0 .. 1 each.
 
-    The metric scale of a frame is lost: `NOMINAL_SCALE_M` stands for all of them. Raises `DatasetError` for other files.
+    The metric scale of a frame is lost, and recovered by `recovered_scale`. Raises `DatasetError` for other files.
     """
     file = Path(path)
     try:
@@ -78,8 +88,38 @@ def read_itop_frames(path: Path | str) -> FrameBatch:
         raise DatasetError(f"{file}: frames of the shape {scaled.shape}", hint=f"depth01 is (frames, {_CROP_PX}, {_CROP_PX})")
     step = 240 / _CROP_PX
     k = np.array([[K[0, 0] / step, 0.0, (K[0, 2] - 40) / step], [0.0, K[1, 1] / step, K[1, 2] / step], [0.0, 0.0, 1.0]])
-    depth = np.where(scaled > 0, scaled * np.float32(NOMINAL_SCALE_M), np.float32(np.nan))
+    scale = np.array([recovered_scale(frame) for frame in scaled], np.float32)[:, None, None]
+    depth = np.where(scaled > 0, scaled * scale, np.float32(np.nan))
     return {"depth": depth, "camera_k": k, "camera_dist": np.zeros(5)}
+
+
+def as_labelled(joints_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(..., 15, 3) m where ITOP's annotators would have put the joints of a body at joints_3d: nearer, on the same ray.
+
+    Read off the labels (docs/itop-comparison.md): no published text says what they mark.
+    """
+    distance = np.linalg.norm(joints_3d, axis=-1, keepdims=True)
+    return np.asarray(joints_3d * (1.0 - _NEARER_M[:, None] / distance), np.float64)
+
+
+def recovered_scale(scaled: NDArray[np.floating]) -> float:
+    """Metres that a depth of 1 stands for in a frame (H, W) scaled to 0 .. 1, from the steps of the camera's disparity.
+
+    For the right scale s all s / depth lie on the camera's lattice of 1/z; how well they do is the length of the mean of
+    exp(2 pi i / (s step depth)) over the levels of the frame. `NOMINAL_SCALE_M` where no scale fits, as in frames whose depths
+    were smoothed.
+    """
+    inverse = 1.0 / np.unique(scaled[scaled > 0].astype(np.float64))
+    inverse = inverse[inverse < _NEAR]
+    if not inverse.size:
+        return NOMINAL_SCALE_M
+    strength = np.abs(np.exp(2j * np.pi * np.outer(1.0 / (_SCALES_M * _STEP), inverse)).mean(axis=1))
+    if strength.max() < _CLEAR:
+        return NOMINAL_SCALE_M
+    # Where s fits, s / 2 does: of scales that fit about as well the greatest is the true one, at the top of its own peak.
+    last = _SCALES_M[np.flatnonzero(strength >= _ALIAS * strength.max())[-1]]
+    peak = np.abs(_SCALES_M - last) <= 0.02 * last
+    return float(_SCALES_M[peak][strength[peak].argmax()])
 
 
 def project(joints_3d: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ from cabinpose.evaluate.offline import check_predictions, common_joints, dataset
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
 from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.itop import read_itop_frames, read_itop_reference
+from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
 from cabinpose.store.part import disk_errors
 from cabinpose.store.predictions import Predictions, read_predictions
 from cabinpose.store.split import COORDINATES, Selection, frame_mask
@@ -81,14 +81,17 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
     model = load_model(command.model[0])
     if model.joints != ITOP_JOINTS or len(model.persons) != 1:
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
-    found = model.predict(read_itop_frames(frames))
-    report = evaluate_itop(
-        read_itop_reference(frames), found.joints_3d[:, 0], options, joints_2d=None, model=model.name, name=frames.name
+    reference = read_itop_reference(frames)
+    found = model.predict(read_itop_frames(frames)).joints_3d[:, 0]
+    labelled, anatomical = (
+        evaluate_itop(reference, joints, options, model=model.name, name=frames.name) for joints in (as_labelled(found), found)
     )
+    within = itop_summary(anatomical)["within_10cm"]
     if command.as_json:
-        print_json(itop_summary(report))
+        print_json(itop_summary(labelled) | {"within_10cm_anatomical": within})
     else:
-        print_report(report)
+        print_report(labelled)
+        print(f"where the model puts the joints of the body, not ITOP's labels: {within:.1f} % within 10 cm")
 
 
 def _options(command: Evaluate) -> EvaluationOptions:
