@@ -7,16 +7,19 @@ together; for each limb the pairs are taken greedily, best first, and what share
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-_SAMPLES = 10  # along a limb
+_STEPS = np.linspace(0, 1, 10)  # samples along a limb
 _SHARE = 0.8  # of the samples that have to agree with the limb
 _FLOOR = 1e-3  # of a map, before its logarithm
+_AROUND = np.indices((3, 3)).reshape(2, 9)  # rows and columns of a cell and its neighbours, in a map padded by one
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 
 class Peaks(NamedTuple):
@@ -31,30 +34,29 @@ class Peaks(NamedTuple):
         return cls(np.zeros((0, 2)), np.zeros(0))
 
 
-def find_peaks(heat: F64, least: float, count: int) -> Peaks:
-    """The `count` greatest local maxima (of 8 neighbours) of a map (h, w) that reach `least`.
+def find_peaks(heat: F64, least: float, count: int) -> list[Peaks]:
+    """For each map of heat (J, h, w) the `count` greatest local maxima (of 8 neighbours) that reach `least`.
 
     Of equal neighbours the first in reading order counts. A parabola through the logarithms of a peak and its two neighbours
     along each axis gives its place within the cell: exact for a Gaussian.
     """
-    h, w = heat.shape
-    padded = np.pad(heat, 1, constant_values=-np.inf)
-    peak = heat >= least
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            other = padded[1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w]
-            if (dy, dx) < (0, 0):
-                peak &= heat > other
-            elif (dy, dx) > (0, 0):
-                peak &= heat >= other
-    rows, columns = np.nonzero(peak)
-    order = np.argsort(-heat[rows, columns], kind="stable")[:count]
-    rows, columns = rows[order], columns[order]
-    logs = np.log(np.maximum(np.pad(heat, 1), _FLOOR))
-    at = logs[rows + 1, columns + 1]
-    dx = _vertex(logs[rows + 1, columns], at, logs[rows + 1, columns + 2]) * ((columns > 0) & (columns < w - 1))
-    dy = _vertex(logs[rows, columns + 1], at, logs[rows + 2, columns + 1]) * ((rows > 0) & (rows < h - 1))
-    return Peaks(np.stack((columns + dx, rows + dy), axis=-1), heat[rows, columns])
+    joints, h, w = heat.shape
+    padded = np.full((joints, h + 2, w + 2), -np.inf)
+    padded[:, 1:-1, 1:-1] = heat
+    joint, rows, columns = np.nonzero(heat >= least)
+    around = padded[joint[:, None], rows[:, None] + _AROUND[0], columns[:, None] + _AROUND[1]]  # (K, 9) in reading order
+    height = around[:, 4]
+    peak = (height[:, None] > around[:, :4]).all(axis=1) & (height[:, None] >= around[:, 5:]).all(axis=1)
+    order = np.flatnonzero(peak)
+    order = order[np.lexsort((-height[order], joint[order]))]  # stable: equal peaks of a map stay in reading order
+    joint, rows, columns, height = joint[order], rows[order], columns[order], height[order]
+    logs = np.log(np.maximum(around[order], _FLOOR))
+    dx = _vertex(logs[:, 3], logs[:, 4], logs[:, 5]) * ((columns > 0) & (columns < w - 1))
+    dy = _vertex(logs[:, 1], logs[:, 4], logs[:, 7]) * ((rows > 0) & (rows < h - 1))
+    xy = np.stack((columns + dx, rows + dy), axis=-1)
+    first = np.searchsorted(joint, np.arange(joints + 1)).tolist()
+    kept = [slice(i, min(i + count, j)) for i, j in pairwise(first)]
+    return [Peaks(xy[of_joint], height[of_joint]) for of_joint in kept]
 
 
 def _vertex(before: F64, at: F64, after: F64) -> F64:
@@ -63,29 +65,29 @@ def _vertex(before: F64, at: F64, after: F64) -> F64:
     return np.clip(np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0), -0.5, 0.5)
 
 
-def line_scores(field: F64, a: F64, b: F64) -> tuple[F64, F64]:
-    """Mean of a field (2, h, w) along the lines from a (K, 2) to b (L, 2), cells, and the share of samples above zero: (K, L).
+def line_scores(fields: F64, limb: I64, a: F64, b: F64) -> tuple[F64, F64]:
+    """Means of fields (C, 2, h, w) along P lines, and the shares of their samples above zero: (P,) each.
 
-    The field is read bilinearly at ten points of the line and multiplied with its direction.
+    Line p runs through the field of limb[p] from a[p] to b[p] (P, 2), cells. The field is read bilinearly at ten points of the
+    line and multiplied with its direction.
     """
-    along = b[None] - a[:, None]
+    along = b - a
     length = np.linalg.norm(along, axis=-1)
-    unit = along / np.maximum(length, 1e-9)[..., None]
-    steps = np.linspace(0, 1, _SAMPLES)
-    points = a[:, None, None] + along[:, :, None] * steps[:, None]
-    values = np.stack([_bilinear(part, points) for part in field], axis=-1)
-    agreement = np.einsum("klsi,kli->kls", values, unit)
+    unit = along / np.maximum(length, 1e-9)[:, None]
+    points = a[:, None] + along[:, None] * _STEPS[:, None]
+    agreement = np.einsum("psi,pi->ps", _bilinear(fields, limb[:, None], points), unit)
     return agreement.mean(-1), (agreement > 0).mean(-1)
 
 
-def _bilinear(image: F64, xy: F64) -> F64:
-    h, w = image.shape
+def _bilinear(fields: F64, which: I64, xy: F64) -> F64:
+    """fields[which] (..., 2), of fields (C, 2, h, w), at xy (..., 2), clipped to the map."""
+    h, w = fields.shape[2:]
     x, y = np.clip(xy[..., 0], 0, w - 1), np.clip(xy[..., 1], 0, h - 1)
     x0, y0 = np.minimum(x.astype(int), max(w - 2, 0)), np.minimum(y.astype(int), max(h - 2, 0))
     x1, y1 = np.minimum(x0 + 1, w - 1), np.minimum(y0 + 1, h - 1)
-    fx, fy = x - x0, y - y0
-    above = image[y0, x0] * (1 - fx) + image[y0, x1] * fx
-    below = image[y1, x0] * (1 - fx) + image[y1, x1] * fx
+    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+    above = fields[which, :, y0, x0] * (1 - fx) + fields[which, :, y0, x1] * fx
+    below = fields[which, :, y1, x0] * (1 - fx) + fields[which, :, y1, x1] * fx
     return np.asarray(above * (1 - fy) + below * fy)
 
 
@@ -96,8 +98,8 @@ def assemble(peaks: Sequence[Peaks], fields: F64, limbs: Sequence[tuple[int, int
     in one pair of a limb. Peaks that no limb ties to another are nobody's.
     """
     people: list[NDArray[np.int64]] = []
-    for c, (a, b) in enumerate(limbs):
-        for i, j in _pairs(peaks[a], peaks[b], fields[2 * c : 2 * c + 2], least):
+    for (a, b), pairs in zip(limbs, _pairs(peaks, fields, limbs, least), strict=True):
+        for i, j in pairs:
             first = _holder(people, a, i)
             second = _holder(people, b, j)
             if first is None and second is None:
@@ -116,17 +118,23 @@ def assemble(peaks: Sequence[Peaks], fields: F64, limbs: Sequence[tuple[int, int
     return np.array(people, dtype=np.int64).reshape(-1, len(peaks))
 
 
-def _pairs(first: Peaks, second: Peaks, field: F64, least: float) -> list[tuple[int, int]]:
-    """Pairs of rows that make a limb, best first, no row twice."""
-    if not len(first.height) or not len(second.height):
-        return []
-    score, share = line_scores(field, first.xy, second.xy)
-    fit = (score > least) & (share >= _SHARE)
-    chosen: list[tuple[int, int]] = []
-    for flat in np.argsort(-score, axis=None, kind="stable"):
-        i, j = (int(k) for k in np.unravel_index(flat, score.shape))
-        if fit[i, j] and all(i != p and j != q for p, q in chosen):
-            chosen.append((i, j))
+def _pairs(peaks: Sequence[Peaks], fields: F64, limbs: Sequence[tuple[int, int]], least: float) -> list[list[tuple[int, int]]]:
+    """For each limb the pairs of rows that make one, best first, no row twice."""
+    sizes = [(len(peaks[a].height), len(peaks[b].height)) for a, b in limbs]
+    rows = [np.divmod(np.arange(k * n), max(n, 1)) for k, n in sizes]
+    starts = np.concatenate([peaks[a].xy[i] for (a, _), (i, _) in zip(limbs, rows, strict=True)])
+    ends = np.concatenate([peaks[b].xy[j] for (_, b), (_, j) in zip(limbs, rows, strict=True)])
+    counts = [k * n for k, n in sizes]
+    limb = np.repeat(np.arange(len(limbs)), counts)
+    score, share = line_scores(fields.reshape(len(limbs), 2, *fields.shape[1:]), limb, starts, ends)
+    fit = np.flatnonzero((score > least) & (share >= _SHARE))
+    chosen: list[list[tuple[int, int]]] = [[] for _ in limbs]
+    before = np.concatenate(([0], np.cumsum(counts)))
+    for p in fit[np.argsort(-score[fit], kind="stable")].tolist():
+        of_limb = chosen[limb[p]]
+        i, j = divmod(p - int(before[limb[p]]), sizes[limb[p]][1])
+        if all(i != taken and j != other for taken, other in of_limb):
+            of_limb.append((i, j))
     return chosen
 
 

@@ -31,10 +31,8 @@ def decode(outputs: Mapping[str, NDArray[Any]], config: PafConfig, seen: Mapping
     n, slots, joints = len(heat), len(config.slots), len(config.joints)
     uv, score = np.full((n, slots, joints, 2), np.nan), np.zeros((n, slots, joints))
     for i in range(n):
-        peaks = [
-            find_peaks(heat[i, j], config.peak, slots + _SPARE) if there[i, j] >= config.presence else Peaks.none()
-            for j in range(joints)
-        ]
+        found = find_peaks(heat[i, :joints], config.peak, slots + _SPARE)
+        peaks = [p if there[i, j] >= config.presence else Peaks.none() for j, p in enumerate(found)]
         people = _single(peaks) if slots == 1 else assemble(peaks, fields[i], config.limbs, config.affinity)
         people = people[(people >= 0).sum(axis=1) >= config.min_joints]
         _place(people, peaks, config, uv[i], score[i])
@@ -93,10 +91,14 @@ def surface_depth(depth: NDArray[Any], uv: NDArray[np.float64]) -> NDArray[np.fl
     h, w = depth.shape[1:]
     result = np.full(uv.shape[:-1], np.nan)
     inside = np.isfinite(uv).all(-1) & (uv > -0.5).all(-1) & (uv[..., 0] < w - 0.5) & (uv[..., 1] < h - 0.5)
-    for index in zip(*np.nonzero(inside), strict=True):
-        u, v = np.round(uv[index]).astype(int)
-        window = depth[index[0], max(v - _WINDOW, 0) : v + _WINDOW + 1, max(u - _WINDOW, 0) : u + _WINDOW + 1]
-        valid = window[window > 0]
-        if valid.size:
-            result[index] = np.median(valid)
+    frame = np.nonzero(inside)[0]
+    columns, rows = np.round(uv[inside]).astype(int).T[:, :, None] + np.arange(-_WINDOW, _WINDOW + 1)  # (joints, 5) each
+    there = ((rows >= 0) & (rows < h))[:, :, None] & ((columns >= 0) & (columns < w))[:, None]
+    windows = depth[frame[:, None, None], np.clip(rows, 0, h - 1)[:, :, None], np.clip(columns, 0, w - 1)[:, None]]
+    valid = there & (windows > 0)
+    values = np.sort(np.where(valid, windows, np.inf).reshape(len(frame), (2 * _WINDOW + 1) ** 2), axis=1)
+    count = valid.sum(axis=(1, 2))
+    some = np.arange(len(frame))
+    middle = (values[some, np.maximum(count - 1, 0) // 2], values[some, count // 2])
+    result[inside] = np.where(count > 0, (middle[0] + middle[1]) / 2, np.nan)
     return result
