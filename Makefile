@@ -10,6 +10,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 FRAMES ?= 1000
+UNSEEN ?= 100
 WORKERS ?= 2
 DEMO := demo
 
@@ -18,11 +19,16 @@ DEMO := demo
 help:  ## what there is
 	@grep -hE '^[a-z]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
 
-demo: $(VENV)/.base  ## install, generate 1000 frames of people in cars, make a page to look at
+demo: $(VENV)/.train  ## install, generate 1000 frames, train a small detector, evaluate it on people it never saw
 	$(BIN)/cabinpose synth --config docs/examples/demo.yaml --frames $(FRAMES) --workers $(WORKERS) --out $(DEMO)/dataset --resume
 	$(BIN)/cabinpose info $(DEMO)/dataset
 	$(BIN)/cabinpose view $(DEMO)/dataset --out $(DEMO)/view --overwrite
-	@echo "open $(DEMO)/view/index.html"
+	$(BIN)/cabinpose synth --config docs/examples/demo-unseen.yaml --frames $(UNSEEN) --workers $(WORKERS) --seed 2 --out $(DEMO)/unseen --resume
+	$(BIN)/cabinpose train --data $(DEMO)/dataset --config docs/examples/demo-train.yaml --out $(DEMO)/run --resume
+	$(BIN)/cabinpose export --onnx $(DEMO)/run/best.ckpt --out $(DEMO)/demo.onnx --overwrite
+	$(BIN)/cabinpose evaluate --data $(DEMO)/unseen --model $(DEMO)/demo.onnx in_car --persons driver front_passenger \
+	  --out $(DEMO)/report --overwrite
+	@echo "open $(DEMO)/view/index.html and $(DEMO)/report/index.html"
 
 test: $(VENV)/.dev  ## all tests; CABINPOSE_REAL_DATA names the folder of real recordings
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile
@@ -47,7 +53,8 @@ docs: $(VENV)/.dev  ## run every command and example of the documentation, follo
 
 lock: $(VENV)/.dev  ## pin the newest versions that pyproject.toml allows
 	$(BIN)/uv pip compile -q --universal --upgrade $(LOCK_FLAGS) pyproject.toml -o requirements.lock
-	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements.lock --extra dev pyproject.toml -o requirements-dev.lock
+	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements.lock --extra train pyproject.toml -o requirements-train.lock
+	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements-train.lock --extra dev pyproject.toml -o requirements-dev.lock
 
 clean:  ## remove what the targets made, .venv included
 	rm -rf $(VENV) $(DEMO) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
@@ -55,7 +62,7 @@ clean:  ## remove what the targets made, .venv included
 
 LOCK_FLAGS := --no-header --no-annotate --no-emit-index-url --no-emit-find-links
 
-# One environment, filled in two steps: what the package needs, and what its developers need. `uv` is only faster:
+# One environment, filled step by step: what the package needs, what training needs, what its developers need. `uv` is only faster:
 # where it cannot be had, pip installs the same pins.
 INSTALL = if [ -x $(BIN)/uv ]; then $(BIN)/uv pip install -q --python $(BIN)/python $(1); else $(BIN)/python -m pip install -q $(1); fi
 
@@ -63,6 +70,11 @@ $(VENV)/.base: requirements.lock pyproject.toml | $(BIN)/python
 	@echo "installing cabinpose into $(VENV)"
 	@$(call INSTALL,-r requirements.lock)
 	@$(call INSTALL,--no-deps -e .)
+	@touch $@
+
+$(VENV)/.train: requirements-train.lock $(VENV)/.base
+	@echo "installing what training needs into $(VENV)"
+	@$(call INSTALL,-r requirements-train.lock)
 	@touch $@
 
 $(VENV)/.dev: requirements-dev.lock $(VENV)/.base

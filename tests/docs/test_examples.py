@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from cabinpose.app.training import read_train_config
+from cabinpose.estimate.training import frame_spec
 from cabinpose.synth.config import SynthConfig
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -49,3 +51,18 @@ def test_the_demo_shows_every_car_from_both_views() -> None:
     assert config.scene.kind == "cabin"
     assert len(config.scene.cars) == 7
     assert set(config.camera.views) == {"driver", "front_row"}
+
+
+def test_the_demo_evaluates_on_people_it_never_saw() -> None:
+    seen, unseen = (SynthConfig.load(EXAMPLES / name) for name in ("demo.yaml", "demo-unseen.yaml"))
+    assert seen.people.subjects
+    assert not unseen.people.subjects
+    assert seen.people.random is None
+    assert unseen.people.random is not None
+    assert (unseen.scene, unseen.camera) == (seen.scene, seen.camera)
+
+
+def test_the_demos_training_is_a_configuration() -> None:
+    config = read_train_config(EXAMPLES / "demo-train.yaml", None)
+    assert config.method == "compact"
+    assert set(frame_spec(config).slots) == {"driver", "front_passenger"}
