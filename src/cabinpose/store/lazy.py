@@ -142,6 +142,8 @@ def camera_of(frame: xr.Dataset, width: int, height: int) -> Camera:
 
 
 def _camera(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
+    if not np.isfinite(k).all():
+        raise DatasetError("the dataset does not know its camera's intrinsics", hint="import it again with --intrinsics")
     (fx, _, cx), (_, fy, cy), _ = k.tolist()
     k1, k2, p1, p2, k3 = dist.tolist()
     return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))

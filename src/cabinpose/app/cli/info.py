@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -41,7 +42,7 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("made by", f"{s.generator}, seed {s.seed}, licence {s.licence}"),
         ("frames", f"{s.frames} in {s.parts} of {s.planned_parts} parts{whole}"),
         ("size", f"{s.bytes_on_disk / 1e6:.1f} MB, {s.bytes_on_disk / max(s.frames, 1) / 1e3:.0f} kB a frame"),
-        ("image", f"{s.width}x{s.height}, {100 * s.valid_pixels:.1f} % of the pixels valid"),
+        ("image", f"{s.width}x{s.height}, {_valid(s.valid_pixels)}"),
         ("variables", ", ".join(s.variables)),
         ("depth", _quantiles(s.depth_histogram)),
         ("cars", _list(s.by_car)),
@@ -53,6 +54,10 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / max(joints, 1):.1f} %" for name, n in s.visibility.items())),
         ("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {_list(s.rejections) or 'none'}"),
     ]
+
+
+def _valid(share: float) -> str:
+    return "no depth" if math.isnan(share) else f"{100 * share:.1f} % of the pixels valid"
 
 
 def _list(counts: Mapping[str, int], most: int | None = None) -> str:

@@ -21,6 +21,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.finite import finite
+from cabinpose.app.view.complete import completed
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR, amplitude_image, colour_map, depth_image
 from cabinpose.app.view.sheet import contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
@@ -46,8 +47,9 @@ def write_view(
 ) -> None:
     """Write the contact sheet (PNG) of `rows` frames and the page (HTML) of `frames` frames, evenly spread.
 
-    `report` is called with the number of frames drawn, up to `frames + rows`.
+    `report` is called with the number of frames drawn, up to `frames + rows`. Raises `DatasetError` without depth to show.
     """
+    dataset = completed(dataset)
     count = dataset.sizes["frame"]
     title = f"{folder.resolve().name}: {count} frames, {manifest.generator} {manifest.generator_version}, seed {manifest.seed}"
     write_png(sheet, contact_sheet(dataset, spread(count, rows), title, report))

@@ -94,7 +94,7 @@ def panels(frame: xr.Dataset, near: float, far: float, white: float, colours: ND
     vehicle_from_camera = frame["vehicle_from_camera"].values
     cloud = apply(vehicle_from_camera, points_m(frame).values[valid])
     tints = cloud_colours(frame["instance"].values, amplitude, white)[valid]
-    shown = [p.joints_3d[p.visibility > Visibility.OUTSIDE_IMAGE] for p in persons]
+    shown = [p.joints_3d[(p.visibility > Visibility.OUTSIDE_IMAGE) & np.isfinite(p.joints_3d).all(axis=1)] for p in persons]
     joints = np.concatenate(shown) if shown else np.empty((0, 3), np.float32)
     box = _box(cloud, apply(vehicle_from_camera, joints))
     for axes in _AXES.values():

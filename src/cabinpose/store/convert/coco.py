@@ -17,11 +17,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import LIMBS
 from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import PersonInFrame, depth_mm, file_stem, frames, people, write_png
+from cabinpose.store.convert.frames import PersonInFrame, depth_mm, file_stem, frames, people, require_variables, write_png
 
 _FLAG = np.zeros(256, np.int64)
 _FLAG[[Visibility.OCCLUDED, Visibility.SELF_OCCLUDED]] = 1
@@ -30,9 +29,7 @@ _FLAG[Visibility.VISIBLE] = 2
 
 def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
     """Write every frame of `dataset` into `folder`; `DatasetError` without instances or depth."""
-    for name in ("instance", "depth"):
-        if name not in dataset:
-            raise DatasetError(f"COCO needs the variable '{name}', which the dataset lacks", hint="export it as png-json")
+    require_variables(dataset, "COCO", ("instance", "depth"))
     (folder / "images").mkdir()
     (folder / "annotations").mkdir()
     images: list[dict[str, Any]] = []

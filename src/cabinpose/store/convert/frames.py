@@ -29,6 +29,15 @@ class PersonInFrame:
     visibility: NDArray[np.uint8]
 
 
+def require_variables(dataset: xr.Dataset, format_name: str, names: Sequence[str]) -> None:
+    """Raise `DatasetError` for the first variable that a format needs and the dataset does not have."""
+    for name in names:
+        if name not in dataset:
+            raise DatasetError(
+                f"{format_name} needs the variable '{name}', which the dataset lacks", hint="export it as png-json"
+            )
+
+
 def frames(dataset: xr.Dataset, images: Sequence[str]) -> Iterator[xr.Dataset]:
     """The frames one after the other, in memory, with the given images and everything that is no image."""
     wanted = [str(n) for n in dataset.data_vars if "y" not in dataset[n].dims] + [n for n in images if n in dataset]

@@ -21,7 +21,7 @@ from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import frames, label_table, people
+from cabinpose.store.convert.frames import frames, label_table, people, require_variables
 from cabinpose.store.lazy import camera_of
 
 # Joint of ours whose visibility stands for one of ITOP's, and whose position does where the dataset has no
@@ -41,7 +41,11 @@ _PART_JOINT = MappingProxyType(
 
 
 def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
-    """Write every frame of `dataset` into `folder`; `DatasetError` where a frame shows more than one person."""
+    """Write every frame of `dataset` into `folder`; `DatasetError` where a frame shows more than one person.
+
+    The dataset has to have depth, classes and instances.
+    """
+    require_variables(dataset, "ITOP's layout", ("depth", "labels", "instance"))
     count, (height, width) = dataset.sizes["frame"], dataset["depth"].shape[1:]
     segmentation_of = segmentation_table(dataset)
     subjects = sorted({str(s) for s in dataset["subject"].values.ravel() if s})

@@ -10,14 +10,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import file_stem, frames, label_colours
+from cabinpose.store.convert.frames import file_stem, frames, label_colours, require_variables
 from cabinpose.store.lazy import points_m
 
 _PLY_TYPE = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 
 
 def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
-    """Write the points of every frame of `dataset` into `folder`; invalid pixels have no point."""
+    """Write the points of every frame of `dataset` into `folder`; invalid pixels have no point.
+
+    Raises `DatasetError` without depth or classes.
+    """
+    require_variables(dataset, "PLY", ("depth", "labels"))
     colours = label_colours(dataset)
     for done, frame in enumerate(frames(dataset, ("depth", "labels", "instance", "amplitude")), 1):
         write_ply(folder / f"{file_stem(frame)}.ply", cloud(frame, colours))

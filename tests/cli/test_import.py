@@ -1,0 +1,178 @@
+"""`cabinpose import`, and what the other commands make of datasets without images, intrinsics or extrinsics."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store.convert import export_dataset
+from cabinpose.store.predictions import Predictions, write_predictions
+
+Run = Callable[..., Any]
+
+
+def coco_file(path: Path, keypoints: tuple[str, ...] = ("left_elbow", "right_elbow", "left_hip")) -> Path:
+    """Three images with one person each; no pixels."""
+    people = [
+        {"id": i, "image_id": i, "category_id": 1, "keypoints": [30 + i, 40, 2, 60, 41, 2, 45, 80, 1], "subject": f"S{i}"}
+        for i in (1, 2, 3)
+    ]
+    images = [{"id": i, "file_name": f"{i}.png", "width": 120, "height": 100} for i in (1, 2, 3)]
+    category = {"id": 1, "name": "person", "keypoints": list(keypoints)}
+    path.write_text(json.dumps({"images": images, "annotations": people, "categories": [category]}))
+    return path
+
+
+def itop_folder(folder: Path) -> Path:
+    """Four frames of two people, without a segmentation."""
+    folder.mkdir()
+    world = np.zeros((4, 15, 3), np.float16)
+    world[..., 0], world[..., 1], world[..., 2] = np.linspace(-0.4, 0.4, 15), np.linspace(0.6, -0.6, 15), 2
+    ids = np.array([b"00_00000", b"00_00001", b"01_00000", b"01_00001"])
+    with h5py.File(folder / "ITOP_side_train_depth_map.h5", "w") as file:
+        file["id"], file["data"] = ids, np.full((4, 240, 320), 2, np.float16)
+    with h5py.File(folder / "ITOP_side_train_labels.h5", "w") as file:
+        file["id"], file["is_valid"], file["visible_joints"] = ids, [1, 1, 0, 1], np.ones((4, 15), np.int16)
+        file["real_world_coordinates"] = world
+    return folder
+
+
+def test_help(run: Run) -> None:
+    code, out, _ = run("import", "--help")
+    assert code == 0
+    assert "usage: cabinpose import" in out
+    assert all(name in out for name in ("png-json", "coco", "itop", "ntu", "--keep-invalid", "--intrinsics"))
+
+
+def test_import(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", out)
+    code, text, err = run(*arguments, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(text) == {"out": str(out), "format": "itop", "frames": 3, "variables": ["depth", "itop_joints_3d"]}
+    code, text, err = run(*arguments, "--keep-invalid", "--licence", "by agreement")
+    assert (code, text) == (2, "")
+    assert err.splitlines() == [
+        f"error: {out} already holds a dataset",
+        "hint: --overwrite replaces it, or give another folder with --out",
+    ]
+    code, text, err = run(*arguments, "--keep-invalid", "--licence", "by agreement", "--overwrite")
+    assert (code, text) == (0, f"{out}: 4 frames of itop\n")
+    manifest = read_manifest(out)
+    assert (manifest.licence, manifest.config) == (
+        "by agreement",
+        {"format": "itop", "source": "itop", "keep_invalid": True},
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--format", "bvh"), "hint: known: coco, itop, ntu, png-json"),
+        (("--format", "coco", "--keep-invalid"), "hint: leave out --keep-invalid"),
+        (("--format", "itop", "--images", "x"), "hint: leave out --images"),
+        (("--format", "itop", "--intrinsics", "0", "1", "2", "3"), "hint: give fx, fy, cx and cy"),
+        (("--format", "ntu"), "hint: give a file, or the folder that has them"),
+    ],
+)
+def test_mistakes(run: Run, tmp_path: Path, flags: tuple[str, ...], message: str) -> None:
+    (tmp_path / "source").mkdir()
+    code, out, err = run("import", tmp_path / "source", "--out", tmp_path / "out", *flags)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert [p.name for p in tmp_path.iterdir()] == ["source"]
+
+
+def test_joints_only(run: Run, tmp_path: Path) -> None:
+    """A dataset without images: info and evaluate work, what needs depth says so."""
+    data = tmp_path / "data"
+    assert run("import", coco_file(tmp_path / "a.json"), "--format", "coco", "--out", data).code == 0
+    code, out, _ = run("info", data, "--verify")
+    assert code == 0
+    assert "120x100, no depth" in out
+    code, out, _ = run("info", data, "--json")
+    assert json.loads(out)["valid_pixels"] is None
+    code, _, err = run("view", data, "--out", tmp_path / "view")
+    assert code == 2
+    assert "error: the dataset has no depth to show" in err
+    for name in ("coco", "itop", "ply"):
+        code, _, err = run("export", data, "--format", name, "--out", tmp_path / "x")
+        assert code == 2
+        assert "which the dataset lacks" in err
+
+    truth = open_dataset(data)
+    joints = ("lelbow", "relbow", "lpelvis")
+    uv = truth.joints_2d.sel(joint=list(joints)).values.astype(np.float32)
+    uv[0, 0, 0] += (30, 40)  # 50 px off
+    shape = uv.shape[:-1]
+    write_predictions(
+        tmp_path / "p.jsonl",
+        Predictions(
+            uv, np.full((*shape, 3), np.nan, np.float32), np.ones(shape, np.float32), np.ones(shape, np.float32),
+            truth.frame.values, tuple(truth.person.values), joints, "made up",
+        ),
+    )  # fmt: skip
+    code, out, err = run("evaluate", "--data", data, "--predictions", tmp_path / "p.jsonl", "--json", "--resamples", "0")
+    assert (code, err) == (0, "")
+    values = [v for v in json.loads(out)["models"][0]["values"] if v["metric"] == "PCK" and v["joints"] == "All"]
+    found = {v["space"]: (v["value"], v["samples"]) for v in values if v["visibility"] == "any" and v["average"] == "pooled"}
+    assert found["2d"] == (pytest.approx(100 * 8 / 9), 9)
+    assert found.get("3d", (None, 0)) == (None, 0)  # nothing to measure: a COCO file knows no metres
+
+
+def test_depth_without_segmentation_or_extrinsics(run: Run, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    assert run("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", data).code == 0
+    assert np.isnan(open_dataset(data).vehicle_from_camera.values).all()
+    code, _, err = run("view", data, "--out", tmp_path / "view", "--frames", "1", "--rows", "1")
+    assert (code, err) == (0, "")
+    import cv2
+
+    sheet = cv2.imread(str(tmp_path / "view" / "contact_sheet.png"))
+    right = sheet[100:-80, sheet.shape[1] * 3 // 5 :]  # the clouds: the wall as a line, so more than one colour of ground
+    assert len(np.unique(right.reshape(-1, 3), axis=0)) > 10
+
+
+def test_depth_without_intrinsics(run: Run, tmp_path: Path, dataset_folder: Path) -> None:
+    exported = export_dataset(open_dataset(dataset_folder), "coco", tmp_path / "exported")
+    file = exported / "annotations" / "person_keypoints.json"
+    content = json.loads(file.read_text())
+    for image in content["images"]:
+        del image["camera_k"]
+    file.write_text(json.dumps(content))
+    assert run("import", exported, "--format", "coco", "--out", tmp_path / "data").code == 0
+    for verb in (("view",), ("export", "--format", "ply")):
+        code, _, err = run(verb[0], tmp_path / "data", *verb[1:], "--out", tmp_path / "out")
+        assert code == 2
+        assert "hint: import it again with --intrinsics" in err or "'labels', which the dataset lacks" in err
+    flags = ("--intrinsics", "51.2", "51.2", "31.5", "23.5")
+    assert run("import", exported, "--format", "coco", "--out", tmp_path / "data", "--overwrite", *flags).code == 0
+    assert run("view", tmp_path / "data", "--out", tmp_path / "view", "--frames", "1", "--rows", "1").code == 0
+
+
+def test_training_takes_an_import(run: Run, tmp_path: Path) -> None:
+    """ITOP's joints, split by subject, in the view of the detector for rooms."""
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from cabinpose.app.training import stored_frames
+    from cabinpose.estimate.data import FrameSpec
+    from cabinpose.estimate.inputs import InputView
+
+    data = tmp_path / "data"
+    assert run("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", data).code == 0
+    f = 1 / 0.0035 / 2
+    view = InputView(160, 120, f)
+    spec = FrameSpec(view, ("standing",), "itop", ("head", "rhand"), amplitude=False)
+    training, validation = stored_frames(open_dataset(data), spec, None, "train", "validate")
+    assert (len(training), len(validation)) == (2, 1)
+    kept = training[0]
+    assert (kept.depth == 20000).mean() > 0.9
+    assert kept.present.tolist() == [True]
+    # head: x = -0.4, y = -0.6 (down), z = 2
+    np.testing.assert_allclose(kept.joints[0, 0], (79.5 - 0.2 * f, 59.5 - 0.3 * f, 2), atol=0.05)
