@@ -20,6 +20,7 @@ from cabinpose.app.bench.subjects import WARM, OurDetector, Run, figures, frame_
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.skeleton import JOINTS
+from cabinpose.estimate import predictor as predictor_module
 from cabinpose.estimate.data import FrameSpec, collate, view_frame
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.decode import decode
@@ -226,6 +227,14 @@ def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: py
     with pytest.raises(ConfigError, match="nothing to measure") as caught:
         run_detect_bench(frames=1, repeats=1)
     assert caught.value.hint
+
+
+@pytest.mark.usefixtures("small_bench")
+def test_the_packaged_models_are_measured(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (detect, predictor_module):
+        monkeypatch.setattr(module, "packaged_models", lambda: {"in_car": model})
+    result = run_detect_bench(["in_car"], frames=1, repeats=1, threads=1, fresh=False, peers=False)
+    assert list(result["models"]) == ["compact"]  # once, by the name in the file
 
 
 @pytest.mark.usefixtures("small_bench")
