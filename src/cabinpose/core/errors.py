@@ -45,6 +45,14 @@ class ModelError(CabinposeError):
     """A model file is missing, damaged, or of another method or network."""
 
 
+class RecordingError(CabinposeError):
+    """A device cannot be reached, or a recording is damaged, incomplete, of another version or would be overwritten."""
+
+
+class SourceEndedError(RecordingError):
+    """A source has given all that it ever will."""
+
+
 class DependencyError(CabinposeError):
     """An optional dependency (an extra) is needed and not installed."""
 

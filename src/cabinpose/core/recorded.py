@@ -1,0 +1,117 @@
+"""What devices say, decoded: the nouns between sources, recordings and alignment. SI units, frames as stated.
+
+Rotations are quaternions (w, x, y, z), active, from the segment's frame to the frame that positions are in. World frames
+have z up. Names are the device's own; `core.skeleton` maps them to joints of ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SegmentPoses:
+    """Positions (S, 3) m and orientations (S, 4) wxyz of the named segments of a subject or object in the world (z up).
+
+    NaN where a segment was not seen.
+    """
+
+    subject: str
+    names: tuple[str, ...]
+    position_m: F64
+    orientation_wxyz: F64
+
+
+@dataclass(frozen=True)
+class SegmentKinematics:
+    """Of the named segments of a subject, in the world: what a device streams beside the poses; (0, 3) where it does not.
+
+    velocity (S, 3) m/s · acceleration (S, 3) m/s² · angular_velocity (S, 3) rad/s · angular_acceleration (S, 3) rad/s².
+    """
+
+    subject: str
+    names: tuple[str, ...]
+    velocity: F64
+    acceleration: F64
+    angular_velocity: F64
+    angular_acceleration: F64
+
+
+@dataclass(frozen=True)
+class SensorReadings:
+    """Single inertial sensors of a subject: orientation_wxyz (S, 4), acceleration (S, 3) m/s², angular_velocity (S, 3) rad/s,
+    magnetic_field (S, 3), arbitrary unit. Arrays that a device does not give are (0, n).
+    """
+
+    subject: str
+    names: tuple[str, ...]
+    orientation_wxyz: F64
+    acceleration: F64
+    angular_velocity: F64
+    magnetic_field: F64
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """Angles (J, 3) rad about the three axes that the device defines for each named joint."""
+
+    subject: str
+    names: tuple[str, ...]
+    angles: F64
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Optical markers: position_m (M, 3) in the world (z up), NaN = occluded; residual_m (M,), NaN = unknown.
+
+    Markers without a label are named by their number, and have the subject "".
+    """
+
+    subject: str
+    names: tuple[str, ...]
+    position_m: F64
+    residual_m: F64
+
+
+@dataclass(frozen=True)
+class ToFFrame:
+    """One frame of a ToF camera; images (H, W), (0, 0) where the camera gives none.
+
+    depth: uint16, `depth_unit_m` a step, 0 = invalid, along the optical axis · amplitude: uint16 · confidence: uint8 ·
+    camera_k (3, 3) px, camera_dist (5,) OpenCV's k1 k2 p1 p2 k3 of the depth image · amplitude_dist (5,): of the amplitude
+    image, which some cameras deliver distorted beside undistorted points.
+    """
+
+    depth: NDArray[np.uint16]
+    depth_unit_m: float
+    amplitude: NDArray[np.uint16]
+    confidence: NDArray[np.uint8]
+    camera_k: F64
+    camera_dist: F64
+    amplitude_dist: F64
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Values (C,) of the named channels of a generic stream (Lab Streaming Layer, a force plate)."""
+
+    names: tuple[str, ...]
+    values: F64
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a device says of itself or its subject: name, scale, calibration, frame rate, as plain JSON data."""
+
+    about: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+Message: TypeAlias = SegmentPoses | SegmentKinematics | SensorReadings | JointAngles | Markers | ToFFrame | Channels | Facts
