@@ -46,7 +46,7 @@ def by_hand() -> dict[str, Any]:
             person(1, 30),
             person(2, 10),
             person(3, 30, 5.0),
-            person(4, 10, iscrowd=1, keypoints=[0] * 51, segmentation={"size": [100, 200], "counts": [0, 20000]}),
+            person(4, 10, iscrowd=1, segmentation={"size": [100, 200], "counts": [0, 20000]}),
             person(5, 20, keypoints=[1, 1, 0] * 17, num_keypoints=0),
             {"id": 6, "image_id": 20, "category_id": 1, "bbox": [0, 0, 5, 5]},
         ],
