@@ -95,6 +95,14 @@ def test_keypoints_of_others(tmp_path: Path) -> None:
     assert np.isnan(ds.camera_k.values).all()
 
 
+def test_animals_are_no_people(tmp_path: Path) -> None:
+    data = by_hand()
+    data["categories"].append({"id": 18, "name": "dog", "keypoints": ["muzzle", "tail"]})
+    data["annotations"].append({"id": 9, "image_id": 40, "category_id": 18, "keypoints": [5, 5, 2, 9, 9, 2]})
+    ds = imported(written(tmp_path / "coco", data), tmp_path / "out")
+    assert (ds.subject.values != "").sum(axis=1).tolist() == [1, 2, 0, 0]
+
+
 def test_a_folder_is_as_good_as_its_file(tmp_path: Path) -> None:
     path = written(tmp_path / "coco", by_hand())
     a, b = imported(path, tmp_path / "a"), imported(tmp_path / "coco", tmp_path / "b")

@@ -184,11 +184,10 @@ def _check_people(file: _File) -> None:
     lost = sorted(file.people.keys() - file.images.keys())
     if lost:
         raise DatasetError(f"{file.path}: annotations are of the image {lost[0]}, which is not listed", hint=_HINT)
-    for names in file.names.values():
-        if not any(name in _OURS for name in names):
-            raise DatasetError(
-                f"{file.path}: none of the keypoints {', '.join(names)} is a joint of ours", hint=f"known: {', '.join(_OURS)}"
-            )
+    human = {category for category, names in file.names.items() if any(name in _OURS for name in names)}
+    if not human:
+        names = ", ".join(name for names in file.names.values() for name in names)
+        raise DatasetError(f"{file.path}: none of the keypoints {names} is a joint of ours", hint=f"known: {', '.join(_OURS)}")
     for image, group in file.people.items():
         for person in group:
             expected = len(file.names.get(person.category, ()))
@@ -200,6 +199,7 @@ def _check_people(file: _File) -> None:
         slots = [person.slot for person in group if person.slot is not None]
         if len(set(slots)) < len(slots):
             raise DatasetError(f"{file.path}: two people of image {image} are in one slot", hint="give each a slot of its own")
+        group[:] = [person for person in group if person.category in human]  # animals have keypoints too
 
 
 # ----------------------------------------------------------------------------------------------------------- frames
@@ -208,10 +208,11 @@ def _check_people(file: _File) -> None:
 def _frames(file: _File, folder: Path | None, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
     blank = BlankFrame(manifest)
     columns = {
-        category: [(i, INDEX[_OURS[name]]) for i, name in enumerate(names) if name in _OURS]
+        category: np.array([(i, INDEX[_OURS[name]]) for i, name in enumerate(names) if name in _OURS]).T
         for category, names in file.names.items()
+        if any(name in _OURS for name in names)
     }
-    by_slot = manifest.persons == file.slots
+    by_slot, masks = manifest.persons == file.slots, "instance" in manifest.variables
     for number, image in file.images.items():
         frame = blank.new()
         frame["car"], frame["pov"] = str(image.get("car", UNKNOWN)), str(image.get("pov", UNKNOWN))
@@ -219,19 +220,17 @@ def _frames(file: _File, folder: Path | None, manifest: Manifest, options: Impor
         if folder is not None:
             kind = manifest.variables[0]
             frame[kind] = _padded(_pixels(folder, image, kind), manifest)
-        instance = np.zeros((manifest.height, manifest.width), np.uint8)
+        if masks:
+            frame["instance"] = np.zeros((manifest.height, manifest.width), np.uint8)
         for i, person in enumerate(file.people.get(number, ())):
             position = manifest.persons.index(person.slot) if by_slot and person.slot is not None else i
             frame["subject"][position], frame["action"][position] = person.subject, person.action
-            for theirs, ours in columns[person.category]:
-                state = _STATES[int(person.keypoints[theirs, 2])]
-                if state != Visibility.ABSENT:
-                    frame["visibility"][position, ours] = state
-                    frame["joints_2d"][position, ours] = person.keypoints[theirs, :2]
-            if "instance" in manifest.variables:
-                instance[_mask(person, image, file.path)] = position + 1
-        if "instance" in manifest.variables:
-            frame["instance"] = instance
+            theirs, ours = columns[person.category]
+            labelled = person.keypoints[theirs, 2] > 0
+            frame["visibility"][position, ours] = _STATES[person.keypoints[theirs, 2].astype(np.int64)]
+            frame["joints_2d"][position, ours[labelled]] = person.keypoints[theirs[labelled], :2]
+            if masks:
+                frame["instance"][_mask(person, image, file.path)] = position + 1
         yield frame
 
 
