@@ -109,6 +109,35 @@ RIGS = MappingProxyType(
     }
 )  # fmt: skip
 
+# Xsens MVN's 23 body segments in the order of their ids (id = index + 1; network streaming protocol, revision N, table 1) and the
+# 22 joints between them in MVNX's order: name, parent, child. A segment's origin, which is what MVN streams, is the joint to
+# its parent (the pelvis': midway between the hips), so that `RIGS["mvn"]` names a joint of ours by its distal segment.
+MVN_SEGMENTS: tuple[str, ...] = (
+    "Pelvis", "L5", "L3", "T12", "T8", "Neck", "Head", "RightShoulder", "RightUpperArm", "RightForearm", "RightHand",
+    "LeftShoulder", "LeftUpperArm", "LeftForearm", "LeftHand", "RightUpperLeg", "RightLowerLeg", "RightFoot", "RightToe",
+    "LeftUpperLeg", "LeftLowerLeg", "LeftFoot", "LeftToe",
+)  # fmt: skip
+MVN_JOINTS: tuple[tuple[str, str, str], ...] = (
+    ("jL5S1", "Pelvis", "L5"), ("jL4L3", "L5", "L3"), ("jL1T12", "L3", "T12"), ("jT9T8", "T12", "T8"), ("jT1C7", "T8", "Neck"),
+    ("jC1Head", "Neck", "Head"),
+    *(
+        (f"j{side}{joint}", "T8" if parent == "T8" else side + parent, side + child)
+        for side in ("Right", "Left")
+        for joint, parent, child in (
+            ("T4Shoulder", "T8", "Shoulder"), ("Shoulder", "Shoulder", "UpperArm"), ("Elbow", "UpperArm", "Forearm"),
+            ("Wrist", "Forearm", "Hand"),
+        )
+    ),
+    *(
+        (f"j{side}{joint}", "Pelvis" if parent == "Pelvis" else side + parent, side + child)
+        for side in ("Right", "Left")
+        for joint, parent, child in (
+            ("Hip", "Pelvis", "UpperLeg"), ("Knee", "UpperLeg", "LowerLeg"), ("Ankle", "LowerLeg", "Foot"),
+            ("BallFoot", "Foot", "Toe"),
+        )
+    ),
+)  # fmt: skip
+
 # The 25 joints of Kinect v2, in the order of NTU RGB+D's files (Shahroudy et al. 2016, Fig. 1; Kinect SDK 2.0, JointType).
 NTU_JOINTS: tuple[str, ...] = (
     "SpineBase", "SpineMid", "Neck", "Head", "ShoulderLeft", "ElbowLeft", "WristLeft", "HandLeft", "ShoulderRight",

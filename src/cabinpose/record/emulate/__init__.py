@@ -1,0 +1,1 @@
+"""Devices played: servers that send the real bytes, on loopback unless told otherwise."""

@@ -1,0 +1,357 @@
+"""Xsens MVN's network streamer as a source, over UDP or TCP.
+
+In MVN: Options > Network Streamer, add this computer's address and the port, tick "Position + Orientation (Quaternion)" and
+whatever else is wanted (tracker kinematics for the single sensors). Every datagram becomes one `Sample`, with its bytes; the
+one that makes a sample whole carries the messages and the sequence.
+
+What was lost is told in `counts` by the gaps in MVN's sample counter (`mvn_ledger`). The part of it that the kernel dropped,
+because its buffer was full, is `kernel_drops`; the part of which some pieces came is `incomplete`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import sys
+import time
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.clock import HostClock, Unwrapper
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.ports import Counts, Sample
+from cabinpose.record.sources import mvn_protocol as mvn
+from cabinpose.record.sources.mvn_ledger import Ledger
+from cabinpose.record.sources.mvn_messages import Decoder, PositionUnit
+from cabinpose.record.sources.mvn_protocol import Header, MalformedError
+
+_BATCH = 512  # datagrams of one read: what waits longer is read by the next
+_DATAGRAM = 1 << 16
+_STREAM_LIMIT = 1 << 18  # bytes of a stream that may wait for the rest of a datagram
+_CLOCK_BACK_MS = 1000  # a device clock that falls by more has begun anew
+_RETRY_S = 0.5
+_LINUX = sys.platform.startswith("linux")
+# asm-generic/socket.h; the socket module does not name them
+_SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40
+_TIMESPEC, _DROPS = struct.Struct("@qq"), struct.Struct("@I")
+_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_DROPS.size) if _LINUX else 0
+_OLDEST_STAMP_NS = 10_000_000_000  # an older arrival stamp of the kernel is not believed
+
+
+class MvnSettings(BaseModel):
+    """Where MVN streams to, and what its numbers mean."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = "127.0.0.1"
+    """Address of this computer to listen on (`connect`: of the other one); 0.0.0.0 listens to the whole network."""
+    port: Annotated[int, Field(ge=0, le=65535)] = mvn.DEFAULT_PORT
+    """Port; 0 takes a free one."""
+    transport: Literal["udp", "tcp", "connect"] = "udp"
+    """udp, or tcp with MVN connecting to us, or tcp with us connecting to MVN."""
+    position_unit: PositionUnit = "auto"
+    """Unit of positions of types 02, 05, 21 and 24: m, cm, or told by the size of the body."""
+    counter_step: Annotated[float | None, Field(ge=1)] = None
+    """Rise of the sample counter from one sample sent to the next: capture rate / streaming rate. None finds it out."""
+    reorder_window_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    """How long a late datagram or a missing piece of one is waited for."""
+    receive_buffer: Annotated[int, Field(ge=4096, le=1 << 30)] = 1 << 22
+    """Bytes of the kernel's buffer: 4 MiB hold about a minute of one person at 60 Hz."""
+    subjects: dict[Annotated[int, Field(ge=0, le=255)], str] = {}
+    """Subject codes of characters by their ids; the others are character0, character1, and so on."""
+
+
+class MvnSource:
+    """A `core.ports.FrameSource` that listens to MVN."""
+
+    def __init__(self, name: str, settings: MvnSettings | None = None, *, clock: HostClock | None = None) -> None:
+        self._name = name
+        self.settings = settings or MvnSettings()
+        self._clock = clock or HostClock()
+        self._counts = Counts()
+        self._ledger = Ledger(self._counts, step=self.settings.counter_step, window_s=self.settings.reorder_window_s)
+        self._decoder = Decoder(position_unit=self.settings.position_unit, subjects=self.settings.subjects)
+        self._clocks: dict[int, Unwrapper] = {}
+        self._socket: socket.socket | None = None  # UDP, or what listens for TCP
+        self._stream: socket.socket | None = None  # the connection of TCP
+        self._waiting = b""
+        self._connected_before = False
+        self._retry_at = 0.0
+        self._buffer = memoryview(bytearray(_DATAGRAM))
+        self._drops_seen = 0
+        self.kernel_drops = 0
+        self.buffer_granted = 0
+
+    @property
+    def name(self) -> str:
+        """What the rig's configuration calls it."""
+        return self._name
+
+    @property
+    def counts(self) -> Counts:
+        """What became of what was sent: samples received and lost, datagrams reordered, duplicate and malformed."""
+        return self._counts
+
+    @property
+    def incomplete(self) -> int:
+        """Samples among the lost of which some pieces came."""
+        return self._ledger.incomplete
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens, or connects to."""
+        if self._socket is None:
+            return (self.settings.host, self.settings.port)
+        host, port = self._socket.getsockname()[:2]
+        return (host, port)
+
+    def check(self) -> Sequence[str]:
+        """What keeps it from working; listens for a second where it is not open."""
+        if self._socket is not None or self._stream is not None:
+            heard = self._counts.received + self._counts.malformed
+            return [*self._buffer_complaint(), *([] if heard else [self._silence()])]
+        probe = MvnSource(self._name, self.settings, clock=self._clock)
+        try:
+            probe.open()
+        except RecordingError as error:
+            return [f"{error}; {error.hint}"]
+        try:
+            limit = time.monotonic() + 1.0
+            while not (heard := bool(probe.read(0.1))) and time.monotonic() < limit:
+                continue
+            return [*probe._buffer_complaint(), *([] if heard else [self._silence()])]
+        finally:
+            probe.close()
+
+    def open(self) -> None:
+        """Listen, or connect. Raises RecordingError where the address is taken, not ours, or refuses."""
+        self.close()
+        settings = self.settings
+        where = f"{settings.host}:{settings.port}"
+        try:
+            if settings.transport == "connect":
+                self._connect()
+                return
+            kind = socket.SOCK_DGRAM if settings.transport == "udp" else socket.SOCK_STREAM
+            self._socket = socket.socket(_family(settings.host), kind)
+            if kind == socket.SOCK_STREAM:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._tune(self._socket)
+            self._socket.bind((settings.host, settings.port))
+            if kind == socket.SOCK_STREAM:
+                self._socket.listen(1)
+            self._socket.setblocking(False)
+        except OSError as error:
+            self.close()
+            doing = "connect to" if settings.transport == "connect" else "listen on"
+            hint = (
+                "start MVN's streamer, or check its address"
+                if settings.transport == "connect"
+                else "another program may use the port (MVN's own network monitor does), or the address is not this computer's"
+            )
+            raise RecordingError(f"cannot {doing} {where} ({error.strerror or error})", hint=hint) from error
+
+    def close(self) -> None:
+        """Stop listening; samples that lack pieces are lost now."""
+        self._drop_stream()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        self._ledger.settle()
+
+    def read(self, timeout_s: float) -> Sequence[Sample]:
+        """What has arrived; waits at most `timeout_s` for the first."""
+        if self.settings.transport == "udp":
+            return self._read_datagrams(timeout_s)
+        return self._read_stream(timeout_s)
+
+    # ---------------------------------------------------------------------------------------------------------- UDP
+    def _read_datagrams(self, timeout_s: float) -> list[Sample]:
+        if self._socket is None:
+            raise RecordingError(f"{self._name} is not open", hint="call open first")
+        if not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
+            return []
+        samples = []
+        for _ in range(_BATCH):
+            try:
+                size, ancillary, _, _ = self._socket.recvmsg_into([self._buffer], _ANCILLARY)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:  # an ICMP error of a socket that only listens says nothing
+                continue
+            host_ns = self._clock.now_ns()
+            if ancillary:
+                host_ns -= self._kernel_notes(ancillary)
+            samples.append(self.take(bytes(self._buffer[:size]), host_ns))
+        return samples
+
+    def _kernel_notes(self, ancillary: Sequence[tuple[int, int, bytes]]) -> int:
+        """How long ago the kernel took the datagram, ns; keeps account of those that it dropped."""
+        age_ns = 0
+        for level, kind, data in ancillary:
+            if level != socket.SOL_SOCKET:
+                continue
+            if kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack_from(data)
+                age_ns = time.time_ns() - seconds * 1_000_000_000 - nanoseconds
+            elif kind == _SO_RXQ_OVFL and len(data) >= _DROPS.size:
+                (drops,) = _DROPS.unpack_from(data)
+                self.kernel_drops += (drops - self._drops_seen) % (1 << 32)
+                self._drops_seen = drops
+        return age_ns if 0 <= age_ns <= _OLDEST_STAMP_NS else 0  # the system's time was set meanwhile
+
+    # ---------------------------------------------------------------------------------------------------------- TCP
+    def _read_stream(self, timeout_s: float) -> list[Sample]:
+        limit = time.monotonic() + max(0.0, timeout_s)
+        if self._stream is None and not self._reach(limit):
+            return []
+        assert self._stream is not None
+        left = max(0.0, limit - time.monotonic())
+        if not select.select([self._stream], [], [], left)[0]:
+            return []
+        try:
+            data = self._stream.recv(_DATAGRAM)
+        except (BlockingIOError, InterruptedError):
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self._drop_stream()
+            return []
+        host_ns = self._clock.now_ns()
+        return [self.take(datagram, host_ns) for datagram in self._cut(data)]
+
+    def _reach(self, limit: float) -> bool:
+        """Wait for MVN to connect, or connect to it, until `limit` of the monotonic clock."""
+        if self.settings.transport == "tcp":
+            if self._socket is None:
+                raise RecordingError(f"{self._name} is not open", hint="call open first")
+            if not select.select([self._socket], [], [], max(0.0, limit - time.monotonic()))[0]:
+                return False
+            try:
+                self._stream, _ = self._socket.accept()
+            except OSError:
+                return False
+            self._greet(self._stream)
+            return True
+        wait = min(max(self._retry_at, time.monotonic()), limit) - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        if time.monotonic() < self._retry_at:
+            return False
+        try:
+            self._connect(max(0.05, limit - time.monotonic()))
+        except OSError:
+            self._retry_at = time.monotonic() + _RETRY_S
+            return False
+        return True
+
+    def _connect(self, timeout_s: float = 3.0) -> None:
+        stream = socket.create_connection((self.settings.host, self.settings.port), timeout=timeout_s)
+        self._tune(stream)
+        self._stream = stream
+        self._greet(stream)
+
+    def _greet(self, stream: socket.socket) -> None:
+        stream.setblocking(False)
+        if self._connected_before:
+            self._ledger.restarted(self._clock.now_ns())
+        self._connected_before = True
+
+    def _cut(self, data: bytes) -> list[bytes]:
+        """The whole datagrams of the stream so far; what is none is skipped up to the next that begins like one."""
+        waiting = self._waiting + data
+        cut, at = [], 0
+        while len(waiting) - at >= mvn.HEADER.size:
+            try:
+                length = mvn.stream_length(mvn.read_header(memoryview(waiting)[at:]))
+            except MalformedError:
+                length = None
+            if length is None:
+                following = waiting.find(mvn.MAGIC, at + 1)
+                end = following if following >= 0 else len(waiting) - len(mvn.MAGIC) + 1
+                cut.append(waiting[at:end])
+                at = end
+            elif len(waiting) - at < length:
+                break
+            else:
+                cut.append(waiting[at : at + length])
+                at += length
+        self._waiting = waiting[at : at + _STREAM_LIMIT]
+        return cut
+
+    def _drop_stream(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+        self._waiting = b""
+
+    # ---------------------------------------------------------------------------------------------------- datagrams
+    def take(self, data: bytes, host_ns: int) -> Sample:
+        """What one datagram that arrived at `host_ns` is; malformed ones and duplicates carry their bytes only."""
+        try:
+            header, payload = mvn.read_datagram(data)
+            if header.kind not in mvn.COUNTED:
+                return Sample(None, host_ns, self._device_ns(header, host_ns), data, self._decoder(header, payload))
+            arrival = self._ledger.arrive(header, payload, hash(data), host_ns)
+            if arrival.restarted:
+                self._clocks.clear()
+                self._decoder.restart()
+            if not arrival.fresh:
+                return Sample(None, host_ns, None, data)
+            device_ns = self._device_ns(header, host_ns)
+            if arrival.payload is None:
+                return Sample(None, host_ns, device_ns, data)
+            if header.items != arrival.items:
+                header = header._replace(items=arrival.items)
+            return Sample(arrival.sequence, host_ns, device_ns, data, self._decoder(header, arrival.payload))
+        except MalformedError:
+            self._counts.malformed += 1
+            return Sample(None, host_ns, None, data)
+
+    def _device_ns(self, header: Header, host_ns: int) -> int:
+        """The sender's time of a sample; a new recording in MVN starts it again, which is a new beginning."""
+        clock = self._clocks.get(header.character)
+        if clock is None:
+            clock = self._clocks[header.character] = Unwrapper(1 << 32)
+        elif clock.last is not None and _CLOCK_BACK_MS < (clock.last - header.time_ms) % (1 << 32) < 1 << 31:
+            clock.restart()
+            self._ledger.restarted(host_ns)
+        return clock(header.time_ms) * 1_000_000
+
+    # ------------------------------------------------------------------------------------------------------- socket
+    def _tune(self, sock: socket.socket) -> None:
+        """Ask for the buffer, and for the kernel's own arrival stamps and drop counts where it gives them."""
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.settings.receive_buffer)
+        granted = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        self.buffer_granted = granted // 2 if _LINUX else granted  # Linux reports twice what was asked for, for its own needs
+        if _LINUX and sock.type == socket.SOCK_DGRAM:
+            self._drops_seen = 0
+            for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
+                with contextlib.suppress(OSError):
+                    sock.setsockopt(socket.SOL_SOCKET, option, 1)
+
+    def _buffer_complaint(self) -> list[str]:
+        if self.buffer_granted >= self.settings.receive_buffer:
+            return []
+        asked = self.settings.receive_buffer
+        remedy = f"raise its limit (Linux: sysctl -w net.core.rmem_max={asked})"
+        return [f"{self._name}: the system grants {self.buffer_granted} of {asked} bytes of buffer; {remedy}"]
+
+    def _silence(self) -> str:
+        host, port = self.settings.host, self.settings.port
+        if self.settings.transport == "connect":
+            return f"{self._name}: {host}:{port} says nothing; start the streamer in MVN"
+        return (
+            f"{self._name}: nothing arrives on {host}:{port}; in MVN, Options > Network Streamer, add this computer's address "
+            f"and port ({self.settings.transport.upper()}), and listen on an address that MVN can reach"
+        )
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET

@@ -1,0 +1,289 @@
+"""What became of each sample that an MVN sender sent: received, lost, late, twice, or in pieces; and whether it began anew.
+
+MVN counts samples; every type of every character is a stream of its own that carries the count. `received` and `lost` count
+whole samples of a stream (one that came in pieces is lost while a piece is missing); `reordered` and `duplicate` count
+datagrams. What was sent before the first and after the last sample that came cannot be known.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from cabinpose.core.ports import Counts
+from cabinpose.record.sources.mvn_protocol import MAX_PAYLOAD, Header, MalformedError
+
+_COUNTER = 1 << 32
+_FIRST = 1 << 10  # sequences start here, which leaves room for samples that precede the first
+_LEARN = 16  # differences of the counter that settle its step
+# Bounds that no rig comes near: what a sender of nonsense may make us remember.
+_STREAMS = 256
+_EARLY = 64  # samples by which one may precede the first that came: earlier ones are of a sender that began anew
+_OPEN = 64  # samples of a stream that lack pieces
+
+
+@dataclass(slots=True)
+class _Sample:
+    """A sample that has come, at least in part."""
+
+    sequence: int
+    seen_ns: int
+    digests: dict[int, int]  # piece -> digest of its datagram
+    pieces: dict[int, bytes] | None = None  # while pieces are lacking
+    items: int = 0
+    size: int = 0
+    last: int | None = None
+
+
+class Arrival(NamedTuple):
+    """What a datagram did: it made the sample `sequence` whole, whose `payload` of `items` is complete, or not (None).
+
+    A sample that precedes the first has no sequence. `fresh`: no duplicate · `restarted`: the sender began anew with it.
+    """
+
+    sequence: int | None = None
+    items: int = 0
+    payload: bytes | None = None
+    fresh: bool = True
+    restarted: bool = False
+
+
+class Ledger:
+    """Keeps the account of one sender in `counts`. `incomplete` is the part of `lost` of which some pieces came.
+
+    `step`: by how much the sample counter rises from one sample sent to the next, more than 1 where MVN streams at a lower
+    rate than it captures (it may be a fraction); None: 1, until the first 16 differences show that none is 1. `window_s`: what
+    is older when it comes belongs to a sender that began anew; pieces are waited for as long. `restart_gap`: a larger leap of
+    the counter is a new beginning, not a loss.
+    """
+
+    def __init__(
+        self, counts: Counts, *, step: float | None = None, window_s: float = 1.0, restart_gap: int = 100_000, memory: int = 4096
+    ) -> None:
+        self.counts = counts
+        self.incomplete = 0
+        self.step, self.restart_gap, self.memory = step, restart_gap, memory
+        self.window_ns = round(window_s * 1e9)
+        self._streams: dict[tuple[int, int], _Stream] = {}
+        self._next = _FIRST
+        self._restarted_ns: int | None = None
+
+    def arrive(self, header: Header, payload: bytes, digest: int, host_ns: int) -> Arrival:
+        """Take note of a datagram of a counted type. Raises MalformedError where it contradicts earlier pieces."""
+        key = (header.kind, header.character)
+        stream = self._streams.get(key)
+        if stream is None:
+            if len(self._streams) >= _STREAMS:
+                self._drop_idle(host_ns)
+            stream = self._streams[key] = _Stream(self, header.sample, host_ns)
+        arrival = stream.arrive(header, payload, digest, host_ns)
+        if arrival is not None:
+            return arrival
+        stream.settle()
+        restarted = self.restarted(host_ns)  # the other streams of the sender begin anew with it: one restart
+        self._streams[key] = stream = _Stream(self, header.sample, host_ns)
+        again = stream.arrive(header, payload, digest, host_ns)
+        assert again is not None  # nothing precedes it
+        return again._replace(restarted=restarted)
+
+    def restarted(self, host_ns: int) -> bool:
+        """Count a restart, noticed by whatever means, unless it is one that was noticed within the window before."""
+        new = self._restarted_ns is None or host_ns - self._restarted_ns > self.window_ns
+        if new:
+            self.counts.restarts += 1
+            self._restarted_ns = host_ns
+        return new
+
+    def settle(self) -> None:
+        """Give up waiting: samples that lack pieces are lost."""
+        for stream in self._streams.values():
+            stream.settle()
+
+    def _drop_idle(self, host_ns: int) -> None:
+        idle = [key for key, stream in self._streams.items() if host_ns - stream.arrived_ns > self.window_ns]
+        for key in idle:
+            self._streams.pop(key).settle()
+        if not idle:
+            raise MalformedError(f"more than {_STREAMS} streams at a time")
+
+    def take(self, number: int) -> int:
+        """The first of `number` sequences."""
+        self._next += number
+        return self._next - number
+
+
+class _Stream:
+    """One type of one character."""
+
+    def __init__(self, ledger: Ledger, first: int, host_ns: int) -> None:
+        self._ledger, self._counts = ledger, ledger.counts
+        self._step = ledger.step or 1.0
+        self._steps: list[tuple[int, int]] | None = None if ledger.step else []  # (counter, rise to the next), while learning
+        self._first, self._began_ns = first, host_ns
+        self.arrived_ns = host_ns
+        self._highest: int | None = None
+        self._newest = first << 7
+        self._seen: OrderedDict[int, _Sample] = OrderedDict()
+        self._open: dict[int, _Sample] = {}
+        self._missing: OrderedDict[int, tuple[int | None, int]] = OrderedDict()  # counter -> (sequence, when it was missed)
+
+    def arrive(self, header: Header, payload: bytes, digest: int, host_ns: int) -> Arrival | None:
+        """None: the sender began anew."""
+        self.arrived_ns = host_ns
+        self._forget(host_ns)
+        highest = self._highest
+        counter = header.sample
+        if highest is not None:  # continuous, where the 32 bits wrap
+            counter = highest + (counter - highest + _COUNTER // 2) % _COUNTER - _COUNTER // 2
+        sample = self._seen.get(counter)
+        if sample is None:
+            sequence = self._place(counter, host_ns)
+            if sequence is None:
+                return None
+            if header.last and not header.piece:  # whole in one, as nearly all are
+                self._seen[counter] = _Sample(sequence, host_ns, {0: digest})
+                self._order(counter, 0)
+                self._counts.received += 1
+                return Arrival(None if sequence < 0 else sequence, header.items, payload)
+            sample = self._seen[counter] = self._open[counter] = _Sample(sequence, host_ns, {}, {})
+        else:
+            known = sample.digests.get(header.piece)
+            if known is not None:
+                if known != digest:
+                    return None
+                self._counts.duplicate += 1
+                sample.seen_ns = host_ns  # a sender that is paused may repeat a sample for long
+                self._seen.move_to_end(counter)
+                return Arrival(fresh=False)
+        self._order(counter, header.piece)
+        return self._fit(counter, sample, header, payload, digest)
+
+    def _order(self, counter: int, piece: int) -> None:
+        key = counter << 7 | piece
+        if key < self._newest:
+            self._counts.reordered += 1
+        else:
+            self._newest = key
+
+    def settle(self) -> None:
+        """Count the samples that lack pieces as lost."""
+        for sample in self._open.values():
+            sample.pieces = None
+        self._counts.lost += len(self._open)
+        self._ledger.incomplete += len(self._open)
+        self._open.clear()
+
+    def _place(self, counter: int, host_ns: int) -> int | None:
+        """The sequence of a sample that had not come before, and the account of the gap that it opens or fills."""
+        if self._highest is None:
+            self._highest = counter
+            return self._ledger.take(1)
+        rise = counter - self._highest
+        if rise > 0:
+            if rise > self._ledger.restart_gap:
+                return None
+            if rise != self._step:
+                self._miss(self._highest, rise, host_ns, reserve=True)
+            self._highest = counter
+            if self._step != 1 and rise < 0.75 * self._step and self._ledger.step is None:
+                self._step, self._steps = 1.0, []  # the sender streams faster than it did
+            if self._steps is not None:
+                self._learn(counter - rise, rise)
+            return self._ledger.take(1)
+        if counter < self._first:
+            if host_ns - self._began_ns > self._ledger.window_ns or self._first - counter > _EARLY * self._step:
+                return None
+            self._miss(counter, self._first - counter, host_ns, reserve=False)
+            self._first = counter
+            return -1
+        found = self._missed_as(counter)
+        if found is None:
+            return None
+        self._counts.lost -= 1
+        sequence, _ = self._missing.pop(found)
+        return -1 if sequence is None else sequence
+
+    def _miss(self, counter: int, rise: int, host_ns: int, *, reserve: bool) -> None:
+        """Count the samples between `counter` and `counter + rise` as lost, until they come."""
+        missed = max(0, round(rise / self._step) - 1)
+        if missed:
+            self._counts.lost += missed
+            sequence = self._ledger.take(missed) if reserve else None
+            for k in range(max(1, missed - self._ledger.memory + 1), missed + 1):  # the newest, if they are too many
+                self._missing[round(counter + k * self._step)] = (None if sequence is None else sequence + k - 1, host_ns)
+            while len(self._missing) > self._ledger.memory:
+                self._missing.popitem(last=False)
+
+    def _missed_as(self, counter: int) -> int | None:
+        """The missing counter that this one is: with a step that is a fraction, the nearest within half of it."""
+        if counter in self._missing:
+            return counter
+        if self._step.is_integer() or not self._missing:
+            return None
+        nearest = min(self._missing, key=lambda missing: abs(missing - counter))
+        return nearest if abs(nearest - counter) <= self._step / 2 else None
+
+    def _learn(self, counter: int, rise: int) -> None:
+        """Settle the step when enough rises are known, and take back the losses that it explains."""
+        assert self._steps is not None
+        self._steps.append((counter, rise))
+        if rise == 1:
+            self._steps = None
+        elif len(self._steps) == _LEARN:
+            known, self._steps = self._steps, None
+            middle = sorted(rise for _, rise in known)[_LEARN // 2]
+            single = [rise for _, rise in known if rise < 1.5 * middle]
+            step = sum(single) / len(single)
+            expected = {c + round(k * step) for c, rise in known for k in range(1, round(rise / step))}
+            taken = sum(rise - 1 for _, rise in known) - sum(max(0, round(rise / step) - 1) for _, rise in known)
+            self._counts.lost -= taken
+            self._missing = OrderedDict((c, kept) for c, kept in self._missing.items() if c in expected)
+            self._step = step
+
+    def _forget(self, host_ns: int) -> None:
+        """Forget what is older than the window, or too much: what belongs to it when it comes is a new beginning."""
+        limit_ns, ledger = host_ns - self._ledger.window_ns, self._ledger
+        while self._seen:
+            oldest = next(iter(self._seen))  # in the order of arrival
+            if (self._seen[oldest].seen_ns >= limit_ns or oldest == self._highest) and len(self._seen) <= ledger.memory:
+                break
+            del self._seen[oldest]
+            if oldest in self._open:
+                self._lose(oldest)
+        while len(self._open) > _OPEN:
+            self._lose(next(iter(self._open)))
+        while self._missing:
+            oldest = next(iter(self._missing))
+            if self._missing[oldest][1] >= limit_ns:
+                break
+            del self._missing[oldest]
+
+    def _lose(self, counter: int) -> None:
+        self._open.pop(counter).pieces = None
+        self._counts.lost += 1
+        self._ledger.incomplete += 1
+
+    def _fit(self, counter: int, sample: _Sample, header: Header, payload: bytes, digest: int) -> Arrival:
+        """Add a piece; the whole sample if that was the last that it lacked."""
+        pieces = sample.pieces
+        contradicts = pieces is None or sample.size + len(payload) > MAX_PAYLOAD
+        if sample.last is not None:
+            contradicts |= header.last or header.piece > sample.last
+        elif header.last:
+            contradicts |= any(piece > header.piece for piece in sample.digests)
+        if contradicts or pieces is None:
+            raise MalformedError("a piece that its sample has no place for")
+        sample.digests[header.piece] = digest
+        pieces[header.piece] = payload
+        sample.items += header.items
+        sample.size += len(payload)
+        if header.last:
+            sample.last = header.piece
+        if sample.last is None or len(pieces) <= sample.last:
+            return Arrival()
+        del self._open[counter]
+        whole = b"".join(pieces[i] for i in range(sample.last + 1))
+        sample.pieces = None
+        self._counts.received += 1
+        return Arrival(None if sample.sequence < 0 else sample.sequence, sample.items, whole)
