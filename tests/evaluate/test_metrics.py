@@ -182,6 +182,16 @@ def test_a_person_not_found_is_missed_and_one_not_there_is_false() -> None:
     assert report.worst == (0,)
 
 
+def test_typical_frames_lie_around_the_median_and_worst_ones_at_the_end() -> None:
+    skeleton = evaluated_skeleton(("head", "neck"))
+    truth = np.zeros((40, 1, 2, 3)) + (0, 0, 2)
+    order = np.random.default_rng(5).permutation(40)  # of the errors
+    predicted = truth + 0.001 * (1 + order[:, None, None, None]) * np.array((1.0, 0, 0))
+    report = reported(skeleton, chunk(truth, np.full((40, 1, 2), 4), predicted))
+    assert [order[i] for i in report.worst] == list(range(39, 27, -1))
+    assert [order[i] for i in report.typical] == list(range(14, 26))
+
+
 def test_the_true_head_size() -> None:
     skeleton = evaluated_skeleton(("head", "neck", "lwrist"))
     truth = np.array([[[[0, 0, 2], [0, 0.16, 2], [0.5, 0, 2]]]], float)

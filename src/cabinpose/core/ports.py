@@ -43,6 +43,12 @@ class PoseBatch:
     presence: NDArray[np.float32]
 
 
+def joined(batches: Sequence[PoseBatch]) -> PoseBatch:
+    """The frames of several batches of the same persons and joints, in their order."""
+    arrays = ((b.joints_2d, b.joints_3d, b.score, b.presence) for b in batches)
+    return PoseBatch(*map(np.concatenate, zip(*arrays, strict=True)))
+
+
 @runtime_checkable
 class Predictor(Protocol):
     """A detector of body pose."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.camera import Camera
-from cabinpose.core.ports import FrameBatch, PoseBatch
+from cabinpose.core.ports import FrameBatch, PoseBatch, joined
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.onnx_model import OnnxModel, cameras_of, packaged_models, slices, view_inputs
 
@@ -32,7 +31,7 @@ class OnnxPredictor(OnnxModel):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
             batches.append(self.poses(self.outputs(seen), seen, cameras))
-        return PoseBatch(*(np.concatenate([getattr(batch, f.name) for batch in batches]) for f in fields(PoseBatch)))
+        return joined(batches)
 
     def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
         """What the model's view sees of some frames by name; the first of the three stages of `predict`."""

@@ -21,7 +21,7 @@ PEOPLE = "Person"
 _PCKH_GRID = np.linspace(0, 1, 51)
 _ERROR_GRID = {"2d": np.linspace(0, 50, 51), "3d": np.linspace(0, 30, 61)}  # px, cm
 _BOX = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
-_WORST = 12
+_SHOWN = 12
 _MISS = 3.0  # head sizes that a missed joint, and at most a found one, counts in the ranking of frames
 
 
@@ -50,7 +50,8 @@ class Report:
 
     joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
     (of the head size) and for the error (px, cm) · boxes: by space and joint, the 5, 25, 50, 75 and 95 % quantiles of the
-    error (px, cm) · worst: numbers of the worst frames, worst first · settings: the options in words.
+    error (px, cm) · worst: numbers of the worst frames, worst first · typical: of those nearest to the median frame, best first ·
+    settings: the options in words.
     """
 
     model: str
@@ -62,6 +63,7 @@ class Report:
     curves: Mapping[str, Any]
     boxes: Mapping[str, Mapping[str, list[float]]]
     worst: tuple[int, ...]
+    typical: tuple[int, ...]
     settings: Mapping[str, Any]
     notes: tuple[str, ...] = ()
 
@@ -95,6 +97,8 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
     if samples.px.found.any():
         values += _precision_values(samples, weights)
     shown = {name: members for name, members in sets.items() if name == ALL or name in skeleton.groups}
+    ranked = _ranked(samples)
+    middle = (len(ranked) - _SHOWN) // 2
     return Report(
         model=model,
         dataset=dataset,
@@ -104,7 +108,8 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
         values=tuple(values),
         curves={name: _curves(samples, name, shown) for name in spaces_of(samples)},
         boxes={name: _boxes(samples, name) for name in spaces_of(samples)},
-        worst=_worst(samples),
+        worst=ranked[:_SHOWN],
+        typical=ranked[middle : middle + _SHOWN][::-1] if middle > 0 else (),  # few frames are all among the worst
         settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
         notes=notes,
     )
@@ -199,13 +204,13 @@ def _boxes(samples: Samples, name: SpaceName) -> dict[str, list[float]]:
     return result
 
 
-def _worst(samples: Samples) -> tuple[int, ...]:
-    """Frames by the mean error of their joints in head sizes, at most 3; a missed joint counts 3."""
+def _ranked(samples: Samples) -> tuple[int, ...]:
+    """Frames that are not perfect, worst first, by the mean error of their joints in head sizes; a missed joint counts 3."""
     name = spaces_of(samples)[0]
     space = space_of(samples, name)
     shares = np.where(samples.counts & space.found, space.error, np.inf) / space.head[:, None]
     counted = np.where(samples.counts, np.fmin(np.nan_to_num(shares, nan=np.inf), _MISS), 0.0)
     top, bottom = (_by_frame(x.astype(np.float64), samples).sum(axis=1) for x in (counted, samples.counts))
     mean = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
-    order = np.argsort(-mean, kind="stable")[:_WORST]
+    order = np.argsort(-mean, kind="stable")
     return tuple(int(samples.frames[i]) for i in order if mean[i] > 0)

@@ -15,7 +15,7 @@ from cabinpose.app.cli.commands import Evaluate
 from cabinpose.app.cli.output import print_json, print_table, progress
 from cabinpose.app.cli.splits import chosen_split
 from cabinpose.app.finite import finite
-from cabinpose.app.report.frames import worst_figures
+from cabinpose.app.report.frames import frame_figures
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
 from cabinpose.app.report.page import page_html
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
@@ -63,8 +63,11 @@ def run(command: Evaluate) -> None:
     record = {"data": str(command.data), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         shown = dataset.sel(person=list(command.persons)) if command.persons else dataset
-        worst = {r.model: worst_figures(shown, r, m, options) for r, m in zip(reports, models, strict=True)}
-        _write(command.out, page_html(reports, worst), record)
+        typical, worst = (
+            {r.model: frame_figures(shown, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
+            for kind in ("typical", "worst")
+        )
+        _write(command.out, page_html(reports, typical, worst), record)
     if command.as_json:
         print_json(record)
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from cabinpose.app.cli.commands import Predict
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.cli.splits import chosen_split
 from cabinpose.core.errors import PredictionsError
-from cabinpose.core.ports import PoseBatch
+from cabinpose.core.ports import joined
 from cabinpose.estimate.predictor import load_model
 from cabinpose.evaluate.offline import BATCH, dataset_id, frame_batch
 from cabinpose.store import open_dataset, read_manifest
@@ -33,11 +32,12 @@ def run(command: Predict) -> None:
         for start in range(0, count, BATCH):
             batches.append(model.predict(frame_batch(dataset, slice(start, start + BATCH))))
             report(min(start + BATCH, count))
-    found = (np.concatenate([getattr(batch, f.name) for batch in batches]) for f in fields(PoseBatch))
-    numbers = dataset["frame"].values.astype(np.int64)
+    found = joined(batches)
     predictions = Predictions(
-        *found, numbers, model.persons, model.joints, model.name, model.config.skeleton, dataset_id(read_manifest(command.data))
-    )
+        found.joints_2d, found.joints_3d, found.score, found.presence, frame=dataset["frame"].values.astype(np.int64),
+        persons=model.persons, joints=model.joints, model=model.name, skeleton=model.config.skeleton,
+        dataset=dataset_id(read_manifest(command.data)),
+    )  # fmt: skip
     write_predictions(command.out, predictions, overwrite=command.overwrite)
     if command.as_json:
         print_json({"predictions": str(command.out), "model": model.name, "frames": count})

@@ -1,4 +1,4 @@
-"""The worst frames: truth and prediction drawn over the depth image."""
+"""Typical and worst frames: truth and prediction drawn over the depth image."""
 
 from __future__ import annotations
 
@@ -32,8 +32,10 @@ def _answer(dataset: xr.Dataset, model: Predictions | Predictor, number: int) ->
     return model.predict(frame_batch(dataset.sel(frame=[number]), slice(0, 1)))
 
 
-def worst_figures(dataset: xr.Dataset, report: Report, model: Predictions | Predictor, options: EvaluationOptions) -> list[str]:
-    """Figures of a report's worst frames; none where the dataset has no depth."""
+def frame_figures(
+    dataset: xr.Dataset, report: Report, model: Predictions | Predictor, options: EvaluationOptions, numbers: Sequence[int]
+) -> list[str]:
+    """Figures of the frames of these numbers; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
     skeleton = evaluated_skeleton(report.joint_sets[ALL])
@@ -41,7 +43,7 @@ def worst_figures(dataset: xr.Dataset, report: Report, model: Predictions | Pred
     small = [str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]
     wanted = dataset[[*small, "depth"]].sel(joint=list(skeleton.joints))
     figures = []
-    for number in report.worst:
+    for number in numbers:
         batch = _answer(dataset, model, number)
         uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
         if options.match == "slot":  # in the order of the dataset's people, so that each joint has its true one

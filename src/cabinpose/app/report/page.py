@@ -20,8 +20,9 @@ _TILES = (
 )  # fmt: skip
 
 
-def page_html(reports: Sequence[Report], worst: Mapping[str, Sequence[str]]) -> str:
-    """The page on one or more models on one dataset; `worst`: figures of the worst frames by model."""
+def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[str]], worst: Mapping[str, Sequence[str]]) -> str:
+    """The page on one or more models on one dataset; typical, worst: figures of such frames by model."""
+    legend = f"{_dot(TRUTH)} truth {_dot(PREDICTION)} prediction {_dot(ERROR)} error"
     style = (files("cabinpose.app.report") / "assets" / "report.css").read_text(encoding="utf-8")
     first = reports[0]
     sections = [
@@ -32,9 +33,8 @@ def page_html(reports: Sequence[Report], worst: Mapping[str, Sequence[str]]) -> 
         ),
         _section("Error by joint", _boxes(reports), "Joints found. Box: quartiles and median; line: 5 % to 95 %."),
         _section("By visibility", _visibility_table(reports)),
-        _section(
-            "Worst frames", _worst(reports, worst), f"{_dot(TRUTH)} truth {_dot(PREDICTION)} prediction {_dot(ERROR)} error"
-        ),
+        _section("Typical frames", _frames(reports, typical), f"Those nearest to the median frame's error. {legend}"),
+        _section("Worst frames", _frames(reports, worst), legend),
         _section("All numbers", _number_table(reports)),
         _section("Settings", _settings(first)),
     ]
@@ -144,10 +144,10 @@ def _visibility_table(reports: Sequence[Report]) -> str:
     return f"<div class=scroll><table><tr><th></th><th>joints</th>{head}</tr>{''.join(rows)}</table></div>"
 
 
-def _worst(reports: Sequence[Report], worst: Mapping[str, Sequence[str]]) -> str:
+def _frames(reports: Sequence[Report], by_model: Mapping[str, Sequence[str]]) -> str:
     blocks = []
     for report in reports:
-        if figures := worst.get(report.model):
+        if figures := by_model.get(report.model):
             title = f"<h3>{escape(report.model)}</h3>" if len(reports) > 1 else ""
             blocks.append(f"{title}<div class=frames>{''.join(figures)}</div>")
     return "".join(blocks)
