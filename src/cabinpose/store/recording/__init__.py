@@ -1,0 +1,22 @@
+"""Recordings: MCAP files of what devices said, raw and decoded. See docs/recording.md."""
+
+from cabinpose.store.recording.container import Compression
+from cabinpose.store.recording.reader import Place, Recording
+from cabinpose.store.recording.recover import Recovered, recover
+from cabinpose.store.recording.scan import Damage
+from cabinpose.store.recording.schemas import SourceStatus
+from cabinpose.store.recording.take import Participant, Take
+from cabinpose.store.recording.writer import RecordingWriter
+
+__all__ = [
+    "Compression",
+    "Damage",
+    "Participant",
+    "Place",
+    "Recording",
+    "RecordingWriter",
+    "Recovered",
+    "SourceStatus",
+    "Take",
+    "recover",
+]

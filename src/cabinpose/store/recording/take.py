@@ -1,0 +1,89 @@
+"""What is known of a take beside what its devices said. Codes only: a recording is personal data, its label must not be."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+
+from cabinpose.core.pose import OCCUPANT_SLOTS
+
+_CODE = re.compile(r"(?=.*\d)[A-Za-z0-9][A-Za-z0-9_.-]{0,31}")
+_WORDS = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. /-]{0,63}")
+
+
+def _code(value: str) -> str:
+    if not _CODE.fullmatch(value):
+        raise ValueError("a code has a digit and no blank (S07), so that no name passes for one; up to 32 letters, digits, _ . -")
+    return value
+
+
+def _words(value: str) -> str:
+    if value and not _WORDS.fullmatch(value):
+        raise ValueError("at most 64 letters, digits, blanks, _ . / -")
+    return value
+
+
+Code = Annotated[str, AfterValidator(_code)]
+Words = Annotated[str, AfterValidator(_words)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Participant(_Model):
+    """One person in a take."""
+
+    code: Code = Field(description="Subject code; who it stands for is kept elsewhere. It has a digit: S07.")
+    seat: str | None = Field(None, description=f"Where: {', '.join(OCCUPANT_SLOTS)}; left out where there are no seats.")
+    consent: Words = Field("", description="Reference of the consent under which this was recorded.")
+
+    @field_validator("seat")
+    @classmethod
+    def _known(cls, seat: str | None) -> str | None:
+        if seat is not None and seat not in OCCUPANT_SLOTS:
+            raise ValueError(f"a seat is one of {', '.join(OCCUPANT_SLOTS)}")
+        return seat
+
+
+class Take(_Model):
+    """Who did what, where. No personal names anywhere."""
+
+    action: Words = Field("", description="What is done, as a short word: reach, drive.")
+    car: Words = Field("", description="The car or mock-up.")
+    subjects: tuple[Participant, ...] = Field((), description="The people recorded.")
+
+    @field_validator("subjects")
+    @classmethod
+    def _once(cls, subjects: tuple[Participant, ...]) -> tuple[Participant, ...]:
+        codes = [subject.code for subject in subjects]
+        if len(set(codes)) < len(codes):
+            raise ValueError("a subject is named twice")
+        return subjects
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of the subjects."""
+        return tuple(subject.code for subject in self.subjects)
+
+    def as_metadata(self) -> dict[str, str]:
+        """Text for an MCAP metadata record; several subjects' values are separated by commas, in one order."""
+        return {
+            "subject": ",".join(self.codes),
+            "seat": ",".join(subject.seat or "" for subject in self.subjects),
+            "consent": ",".join(subject.consent for subject in self.subjects),
+            "action": self.action,
+            "car": self.car,
+        }
+
+    @classmethod
+    def from_metadata(cls, values: Mapping[str, str]) -> Take:
+        """The take of a metadata record. Raises ValueError (pydantic's) where it is none."""
+        columns = [values.get(key, "").split(",") for key in ("subject", "seat", "consent")]
+        subjects: list[dict[str, Any]] = [
+            {"code": code, "seat": seat or None, "consent": consent} for code, seat, consent in zip(*columns, strict=True) if code
+        ]
+        return cls.model_validate({"action": values.get("action", ""), "car": values.get("car", ""), "subjects": subjects})

@@ -1,0 +1,215 @@
+"""Writing a recording: samples of several sources into one MCAP file that is worth something at every instant.
+
+A chunk goes to the kernel when it is full or `flush_s` old, so that the death of the process costs less than that. What the
+kernel has survives the process; to survive the machine, a thread asks the disk every `sync_s` to have it all, beside the
+writing and not within, since a disk may take long to answer.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+from cabinpose import __version__
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.ports import Sample
+from cabinpose.store.recording.container import Compression, ContainerWriter
+from cabinpose.store.recording.messages import Record, encode, encode_json, encode_status
+from cabinpose.store.recording.schemas import (
+    FORMAT,
+    RAW,
+    RAW_ENCODING,
+    RIG_ATTACHMENT,
+    STATUS,
+    TAKE_METADATA,
+    TAKE_TOPIC,
+    SourceStatus,
+    schema_record,
+)
+from cabinpose.store.recording.take import Take
+
+LIBRARY = f"cabinpose {__version__}"
+PROFILE = "cabinpose"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_About = tuple[tuple[str, str], ...]
+
+
+@contextmanager
+def recording_errors(path: Path) -> Iterator[None]:
+    """Turn what a disk or the system refuses into a RecordingError that says what it means for the recording."""
+    try:
+        yield
+    except FileExistsError:
+        raise RecordingError(f"{path} exists", hint="name another file: recordings are never overwritten") from None
+    except OSError as error:
+        if error.errno in _FULL:
+            raise RecordingError(
+                f"no space left while writing {path}: the recording ends before this",
+                hint="free disk space, or record to another disk; what was recorded so far is in the file",
+            ) from error
+        raise RecordingError(
+            f"cannot write {path}: {error.strerror}", hint="`cabinpose recover` reads what is in the file, if it is there"
+        ) from error
+
+
+class RecordingWriter:
+    """Writes one recording; leaving the `with` block ends the file as it should.
+
+    One thread uses it. Arrays of samples are referred to until their chunk is written, and must not change.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        take: Take | None = None,
+        *,
+        rig: str = "",
+        started_ns: int = 0,
+        compression: Compression = "none",
+        chunk_bytes: int = 4 << 20,
+        flush_s: float = 0.25,
+        sync_s: float = 1.0,
+    ) -> None:
+        """rig: the rig's configuration as YAML text, kept as an attachment · started_ns: `HostClock` time of the take ·
+        chunk_bytes, flush_s: a chunk is closed when it is so large or so old · sync_s: pause between requests to the disk to
+        hold all of it; 0 = only at the end. Raises RecordingError where the file exists or cannot be made.
+        """
+        self.path = path
+        self._take = take or Take()
+        self._chunk_bytes, self._flush_s = chunk_bytes, flush_s
+        self._channels: dict[tuple[str, str, str, str, str, _About], int] = {}
+        self._schemas: dict[str, int] = {}
+        self._oldest: float | None = None  # time.monotonic of the first message in the open chunk
+        self._closed = False
+        with recording_errors(path):
+            self._file = ContainerWriter(path, library=LIBRARY, profile=PROFILE, compression=compression)
+            self._file.metadata(TAKE_METADATA, {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()})
+            if rig:
+                self._file.attachment(RIG_ATTACHMENT, "application/yaml", rig.encode(), log_time=started_ns)
+            _sync_folder(path.parent)
+        take_channel = self._channel("", TAKE_TOPIC, "cabinpose.Take", "none", "none", ())
+        self._file.add(take_channel, 0, started_ns, started_ns, [encode_json(self._take.model_dump(mode="json"))])
+        with recording_errors(path):
+            self._file.end_chunk()
+        self._stop = threading.Event()
+        self._syncing = threading.Thread(target=self._sync, args=(sync_s,), name="recording-sync", daemon=True)
+        if sync_s > 0:
+            self._syncing.start()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes that the kernel has."""
+        return self._file.offset
+
+    def write(self, source: str, sample: Sample) -> list[str]:
+        """Add one sample of a source: its raw bytes, then what they mean.
+
+        Returns why messages were left out, if any were: their arrays do not fit each other. The raw bytes are written in any
+        case. Raises RecordingError where the disk refuses; samples of the open chunk are then lost.
+        """
+        refused: list[str] = []
+        records: list[Record] = []
+        for message in sample.messages:
+            try:
+                records += encode(source, message, sample.host_ns)
+            except RecordingError as error:
+                refused.append(str(error))
+        self._add(source, sample, Record(RAW, "", (sample.raw,)))
+        for record in records:
+            try:
+                self._add(source, sample, record)
+            except ValueError as error:
+                refused.append(f"{source}/{record.topic}: {error}")
+        self._written()
+        return refused
+
+    def write_status(self, status: SourceStatus, host_ns: int) -> None:
+        """Add the counts of a source."""
+        channel = self._channel(status.source, STATUS, "cabinpose.SourceStatus", "none", "none", ())
+        self._file.add(channel, 0, host_ns, host_ns, [encode_status(status)])
+        self._written()
+
+    def poll(self) -> None:
+        """Close the chunk if it is old enough; to be called often."""
+        if self._oldest is not None and time.monotonic() - self._oldest >= self._flush_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Close the chunk: what was written so far outlives this process. Raises RecordingError where the disk refuses."""
+        self._oldest = None
+        with recording_errors(self.path):
+            self._file.end_chunk()
+
+    def close(self) -> None:
+        """End the file with its summary; harmless if it is closed. Raises RecordingError where the disk has no room for
+        it: the file then ends without one, and readers go through it from its start.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._stop.set()
+        if self._syncing.is_alive():
+            self._syncing.join()
+        with recording_errors(self.path):
+            self._file.finish()
+
+    def _add(self, source: str, sample: Sample, record: Record) -> None:
+        sequence = sample.sequence
+        epoch = "none" if sequence is None else str(sequence >> 32)
+        device = "none" if sample.device_ns is None else "device"
+        channel = self._channel(source, record.topic, record.schema, epoch, device, record.about)
+        time_of_device = sample.host_ns if sample.device_ns is None else sample.device_ns & _U64
+        self._file.add(channel, (sequence or 0) & _U32, sample.host_ns, time_of_device, record.parts)
+
+    def _channel(self, source: str, topic: str, schema: str, epoch: str, device: str, about: _About) -> int:
+        key = (source, topic, schema, epoch, device, about)
+        known = self._channels.get(key)
+        if known is not None:
+            return known
+        schema_id, encoding = 0, RAW_ENCODING
+        if schema:
+            encoding, schema_encoding, data = schema_record(schema)
+            if schema not in self._schemas:
+                self._schemas[schema] = self._file.schema(schema, schema_encoding, data)
+            schema_id = self._schemas[schema]
+        facts = {"source": source, "sequence_epoch": epoch, "publish_time": device, **dict(about)}
+        name = f"{source}/{topic}" if source else topic
+        self._channels[key] = self._file.channel(name, encoding, schema_id, facts)
+        return self._channels[key]
+
+    def _written(self) -> None:
+        if self._file.chunk_size >= self._chunk_bytes:
+            self.flush()
+        elif self._oldest is None:
+            self._oldest = time.monotonic()
+
+    def _sync(self, pause_s: float) -> None:
+        while not self._stop.wait(pause_s):
+            try:
+                self._file.sync()
+            except OSError:  # the writing thread meets the same error, and tells
+                return
+
+
+_U32, _U64 = (1 << 32) - 1, (1 << 64) - 1
+
+
+def _sync_folder(folder: Path) -> None:
+    """Wait until the name of a new file would survive a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
