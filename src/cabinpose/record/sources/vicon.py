@@ -1,0 +1,392 @@
+"""Vicon (Nexus, Tracker, Shogun, Evoke) as a source: a client of its DataStream over TCP, in pure Python.
+
+Time. `host_ns` is when the packet arrived. `device_ns` is the frame's number times the frame period: as regular as the
+cameras, on the server's frame clock. Between capture and arrival lies what the server tells (cameras, reconstruction, labelling:
+the channel `latency_s`) and the network (half of a ping's round trip, median of the last ones: `network_s`, NaN without pings).
+Both come with every frame as `Channels`, so that nothing measured is overwritten: a frame was captured at
+`host_ns − (latency_s + network_s)`, and alignment subtracts them.
+
+Loss. The server counts its frames: a gap in the numbers is what was lost, on the way, while the connection was away, or
+since this computer read too slowly. In pull mode a frame that is never asked for is lost as well. A packet with a malformed
+block counts as malformed, not as received; its frame, if it can still be read, is not lost. A counter that begins anew is
+a restart, as is a connection made again; a fact `restart` in the stream says which, and how much was lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+import select
+import socket
+import statistics
+import time
+from collections import deque
+from collections.abc import Sequence
+from enum import Enum
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.recorded import Facts, Message
+from cabinpose.record.sources import vicon_protocol as vicon
+from cabinpose.record.sources.vicon_messages import FrameAccount, PacketDecoder, latency
+from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter, Type
+
+_RETRY_S = 0.25
+_PING_S = 1.0
+_PINGS_KEPT = 16
+_ASK_AGAIN_S = 1.0  # pull mode: an answer that does not come is asked for again
+_SLICE_S = 0.1  # the longest wait before timers are looked at
+_RECEIVE = 1 << 18
+_BASE = frozenset(
+    {
+        Type.STREAM_INFO, Type.SUBJECT_INFO, Type.SUBJECT_TOPOLOGY, Type.APPLICATION_INFO, Type.FRAME_INFO, Type.LATENCY_INFO,
+        Type.FRAME_RATE_INFO, Type.CONTENTS, Type.PING,
+    }
+)  # fmt: skip
+
+
+class ViconSettings(BaseModel):
+    """Where the DataStream server is, and what it is asked for."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = "127.0.0.1"
+    """Address of the computer that runs Vicon's software."""
+    port: Annotated[int, Field(ge=1, le=65535)] = vicon.DEFAULT_PORT
+    """Port of its DataStream."""
+    mode: Literal["push", "pull"] = "push"
+    """push: the server sends every frame. pull: each is asked for; for links too slow for all frames."""
+    segments: bool = True
+    """Segments of the subjects, in the world."""
+    labeled_markers: bool = True
+    """Markers of the subjects."""
+    unlabeled_markers: bool = True
+    """Markers without a label."""
+    up: Literal["server", "z", "y"] = "server"
+    """The server's vertical axis: what it says itself, or what is known better."""
+    connect_timeout_s: Annotated[float, Field(gt=0, le=60)] = 3.0
+    """How long a connection and its greeting may take."""
+    silence_s: Annotated[float, Field(ge=2, le=600)] = 5.0
+    """A connection on which nothing came for so long, not even an answer to a ping, is taken for dead and made again."""
+
+
+class _State(Enum):
+    CLOSED = 0
+    CONNECTING = 1
+    GREETING = 2  # connected; the server speaks first
+    STREAMING = 3
+
+
+class ViconSource:
+    """A `core.ports.FrameSource` that asks a DataStream server."""
+
+    Settings: ClassVar = ViconSettings
+
+    def __init__(self, name: str, settings: ViconSettings | None = None, clock: HostClock | None = None) -> None:
+        self._name = name
+        self.settings = settings or ViconSettings()
+        self._clock = clock or HostClock()
+        self._counts = Counts()
+        self._reset()
+
+    def _reset(self) -> None:
+        self._decoder = PacketDecoder(up=None if self.settings.up == "server" else self.settings.up)
+        self._account = FrameAccount(self._counts)
+        self._socket: socket.socket | None = None
+        self._state = _State.CLOSED
+        self._splitter = PacketSplitter()
+        self._endpoint: tuple[socket.AddressFamily, tuple[object, ...]] | None = None
+        self._failure = ""
+        self._began = self._heard = self._retry_at = self._ping_at = self._ask_at = 0.0
+        self._offered: frozenset[int] = frozenset()
+        self._pings: dict[int, int] = {}
+        self._ping = 0
+        self._trips_s: deque[float] = deque(maxlen=_PINGS_KEPT)
+        self._streamed_before = self._reconnected = False
+        self._waiting: list[Sample] = []
+
+    @property
+    def name(self) -> str:
+        """What the rig's configuration calls it."""
+        return self._name
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the server's frames. `duplicate`: answers in pull mode that were no new frame."""
+        return self._counts
+
+    @property
+    def network_s(self) -> float:
+        """Half of a ping's round trip, median of the last ones; NaN before the first."""
+        return statistics.median(self._trips_s) / 2 if self._trips_s else math.nan
+
+    def check(self) -> Sequence[str]:
+        """What keeps it from working; where it is not open, connects and waits up to two seconds for frames."""
+        probe = self if self._state is not _State.CLOSED else ViconSource(self._name, self.settings, self._clock)
+        if probe is self:
+            return probe._complaints()
+        try:
+            probe.open()
+        except RecordingError as error:
+            return [f"{error}; {error.hint}"]
+        try:
+            limit = time.monotonic() + 2.0
+            while probe._counts.received == 0 and time.monotonic() < limit:
+                probe.read(0.1)
+            return probe._complaints()
+        finally:
+            probe.close()
+
+    def _complaints(self) -> list[str]:
+        settings, where = self.settings, f"{self.settings.host}:{self.settings.port}"
+        if self._state is not _State.STREAMING:
+            return [f"no connection to {where}: {self._failure or 'not made yet'}"]
+        if self._counts.received == 0:
+            return [f"{where} sends no frames: in Vicon's software go live, or play a trial"]
+        complaints = []
+        if not self._decoder.subjects and (settings.segments or settings.labeled_markers):
+            complaints.append(f"{where} tracks no subject: tick the subjects in Vicon's software")
+        for wanted, kind, what in (
+            (settings.segments, Type.GLOBAL_SEGMENTS, "segments"),
+            (settings.labeled_markers, Type.LABELED_RECONS, "labelled markers"),
+            (settings.unlabeled_markers, Type.UNLABELED_RECONS, "unlabelled markers"),
+        ):
+            if wanted and kind not in self._offered:
+                complaints.append(f"{where} has no {what}: do not ask for them, or enable them in Vicon's software")
+        return complaints
+
+    def open(self) -> None:
+        """Connect, and wait for the greeting. Raises RecordingError where nobody answers, or not as a DataStream server."""
+        self.close()
+        settings = self.settings
+        where = f"{settings.host}:{settings.port}"
+        hint = "start Vicon's software there, and check address and port (801 unless changed) and the firewall"
+        try:
+            family, _, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
+        except (OSError, UnicodeError) as error:
+            raise RecordingError(f"{self._name}: there is no host {settings.host}: {error}", hint="check host") from error
+        self._endpoint = (family, address)
+        limit = time.monotonic() + settings.connect_timeout_s
+        while self._state is not _State.STREAMING:
+            wait = limit - time.monotonic()
+            if wait <= 0 and not self._failure:
+                greeted = self._state is _State.GREETING
+                self._failure = "it does not greet as a DataStream server" if greeted else "no answer"
+            if self._failure:
+                failure = self._failure
+                self.close()
+                raise RecordingError(f"{self._name}: cannot connect to {where}: {failure}", hint=hint)
+            self._waiting += self._step(wait)
+
+    def read(self, timeout_s: float) -> Sequence[Sample]:
+        """Packets that have arrived: those of frames have a sequence, greetings, facts and pings have none."""
+        if self._endpoint is None:
+            raise RecordingError(f"{self._name} is not open", hint="open it before reading")
+        if self._waiting:
+            samples, self._waiting = self._waiting, []
+            return samples
+        limit = time.monotonic() + timeout_s
+        while True:
+            wait = max(0.0, limit - time.monotonic())
+            samples = self._step(wait)
+            if samples or wait == 0.0:
+                return samples
+
+    def close(self) -> None:
+        """Disconnect. The counts stay."""
+        if self._socket is not None:
+            self._socket.close()
+        self._reset()
+
+    # ------------------------------------------------------------------------------------------------- connection
+
+    def _step(self, wait_s: float) -> list[Sample]:
+        """One wait for one event, of at most `wait_s` s, and what it brought."""
+        now = time.monotonic()
+        wait_s = min(wait_s, _SLICE_S)
+        if self._state is _State.CLOSED:
+            if now < self._retry_at:
+                time.sleep(min(wait_s, self._retry_at - now))
+                return []
+            self._begin()
+        if self._state is _State.CONNECTING:
+            self._connect(wait_s)
+            return []
+        if self._state is _State.CLOSED or self._socket is None:
+            return []
+        if self._state is _State.STREAMING and self.settings.mode == "pull":
+            wait_s = min(wait_s, max(0.0, self._ask_at - now))
+        samples = []
+        if select.select([self._socket], [], [], wait_s)[0]:
+            samples = self._receive(self._socket)
+        self._timers()
+        return samples
+
+    def _begin(self) -> None:
+        assert self._endpoint is not None
+        family, address = self._endpoint
+        self._began = time.monotonic()
+        self._failure = ""
+        try:
+            self._socket = socket.socket(family, socket.SOCK_STREAM)
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            if hasattr(socket, "TCP_KEEPIDLE"):  # else a pulled cable is noticed after two hours, where there are no pings
+                for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
+                    self._socket.setsockopt(socket.IPPROTO_TCP, option, max(1, int(self.settings.silence_s)))
+            code = self._socket.connect_ex(address)
+        except OSError as error:
+            self._lose(str(error))
+            return
+        if code not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):
+            self._lose(os.strerror(code))
+            return
+        self._state = _State.CONNECTING
+
+    def _connect(self, wait_s: float) -> None:
+        assert self._socket is not None
+        if not select.select([], [self._socket], [], wait_s)[1]:
+            if time.monotonic() - self._began > self.settings.connect_timeout_s:
+                self._lose("no answer")
+            return
+        code = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if code:
+            self._lose(os.strerror(code))
+            return
+        self._state = _State.GREETING
+        self._splitter = PacketSplitter()
+        self._heard = time.monotonic()
+
+    def _receive(self, connection: socket.socket) -> list[Sample]:
+        try:
+            data = connection.recv(_RECEIVE)
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            self._lose(str(error))
+            return []
+        host_ns = self._clock.now_ns()
+        if not data:
+            self._lose("the server closed the connection")
+            return []
+        self._heard = time.monotonic()
+        malformed = self._splitter.malformed
+        packets = self._splitter.feed(data)
+        self._counts.malformed += self._splitter.malformed - malformed
+        return [self._sample(packet, host_ns) for packet in packets]
+
+    def _timers(self) -> None:
+        """What is due: pings, requests, the end of patience."""
+        if self._socket is None:
+            return
+        now = time.monotonic()
+        if self._state is _State.GREETING:
+            if now - self._began > self.settings.connect_timeout_s:
+                self._lose("it does not greet as a DataStream server")
+            return
+        if Type.PING in self._offered:
+            if now - self._heard > self.settings.silence_s:
+                self._lose(f"silent for {self.settings.silence_s} s")
+                return
+            if now >= self._ping_at:
+                self._ping_at = now + _PING_S
+                self._ping += 1
+                self._pings[self._ping] = time.monotonic_ns()
+                self._pings.pop(self._ping - _PINGS_KEPT, None)
+                self._send(Packet(ping=self._ping))
+        if self.settings.mode == "pull" and now >= self._ask_at:
+            self._ask_at = now + _ASK_AGAIN_S
+            self._send(Packet(streaming=False))
+
+    def _send(self, packet: Packet) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.sendall(vicon.encode(packet))
+        except OSError as error:  # BlockingIOError too: the server reads nothing
+            self._lose(str(error))
+
+    def _lose(self, failure: str) -> None:
+        """The connection is gone; what it had sent of a packet goes with it, and shows as a gap."""
+        self._failure = failure
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.close()
+        self._socket, self._state = None, _State.CLOSED
+        self._retry_at = time.monotonic() + _RETRY_S
+        self._pings.clear()
+
+    # --------------------------------------------------------------------------------------------------- packets
+
+    def _sample(self, raw: bytes, host_ns: int) -> Sample:
+        packet = vicon.decode(vicon.payload(raw))
+        messages: list[Message] = []
+        if packet.enums is not None:
+            self._answer(packet.enums)
+            messages.append(Facts("server", {"types": sorted(packet.enums)}))
+        sent_ns = self._pings.pop(packet.ping, None) if packet.ping is not None else None
+        if sent_ns is not None:
+            self._trips_s.append((time.monotonic_ns() - sent_ns) * 1e-9)
+        messages += self._decoder.statics(packet)
+        if packet.faults:
+            self._counts.malformed += 1
+        if packet.frame is None:
+            return Sample(None, host_ns, None, raw, tuple(messages))
+        arrival = self._account.arrive(packet.frame, host_ns, self._decoder.rate_hz)
+        now = time.monotonic()
+        if arrival.sequence is None:
+            self._ask_at = now + 0.25 / (self._decoder.rate_hz or 100.0)
+            return Sample(None, host_ns, None, raw, tuple(messages))
+        self._ask_at = now
+        if arrival.anew and not self._reconnected:
+            self._counts.restarts += 1
+        if arrival.anew or self._reconnected:
+            numbers = "anew" if arrival.anew else "continued"
+            restart = {"reconnected": self._reconnected, "numbers": numbers, "frame": arrival.frame, "lost": arrival.lost}
+            messages.append(Facts("restart", restart))
+            self._reconnected = False
+        if not packet.faults:
+            self._counts.received += 1
+            messages += self._frame(packet)
+        return Sample(arrival.sequence, host_ns, self._decoder.device_ns(arrival.frame), raw, tuple(messages))
+
+    def _frame(self, packet: Packet) -> list[Message]:
+        settings = self.settings
+        messages: list[Message] = []
+        if settings.segments:
+            messages += self._decoder.poses(packet)
+        if settings.labeled_markers:
+            messages += self._decoder.labeled(packet)
+        if settings.unlabeled_markers:
+            messages += self._decoder.unlabeled(packet)
+        return messages + latency(packet, self.network_s)
+
+    def _answer(self, offered: frozenset[int]) -> None:
+        """The server greets, with what it has: ask for what we want of it."""
+        settings = self.settings
+        wanted = set(_BASE)
+        if settings.segments:
+            wanted.add(Type.GLOBAL_SEGMENTS)
+        if settings.labeled_markers:
+            wanted.add(Type.LABELED_RECONS)
+        if settings.unlabeled_markers:
+            wanted.add(Type.UNLABELED_RECONS)
+        self._offered = offered
+        self._send(Packet(enums=offered & wanted))
+        self._send(Packet(streaming=settings.mode == "push"))
+        if self._state is not _State.GREETING:
+            return
+        self._state = _State.STREAMING
+        now = time.monotonic()
+        self._heard, self._ping_at, self._ask_at = now, now, now + _ASK_AGAIN_S
+        if self._streamed_before:
+            self._counts.restarts += 1
+            self._reconnected = True
+        self._streamed_before = True

@@ -1,0 +1,346 @@
+"""The bytes of Vicon's DataStream (TCP, little-endian): packets read and built. No sockets, no axes or units changed.
+
+A packet is a u32 0x1A2B0001, a u32 length and blocks of that length together; a block is a u32 type, a u32 length and data. A
+string, vector, set or map is a u32 count and its items. Lengths are mm, rotations row-major matrices, latencies seconds.
+
+Source: the types and layouts of the vendor's DataStream SDK, whose C++ source is public (1.11, MIT). The server speaks first: the
+types that it has (ObjectEnums). The client answers with those that it wants, now and whenever they change, and asks for
+frames: RequestFrame 0 for one, 1 for all as they come. Static objects come when they change, or when the set of types does;
+Contents then says which types are as before. A Ping comes back as it was sent.
+
+Nothing that a packet says of its own size is trusted: counts are held against the bytes that came before anything is read. A
+block that does not hold what its type needs is left out and counted; the packet's other blocks stand.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+DEFAULT_PORT = 801
+MAGIC = 0x1A2B0001
+TICKS_PER_SECOND = 135_000_000  # of the clock that frame periods are given in
+MAX_PACKET = 4 << 20  # bytes; a frame of 100 segments and 1000 markers has 0.2 MB
+_HEADER = struct.Struct("<II")
+_MAGIC_BYTES = MAGIC.to_bytes(4, "little")
+_U32, _I64, _U64, _F64 = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<Q"), struct.Struct("<d")
+
+
+class Type(IntEnum):
+    """Types of blocks; those that are read here. Others are skipped."""
+
+    STREAM_INFO = 1
+    SUBJECT_INFO = 2
+    FRAME_INFO = 5
+    LABELED_RECONS = 6
+    UNLABELED_RECONS = 7
+    LOCAL_SEGMENTS = 8
+    GLOBAL_SEGMENTS = 9
+    LATENCY_INFO = 26
+    SUBJECT_TOPOLOGY = 28
+    HARDWARE_FRAME_INFO = 36
+    APPLICATION_INFO = 37
+    FRAME_RATE_INFO = 39
+    PING = 42
+    OBJECT_ENUMS = 100_001
+    REQUEST_FRAME = 100_002
+    CONTENTS = 100_004
+
+
+STATIC = frozenset({Type.STREAM_INFO, Type.SUBJECT_INFO, Type.SUBJECT_TOPOLOGY, Type.APPLICATION_INFO})
+
+SEGMENT = np.dtype([("segment", "<u4"), ("translation", "<f8", (3,)), ("rotation", "<f8", (9,))])
+_RECON = [("radius", "<f8"), ("position", "<f8", (3,)), ("covariance", "<f8", (9,)), ("trajectory", "<u4")]
+UNLABELED = np.dtype(_RECON)
+LABELED = np.dtype([("subject", "<u4"), ("marker", "<u4"), *_RECON])
+_ATTACHMENT = np.dtype([("marker", "<u4"), ("segment", "<u4")])
+Rows: TypeAlias = NDArray[Any]  # of one of the dtypes above
+
+
+class SegmentInfo(NamedTuple):
+    """A segment of a subject: ids (the root's parent is 0), its bounding box (min and max), its name."""
+
+    parent: int
+    segment: int
+    name: str
+    bounds: tuple[float, ...] = (0.0,) * 6
+
+
+@dataclass(frozen=True)
+class SubjectInfo:
+    """A subject: its segments, its markers (id, name), and which marker is attached to which segment (ids)."""
+
+    subject: int
+    name: str
+    segments: tuple[SegmentInfo, ...] = ()
+    markers: tuple[tuple[int, str], ...] = ()
+    attachments: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class Contents:
+    """How many objects of each type are in the packet, and the types whose objects are those of the packet before."""
+
+    counts: Mapping[int, int] = field(default_factory=dict)
+    unchanged: frozenset[int] = frozenset()
+
+
+@dataclass
+class Packet:
+    """What a packet says; None, or nothing, where it says nothing of it. `faults`: blocks that are malformed.
+
+    enums: types that the server has, or the client wants · streaming: a request for a frame, or for all to come · frame: of the
+    stream, counted by the server · period: 135 MHz ticks a frame · y_up: the server's axes · latency: (what took it, s), to be
+    summed · labeled, unlabeled: rows of `LABELED`, `UNLABELED` · segments: rows of `SEGMENT` of each subject's id, in the world
+    or in the parent's frame · neutral: rows of `SEGMENT` of the subjects in their neutral pose, in the parent's frame.
+    """
+
+    enums: frozenset[int] | None = None
+    streaming: bool | None = None
+    ping: int | None = None
+    contents: Contents | None = None
+    frame: int | None = None
+    hardware_frame: int | None = None
+    period: int | None = None
+    y_up: bool | None = None
+    rates: Mapping[str, float] | None = None
+    latency: tuple[tuple[str, float], ...] | None = None
+    subjects: list[SubjectInfo] = field(default_factory=list)
+    neutral: dict[int, Rows] = field(default_factory=dict)
+    labeled: Rows | None = None
+    unlabeled: Rows | None = None
+    global_segments: dict[int, Rows] = field(default_factory=dict)
+    local_segments: dict[int, Rows] = field(default_factory=dict)
+    faults: int = 0
+
+
+class _MalformedError(ValueError):
+    """A block does not hold what its type needs."""
+
+
+class _Reader:
+    """Reads a block from its beginning; never past its end."""
+
+    def __init__(self, data: memoryview) -> None:
+        self._data, self._at = data, 0
+
+    def _take(self, size: int) -> memoryview:
+        if size > len(self._data) - self._at:
+            raise _MalformedError
+        self._at += size
+        return self._data[self._at - size : self._at]
+
+    def number(self, kind: struct.Struct = _U32) -> Any:
+        return kind.unpack(self._take(kind.size))[0]
+
+    def count(self, smallest: int) -> int:
+        """A count of items of at least `smallest` bytes each: no more than there are bytes for."""
+        count: int = self.number()
+        if count * smallest > len(self._data) - self._at:
+            raise _MalformedError
+        return count
+
+    def text(self) -> str:
+        return str(self._take(self.number()), "utf-8", "replace")
+
+    def rows(self, dtype: np.dtype[Any]) -> Rows:
+        count = self.count(dtype.itemsize)
+        return np.frombuffer(self._take(count * dtype.itemsize), dtype)
+
+    def floats(self, count: int) -> tuple[float, ...]:
+        return struct.unpack(f"<{count}f", self._take(4 * count))
+
+    def enums(self) -> frozenset[int]:
+        return frozenset(self.rows(np.dtype("<u4")).tolist())
+
+
+def decode(payload: bytes | memoryview) -> Packet:
+    """What the blocks of a packet say (its bytes without magic and length). Never raises; what is malformed is in `faults`."""
+    packet, view, at = Packet(), memoryview(payload), 0
+    while at < len(view):
+        if at + _HEADER.size > len(view):
+            packet.faults += 1
+            break
+        kind, size = _HEADER.unpack_from(view, at)
+        at += _HEADER.size
+        if size > len(view) - at:
+            packet.faults += 1
+            break
+        read = _READ.get(kind)
+        if read is not None:
+            try:
+                read(packet, _Reader(view[at : at + size]))
+            except _MalformedError:
+                packet.faults += 1
+        at += size
+    return packet
+
+
+def _read_subject(packet: Packet, data: _Reader) -> None:
+    subject, name = data.number(), data.text()
+    segments = []
+    for _ in range(data.count(36)):
+        parent, segment, bounds = data.number(), data.number(), data.floats(6)
+        segments.append(SegmentInfo(parent, segment, data.text(), bounds))
+    markers = tuple((data.number(), data.text()) for _ in range(data.count(8)))
+    attachments = tuple(data.rows(_ATTACHMENT).tolist())
+    packet.subjects.append(SubjectInfo(subject, name, tuple(segments), markers, attachments))
+
+
+def _read_segments(into: Callable[[Packet], dict[int, Rows]]) -> Callable[[Packet, _Reader], None]:
+    def read(packet: Packet, data: _Reader) -> None:
+        subject = data.number()
+        into(packet)[subject] = data.rows(SEGMENT)
+
+    return read
+
+
+def _read_contents(packet: Packet, data: _Reader) -> None:
+    counts = {data.number(): data.number() for _ in range(data.count(8))}
+    packet.contents = Contents(counts, data.enums())
+
+
+def _read(name: str, value: Callable[[_Reader], Any]) -> Callable[[Packet, _Reader], None]:
+    def read(packet: Packet, data: _Reader) -> None:
+        setattr(packet, name, value(data))
+
+    return read
+
+
+_BYTE = struct.Struct("<B")
+_READ: Mapping[int, Callable[[Packet, _Reader], None]] = MappingProxyType(
+    {
+        Type.OBJECT_ENUMS: _read("enums", _Reader.enums),
+        Type.REQUEST_FRAME: _read("streaming", lambda data: bool(data.number(_BYTE))),
+        Type.PING: _read("ping", lambda data: data.number(_U64)),
+        Type.CONTENTS: _read_contents,
+        Type.FRAME_INFO: _read("frame", _Reader.number),
+        Type.HARDWARE_FRAME_INFO: _read("hardware_frame", _Reader.number),
+        Type.STREAM_INFO: _read("period", lambda data: data.number(_I64)),
+        Type.APPLICATION_INFO: _read("y_up", lambda data: data.number(_BYTE) == 1),
+        Type.FRAME_RATE_INFO: _read("rates", lambda data: {data.text(): data.number(_F64) for _ in range(data.count(12))}),
+        Type.LATENCY_INFO: _read("latency", lambda data: tuple((data.text(), data.number(_F64)) for _ in range(data.count(12)))),
+        Type.SUBJECT_INFO: _read_subject,
+        Type.SUBJECT_TOPOLOGY: _read_segments(lambda packet: packet.neutral),
+        Type.LABELED_RECONS: _read("labeled", lambda data: data.rows(LABELED)),
+        Type.UNLABELED_RECONS: _read("unlabeled", lambda data: data.rows(UNLABELED)),
+        Type.GLOBAL_SEGMENTS: _read_segments(lambda packet: packet.global_segments),
+        Type.LOCAL_SEGMENTS: _read_segments(lambda packet: packet.local_segments),
+    }
+)
+
+
+def encode(packet: Packet) -> bytes:
+    """The bytes of a packet, magic and length first; the blocks in the order of the fields of `Packet`."""
+    blocks = [_HEADER.pack(kind, len(data)) + data for kind, data in _blocks(packet)]
+    body = b"".join(blocks)
+    return _HEADER.pack(MAGIC, len(body)) + body
+
+
+def _blocks(packet: Packet) -> Iterator[tuple[int, bytes]]:
+    if packet.enums is not None:
+        yield Type.OBJECT_ENUMS, _set(packet.enums)
+    if packet.streaming is not None:
+        yield Type.REQUEST_FRAME, bytes([packet.streaming])
+    if packet.ping is not None:
+        yield Type.PING, _U64.pack(packet.ping)
+    if packet.contents is not None:
+        counts = sorted(packet.contents.counts.items())
+        yield Type.CONTENTS, _vector([_HEADER.pack(*pair) for pair in counts]) + _set(packet.contents.unchanged)
+    if packet.frame is not None:
+        yield Type.FRAME_INFO, _U32.pack(packet.frame)
+    if packet.hardware_frame is not None:
+        yield Type.HARDWARE_FRAME_INFO, _U32.pack(packet.hardware_frame)
+    if packet.period is not None:
+        yield Type.STREAM_INFO, _I64.pack(packet.period)
+    if packet.y_up is not None:
+        yield Type.APPLICATION_INFO, bytes([packet.y_up])
+    if packet.rates is not None:
+        yield Type.FRAME_RATE_INFO, _vector([_text(name) + _F64.pack(rate) for name, rate in sorted(packet.rates.items())])
+    if packet.latency is not None:
+        yield Type.LATENCY_INFO, _vector([_text(name) + _F64.pack(seconds) for name, seconds in packet.latency])
+    for subject in packet.subjects:
+        yield Type.SUBJECT_INFO, _subject(subject)
+    for identity, rows in packet.neutral.items():
+        yield Type.SUBJECT_TOPOLOGY, _U32.pack(identity) + _rows(rows, SEGMENT)
+    if packet.labeled is not None:
+        yield Type.LABELED_RECONS, _rows(packet.labeled, LABELED)
+    if packet.unlabeled is not None:
+        yield Type.UNLABELED_RECONS, _rows(packet.unlabeled, UNLABELED)
+    for identity, rows in packet.global_segments.items():
+        yield Type.GLOBAL_SEGMENTS, _U32.pack(identity) + _rows(rows, SEGMENT)
+    for identity, rows in packet.local_segments.items():
+        yield Type.LOCAL_SEGMENTS, _U32.pack(identity) + _rows(rows, SEGMENT)
+
+
+def _subject(info: SubjectInfo) -> bytes:
+    segments = [struct.pack("<II6f", s.parent, s.segment, *s.bounds) + _text(s.name) for s in info.segments]
+    markers = [_U32.pack(identity) + _text(name) for identity, name in info.markers]
+    attachments = _rows(np.array(list(info.attachments), _ATTACHMENT), _ATTACHMENT)
+    return _U32.pack(info.subject) + _text(info.name) + _vector(segments) + _vector(markers) + attachments
+
+
+def _vector(items: Sequence[bytes]) -> bytes:
+    return _U32.pack(len(items)) + b"".join(items)
+
+
+def _set(values: frozenset[int]) -> bytes:
+    return _vector([_U32.pack(value) for value in sorted(values)])
+
+
+def _text(text: str) -> bytes:
+    data = text.encode()
+    return _U32.pack(len(data)) + data
+
+
+def _rows(rows: Rows, dtype: np.dtype[Any]) -> bytes:
+    if rows.dtype != dtype:
+        raise ValueError(f"rows of {rows.dtype}, not {dtype}")
+    return _U32.pack(len(rows)) + rows.tobytes()
+
+
+class PacketSplitter:
+    """Cuts the bytes of a connection into packets. Holds no more than one packet and what was fed last.
+
+    `malformed` counts the places where no packet begins or its length is over the limit; from there the next magic is sought.
+    """
+
+    def __init__(self, limit: int = MAX_PACKET) -> None:
+        self.malformed = 0
+        self._limit = limit
+        self._buffer = bytearray()
+        self._lost = False  # between packets: nothing since the last fault has been a packet
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The packets that are now whole, magic and length included."""
+        self._buffer += data
+        packets, at, buffer = [], 0, self._buffer
+        while len(buffer) - at >= _HEADER.size:
+            magic, size = _HEADER.unpack_from(buffer, at)
+            if magic != MAGIC or size > self._limit:
+                self.malformed += not self._lost
+                self._lost = True
+                found = buffer.find(_MAGIC_BYTES, at + 1)
+                # The last three bytes may be the beginning of a magic.
+                at = found if found >= 0 else max(at + 1, len(buffer) - 3)
+                continue
+            end = at + _HEADER.size + size
+            if end > len(buffer):
+                break
+            packets.append(bytes(memoryview(buffer)[at:end]))
+            self._lost = False
+            at = end
+        del buffer[:at]
+        return packets
+
+
+def payload(packet: bytes) -> memoryview:
+    """The blocks of a packet that `PacketSplitter` cut."""
+    return memoryview(packet)[_HEADER.size :]
