@@ -101,6 +101,15 @@ def euler_to_wxyz(euler_deg: F64) -> F64:
     )
 
 
+def wxyz_to_euler(orientation_wxyz: F64) -> F64:
+    """The inverse of `euler_to_wxyz`, degrees (N, 3)."""
+    w, x, y, z = orientation_wxyz.T
+    about_x = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    about_y = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    about_z = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.degrees(np.stack([about_x, about_y, about_z], axis=1))
+
+
 def multiply_wxyz(a: F64, b: F64) -> F64:
     """Products (N, 4) of quaternions: first the turn b, then a."""
     w = a[:, :1] * b[:, :1] - (a[:, 1:] * b[:, 1:]).sum(axis=1, keepdims=True)

@@ -1,0 +1,216 @@
+"""MVN played: the real bytes of the network streamer from a motion, through a network that can be made as bad as one likes.
+
+`mvn_streamer.Streamer` makes datagrams, `Network` loses, delays and doubles them, `MvnEmulator` sends them at their time; the
+first two need no socket. What became of every datagram is told (`Sent`), so that a receiver's account can be proved.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError
+from cabinpose.record.emulate.mvn_motion import Motion
+from cabinpose.record.emulate.mvn_streamer import Datagram, MvnEmulatorSettings, Streamer
+
+_TCP_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True)
+class Sent:
+    """One datagram that was sent, of `pieces` of its sample, and its fate: `copies` of it arrived (0 = lost), perhaps `late`.
+
+    sampled_ns and sent_ns: host clock, when the sample was taken and when the datagram left · time_ms: what it says of its time.
+    """
+
+    kind: int
+    character: int
+    counter: int
+    piece: int
+    pieces: int
+    time_ms: int
+    sampled_ns: int
+    sent_ns: int
+    copies: int
+    late: bool
+
+    def line(self) -> str:
+        """As a line of JSON."""
+        return json.dumps(asdict(self))
+
+
+@dataclass
+class _Held:
+    left: int  # datagrams that still overtake it
+    datagram: Datagram
+    copies: int
+
+
+class Network:
+    """Loses, doubles and delays datagrams; what it does depends on the seed and the order of what it is given alone."""
+
+    def __init__(self, settings: MvnEmulatorSettings) -> None:
+        self._settings = settings
+        self._rng = np.random.Generator(np.random.Philox(key=(settings.seed, 0)))
+        self._held: deque[_Held] = deque()
+
+    def carry(self, datagram: Datagram) -> Iterator[tuple[Datagram, int, bool]]:
+        """What arrives now, as (datagram, copies, late): this one, unless it is lost (0 copies) or late, and what waited."""
+        settings = self._settings
+        lost, twice, late = self._rng.random(3) < (settings.loss, settings.duplicate, settings.reorder)
+        copies = 0 if lost else 2 if twice else 1
+        if late and copies:
+            self._held.append(_Held(settings.reorder_by + 1, datagram, copies))
+        else:
+            yield datagram, copies, False
+        for held in self._held:
+            held.left -= 1
+        while self._held and self._held[0].left == 0:
+            held = self._held.popleft()
+            yield held.datagram, held.copies, True
+
+    def rest(self, *, lost: bool = False) -> Iterator[tuple[Datagram, int, bool]]:
+        """What is still under way: it arrives, or is lost where the network dies."""
+        while self._held:
+            held = self._held.popleft()
+            yield held.datagram, 0 if lost else held.copies, True
+
+
+class MvnEmulator:
+    """Sends a motion. `run` does so in this thread; `start` and `stop` in another.
+
+    `log` is called with every datagram in the order in which its fate is known, from the thread that sends.
+    """
+
+    def __init__(
+        self,
+        settings: MvnEmulatorSettings,
+        motion: Motion,
+        *,
+        log: Callable[[Sent], None] | None = None,
+        clock: HostClock | None = None,
+    ) -> None:
+        self.settings = settings
+        self._streamer, self._network = Streamer(settings, motion), Network(settings)
+        self._log = log or (lambda _: None)
+        self._clock = clock or HostClock()
+        self._stop = threading.Event()
+        self._dies = False
+        self._thread: threading.Thread | None = None
+        self._socket: socket.socket | None = None
+        self._listener: socket.socket | None = None
+        self.samples = 0
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it sends to, or is reached."""
+        if self._listener is not None:
+            host, port = self._listener.getsockname()[:2]
+            return (host, port)
+        return (self.settings.host, self.settings.port)
+
+    def open(self) -> None:
+        """Make ready to send; `listen`: be reachable. Raises RecordingError."""
+        settings = self.settings
+        where = (settings.host, settings.port)
+        try:
+            if settings.transport == "udp":
+                family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+                self._socket = socket.socket(family, socket.SOCK_DGRAM)
+                self._socket.connect(where)
+            elif settings.transport == "tcp":
+                self._socket = socket.create_connection(where, timeout=_TCP_TIMEOUT_S)
+            elif self._listener is None:
+                self._listener = socket.create_server(where, backlog=1)
+                self._listener.settimeout(0.1)
+        except OSError as error:
+            self.close()
+            hint = "start the receiver first" if settings.transport == "tcp" else "check address and port"
+            raise RecordingError(f"cannot stream to {where[0]}:{where[1]} ({error.strerror or error})", hint=hint) from error
+
+    def close(self) -> None:
+        """Close what `open` opened."""
+        for each in (self._socket, self._listener):
+            if each is not None:
+                each.close()
+        self._socket = self._listener = None
+
+    def run(self, samples: int | None = None) -> None:
+        """Send so many samples, or until `stop`; over tcp, a receiver that goes away raises RecordingError."""
+        if self._socket is None and self._listener is None:
+            self.open()
+        try:
+            if self._accepted():
+                self._send_all(samples)
+        finally:
+            self.close()
+
+    def start(self, samples: int | None = None) -> None:
+        """Send in a thread."""
+        self.open()
+        self._thread = threading.Thread(target=self._run_quietly, args=(samples,), name="emulate-mvn", daemon=True)
+        self._thread.start()
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait until all samples are sent."""
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def stop(self, *, dies: bool = False) -> None:
+        """Stop sending; with `dies`, what is under way is lost with the network."""
+        self._dies = dies
+        self._stop.set()
+        self.join(10.0)
+
+    def _run_quietly(self, samples: int | None) -> None:
+        with contextlib.suppress(RecordingError):  # a receiver that left; the thread has nobody to tell
+            self.run(samples)
+
+    def _accepted(self) -> bool:
+        """Wait for a receiver to connect, where it has to."""
+        while self._socket is None and not self._stop.is_set():
+            assert self._listener is not None
+            with contextlib.suppress(TimeoutError):
+                self._socket, _ = self._listener.accept()
+                self._socket.settimeout(_TCP_TIMEOUT_S)
+        return self._socket is not None
+
+    def _send_all(self, samples: int | None) -> None:
+        period_ns = 1e9 / self.settings.rate_hz
+        latency_ns = round(self.settings.latency_s * 1e9)
+        began_ns = time.monotonic_ns()
+        number = 0
+        while (samples is None or number < samples) and not self._stop.is_set():
+            sampled_ns = began_ns + round(number * period_ns)
+            wait_ns = sampled_ns + latency_ns - time.monotonic_ns()
+            if wait_ns > 0 and self._stop.wait(wait_ns * 1e-9):
+                break
+            for datagram in self._streamer.sample(number):
+                for each in self._network.carry(datagram):
+                    self._send(*each, sampled_ns)
+            number += 1
+            self.samples = number
+        for each in self._network.rest(lost=self._dies):
+            self._send(*each, began_ns + round(number * period_ns))
+
+    def _send(self, datagram: Datagram, copies: int, late: bool, sampled_ns: int) -> None:
+        assert self._socket is not None
+        for _ in range(copies):
+            try:
+                self._socket.sendall(datagram.data)
+            except ConnectionRefusedError:  # udp on loopback: nobody listens, and that is the receiver's affair
+                continue
+            except OSError as error:
+                raise RecordingError(f"the receiver went away ({error.strerror or error})", hint="start it again") from error
+        at = self._clock.from_monotonic_ns(sampled_ns)
+        d = datagram
+        self._log(Sent(d.kind, d.character, d.counter, d.piece, d.pieces, d.time_ms, at, self._clock.now_ns(), copies, late))
