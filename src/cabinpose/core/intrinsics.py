@@ -1,0 +1,84 @@
+"""The camera model fitted to pixels whose rays are known: from a device's points, or from another lens model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from cabinpose.core.camera import Camera
+
+_MOST_PIXELS = 4000  # of the fit: nine parameters need no more, and a frame of 300 000 would take seconds
+_FEWEST_PIXELS = 50
+
+
+@dataclass(frozen=True)
+class CameraFit:
+    """A fitted camera and what it leaves: root mean square and largest distance (px) between its pixels and the true ones."""
+
+    camera: Camera
+    rms_px: float
+    max_px: float
+
+
+def fit_camera(xy: ArrayLike, *, start: Camera | None = None, distorted: bool = True) -> CameraFit | None:
+    """The camera whose pixels see along given rays, by least squares in the image.
+
+    xy: (height, width, 2), ideal normalised coordinates (x/z, y/z) of the pixels' rays, NaN = unknown · start: where to begin,
+    otherwise a camera without distortion · distorted: fit (k1, k2, p1, p2, k3) too.
+
+    None where too few rays are known, or they do not spread over the image.
+    """
+    rays = np.asarray(xy, dtype=np.float64)
+    height, width = rays.shape[:2]
+    known = np.isfinite(rays).all(axis=-1)
+    v, u = np.nonzero(known)
+    if len(u) < _FEWEST_PIXELS or np.ptp(u) < 3 or np.ptp(v) < 3:
+        return None
+    chosen = np.unique(np.linspace(0, len(u) - 1, min(len(u), _MOST_PIXELS)).astype(int))
+    some_xy, some_uv = rays[v[chosen], u[chosen]], np.stack((u[chosen], v[chosen]), axis=-1).astype(np.float64)
+    first = start or _pinhole(width, height, some_xy, some_uv)
+    if first is None:
+        return None
+    begin = np.array([first.fx, first.fy, first.cx, first.cy, *(first.dist if distorted else ())])
+
+    def residual(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (_pixels(_camera(width, height, parameters), some_xy) - some_uv).ravel()
+
+    bounds = np.full((2, len(begin)), np.inf) * [[-1], [1]]
+    bounds[0, :2] = 1e-3  # focal lengths are positive
+    solved = least_squares(
+        residual, begin, bounds=bounds, x_scale=np.where(begin == 0, 0.1, np.abs(begin)), xtol=1e-12, ftol=1e-12
+    )
+    camera = _camera(width, height, solved.x)
+    error = np.linalg.norm(_pixels(camera, rays[known]) - np.stack((u, v), axis=-1), axis=-1)
+    return CameraFit(camera, float(np.sqrt(np.mean(error**2))), float(error.max()))
+
+
+def pixel_error(camera: Camera, xy: ArrayLike) -> float:
+    """Median distance (px) between the pixels of rays (height, width, 2) and where a camera sees them; NaN without rays."""
+    rays = np.asarray(xy, dtype=np.float64)
+    v, u = np.nonzero(np.isfinite(rays).all(axis=-1))
+    if not len(u):
+        return float("nan")
+    return float(np.median(np.linalg.norm(_pixels(camera, rays[v, u]) - np.stack((u, v), axis=-1), axis=-1)))
+
+
+def _pinhole(width: int, height: int, xy: NDArray[np.float64], uv: NDArray[np.float64]) -> Camera | None:
+    """The camera without distortion by two straight lines: u over x, v over y."""
+    if np.ptp(xy[:, 0]) < 1e-9 or np.ptp(xy[:, 1]) < 1e-9:
+        return None
+    (fx, cx), (fy, cy) = (np.polyfit(xy[:, axis], uv[:, axis], 1) for axis in (0, 1))
+    return Camera(width, height, float(fx), float(fy), float(cx), float(cy)) if fx > 0 and fy > 0 else None
+
+
+def _camera(width: int, height: int, parameters: NDArray[np.float64]) -> Camera:
+    fx, fy, cx, cy, *dist = (float(p) for p in parameters)
+    k1, k2, p1, p2, k3 = dist or (0.0,) * 5
+    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+
+
+def _pixels(camera: Camera, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return camera.distort(xy) * (camera.fx, camera.fy) + (camera.cx, camera.cy)

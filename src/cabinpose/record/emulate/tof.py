@@ -1,0 +1,131 @@
+"""A ToF camera without hardware: frames of a dataset or of the generator at a camera's pace, with the faults of one.
+
+ToF cameras have no network protocol in common, so nothing is served on a port: the emulator runs in the recorder's process,
+hands frames over from a thread of its own as an SDK does, and keeps a log of what it did with each, to hold a recording
+against.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.clock import HostClock
+
+Frame = Mapping[str, Any]
+Fate = Literal["sent", "lost", "stalled"]
+
+
+class TofFaults(BaseModel):
+    """What is wrong with an emulated camera and its clock; nothing, unless told."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    rate_hz: float = Field(15.0, gt=0, le=1000, description="frames a second")
+    loss: float = Field(0.0, ge=0, le=1, description="share of frames that never arrive, though the camera counts them")
+    jitter_s: float = Field(0.0, ge=0, description="standard deviation of the delay of a frame's arrival, s")
+    latency_s: float = Field(0.0, ge=0, description="delay of every frame's arrival, s")
+    stall_every_s: float = Field(0.0, ge=0, description="seconds between stalls; 0 = never")
+    stall_s: float = Field(0.0, ge=0, description="how long a stall swallows frames, s")
+    clock_offset_s: float = Field(0.0, description="the camera's clock before the host's, s")
+    clock_drift_ppm: float = Field(0.0, ge=-10_000, le=10_000, description="how much faster the camera's clock runs, ppm")
+    seed: int = Field(0, ge=0, description="of the faults")
+
+
+@dataclass(frozen=True)
+class Sent:
+    """One line of the ground truth: the camera's count, its time stamp, when it was taken (host), and what became of it."""
+
+    counter: int
+    device_ns: int
+    taken_ns: int
+    fate: Fate
+
+
+@dataclass
+class EmulatedCamera:
+    """Takes a frame every period and hands it to `listener(counter, device_ns, frame)` on a thread of its own.
+
+    A source of frames that is slower than the camera slows it down; `late` counts the periods that it missed.
+    """
+
+    frames: Callable[[], Iterable[Frame]]
+    faults: TofFaults
+    clock: HostClock
+    listener: Callable[[int, int, Frame], None]
+    loop: bool = True
+    log: list[Sent] = field(default_factory=list)
+    late: int = 0
+    ended: bool = False
+    error: Exception | None = None
+    _stop: threading.Event = field(default_factory=threading.Event)
+    _thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Let frames come."""
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._guarded, name="emulated-tof", daemon=True)
+        self._thread.start()
+
+    def stop(self, timeout_s: float = 5.0) -> None:
+        """End the frames; harmless if none come."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+            self._thread = None
+
+    def device_ns(self, taken_ns: int, started_ns: int) -> int:
+        """What the camera's clock says at a moment of the host's."""
+        elapsed = taken_ns - started_ns
+        return started_ns + elapsed + round(elapsed * self.faults.clock_drift_ppm * 1e-6 + self.faults.clock_offset_s * 1e9)
+
+    def _guarded(self) -> None:
+        try:
+            self._run()
+        except Exception as error:  # noqa: BLE001 - a source of frames may fail in any way; the reader is told
+            self.error = error
+        self.ended = True
+
+    def _run(self) -> None:
+        faults = self.faults
+        rng = np.random.Generator(np.random.Philox(key=faults.seed))
+        period_ns = round(1e9 / faults.rate_hz)
+        started_ns = self.clock.now_ns()
+        slack_ns = period_ns + round((faults.latency_s + 4 * faults.jitter_s) * 1e9)
+        for counter, frame in enumerate(self._endless()):
+            taken_ns = started_ns + counter * period_ns
+            now_ns = self.clock.now_ns()
+            if now_ns > taken_ns + slack_ns:  # the frame was not there in time
+                missed = (now_ns - taken_ns) // period_ns
+                self.late += missed
+                started_ns += missed * period_ns
+                taken_ns = started_ns + counter * period_ns
+            delay_s = faults.latency_s + max(rng.normal(0.0, faults.jitter_s), 0.0) if faults.jitter_s else faults.latency_s
+            if self._stop.wait(max((taken_ns - self.clock.now_ns()) / 1e9 + delay_s, 0.0)):
+                return
+            fate = self._fate(taken_ns - started_ns, rng.random())
+            device_ns = self.device_ns(taken_ns, started_ns)
+            self.log.append(Sent(counter, device_ns, taken_ns, fate))
+            if fate == "sent":
+                self.listener(counter, device_ns, frame)
+
+    def _fate(self, elapsed_ns: int, drawn: float) -> Fate:
+        faults = self.faults
+        if faults.stall_every_s > 0 and (elapsed_ns / 1e9) % (faults.stall_every_s + faults.stall_s) >= faults.stall_every_s:
+            return "stalled"
+        return "lost" if drawn < faults.loss else "sent"
+
+    def _endless(self) -> Iterator[Frame]:
+        while True:
+            empty = True
+            for frame in self.frames():
+                empty = False
+                yield frame
+                if self._stop.is_set():
+                    return
+            if empty or not self.loop:
+                return

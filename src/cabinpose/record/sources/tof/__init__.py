@@ -1,0 +1,1 @@
+"""ToF cameras, one module a vendor: each gives `core.recorded.ToFFrame`."""

@@ -1,0 +1,230 @@
+"""The C interface of Bluetechnix's BltTofApi (BTA), version 3: structures and functions for ctypes.
+
+Source: the vendor's headers `bta.h`, `bta_frame.h`, `bta_discovery.h` 3.0 to 3.3, which are public. Every field of
+`BTA_Config` is aligned to 8 bytes; later versions append fields. Frames are reached through pointers, so that fields
+appended to a channel do no harm.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import DependencyError, RecordingError
+from cabinpose.record.sources.tof.camera import MOST_PIXELS, MalformedFrameError
+
+DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x40
+METRE, MILLIMETRE = 1, 3
+MOST_CHANNELS = 64
+FRAME_MODES: Mapping[str, int] = {
+    "current": 0,
+    "distance_amplitude": 1,
+    "z_amplitude": 2,
+    "distance_amplitude_flags": 3,
+    "xyz": 4,
+    "xyz_amplitude": 5,
+    "xyz_amplitude_flags": 7,
+    "distance_amplitude_confidence": 21,
+}
+_DTYPES: Mapping[int, str] = {
+    0x11: "<u1",
+    0x12: "<u2",
+    0x14: "<u4",
+    0x22: "<i2",
+    0x24: "<i4",
+    0x34: "<f4",
+    0x38: "<f8",
+}
+_WHERE = "the BltTofApi comes with the camera, from Bluetechnix (becom Systems): name its library with `library`"
+
+_TEXT = ctypes.POINTER(ctypes.c_uint8)
+
+
+class Channel(ctypes.Structure):
+    """The beginning of a `BTA_Channel`."""
+
+    _fields_ = (
+        ("id", ctypes.c_uint32),
+        ("x_res", ctypes.c_uint16),
+        ("y_res", ctypes.c_uint16),
+        ("data_format", ctypes.c_uint32),
+        ("unit", ctypes.c_uint32),
+        ("integration_time_us", ctypes.c_uint32),
+        ("modulation_frequency_hz", ctypes.c_uint32),
+        ("data", ctypes.c_void_p),
+        ("data_len", ctypes.c_uint32),
+    )
+
+
+class Frame(ctypes.Structure):
+    """The beginning of a `BTA_Frame`."""
+
+    _fields_ = (
+        ("firmware_major", ctypes.c_uint8),
+        ("firmware_minor", ctypes.c_uint8),
+        ("firmware_non_functional", ctypes.c_uint8),
+        ("main_temperature", ctypes.c_float),
+        ("led_temperature", ctypes.c_float),
+        ("generic_temperature", ctypes.c_float),
+        ("frame_counter", ctypes.c_uint32),
+        ("time_stamp", ctypes.c_uint32),
+        ("channels", ctypes.POINTER(ctypes.POINTER(Channel))),
+        ("channels_len", ctypes.c_uint8),
+    )
+
+
+FrameArrived = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(Frame))
+
+_CONFIG_FIELDS: tuple[tuple[str, Any], ...] = (
+    ("udp_data_ip", _TEXT),
+    ("udp_data_ip_len", ctypes.c_uint8),
+    ("udp_data_port", ctypes.c_uint16),
+    ("udp_control_out_ip", _TEXT),
+    ("udp_control_out_ip_len", ctypes.c_uint8),
+    ("udp_control_port", ctypes.c_uint16),
+    ("udp_control_in_ip", _TEXT),
+    ("udp_control_in_ip_len", ctypes.c_uint8),
+    ("udp_control_callback_port", ctypes.c_uint16),
+    ("tcp_device_ip", _TEXT),
+    ("tcp_device_ip_len", ctypes.c_uint8),
+    ("tcp_data_port", ctypes.c_uint16),
+    ("tcp_control_port", ctypes.c_uint16),
+    ("uart_port_name", ctypes.c_char_p),
+    ("uart_baud_rate", ctypes.c_uint32),
+    ("uart_data_bits", ctypes.c_uint8),
+    ("uart_stop_bits", ctypes.c_uint8),
+    ("uart_parity", ctypes.c_uint8),
+    ("uart_transmitter", ctypes.c_uint8),
+    ("uart_receiver", ctypes.c_uint8),
+    ("device_type", ctypes.c_uint32),
+    ("product_order_number", ctypes.c_char_p),
+    ("serial_number", ctypes.c_uint32),
+    ("calibration_file", ctypes.c_char_p),
+    ("z_factors_file", ctypes.c_char_p),
+    ("wiggling_file", ctypes.c_char_p),
+    ("frame_mode", ctypes.c_uint32),
+    ("info_event", ctypes.c_void_p),
+    ("info_event_ex", ctypes.c_void_p),
+    ("info_event_ex2", ctypes.c_void_p),
+    ("verbosity", ctypes.c_uint8),
+    ("frame_arrived", ctypes.c_void_p),
+    ("frame_arrived_ex", FrameArrived),
+    ("frame_arrived_ex2", ctypes.c_void_p),
+    ("user_argument", ctypes.c_void_p),
+    ("frame_queue_length", ctypes.c_uint16),
+    ("frame_queue_mode", ctypes.c_uint32),
+    ("average_window", ctypes.c_uint16),
+    ("bltstream_file", ctypes.c_char_p),
+    ("info_event_file", ctypes.c_char_p),
+    ("udp_data_auto_config", ctypes.c_uint8),
+    ("shared_memory", ctypes.c_uint8),
+)
+
+
+def _aligned(fields: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+    """Every field in 8 bytes of its own."""
+    result: list[tuple[str, Any]] = []
+    for name, kind in fields:
+        result.append((name, kind))
+        if rest := 8 - ctypes.sizeof(kind):
+            result.append((f"_after_{name}", ctypes.c_uint8 * rest))
+    return tuple(result)
+
+
+class Config(ctypes.Structure):
+    """`BTA_Config` of version 3.3, with room for what later versions append."""
+
+    _fields_ = (*_aligned(_CONFIG_FIELDS), ("_appended", ctypes.c_uint8 * 512))
+
+
+@dataclass(frozen=True, slots=True)
+class BtaChannel:
+    """The pixels of a channel (height, width), copied."""
+
+    values: NDArray[Any]
+    unit: int
+
+
+@dataclass(frozen=True, slots=True)
+class BtaFrame:
+    """A frame, copied: its channels by id, the device's counter and time stamp."""
+
+    counter: int
+    stamp_us: int
+    channels: Mapping[int, BtaChannel]
+
+
+def load_library(path: str) -> Any:
+    """The vendor's library; raises DependencyError where it is not there or no BltTofApi."""
+    try:
+        return declare(ctypes.CDLL(path))
+    except (OSError, AttributeError) as error:
+        message = f"a Bluetechnix camera needs the BltTofApi library, and {path} is none: {error}"
+        raise DependencyError(message, hint=_WHERE) from error
+
+
+def declare(library: Any) -> Any:
+    """State the arguments of the functions that are used; AttributeError where one is missing."""
+    handle = ctypes.POINTER(ctypes.c_void_p)
+    count = ctypes.POINTER(ctypes.c_uint32)
+    arguments: Mapping[str, tuple[Any, ...]] = {
+        "BTAgetVersion": (count, count, count, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p),
+        "BTAinitConfig": (ctypes.POINTER(Config),),
+        "BTAopen": (ctypes.POINTER(Config), handle),
+        "BTAclose": (handle,),
+        "BTAisConnected": (ctypes.c_void_p,),
+    }
+    for name, kinds in arguments.items():
+        function = getattr(library, name)
+        function.argtypes = kinds
+        function.restype = ctypes.c_uint8 if name == "BTAisConnected" else ctypes.c_int32
+    return library
+
+
+def version(library: Any) -> tuple[int, int, int]:
+    """The library's version; raises RecordingError for those before 3.0, whose structures differ."""
+    numbers = [ctypes.c_uint32() for _ in range(3)]
+    succeed(library.BTAgetVersion(*(ctypes.byref(n) for n in numbers), None, 0, None, None), "BTAgetVersion")
+    major, minor, patch = (n.value for n in numbers)
+    if major < 3:
+        raise RecordingError(f"BltTofApi {major}.{minor}.{patch} is too old", hint="3.0 or later is needed: ask becom Systems")
+    return major, minor, patch
+
+
+def succeed(status: int, what: str) -> None:
+    """Raise RecordingError for a status that is an error; warnings are above 0."""
+    if status < 0:
+        raise RecordingError(f"{what} failed with status {status}", hint="see bta_status.h; is the camera on and reachable?")
+
+
+def copied(frame: Frame) -> BtaFrame:
+    """A frame copied out of the library's memory. Raises MalformedFrameError for sizes that contradict each other."""
+    if frame.channels_len > MOST_CHANNELS or (frame.channels_len and not frame.channels):
+        raise MalformedFrameError(f"{frame.channels_len} channels")
+    channels: dict[int, BtaChannel] = {}
+    for i in range(frame.channels_len):
+        if not frame.channels[i]:
+            raise MalformedFrameError(f"channel {i} is not there")
+        channel = frame.channels[i].contents
+        if channel.id not in {DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS} or channel.id in channels:
+            continue  # colour, raw phases; a further exposure of the same scene
+        channels[channel.id] = _copied_channel(channel)
+    return BtaFrame(int(frame.frame_counter), int(frame.time_stamp), channels)
+
+
+def _copied_channel(channel: Channel) -> BtaChannel:
+    name = _DTYPES.get(channel.data_format)
+    if name is None:
+        raise MalformedFrameError(f"channel {channel.id:#x} has data of format {channel.data_format:#x}")
+    dtype = np.dtype(name)
+    width, height = int(channel.x_res), int(channel.y_res)
+    size = width * height * dtype.itemsize
+    if not channel.data or not 0 < width * height <= MOST_PIXELS or channel.data_len != size:
+        raise MalformedFrameError(f"channel {channel.id:#x}: {channel.data_len} bytes for {width}x{height} of {dtype}")
+    values = np.frombuffer(ctypes.string_at(channel.data, size), dtype).reshape(height, width)
+    return BtaChannel(values, int(channel.unit))

@@ -1,0 +1,319 @@
+"""ToF cameras that speak GenICam (Basler blaze, Lucid Helios2, Vzense ...) through harvesters and the vendor's GenTL producer.
+
+A buffer holds components, told apart by their data format: Coord3D_C16 or Coord3D_C32f (depth), Coord3D_ABC32f, _ABC16,
+_ABCY16 (points, the last with the intensity), Mono8 and Mono16 (amplitude), Confidence8 and Confidence16; a second Mono image
+is a confidence. Steps, offsets, unit and the mark of invalid pixels are read from the features of the standard (SFNC
+Scan3d...), the intrinsics from those of the standard or of Lucid (Calib...), or else fitted to points.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.intrinsics import fit_camera
+from cabinpose.core.optional import optional_module
+from cabinpose.core.recorded import ToFFrame
+from cabinpose.record.sources.tof.camera import (
+    CameraSettings,
+    CameraSource,
+    MalformedFrameError,
+    depth_image,
+    rays_of_points,
+    shaped,
+)
+from cabinpose.record.sources.tof.counting import FrameNumbers
+
+_WHERE = "pip install harvesters, and name the camera vendor's GenTL producer (.cti) with `producer`"
+_COORDINATES = re.compile(r"Coord3D_(C|ABC|ABCY)(8|16s?|32f)$")
+_UNITS_M = {"Millimeter": 0.001, "Meter": 1.0, "Inch": 0.0254}
+_BLOCK_IDS = 65535  # of GigE Vision 1: 16 bits of which 0 is no id
+_MOST_COMPONENTS = 16
+
+
+class GenicamSettings(CameraSettings):
+    """A camera that speaks GenICam."""
+
+    producer: Path = Field(description="the vendor's GenTL producer, a .cti file")
+    serial: str | None = Field(None, description="serial number, where several are connected")
+    features: dict[str, bool | int | float | str] = Field(
+        default_factory=dict, description="features to set before the frames start, in this order, such as PixelFormat"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Image:
+    """A component, copied."""
+
+    data_format: str
+    width: int
+    height: int
+    values: NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Buffer:
+    """A frame, copied."""
+
+    counter: int | None
+    stamp_ns: int | None
+    images: tuple[_Image, ...]
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """From transmitted coordinates A, B, C to metres: value * scale + offset; `invalid` marks a pixel without depth."""
+
+    scale_m: tuple[float, float, float]
+    offset_m: tuple[float, float, float]
+    invalid: float | None
+
+
+class GenicamSource(CameraSource):
+    """A `FrameSource` of a GenICam camera."""
+
+    Settings = GenicamSettings
+
+    def __init__(self, name: str, settings: GenicamSettings, clock: HostClock) -> None:
+        super().__init__(name, settings, clock)
+        self._settings = settings
+        self._harvester: Any = None
+        self._acquirer: Any = None
+        self._errors: tuple[type[Exception], ...] = (RuntimeError, OSError, ValueError, IndexError)
+        self._numbers = FrameNumbers(self._counts)
+        self._block_turns = 0
+        self._last_block = 0
+        self._scale = _Scale((0.001,) * 3, (0.0,) * 3, 0.0)
+        self._lens: Camera | None = None
+        self._failed = False
+
+    def _missing(self) -> Sequence[str]:
+        harvester, _ = self._load()
+        harvester.reset()
+        return []
+
+    def _load(self) -> tuple[Any, Any]:
+        """A harvester that knows the camera, and the key to it. Raises DependencyError or RecordingError."""
+        core = optional_module("harvesters.core", purpose="a GenICam camera", hint=_WHERE)
+        gentl = optional_module("genicam.gentl", purpose="a GenICam camera", hint=_WHERE)
+        self._errors = (gentl.GenericException, RuntimeError, OSError, ValueError, IndexError)
+        producer = self._settings.producer
+        if not producer.is_file():
+            raise RecordingError(
+                f"the GenTL producer {producer} does not exist", hint="install the vendor's SDK; it brings a .cti"
+            )
+        harvester = core.Harvester()
+        try:
+            harvester.add_file(str(producer))
+            harvester.update()
+            serials = [str(getattr(info, "serial_number", "")) for info in harvester.device_info_list]
+        except self._errors as error:
+            harvester.reset()
+            raise RecordingError(f"{producer.name}: {error}", hint="is it the producer of this camera?") from error
+        wanted = self._settings.serial
+        if not serials or (wanted is not None and wanted not in serials):
+            harvester.reset()
+            hint = f"found: {', '.join(serials)}" if serials else "check its power, cable and network"
+            raise RecordingError(f"no GenICam camera {wanted or ''} is connected".replace("  ", " "), hint=hint)
+        return harvester, None if wanted is None else {"serial_number": wanted}
+
+    def _connect(self) -> None:
+        harvester, key = self._load()
+        acquirer: Any = None
+        errors: tuple[type[Exception], ...] = (*self._errors, AttributeError)
+        try:
+            acquirer = harvester.create(key)
+            nodes = acquirer.remote_device.node_map
+            for feature, value in self._settings.features.items():
+                getattr(nodes, feature).value = value
+            self._scale, self._lens = _scale(nodes), _lens(nodes)
+            acquirer.start()
+        except errors as error:
+            if acquirer is not None:
+                acquirer.destroy()
+            harvester.reset()
+            raise RecordingError(f"the camera refuses to start: {error}", hint="check the names in `features`") from error
+        self._harvester, self._acquirer, self._failed = harvester, acquirer, False
+        self._state(
+            "camera",
+            **{k: _value(nodes, n) for k, n in (("vendor", "DeviceVendorName"), ("model", "DeviceModelName"))},
+            serial=_value(nodes, "DeviceSerialNumber"),
+            pixel_format=_value(nodes, "PixelFormat"),
+            unit_m=self._scale.scale_m[2],
+        )
+
+    def _disconnect(self) -> None:
+        acquirer, harvester = self._acquirer, self._harvester
+        self._acquirer = self._harvester = None
+        for step in (acquirer.stop, acquirer.destroy, harvester.reset) if acquirer is not None else ():
+            try:
+                step()
+            except self._errors:  # a camera that was unplugged
+                continue
+
+    def _alive(self) -> bool:
+        return self._acquirer is not None and not self._failed and bool(self._acquirer.is_acquiring())
+
+    def _wait(self, timeout_s: float) -> None:
+        """Harvesters is asked for frames: the first within the time, then what has come meanwhile."""
+        end = time.monotonic() + timeout_s
+        wait = timeout_s
+        for _ in range(self._settings.queue_frames):
+            if self._acquirer is None:
+                time.sleep(max(end - time.monotonic(), 0))
+                return
+            try:
+                buffer = self._acquirer.try_fetch(timeout=max(wait, 1e-3))
+                if buffer is None:
+                    return
+                with buffer:
+                    payload = self._copied(buffer)
+            except self._errors:
+                self._failed = True
+                return
+            else:
+                self._deliver(payload)
+            wait = 0.0
+
+    def _copied(self, buffer: Any) -> _Buffer:
+        """A buffer, copied; without images where the network lost a part of it."""
+        images: list[_Image] = []
+        whole = not bool(getattr(buffer, "is_incomplete", False))
+        for component in list(buffer.payload.components)[:_MOST_COMPONENTS] if whole else []:
+            if component is None or component.data is None:  # a format that harvesters does not know
+                continue
+            width, height = int(component.width), int(component.height)
+            images.append(_Image(str(component.data_format), width, height, np.array(component.data)))
+        return _Buffer(_quantity(buffer, "frame_id"), _quantity(buffer, "timestamp_ns"), tuple(images))
+
+    def _number(self, payload: _Buffer, host_ns: int) -> tuple[int, int | None]:
+        del host_ns
+        if payload.counter is None:
+            return self._numbers.forward(), payload.stamp_ns
+        counter = payload.counter
+        if self._last_block - counter > _BLOCK_IDS // 2 and self._last_block <= _BLOCK_IDS:
+            self._block_turns += 1
+        self._last_block = counter
+        return self._numbers.number(counter + self._block_turns * _BLOCK_IDS), payload.stamp_ns
+
+    def _reached_again(self) -> None:
+        self._numbers.reached_again()
+        self._block_turns = self._last_block = 0
+
+    def _decode(self, payload: _Buffer) -> ToFFrame:
+        found = [(match, image) for image in payload.images if (match := _COORDINATES.match(image.data_format))]
+        if not found:
+            raise MalformedFrameError(f"no depth among {[image.data_format for image in payload.images]}")
+        match, image = found[0]
+        channels = len(match[1])
+        values = shaped(image.values, image.width, image.height, channels)
+        c = values if channels == 1 else values[..., 2]
+        valid = np.isfinite(c) if self._scale.invalid is None else np.isfinite(c) & (c != self._scale.invalid)
+        mono = [i for i in payload.images if i.data_format in {"Mono8", "Mono16"}]
+        confidence = next((i for i in payload.images if i.data_format in {"Confidence8", "Confidence16"}), None)
+        if confidence is None and len(mono) > 1:
+            confidence = mono[1]
+        amplitude = np.zeros((0, 0), np.uint16)
+        if channels == 4:
+            amplitude = np.ascontiguousarray(values[..., 3]).astype(np.uint16)
+        elif mono:
+            amplitude = shaped(mono[0].values, mono[0].width, mono[0].height).astype(np.uint16)
+        camera = self._intrinsics(values, valid, channels, image.width, image.height)
+        dist = np.array(camera.dist)
+        scale, offset = self._scale.scale_m[2], self._scale.offset_m[2]
+        if match[2] == "16" and offset == 0.0:  # the camera's own steps, without loss
+            depth, unit = np.where(valid, c, 0).astype(np.uint16), scale
+        else:
+            unit = self._settings.depth_unit_m
+            depth = depth_image(c.astype(np.float64) * scale + offset, valid, unit)
+        return ToFFrame(depth, unit, amplitude, _byte_image(confidence), camera.k, dist, dist)
+
+    def _intrinsics(self, values: NDArray[Any], valid: NDArray[np.bool_], channels: int, width: int, height: int) -> Camera:
+        """Stated by the user, by the camera, or fitted to the points of the first frame that shows enough."""
+        if self._settings.lens is not None:
+            return self._settings.lens.camera(width, height)
+        if self._lens is None and channels >= 3:
+            points = values[..., :3].astype(np.float64) * self._scale.scale_m + self._scale.offset_m
+            fit = fit_camera(rays_of_points(points, valid & (points[..., 2] > 0)))
+            if fit is not None:
+                self._lens = fit.camera
+                self._state("intrinsics", fitted_to_points=True, rms_px=fit.rms_px, max_px=fit.max_px)
+        if self._lens is None:
+            raise MalformedFrameError("no intrinsics: state them with `lens`, or ask for points (Coord3D_ABC32f)")
+        lens = self._lens
+        return Camera(width, height, lens.fx, lens.fy, lens.cx, lens.cy, lens.dist)
+
+
+def _quantity(buffer: Any, name: str) -> int | None:
+    """A number that the producer may not know."""
+    try:
+        value = getattr(buffer, name)
+    except Exception:  # noqa: BLE001 - producers raise whatever their vendor chose for what they do not know
+        return None
+    return None if value is None else int(value)
+
+
+def _byte_image(image: _Image | None) -> NDArray[np.uint8]:
+    """A confidence as 0..255; the high byte of wider ones."""
+    if image is None:
+        return np.zeros((0, 0), np.uint8)
+    values = shaped(image.values, image.width, image.height)
+    return (values.astype(np.uint32) >> (8 * (values.dtype.itemsize - 1))).astype(np.uint8)
+
+
+def _value(nodes: Any, name: str) -> Any:
+    """The value of a feature; None where the camera does not have it or does not tell."""
+    try:
+        return getattr(nodes, name).value
+    except Exception:  # noqa: BLE001 - as above
+        return None
+
+
+def _selected(nodes: Any, selector: str, entry: str, name: str) -> Any:
+    """The value of a feature for an entry of its selector."""
+    try:
+        getattr(nodes, selector).value = entry
+    except Exception:  # noqa: BLE001 - as above
+        return None
+    return _value(nodes, name)
+
+
+def _scale(nodes: Any) -> _Scale:
+    """Steps and offsets of the three coordinates, from the features of the standard; millimetres without offset otherwise."""
+    unit = _UNITS_M.get(str(_value(nodes, "Scan3dDistanceUnit")), 0.001)
+    scales, offsets = [], []
+    for letter in "ABC":
+        selected = [_selected(nodes, "Scan3dCoordinateSelector", f"Coordinate{letter}", n) for n in _SCALE_FEATURES]
+        scales.append(unit * float(1.0 if selected[0] is None else selected[0]))
+        offsets.append(unit * float(selected[1] or 0.0))
+    flagged = _value(nodes, "Scan3dInvalidDataFlag")
+    mark = _value(nodes, "Scan3dInvalidDataValue")
+    invalid = None if flagged is False else float(mark or 0.0)
+    return _Scale((scales[0], scales[1], scales[2]), (offsets[0], offsets[1], offsets[2]), invalid)
+
+
+_SCALE_FEATURES = ("Scan3dCoordinateScale", "Scan3dCoordinateOffset")
+
+
+def _lens(nodes: Any) -> Camera | None:
+    """The intrinsics that the camera states: Lucid's Calib..., else the standard's Scan3d... (of undistorted images)."""
+    lucid = [_value(nodes, f"Calib{n}") for n in ("FocalLengthX", "FocalLengthY", "OpticalCenterX", "OpticalCenterY")]
+    if None not in lucid and lucid[0]:
+        names = ("CalibLensDistortionValueSelector", "CalibLensDistortionValue")
+        k1, k2, p1, p2, k3 = (float(_selected(nodes, names[0], f"Value{i}", names[1]) or 0.0) for i in range(5))
+        return Camera(1, 1, float(lucid[0]), float(lucid[1]), float(lucid[2]), float(lucid[3]), (k1, k2, p1, p2, k3))
+    f, u, v = (_value(nodes, f"Scan3d{n}") for n in ("FocalLength", "PrincipalPointU", "PrincipalPointV"))
+    if f and u is not None and v is not None:
+        return Camera(1, 1, float(f), float(f), float(u), float(v))
+    return None

@@ -1,0 +1,240 @@
+"""pmd cameras (pico flexx, pico monstar, flexx2) through Royale's Python layer, `roypy`.
+
+Royale delivers points in metres that are free of the lens' distortion, in the order of the sensor's pixels, and an
+amplitude image of the same pixels, which is not. Its newer versions give `DepthData.coordinates`, float32 (N, 4) x y z and
+confidence 0..1, and `DepthData.amplitudes`, uint16; the older ones points x y z noise grey confidence (0..255), `npoints()`.
+Time stamps are microseconds; Royale counts no frames, so losses are seen from the time between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.intrinsics import pixel_error
+from cabinpose.core.optional import optional_module
+from cabinpose.core.recorded import ToFFrame
+from cabinpose.record.sources.tof.camera import (
+    CameraSettings,
+    CameraSource,
+    MalformedFrameError,
+    depth_image,
+    rays_of_points,
+    shaped,
+)
+from cabinpose.record.sources.tof.counting import FrameNumbers, FramePeriod
+
+_WHERE = "it comes with pmd's Royale SDK, from pmd or the camera's seller: put the SDK's python folder on PYTHONPATH"
+_POINTS_TO_COMPARE = 1000
+
+
+class RoyaleSettings(CameraSettings):
+    """A camera of pmd."""
+
+    serial: str | None = Field(None, description="the camera's id, where several are connected")
+    use_case: str | None = Field(None, description="operation mode, such as MODE_9_15FPS_700; otherwise the camera's own")
+
+
+@dataclass(frozen=True, slots=True)
+class _Points:
+    """A frame of either layout: points (N, 3) m, confidence (N,) 0..1, amplitude (N,), device time µs."""
+
+    width: int
+    height: int
+    points: NDArray[np.floating]
+    confidence: NDArray[np.floating]
+    amplitude: NDArray[np.generic]
+    stamp_us: int
+
+
+class RoyaleSource(CameraSource):
+    """A `FrameSource` of a camera of pmd."""
+
+    Settings = RoyaleSettings
+
+    def __init__(self, name: str, settings: RoyaleSettings, clock: HostClock) -> None:
+        super().__init__(name, settings, clock)
+        self._settings = settings
+        self._camera: Any = None
+        self._listener: Any = None
+        self._numbers = FrameNumbers(self._counts)
+        self._period = FramePeriod()
+        self._lens: dict[str, float] = {}
+        self._distorted: bool | None = None  # whether the points lie on the distorted rays of the lens; measured
+
+    def _missing(self) -> Sequence[str]:
+        roypy = _roypy()
+        return (
+            [] if self._chosen(roypy.CameraManager()) else ["no pmd camera is connected (connect it, and check its USB rights)"]
+        )
+
+    def _chosen(self, manager: Any) -> str | None:
+        ids = _strings(manager.getConnectedCameraList())
+        wanted = self._settings.serial
+        if wanted is not None and wanted not in ids:
+            raise RecordingError(f"no pmd camera {wanted} is connected", hint=f"connected: {', '.join(ids) or 'none'}")
+        return wanted or (ids[0] if ids else None)
+
+    def _connect(self) -> None:
+        roypy = _roypy()
+        manager = roypy.CameraManager()
+        chosen = self._chosen(manager)
+        if chosen is None:
+            raise RecordingError("no pmd camera is connected", hint="connect it, and check its USB rights")
+        try:
+            camera = manager.createCamera(chosen)
+            camera.initialize()
+            use_cases = _strings(camera.getUseCases())
+            wanted = self._settings.use_case
+            if wanted is not None:
+                if wanted not in use_cases:
+                    raise RecordingError(f"camera {chosen} has no use case {wanted}", hint=f"known: {', '.join(use_cases)}")
+                camera.setUseCase(wanted)
+            lens = camera.getLensParameters()
+            self._lens = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
+            rate = float(camera.getFrameRate()) if hasattr(camera, "getFrameRate") else 0.0
+            self._period = FramePeriod(round(1e9 / rate) if rate > 0 else None)
+            self._listener = self._make_listener(roypy)
+            camera.registerDataListener(self._listener)
+            camera.startCapture()
+        except (RuntimeError, SystemError, KeyError, IndexError) as error:  # how SWIG says that a call failed
+            raise RecordingError(f"camera {chosen}: {error}", hint="is another program using it?") from error
+        self._camera = camera
+        self._state(
+            "camera", vendor="pmd", id=chosen, use_case=wanted or _current(camera), use_cases=use_cases, lens=dict(self._lens)
+        )
+
+    def _make_listener(self, roypy: Any) -> Any:
+        """Royale calls `onNewData` on a thread of its own, and frees the frame when it returns."""
+        source = self
+
+        class Listener(roypy.IDepthDataListener):  # type: ignore[misc]  # a class of the SDK, known when it is loaded
+            def onNewData(self, data: Any) -> None:  # noqa: N802 - Royale's name
+                source._arrived(data)
+
+        return Listener()
+
+    def _arrived(self, data: Any) -> None:
+        try:
+            payload = _copied(data)
+        except (MalformedFrameError, RuntimeError, ValueError, IndexError, TypeError, AttributeError):
+            self._counts.malformed += 1
+            return
+        self._deliver(payload)
+
+    def _disconnect(self) -> None:
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            for stop in (camera.stopCapture, camera.unregisterDataListener):
+                try:
+                    stop()
+                except (RuntimeError, SystemError):  # a camera that was pulled out cannot be stopped
+                    continue
+        self._listener = None
+
+    def _alive(self) -> bool:
+        camera = self._camera
+        try:
+            return camera is not None and bool(camera.isConnected())
+        except (RuntimeError, SystemError):
+            return False
+
+    def _number(self, payload: _Points, host_ns: int) -> tuple[int, int | None]:
+        del host_ns  # microseconds in 64 bits do not wrap
+        device_ns = payload.stamp_us * 1000
+        lost = self._period.lost_before(device_ns)
+        if lost is None:
+            self._counts.restarts += 1
+        return self._numbers.forward(lost or 0), device_ns
+
+    def _reached_again(self) -> None:
+        self._period = FramePeriod()
+
+    def _decode(self, payload: _Points) -> ToFFrame:
+        width, height = payload.width, payload.height
+        points = shaped(payload.points, width, height, 3)
+        confidence = shaped(payload.confidence, width, height)
+        valid = (confidence > 0) & (points[..., 2] > 0)
+        lens = self._lens
+        if (given := self._settings.lens) is not None:
+            camera = given.camera(width, height)
+        else:
+            k1, k2, p1, p2, k3 = (lens[key] for key in ("k1", "k2", "p1", "p2", "k3"))
+            camera = Camera(width, height, lens["fx"], lens["fy"], lens["cx"], lens["cy"], (k1, k2, p1, p2, k3))
+        lens_dist = np.array(camera.dist)
+        on_lens = self._lies_on_lens(camera, points, valid)
+        unit = self._settings.depth_unit_m
+        return ToFFrame(
+            depth=depth_image(points[..., 2], valid, unit),
+            depth_unit_m=unit,
+            amplitude=shaped(payload.amplitude, width, height).astype(np.uint16),
+            confidence=np.rint(np.clip(confidence, 0, 1) * 255).astype(np.uint8),
+            camera_k=camera.k,
+            camera_dist=lens_dist if on_lens else np.zeros(5),
+            amplitude_dist=lens_dist,
+        )
+
+    def _lies_on_lens(self, camera: Camera, points: NDArray[np.floating], valid: NDArray[np.bool_]) -> bool:
+        """Whether a pixel's depth belongs to its ray through the lens, measured once on the points themselves.
+
+        The points are free of distortion. In the order of the sensor's pixels, they lie on rays that the lens bends; a version
+        that resamples them to a straight grid would not. The frames say which.
+        """
+        if self._distorted is None and np.count_nonzero(valid) >= _POINTS_TO_COMPARE:
+            rays = rays_of_points(points, valid)
+            bent, straight = pixel_error(camera, rays), pixel_error(replace(camera, dist=(0.0,) * 5), rays)
+            self._distorted = bent <= straight
+            self._state("depth_grid", distorted=self._distorted, error_px=bent, error_px_if_undistorted=straight)
+        return self._distorted is not False
+
+
+def _roypy() -> Any:
+    """`roypy` as a module, or within a package of that name."""
+    found = optional_module("roypy", purpose="a pmd camera", hint=_WHERE)
+    if hasattr(found, "CameraManager"):
+        return found
+    return optional_module("roypy.roypy", purpose="a pmd camera", hint=_WHERE)
+
+
+def _strings(vector: Any) -> list[str]:
+    """A list of strings as SWIG wraps it."""
+    return [str(vector[i]) for i in range(len(vector))]
+
+
+def _current(camera: Any) -> str:
+    """The use case that is set, where this version of Royale tells."""
+    try:
+        return str(camera.getCurrentUseCase())
+    except (AttributeError, TypeError, RuntimeError):
+        return ""
+
+
+def _copied(data: Any) -> _Points:
+    """A frame of either layout, copied."""
+    width, height = int(data.width), int(data.height)
+    coordinates = getattr(data, "coordinates", None)
+    if coordinates is not None:
+        values = np.array(shaped(np.asarray(coordinates, dtype=np.float32), width, height, 4)).reshape(-1, 4)
+        amplitude = np.array(data.amplitudes, dtype=np.uint16).ravel()
+        return _Points(width, height, values[:, :3], values[:, 3], amplitude, int(data.timeStamp))
+    values = np.array(shaped(_old_points(data), width, height, 6)).reshape(-1, 6)
+    grey = np.clip(np.nan_to_num(values[:, 4]), 0, 65535).astype(np.uint16)
+    return _Points(width, height, values[:, :3], values[:, 5] / 255, grey, int(data.timeStamp))
+
+
+def _old_points(data: Any) -> NDArray[np.float64]:
+    """(N, 6) of the older layout; point by point where `roypy` was built without numpy."""
+    try:
+        return np.asarray(data.npoints(), dtype=np.float64)
+    except (AttributeError, RuntimeError):
+        return np.array(
+            [(p.x, p.y, p.z, p.noise, p.grayValue, p.depthConfidence) for p in data.points()], dtype=np.float64
+        ).reshape(-1, 6)
