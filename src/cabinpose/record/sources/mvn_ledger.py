@@ -16,7 +16,8 @@ from cabinpose.record.sources.mvn_protocol import MAX_PAYLOAD, Header, Malformed
 
 _COUNTER = 1 << 32
 _FIRST = 1 << 10  # sequences start here, which leaves room for samples that precede the first
-_LEARN = 16  # differences of the counter that settle its step
+_LEARN = 16  # rises of the counter that settle its step
+_SHARPEN = 8  # steps: a longer rise says more of what was lost than of the step
 # Bounds that no rig comes near: what a sender of nonsense may make us remember.
 _STREAMS = 256
 _EARLY = 64  # samples by which one may precede the first that came: earlier ones are of a sender that began anew
@@ -53,7 +54,7 @@ class Ledger:
     """Keeps the account of one sender in `counts`. `incomplete` is the part of `lost` of which some pieces came.
 
     `step`: by how much the sample counter rises from one sample sent to the next, more than 1 where MVN streams at a lower
-    rate than it captures (it may be a fraction); None: 1, until the first 16 differences show that none is 1. `window_s`: what
+    rate than it captures (it may be a fraction); None: 1, until 16 rises show that it is at least 2. `window_s`: what
     is older when it comes belongs to a sender that began anew; pieces are waited for as long. `restart_gap`: a larger leap of
     the counter is a new beginning, not a loss.
     """
@@ -120,6 +121,7 @@ class _Stream:
         self._ledger, self._counts = ledger, ledger.counts
         self._step = ledger.step or 1.0
         self._steps: list[tuple[int, int]] | None = None if ledger.step else []  # (counter, rise to the next), while learning
+        self._risen = self._taken = 0  # by how much the counter rose in so many steps
         self._first, self._began_ns = first, host_ns
         self.arrived_ns = host_ns
         self._highest: int | None = None
@@ -156,7 +158,6 @@ class _Stream:
                 sample.seen_ns = host_ns  # a sender that is paused may repeat a sample for long
                 self._seen.move_to_end(counter)
                 return Arrival(fresh=False)
-        self._order(counter, header.piece)
         return self._fit(counter, sample, header, payload, digest)
 
     def _order(self, counter: int, piece: int) -> None:
@@ -186,9 +187,7 @@ class _Stream:
             if rise != self._step:
                 self._miss(self._highest, rise, host_ns, reserve=True)
             self._highest = counter
-            if self._step != 1 and rise < 0.75 * self._step and self._ledger.step is None:
-                self._step, self._steps = 1.0, []  # the sender streams faster than it did
-            if self._steps is not None:
+            if self._ledger.step is None and (self._steps is not None or self._step != 1):
                 self._learn(counter - rise, rise)
             return self._ledger.take(1)
         if counter < self._first:
@@ -225,21 +224,32 @@ class _Stream:
         return nearest if abs(nearest - counter) <= self._step / 2 else None
 
     def _learn(self, counter: int, rise: int) -> None:
-        """Settle the step when enough rises are known, and take back the losses that it explains."""
-        assert self._steps is not None
-        self._steps.append((counter, rise))
-        if rise == 1:
-            self._steps = None
-        elif len(self._steps) == _LEARN:
-            known, self._steps = self._steps, None
-            middle = sorted(rise for _, rise in known)[_LEARN // 2]
-            single = [rise for _, rise in known if rise < 1.5 * middle]
-            step = sum(single) / len(single)
-            expected = {c + round(k * step) for c, rise in known for k in range(1, round(rise / step))}
-            taken = sum(rise - 1 for _, rise in known) - sum(max(0, round(rise / step) - 1) for _, rise in known)
-            self._counts.lost -= taken
-            self._missing = OrderedDict((c, kept) for c, kept in self._missing.items() if c in expected)
-            self._step = step
+        """Settle the step when enough rises are known, take back the losses that it explains, and sharpen it from then on."""
+        if self._steps is None and rise <= _SHARPEN * self._step:
+            if rise < 0.75 * self._step:  # the sender streams faster than it did
+                self._step, self._steps = 1.0, []
+            elif not self._step.is_integer():
+                self._risen += rise
+                self._taken += round(rise / self._step)
+                self._step = self._risen / self._taken
+        elif self._steps is not None:
+            self._steps.append((counter, rise))
+            if rise == 1:
+                self._steps = None
+            elif len(self._steps) == _LEARN:
+                self._settle_step(self._steps)
+
+    def _settle_step(self, known: list[tuple[int, int]]) -> None:
+        """The mean of the rises without a loss: of a steady step, they are the whole numbers below and above it."""
+        self._steps = None
+        least = min(rise for _, rise in known)
+        single = [rise for _, rise in known if rise <= least + 1]
+        self._risen, self._taken = sum(single), len(single)
+        self._step = step = self._risen / self._taken
+        steps = [(counter, rise, max(1, round(rise / step))) for counter, rise in known]
+        self._counts.lost -= sum(rise - taken for _, rise, taken in steps)
+        expected = {counter + round(k * step) for counter, _, taken in steps for k in range(1, taken)}
+        self._missing = OrderedDict((c, kept) for c, kept in self._missing.items() if c in expected)
 
     def _forget(self, host_ns: int) -> None:
         """Forget what is older than the window, or too much: what belongs to it when it comes is a new beginning."""
@@ -274,6 +284,7 @@ class _Stream:
             contradicts |= any(piece > header.piece for piece in sample.digests)
         if contradicts or pieces is None:
             raise MalformedError("a piece that its sample has no place for")
+        self._order(counter, header.piece)
         sample.digests[header.piece] = digest
         pieces[header.piece] = payload
         sample.items += header.items
