@@ -12,7 +12,7 @@ def optional_module(name: str, *, purpose: str, hint: str) -> Any:
     """The module `name`; raises DependencyError saying what needs it, why it cannot be imported and where it is to be had."""
     try:
         return importlib.import_module(name)
-    except ImportError as error:
+    except (ImportError, OSError, RuntimeError) as error:  # pylsl says with a RuntimeError that its library is not there
         top = name.partition(".")[0]
         absent = isinstance(error, ModuleNotFoundError) and error.name in {top, name}
         why = "is not installed" if absent else f"cannot be loaded: {error}"

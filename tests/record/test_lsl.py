@@ -1,0 +1,157 @@
+"""Lab Streaming Layer streams of real outlets on this machine, found by loopback alone."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import DependencyError, RecordingError
+from cabinpose.core.ports import Sample
+from cabinpose.core.recorded import Channels, Facts
+from cabinpose.record.sources.lsl import LslSettings, LslSource
+
+
+@pytest.fixture(scope="module")
+def pylsl(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
+    """LSL looks no further than this machine: its library reads the file when it is loaded."""
+    config = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
+    config.write_text("[ports]\nIPv6 = disable\n[multicast]\nResolveScope = machine\n[log]\nlevel = -3\n")
+    before = os.environ.get("LSLAPICFG")
+    os.environ["LSLAPICFG"] = str(config)
+    try:
+        module = pytest.importorskip("pylsl")
+        module.library_version()
+        yield module
+    finally:
+        if before is None:
+            del os.environ["LSLAPICFG"]
+        else:
+            os.environ["LSLAPICFG"] = before
+
+
+def outlet(pylsl: ModuleType, name: str, form: str = "double64", labels: tuple[str, ...] = ("x", "y", "y")) -> Any:
+    info = pylsl.StreamInfo(name, "Test", len(labels), 100, form, f"id-{name}-{os.getpid()}")
+    channels = info.desc().append_child("channels")
+    for label in labels:
+        channels.append_child("channel").append_child_value("label", label)
+    return pylsl.StreamOutlet(info)
+
+
+def make(name: str, **settings: Any) -> LslSource:
+    return LslSource("lab", LslSettings(stream=name, source_id=f"id-{name}-{os.getpid()}", **settings), HostClock())
+
+
+def until(source: LslSource, enough: Callable[[list[Sample]], bool], seconds: float = 10.0) -> list[Sample]:
+    samples: list[Sample] = []
+    end = time.monotonic() + seconds
+    while not enough(samples):
+        assert time.monotonic() < end, "the samples did not come"
+        samples += source.read(0.1)
+    return samples
+
+
+def numbered(samples: list[Sample]) -> list[Sample]:
+    return [s for s in samples if s.sequence is not None]
+
+
+def facts(samples: list[Sample]) -> dict[str, Any]:
+    return {m.about: m.values for s in samples for m in s.messages if isinstance(m, Facts)}
+
+
+def subscribed(out: Any, pylsl: ModuleType) -> None:
+    assert out.wait_for_consumers(5.0)
+
+
+def test_numbers_and_their_time_stamps(pylsl: ModuleType) -> None:
+    out = outlet(pylsl, "numbers")
+    clock = HostClock()
+    source = make("numbers")
+    source.open()
+    subscribed(out, pylsl)
+    stamp = pylsl.local_clock()
+    for i in range(50):
+        out.push_sample([i, i / 2, np.nan], stamp + i / 100)
+    samples = until(source, lambda found: len(numbered(found)) >= 50 and "time_correction" in facts(found))
+    source.close()
+    found = numbered(samples)
+    assert [s.sequence for s in found] == list(range(50))
+    for i, sample in enumerate(found):
+        assert sample.device_ns == pytest.approx((stamp + i / 100) * 1e9, abs=1000)
+        (channels,) = sample.messages
+        assert isinstance(channels, Channels)
+        assert channels.names == ("x", "y", "y_2")
+        np.testing.assert_array_equal(channels.values, [i, i / 2, np.nan])
+    about = facts(samples)
+    assert about["stream"]["rate_hz"] == 100
+    assert about["stream"]["type"] == "Test"
+    correction = about["time_correction"]
+    assert abs(correction["sender_to_lsl_clock_s"]) < 0.01  # the same clock
+    host_ns = stamp * 1e9 + correction["lsl_clock_to_host_ns"]
+    assert abs(host_ns - clock.now_ns()) < 60e9
+    assert abs(correction["lsl_clock_to_host_ns"] - (time.time() - pylsl.local_clock()) * 1e9) < 50e6
+    assert (source.counts.received, source.counts.restarts, source.counts.malformed) == (50, 0, 0)
+
+
+def test_markers_become_facts(pylsl: ModuleType) -> None:
+    out = outlet(pylsl, "markers", "string", ("marker",))
+    source = make("markers")
+    source.open()
+    subscribed(out, pylsl)
+    for text in ("take begins", "Spur wechselt ←"):
+        out.push_sample([text])
+    found = numbered(until(source, lambda samples: len(numbered(samples)) >= 2))
+    source.close()
+    assert [m for s in found for m in s.messages] == [
+        Facts("markers", {"marker": "take begins"}),
+        Facts("markers", {"marker": "Spur wechselt ←"}),
+    ]
+
+
+def test_a_stream_that_dies_is_found_again(pylsl: ModuleType) -> None:
+    out = outlet(pylsl, "mortal")
+    source = make("mortal", reconnect_s=0.05)
+    source.open()
+    subscribed(out, pylsl)
+    out.push_sample([1.0, 2.0, 3.0])
+    until(source, lambda samples: len(numbered(samples)) == 1)
+    del out
+    for _ in range(5):
+        assert numbered(list(source.read(0.05))) == []
+    out = outlet(pylsl, "mortal")
+    end = time.monotonic() + 10
+    while source.counts.restarts == 0:
+        assert time.monotonic() < end
+        source.read(0.3)
+    subscribed(out, pylsl)
+    out.push_sample([4.0, 5.0, 6.0])
+    (sample,) = numbered(until(source, lambda samples: len(numbered(samples)) == 1))
+    assert sample.sequence == 1
+    source.close()
+    source.close()
+
+
+def test_what_is_missing_is_named(pylsl: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = make("absent", resolve_s=0.2)
+    began = time.monotonic()
+    with pytest.raises(RecordingError, match="no LSL stream of name absent"):
+        absent.open()
+    assert "no LSL stream" in absent.check()[0]
+    assert time.monotonic() - began < 5
+    with pytest.raises(RecordingError, match="cannot be named"):
+        make("o'clock").open()
+    with pytest.raises(RecordingError, match="not open"):
+        absent.read(0.0)
+    with pytest.raises(ValidationError, match="say which stream"):
+        LslSettings()
+    monkeypatch.setitem(sys.modules, "pylsl", None)
+    with pytest.raises(DependencyError, match="pylsl, which is not installed"):
+        make("any").open()
