@@ -89,6 +89,7 @@ class ContainerWriter:
         self._metadata_indexes: list[MetadataIndex] = []
         self._statistics = Statistics(0, 0, {}, 0, 0, 0, 0, 0, 0)
         self._open = _Open()
+        self.last_chunk_removed = False
         self._write([MCAP0_MAGIC, _bytes(Header(profile, library))])
         self._last_chunk = self.offset
 
@@ -277,6 +278,7 @@ class ContainerWriter:
         for end in ends:
             os.ftruncate(self._fd, end)
             os.lseek(self._fd, end, os.SEEK_SET)
+            self.last_chunk_removed = end != self.offset
             self.offset = end
             try:
                 self._write([_bytes(DataEnd(0)), _bytes(Footer(0, 0, 0)), MCAP0_MAGIC])

@@ -11,8 +11,10 @@ import errno
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -87,6 +89,9 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self._oldest: float | None = None  # time.monotonic of the first message in the open chunk
         self._closed = False
+        self._samples: Counter[str] = Counter()
+        self._in_chunk: Counter[str] = Counter()
+        self._in_last_chunk: Counter[str] = Counter()
         with recording_errors(path):
             self._file = ContainerWriter(path, library=LIBRARY, profile=PROFILE, compression=compression)
             self._file.metadata(TAKE_METADATA, {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()})
@@ -113,6 +118,10 @@ class RecordingWriter:
         """Bytes that the kernel has."""
         return self._file.offset
 
+    def samples(self, source: str) -> int:
+        """Samples of a source that were written; where the disk refused some, after `close`, those that are in the file."""
+        return self._samples[source]
+
     def write(self, source: str, sample: Sample) -> list[str]:
         """Add one sample of a source: its raw bytes, then what they mean.
 
@@ -120,6 +129,9 @@ class RecordingWriter:
         case. Raises RecordingError where the disk refuses; samples of the open chunk are then lost.
         """
         refused: list[str] = []
+        if not 0 <= sample.host_ns <= _LAST_NS:
+            refused.append(f"{source}: {sample.host_ns} is no host time")
+            sample = replace(sample, host_ns=0)
         records: list[Record] = []
         for message in sample.messages:
             try:
@@ -132,6 +144,8 @@ class RecordingWriter:
                 self._add(source, sample, record)
             except ValueError as error:
                 refused.append(f"{source}/{record.topic}: {error}")
+        self._samples[source] += 1
+        self._in_chunk[source] += 1
         self._written()
         return refused
 
@@ -149,7 +163,7 @@ class RecordingWriter:
     def flush(self) -> None:
         """Close the chunk: what was written so far outlives this process. Raises RecordingError where the disk refuses."""
         self._oldest = None
-        with recording_errors(self.path):
+        with recording_errors(self.path), self._counted():
             self._file.end_chunk()
 
     def close(self) -> None:
@@ -163,7 +177,25 @@ class RecordingWriter:
         if self._syncing.is_alive():
             self._syncing.join()
         with recording_errors(self.path):
-            self._file.finish()
+            try:
+                self.flush()
+            finally:
+                try:
+                    self._file.finish()
+                finally:
+                    if self._file.last_chunk_removed:
+                        self._samples -= self._in_last_chunk
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        """Samples of a chunk that the disk refuses are not in the file."""
+        in_chunk, self._in_chunk = self._in_chunk, Counter()
+        try:
+            yield
+        except OSError:
+            self._samples -= in_chunk
+            raise
+        self._in_last_chunk = in_chunk
 
     def _add(self, source: str, sample: Sample, record: Record) -> None:
         sequence = sample.sequence
@@ -204,6 +236,7 @@ class RecordingWriter:
 
 
 _U32, _U64 = (1 << 32) - 1, (1 << 64) - 1
+_LAST_NS = (1 << 63) - 1
 
 
 def _sync_folder(folder: Path) -> None:

@@ -1,0 +1,170 @@
+"""A rig: which devices are recorded, and how. A YAML file, checked before anything connects or listens.
+
+Sources are chosen by kind. Those of `KINDS` come with the package; the entry point group `cabinpose.sources` adds others
+(name = kind, value = "module:Class"). A class is imported only when a rig names its kind.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.ports import FrameSource
+from cabinpose.store.recording import Compression, Take
+
+ENTRY_POINTS = "cabinpose.sources"
+_HERE = "cabinpose.record.sources"
+KINDS: Mapping[str, str] = MappingProxyType(
+    {
+        "mvn": f"{_HERE}.mvn:MvnSource",
+        "vicon": f"{_HERE}.vicon:ViconSource",
+        "royale": f"{_HERE}.tof.royale:RoyaleSource",
+        "bta": f"{_HERE}.tof.bta:BtaSource",
+        "genicam": f"{_HERE}.tof.genicam:GenicamSource",
+        "azure_mkv": f"{_HERE}.tof.azure_mkv:AzureMkvSource",
+        "simulated": f"{_HERE}.tof.simulated:SimulatedSource",
+        "lsl": f"{_HERE}.lsl:LslSource",
+        "replay": f"{_HERE}.replay:ReplaySource",
+        "numbered": f"{_HERE}.numbered:NumberedSource",
+    }
+)
+_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+_RESERVED = ("take",)
+
+
+class Storage(BaseModel):
+    """How the recording is written."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    compression: Compression = Field("none", description="of chunks: none is fastest, lz4 costs little, zstd saves most")
+    queue_mb: float = Field(256.0, gt=0, le=65536, description="what may wait for the disk, of each source, MB")
+    chunk_mb: float = Field(4.0, gt=0, le=256, description="a chunk is closed when it is so large, MB")
+    flush_s: float = Field(0.25, gt=0, le=10, description="or so old, s: what the death of the process costs at most")
+    sync_s: float = Field(
+        1.0, ge=0, le=600, description="pause between requests to the disk to hold it all, s; 0 = only at the end"
+    )
+    min_free_mb: float = Field(512.0, ge=0, description="the take ends before the disk has less free, MB")
+
+
+class RigFile(BaseModel):
+    """A rig's configuration as it stands in its file; what a source takes is checked by its kind."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    take: Take = Field(default_factory=Take, description="who does what, where")
+    storage: Storage = Field(default_factory=Storage, description="how the recording is written")
+    sources: dict[str, dict[str, Any]] = Field(min_length=1, description="by name: `kind`, and what the kind takes")
+
+    @field_validator("sources")
+    @classmethod
+    def _names(cls, sources: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        for name in sources:
+            if not _NAME.fullmatch(name) or name in _RESERVED:
+                raise ValueError(f"'{name}' is no name for a source: small letters, digits, _ and -, up to 32; not 'take'")
+        return sources
+
+
+@dataclass(frozen=True)
+class SourcePlan:
+    """A source that a rig names: its class and checked settings."""
+
+    name: str
+    kind: str
+    make: Any  # the class: name, settings and clock give a FrameSource
+    settings: BaseModel
+
+    def build(self, clock: HostClock) -> FrameSource:
+        """The source, not yet open."""
+        source: FrameSource = self.make(self.name, self.settings, clock=clock)
+        return source
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A checked rig; `text` is the file, which recordings keep."""
+
+    take: Take
+    storage: Storage
+    sources: tuple[SourcePlan, ...]
+    text: str
+
+
+def kinds() -> dict[str, str]:
+    """Where the class of each kind is; those of other packages add to ours and cannot replace them."""
+    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)} | dict(KINDS)
+
+
+def load_rig(path: Path) -> Rig:
+    """Read and check a rig's file. Raises ConfigError naming the key, the reason and what is possible, DependencyError where
+    a kind needs what is not installed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = yaml.safe_load(text)
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}", hint="docs/recording.md has a rig to start from") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not YAML: {error}", hint="docs/recording.md has a rig to start from") from error
+    return parse_rig(data, text, base=path.parent)
+
+
+def parse_rig(data: Any, text: str = "", *, base: Path = Path()) -> Rig:
+    """Check plain data; relative paths in the settings of sources are taken from `base`."""
+    file = _checked(RigFile, data, "")
+    plans = tuple(_plan(name, dict(settings), base) for name, settings in file.sources.items())
+    return Rig(file.take, file.storage, plans, text)
+
+
+def load_take(path: Path) -> Take:
+    """Read and check a file with a take alone. Raises ConfigError."""
+    try:
+        return _checked(Take, yaml.safe_load(path.read_text(encoding="utf-8")), "")
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}", hint="docs/recording.md says what a take is") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not YAML: {error}", hint="docs/recording.md says what a take is") from error
+
+
+def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
+    kind, known = settings.pop("kind", None), kinds()
+    if not isinstance(kind, str) or kind not in known:
+        error = unknown_name("kind of source", str(kind), tuple(known))
+        raise ConfigError(f"sources.{name}: {error}", hint=error.hint)
+    module, _, class_name = known[kind].partition(":")
+    try:
+        make = getattr(import_module(module), class_name)
+    except (ImportError, AttributeError) as problem:
+        raise ConfigError(
+            f"sources.{name}: kind '{kind}' cannot be loaded: {problem}", hint=f"install what {module} needs"
+        ) from problem
+    checked = _checked(make.Settings, settings, f"sources.{name}.")
+    paths = {key: base / value for key, value in checked if isinstance(value, Path) and not value.is_absolute()}
+    return SourcePlan(name, kind, make, checked.model_copy(update=paths))
+
+
+def _checked(model: type[Any], data: Any, where: str) -> Any:
+    if not isinstance(data, dict):
+        raise ConfigError(f"{where or 'a rig '}is a mapping of keys to values", hint="docs/recording.md has a rig to start from")
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        findings = [f"{where}{'.'.join(map(str, found['loc']))}: {_reason(found)}" for found in error.errors()]
+        raise ConfigError("; ".join(findings), hint=f"keys here: {', '.join(model.model_fields)}") from error
+
+
+def _reason(found: Any) -> str:
+    if found["type"] == "extra_forbidden":
+        return "unknown key"
+    return f"{found['msg'][0].lower()}{found['msg'][1:]}, not {found['input']!r}"

@@ -1,0 +1,185 @@
+"""One source at work: its thread, the bounded queue between it and the file, and what is known of both.
+
+A source that fails is closed and opened again, for as long as the take lasts. What the queue has no room for is counted.
+"""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError, SourceEndedError
+from cabinpose.core.ports import Counts, FrameSource, Sample
+from cabinpose.store.recording import SourceStatus
+from cabinpose.store.recording.messages import sample_bytes
+
+READ_S = 0.1  # how long a source may wait for a sample: so soon does it see that the take is over
+RETRY_S = 0.5  # pause before a source is opened again; it doubles up to
+MOST_RETRY_S = 5.0
+_WINDOW_S = 2.0  # over which rates are measured
+_WINDOW_SAMPLES = 1000
+_OVERHEAD = 256  # bytes of a sample beside its raw bytes and arrays
+
+
+@dataclass(frozen=True)
+class LaneStatus:
+    """What the panel shows of a source. rate_hz, jitter_ms (standard deviation of the intervals between arrivals) and
+    latency_ms (from arrival to file, greatest) are of the last two seconds; queue: share of its room that is filled.
+    """
+
+    counts: SourceStatus
+    rate_hz: float
+    jitter_ms: float
+    latency_ms: float
+    queue: float
+
+
+class Lane:
+    """A source, its thread and its queue. `wake` is set when samples wait."""
+
+    def __init__(
+        self, source: FrameSource, kind: str, clock: HostClock, wake: threading.Event, *, queue_bytes: int = 1 << 28
+    ) -> None:
+        self.name, self.kind = source.name, kind
+        self._source, self._clock, self._wake, self._room = source, clock, wake, queue_bytes
+        self._lock = threading.Lock()
+        self._queue: deque[tuple[int, Sample]] = deque()
+        self._queued = 0
+        self._given = self._dropped = self._dropped_bytes = self._refused = self._restarts = 0
+        self._state, self._error = "connecting", ""
+        self._window: deque[tuple[int, int]] = deque(maxlen=_WINDOW_SAMPLES)  # arrival, nanoseconds from there to the file
+        self._stop = threading.Event()
+        self.opened = threading.Event()
+        self.failure: RecordingError | None = None
+        self._thread = threading.Thread(target=self._run, name=f"source-{self.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin; `opened` is set once the source is there, or `failure` says why it is not."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask the source to stop."""
+        self._stop.set()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for it; False where it hangs, in which case it is left to itself."""
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            self._error = self._error or "does not stop"
+            return False
+        return True
+
+    @property
+    def ended(self) -> bool:
+        """Whether it gives no more samples."""
+        return self.opened.is_set() and not self._thread.is_alive()
+
+    @property
+    def given(self) -> int:
+        """Samples that the source gave: all are in the file, dropped, or still in the queue."""
+        return self._given
+
+    def take(self, most_bytes: int) -> list[Sample]:
+        """The oldest samples of the queue, up to about so many bytes."""
+        taken: list[Sample] = []
+        with self._lock:
+            while self._queue and most_bytes > 0:
+                size, sample = self._queue.popleft()
+                self._queued -= size
+                most_bytes -= size
+                taken.append(sample)
+        return taken
+
+    def written(self, sample: Sample, refused: list[str]) -> None:
+        """Note that a sample is in the file, but for what was refused of it."""
+        with self._lock:
+            self._window.append((sample.host_ns, self._clock.now_ns() - sample.host_ns))
+            if refused:
+                self._refused += len(refused)
+                self._error = refused[-1]
+
+    def status(self, written: int, *, final: bool = False) -> SourceStatus:
+        """Its counts; `written`: its samples in the file."""
+        seen: Counts = self._source.counts
+        with self._lock:
+            silent = not self._window or self._clock.now_ns() - self._window[-1][0] > _WINDOW_S * 1e9
+            state = "waiting" if silent and self._state == "recording" else self._state
+            return SourceStatus(
+                self.name, self.kind, state, seen.received, seen.lost, seen.reordered, seen.duplicate, seen.malformed,
+                seen.restarts + self._restarts, written, self._dropped, self._dropped_bytes, self._refused, self._queued,
+                self._error, final,
+            )  # fmt: skip
+
+    def live(self, written: int) -> LaneStatus:
+        """What the panel shows."""
+        now = self._clock.now_ns()
+        with self._lock:
+            window = [(at, wait) for at, wait in self._window if now - at < _WINDOW_S * 1e9]
+            queue = self._queued / self._room
+        times = sorted(at for at, _ in window)
+        intervals = [(b - a) / 1e6 for a, b in itertools.pairwise(times)]
+        span = (times[-1] - times[0]) / 1e9 if times else 0.0
+        return LaneStatus(
+            counts=self.status(written),
+            rate_hz=(len(times) - 1) / span if span > 0 else 0.0,
+            jitter_ms=statistics.pstdev(intervals) if intervals else 0.0,
+            latency_ms=max((wait for _, wait in window), default=0) / 1e6,
+            queue=queue,
+        )
+
+    def _run(self) -> None:
+        pause = RETRY_S
+        while not self._stop.is_set():
+            try:
+                self._source.open()
+                if self.opened.is_set():
+                    self._restarts += 1
+                self.opened.set()
+                self._state = "recording"
+                while not self._stop.is_set():
+                    samples = self._source.read(READ_S)
+                    if samples:
+                        pause, self._state = RETRY_S, "recording"
+                        self._put(samples)
+            except SourceEndedError:
+                self._state = "ended"
+                break
+            except Exception as error:  # noqa: BLE001 - a source is anybody's code: its defects must not end the others' take
+                self._error = str(error) or type(error).__name__
+                if not self.opened.is_set():
+                    self._state = "failed"
+                    self.failure = error if isinstance(error, RecordingError) else RecordingError(f"{self.name}: {error!r}")
+                    break
+                self._state = "retrying"
+            finally:
+                self._close()
+            self._stop.wait(pause)
+            pause = min(2 * pause, MOST_RETRY_S)
+        if self._stop.is_set():
+            self._state = "stopped"
+        self.opened.set()
+        self._wake.set()
+
+    def _close(self) -> None:
+        try:
+            self._source.close()
+        except Exception as error:  # noqa: BLE001 - as above
+            self._error = str(error) or type(error).__name__
+
+    def _put(self, samples: Sequence[Sample]) -> None:
+        with self._lock:
+            for sample in samples:
+                size = _OVERHEAD + len(sample.raw) + sample_bytes(sample.messages)
+                self._given += 1
+                if self._queued and self._queued + size > self._room:
+                    self._dropped += 1
+                    self._dropped_bytes += size
+                else:
+                    self._queue.append((size, sample))
+                    self._queued += size
+        self._wake.set()

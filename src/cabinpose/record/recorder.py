@@ -1,0 +1,158 @@
+"""Several sources into one file, side by side: a thread each, and one that writes.
+
+No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes, and what finds it full
+is dropped and counted. The writing thread takes from the queues in turn.
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError
+from cabinpose.record.lane import Lane, LaneStatus
+from cabinpose.store.recording import RecordingWriter, SourceStatus
+
+_TURN_BYTES = 8 << 20  # that one source may write before the next has its turn
+_STATUS_S = 1.0
+_IDLE_S = 0.05
+_STOP_S = 5.0  # for a source to stop; after that it is left behind
+
+
+@dataclass(frozen=True)
+class RecorderStatus:
+    """What the panel shows. bytes_per_s: of the last second · free_bytes: on the disk."""
+
+    lanes: tuple[LaneStatus, ...]
+    elapsed_s: float
+    bytes_written: int
+    bytes_per_s: float
+    free_bytes: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a take ended: the counts of its sources, seconds, bytes of the file, and the error that ended it, if one did."""
+
+    sources: tuple[SourceStatus, ...]
+    seconds: float
+    bytes_written: int
+    error: RecordingError | None
+
+
+class Recorder:
+    """Records until it is stopped, all sources have ended, or the disk refuses."""
+
+    def __init__(
+        self, lanes: Sequence[Lane], writer: RecordingWriter, clock: HostClock, wake: threading.Event, *, min_free_bytes: int = 0
+    ) -> None:
+        """wake: that of the lanes · min_free_bytes: the take ends before the disk has less."""
+        self._lanes, self._writer, self._clock, self._wake = tuple(lanes), writer, clock, wake
+        self._min_free = min_free_bytes
+        self._stopping = threading.Event()
+        self._began = time.monotonic()
+        self._free = self._min_free
+        self._rate = (self._began, 0, 0.0)  # when, bytes then, bytes a second before
+        self._error: RecordingError | None = None
+        self._thread = threading.Thread(target=self._run, name="recording-writer")
+
+    def start(self, timeout_s: float = 30.0) -> None:
+        """Open all sources and begin. Raises RecordingError, with nothing left running, where one cannot be opened."""
+        self._began = time.monotonic()
+        for lane in self._lanes:
+            lane.start()
+        for lane in self._lanes:
+            if not lane.opened.wait(max(self._began + timeout_s - time.monotonic(), 0.0)) or lane.failure is not None:
+                self._halt_sources()
+                self._writer.close()
+                raise lane.failure or RecordingError(
+                    f"{lane.name} does not answer", hint="`cabinpose record --check` says what is missing"
+                )
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether there is still something to record."""
+        return self._thread.is_alive() and self._error is None and not all(lane.ended for lane in self._lanes)
+
+    def status(self) -> RecorderStatus:
+        """What the panel shows."""
+        lanes = tuple(lane.live(self._writer.samples(lane.name)) for lane in self._lanes)
+        return RecorderStatus(lanes, time.monotonic() - self._began, self._writer.bytes_written, self._rate[2], self._free)
+
+    def stop(self) -> Outcome:
+        """Stop the sources, write what waits, end the file. Samples that a disk refused are among the dropped."""
+        self._halt_sources()
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join()
+        counts = tuple(self._account(lane) for lane in self._lanes)
+        return Outcome(counts, time.monotonic() - self._began, self._writer.bytes_written, self._error)
+
+    def _halt_sources(self) -> None:
+        for lane in self._lanes:
+            lane.stop()
+        until = time.monotonic() + _STOP_S
+        for lane in self._lanes:
+            lane.join(max(until - time.monotonic(), 0.01))
+
+    def _run(self) -> None:
+        try:
+            self._write()
+            for lane in self._lanes:
+                self._writer.write_status(lane.status(self._writer.samples(lane.name), final=True), self._clock.now_ns())
+        except RecordingError as error:
+            self._error = error
+        except Exception as error:  # noqa: BLE001 - whatever it is, the file gets its end first
+            self._error = RecordingError(
+                f"the recorder failed: {error!r}", hint="this is a defect; the recording is whole up to here"
+            )
+            self._error.__cause__ = error
+        try:
+            self._writer.close()
+        except RecordingError as error:
+            self._error = self._error or error
+
+    def _write(self) -> None:
+        next_status = time.monotonic() + _STATUS_S
+        while True:
+            self._wake.wait(_IDLE_S)
+            self._wake.clear()
+            stopping = self._stopping.is_set()
+            wrote = True
+            while wrote:
+                wrote = False
+                for lane in self._lanes:
+                    for sample in lane.take(_TURN_BYTES):
+                        lane.written(sample, self._writer.write(lane.name, sample))
+                        wrote = True
+                    self._writer.poll()
+                if time.monotonic() >= next_status:
+                    next_status = time.monotonic() + _STATUS_S
+                    self._tick()
+            if stopping:
+                return
+
+    def _tick(self) -> None:
+        """Once a second: the counts into the file, and a look at the disk."""
+        for lane in self._lanes:
+            self._writer.write_status(lane.status(self._writer.samples(lane.name)), self._clock.now_ns())
+        now, before = time.monotonic(), self._rate
+        done = self._writer.bytes_written
+        self._rate = (now, done, (done - before[1]) / max(now - before[0], 1e-9))
+        self._free = shutil.disk_usage(self._writer.path.parent).free
+        if self._free < self._min_free:
+            raise RecordingError(
+                f"less than {self._min_free / 1e6:.0f} MB are free beside {self._writer.path}: the take was ended",
+                hint="free disk space, or record to another disk; the recording is whole up to here",
+            )
+
+    def _account(self, lane: Lane) -> SourceStatus:
+        """The counts of a source that has stopped: what it gave and is not in the file has been dropped."""
+        written = self._writer.samples(lane.name)
+        status = lane.status(written, final=True)
+        return replace(status, dropped=lane.given - written, queue_bytes=0)

@@ -1,0 +1,40 @@
+"""A take from its rig: the sources, the file and the recorder that joins them."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import CabinposeError
+from cabinpose.record.config import Rig
+from cabinpose.record.lane import Lane
+from cabinpose.record.recorder import Recorder
+from cabinpose.store.recording import RecordingWriter
+
+
+def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
+    """Open every source of a rig and record into `out`.
+
+    Raises RecordingError (or what a source raises of its family) where the file exists or a source cannot be opened; nothing
+    is left behind then.
+    """
+    storage, wake = rig.storage, threading.Event()
+    lanes = [Lane(plan.build(clock), plan.kind, clock, wake, queue_bytes=int(storage.queue_mb * 1e6)) for plan in rig.sources]
+    writer = RecordingWriter(
+        out,
+        rig.take,
+        rig=rig.text,
+        started_ns=clock.now_ns(),
+        compression=storage.compression,
+        chunk_bytes=int(storage.chunk_mb * 1e6),
+        flush_s=storage.flush_s,
+        sync_s=storage.sync_s,
+    )
+    recorder = Recorder(lanes, writer, clock, wake, min_free_bytes=int(storage.min_free_mb * 1e6))
+    try:
+        recorder.start()
+    except CabinposeError:
+        out.unlink()
+        raise
+    return recorder

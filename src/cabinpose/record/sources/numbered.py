@@ -1,0 +1,140 @@
+"""A device that counts: numbered samples at a rate, in memory. For rigs to be tried without hardware, tests and benches.
+
+It can lose samples, die and return, deliver in bursts; and since it says what it sent, every sample can be accounted for.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import RecordingError, SourceEndedError
+from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.recorded import Channels, ToFFrame
+
+_MOST_AT_ONCE = 1000
+
+
+class NumberedSettings(BaseModel):
+    """What the device does."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rate_hz: float = Field(100.0, gt=0, le=1e6, description="samples a second")
+    samples: int | None = Field(None, ge=0, description="numbers 0 to samples - 1, then the source ends; left out: no end")
+    raw_bytes: int = Field(64, ge=8, le=1 << 26, description="raw bytes of a sample; the first eight are its number")
+    width: int = Field(0, ge=0, le=4096, description="width of a ToF frame in each sample, px; 0 = one channel in its place")
+    height: int = Field(0, ge=0, le=4096, description="its height, px")
+    lose_every: int = Field(0, ge=0, description="each so manieth number is lost on the way; 0 = none")
+    die_every: int = Field(0, ge=0, description="after so many samples the device goes away; 0 = never")
+    dead_s: float = Field(0.0, ge=0, description="for how long; what it counts meanwhile is lost")
+    burst: int = Field(1, ge=1, le=_MOST_AT_ONCE, description="samples that are delivered together")
+
+
+class NumberedSource:
+    """A `FrameSource` whose samples are numbered; `sent` is how many numbers the device has used so far."""
+
+    Settings: ClassVar = NumberedSettings
+
+    def __init__(self, name: str, settings: NumberedSettings, clock: HostClock) -> None:
+        self._name, self.settings, self._clock = name, settings, clock
+        self._counts = Counts()
+        self._began_ns: int | None = None
+        self._dead_until = 0.0
+        self._until_death = settings.die_every
+        self._open = False
+        self.sent = 0
+        rng = np.random.Generator(np.random.Philox(key=(1, 0)))
+        shape = (settings.height, settings.width)
+        self._depth = rng.integers(5000, 15000, shape, dtype=np.uint16)
+        self._amplitude = rng.integers(0, 4000, shape, dtype=np.uint16)
+        self._confidence = rng.integers(0, 255, shape, dtype=np.uint8)
+        self._raw = rng.bytes(settings.raw_bytes - 8)
+        self._k = np.array([[max(shape[1], 1), 0, shape[1] / 2], [0, max(shape[1], 1), shape[0] / 2], [0, 0, 1.0]])
+
+    @property
+    def name(self) -> str:
+        """What the rig's configuration calls it."""
+        return self._name
+
+    @property
+    def counts(self) -> Counts:
+        """What became of what was sent."""
+        return self._counts
+
+    def check(self) -> Sequence[str]:
+        """It is always ready."""
+        return []
+
+    def open(self) -> None:
+        """Connect. Raises RecordingError while the device is away."""
+        if time.monotonic() < self._dead_until:
+            raise RecordingError(f"{self._name} does not answer", hint="wait: it comes back")
+        if self._began_ns is None:
+            self._began_ns = self._clock.now_ns()
+        elif not self._open:
+            self._lose(self._due())
+        self._open = True
+
+    def read(self, timeout_s: float) -> Sequence[Sample]:
+        """The samples that are due."""
+        settings, until = self.settings, time.monotonic() + timeout_s
+        while True:
+            if settings.samples is not None and self.sent >= settings.samples:
+                raise SourceEndedError(f"{self._name} has sent its {settings.samples} samples")
+            if settings.die_every and self._until_death <= 0:
+                self._until_death = settings.die_every
+                self._dead_until = time.monotonic() + settings.dead_s
+                raise RecordingError(f"{self._name} went away", hint="it comes back")
+            due = self._due()
+            whole = due == settings.samples or due - self.sent >= settings.burst
+            if whole and due > self.sent:
+                return self._samples(min(due, self.sent + _MOST_AT_ONCE))
+            wait = min((self.sent + settings.burst) / settings.rate_hz - self._elapsed_s(), until - time.monotonic())
+            if until <= time.monotonic():
+                return []
+            time.sleep(max(min(wait, 0.05), 0.0))
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._open = False
+
+    def _elapsed_s(self) -> float:
+        return 0.0 if self._began_ns is None else (self._clock.now_ns() - self._began_ns) / 1e9
+
+    def _due(self) -> int:
+        """How many numbers the device has used by now."""
+        due = int(self._elapsed_s() * self.settings.rate_hz)
+        return due if self.settings.samples is None else min(due, self.settings.samples)
+
+    def _lose(self, until: int) -> None:
+        self._counts.lost += until - self.sent
+        self.sent = until
+
+    def _samples(self, until: int) -> list[Sample]:
+        settings, samples = self.settings, []
+        while self.sent < until and not (settings.die_every and self._until_death <= 0):
+            number = self.sent
+            if settings.lose_every and number % settings.lose_every == settings.lose_every - 1:
+                self._lose(number + 1)
+                continue
+            device_ns = int(number * 1e9 / settings.rate_hz)
+            raw = number.to_bytes(8, "little") + self._raw
+            samples.append(Sample(number, self._clock.now_ns(), device_ns, raw, (self._message(number),)))
+            self.sent += 1
+            self._until_death -= 1
+        self._counts.received += len(samples)
+        return samples
+
+    def _message(self, number: int) -> ToFFrame | Channels:
+        if not self._depth.size:
+            return Channels(("number",), np.array([float(number)]))
+        depth = self._depth.copy()
+        depth.flat[0] = number % 65536
+        zero = np.zeros(5)
+        return ToFFrame(depth, 1e-4, self._amplitude.copy(), self._confidence.copy(), self._k, zero, zero)

@@ -1,0 +1,91 @@
+"""What survives: kill -9 at any instant, and a disk that is full."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from cabinpose.store.recording import Recording, recover
+
+SUBJECT = Path(__file__).with_name("crash_subject.py")
+LOST_S = 1.0
+
+
+def killed(out: Path, after_s: float, compression: str = "none") -> dict[str, list[tuple[int, int]]]:
+    """Host time and number of each sample that a recording process sent before it was killed, `after_s` after the first."""
+    process = subprocess.Popen(
+        [sys.executable, SUBJECT, out, "0"], stdout=subprocess.PIPE, text=True, env={"COMPRESSION": compression}
+    )
+    assert process.stdout is not None
+    try:
+        lines = [process.stdout.readline()]
+        time.sleep(after_s)
+    finally:
+        process.kill()
+    with process:
+        lines += process.stdout.readlines()
+    sent: dict[str, list[tuple[int, int]]] = {}
+    for line in lines:
+        if line.endswith("\n") and not line.startswith(("end", "error")):
+            source, host_ns, number = line.split()
+            sent.setdefault(source, []).append((int(host_ns), int(number)))
+    return sent
+
+
+def check_killed(folder: Path, after_s: float, compression: str) -> float:
+    """Seconds that were lost; everything before them is in the recovered file, which the mcap package opens."""
+    sent = killed(folder / "take.mcap", after_s, compression)
+    recover(folder / "take.mcap", folder / "fixed.mcap")
+    with (folder / "fixed.mcap").open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    with Recording(folder / "fixed.mcap") as recording:
+        found: dict[str, list[tuple[int, int]]] = {}
+        for source, sample in recording.samples():
+            assert len(sample.messages) == 1
+            assert sample.sequence is not None
+            found.setdefault(source, []).append((sample.host_ns, sample.sequence))
+        assert not recording.damage.any
+    lost = 0.0
+    for source, given in sent.items():
+        kept = found.get(source, [])
+        assert kept[: len(given)] == given[: len(kept)]
+        missing = given[len(kept) :]
+        if missing:
+            lost = max(lost, (given[-1][0] - missing[0][0]) / 1e9)
+    return lost
+
+
+@pytest.mark.parametrize(("seed", "compression"), [(1, "none"), (2, "none"), (3, "lz4"), (4, "zstd")])
+def test_kill_9_costs_less_than_a_second(tmp_path: Path, seed: int, compression: str) -> None:
+    rng = np.random.default_rng(seed)
+    assert check_killed(tmp_path, float(rng.uniform(0.0, 1.5)), compression) < LOST_S
+
+
+@pytest.mark.parametrize("limit", [700_000, 1_000_000])
+def test_a_full_disk_ends_the_take_and_not_the_file(tmp_path: Path, limit: int) -> None:
+    out = tmp_path / "take.mcap"
+    done = subprocess.run([sys.executable, SUBJECT, out, str(limit)], capture_output=True, text=True, check=True, timeout=120)
+    lines = done.stdout.splitlines()
+    error = lines[-1]
+    assert error.startswith("error no space left while writing")
+    assert out.stat().st_size <= limit
+    with out.open("rb") as file:
+        read = list(make_reader(file, validate_crcs=True).iter_messages())
+    assert len(read) > 100
+    sent = {"suit": 0, "tof": 0}
+    for line in lines:
+        if line.split()[0] in sent:
+            sent[line.split()[0]] += 1
+    with Recording(out) as recording:
+        sources = [source for source, _ in recording.samples()]
+        assert not recording.damage.any
+    for _, source, written, dropped in (line.split() for line in lines if line.startswith("end")):
+        assert sources.count(source) == int(written)
+        assert int(written) + int(dropped) == sent[source]
