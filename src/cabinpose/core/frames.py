@@ -14,6 +14,9 @@ from scipy.spatial.transform import Rotation
 
 Matrix = NDArray[np.float64]  # (4, 4) or (..., 4, 4)
 
+# World axes of systems whose y axis is up, turned upright: x stays, y becomes z.
+ZUP_FROM_YUP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
 # Axes of an OpenCV camera that looks along a body's x axis with z up: right = -y, down = -z, forward = x.
 FORWARD_FROM_CAMERA = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 

@@ -1,0 +1,257 @@
+"""C3D (optical motion capture, through ezc3d): a file as messages with time stamps. `c3d_write` is the way back.
+
+Points are markers of their subjects (`Subject:Marker`, or SUBJECTS:LABEL_PREFIXES), in metres by POINT:UNITS, turned upright by
+POINT:Y_SCREEN, which names the vertical axis (+Z where it is not given). A point whose residual is negative is occluded: NaN. A
+residual of 0 says that the point was filled in, or that nobody knows. Points without a label (`*12`) have the subject "".
+What models add to the points is told apart by POINT:ANGLES (joint angles, rad) and POINT:FORCES, MOMENTS, POWERS, SCALARS
+(channels, in the file's units). Analog channels come at their own rate. All parameters of the file are facts.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cabinpose.core.errors import MocapError
+from cabinpose.core.frames import ZUP_FROM_YUP
+from cabinpose.core.optional import optional_module
+from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
+from cabinpose.store.convert.rows import Row
+
+METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+ANGLES, OTHERS = "ANGLES", ("FORCES", "MOMENTS", "POWERS", "SCALARS")
+_BLOCK = 512
+_FLIP = np.diag([1.0, -1.0, -1.0])  # half a turn about x
+_WORLD_FROM_UP = {
+    "+Z": np.eye(3), "-Z": _FLIP, "+Y": ZUP_FROM_YUP, "-Y": _FLIP @ ZUP_FROM_YUP,
+    "+X": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "-X": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+}  # fmt: skip
+
+
+def ezc3d() -> Any:
+    """The module ezc3d."""
+    return optional_module("ezc3d", purpose="C3D", hint="pip install 'cabinpose[record]'")
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The points of one subject, or of one kind that a model added: their columns in the file and their names."""
+
+    columns: tuple[int, ...] = ()
+    names: tuple[str, ...] = ()
+
+
+def read_c3d(path: Path, *, subjects: Mapping[str, str] | None = None, start_ns: int = 0) -> Iterator[Row]:
+    """The messages of a C3D file, by time: facts, then each frame's markers and the analog values until the next.
+
+    `subjects` gives subjects other names (codes for people's names; the facts on parameters keep the file's). device_ns: since
+    the beginning of the trial, whose first frame need not be in the file · host_ns: `start_ns` later, since C3D knows no
+    time of day.
+
+    Raises MocapError where the file is no C3D, is damaged or cut off, or has an unknown unit.
+    """
+    check_size(path)
+    module = ezc3d()
+    try:
+        trial = _Trial(module.c3d(str(path)), subjects or {})
+    except _ContentError as error:
+        raise MocapError(f"{path} {error}", hint=error.hint) from None
+    except (OSError, RuntimeError, ValueError, TypeError, AttributeError, LookupError, MemoryError) as error:
+        raise MocapError(f"{path} cannot be read: {error}", hint="export it again; it contradicts itself") from error
+    return trial.rows(start_ns)
+
+
+class _ContentError(MocapError):
+    """What is wrong with the content of a file, without its name."""
+
+
+class _Trial:
+    """A file whose parameters have been understood."""
+
+    def __init__(self, file: Any, codes: Mapping[str, str]) -> None:
+        self.points: F64 = file["data"]["points"][:3].transpose(2, 1, 0)  # (F, P, 3)
+        self.residual: F64 = file["data"]["meta_points"]["residuals"][0].T  # (F, P)
+        self.analogs: F64 = file["data"]["analogs"][0].T  # (F * n, C)
+        self.rate = float(file["header"]["points"]["frame_rate"])
+        self.first = int(file["header"]["points"]["first_frame"])
+        if len(self.points) and not (np.isfinite(self.rate) and self.rate > 0):
+            raise _ContentError(f"has a frame rate of {self.rate}", hint="set POINT:RATE to the rate of the cameras")
+        parameters = _plain_parameters(file["parameters"])
+        point, analog = parameters.get("POINT", {}), parameters.get("ANALOG", {})
+        self.scale, self.world = _metres(point), _world(point)
+        self.degrees = str((point.get("ANGLE_UNITS") or ["deg"])[0]).strip().lower() != "rad"
+        self.channels = _names(analog, "LABELS", self.analogs.shape[1], "analog")
+        self.markers, self.models = _groups(parameters, self.points.shape[1], codes)
+        about = {"rate_hz": self.rate, "frames": len(self.points), "first_frame": self.first}
+        _check_frames(parameters.get("TRIAL", {}), len(self.points))
+        self.facts = list(_facts(parameters, point, analog, about))
+
+    def time_ns(self, frame: float) -> int:
+        """Since the beginning of the trial."""
+        return round(frame * 1e9 / self.rate) if len(self.points) else 0
+
+    def rows(self, start_ns: int) -> Iterator[Row]:
+        """Everything, by time."""
+        points, residual = self.points, self.residual
+        occluded = ~(residual >= 0) | ~np.isfinite(points).all(axis=2)
+        with np.errstate(all="ignore"):
+            position = points * self.scale @ self.world.T
+        position[occluded] = np.nan
+        residual_m = np.where(occluded, np.nan, residual * self.scale)
+        modelled = np.where((residual < 0)[..., None], np.nan, points)
+        ratio = len(self.analogs) // max(1, len(points)) if self.channels else 0
+        first_ns = self.time_ns(self.first)
+        for facts in self.facts:
+            yield start_ns + first_ns, first_ns, facts
+        for k in range(len(points)):
+            frame_ns = self.time_ns(self.first + k)
+            for subject, part in self.markers.items():
+                columns = part.columns
+                yield start_ns + frame_ns, frame_ns, Markers(subject, part.names, position[k, columns], residual_m[k, columns])
+            for (kind, subject), part in self.models.items():
+                message = _modelled(kind, subject, part, modelled[k, part.columns], degrees=self.degrees)
+                yield start_ns + frame_ns, frame_ns, message
+            for i in range(ratio):
+                analog_ns = self.time_ns(self.first + k + i / ratio)
+                yield start_ns + analog_ns, analog_ns, Channels(self.channels, self.analogs[k * ratio + i].copy())
+
+
+def _modelled(kind: str, subject: str, part: _Points, values: F64, *, degrees: bool) -> JointAngles | Channels:
+    if kind == ANGLES:
+        return JointAngles(subject, part.names, np.radians(values) if degrees else values)
+    prefix = f"{subject}:" if subject else ""
+    return Channels(tuple(f"{prefix}{name}.{axis}" for name in part.names for axis in "xyz"), values.ravel())
+
+
+def check_size(path: Path) -> None:
+    """Raise MocapError unless a file is as large as its header claims: the library fills up what is missing, in silence."""
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(_BLOCK)
+            file.seek(_BLOCK * (max(1, head[0]) - 1) if head else 0)
+            parameters = file.read(4)
+    except OSError as error:
+        raise MocapError(f"cannot read {path} ({error.strerror or error})", hint="check the path") from error
+    if len(head) < _BLOCK or head[1] != 0x50 or len(parameters) < 4:
+        raise MocapError(f"{path} is no C3D file", hint="give a C3D file")
+    order = ">" if parameters[3] == 86 else "<"  # MIPS; Intel is 84, DEC 85
+    points, analogs, first, last = struct.unpack_from(f"{order}4H", head, 2)
+    start = struct.unpack_from(f"{order}H", head, 16)[0]
+    negative = head[12 if order == ">" else 15 if parameters[3] == 84 else 13] & 0x80  # the scale's sign: floats
+    claimed = max(0, last - first + 1) * (4 * points + analogs) * (4 if negative else 2)
+    if max(0, start - 1) * _BLOCK + claimed > size:
+        raise MocapError(
+            f"{path} is cut off: {size} bytes, where its header claims {max(0, start - 1) * _BLOCK + claimed}",
+            hint="copy or export it again",
+        )
+
+
+def _check_frames(trial: Mapping[str, Any], frames: int) -> None:
+    """Vicon's 32-bit numbers of the first and the last frame, where 16 bits do not hold them."""
+    start, end = ([int(word) & 0xFFFF for word in trial.get(f"ACTUAL_{which}_FIELD") or []] for which in ("START", "END"))
+    if len(start) == len(end) == 2:
+        claimed = end[0] - start[0] + 1 + ((end[1] - start[1]) << 16)
+        if claimed > frames:
+            raise _ContentError(f"has {claimed} frames, of which {frames} can be read", hint="export it in shorter parts")
+
+
+def _plain_parameters(groups: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Groups of parameters as plain data: lists of text and numbers; NaN and infinities, which JSON has not, as None."""
+    plain: dict[str, dict[str, Any]] = {}
+    for group, members in groups.items():
+        values = {name: _plain(member["value"]) for name, member in members.items() if name != "__METADATA__"}
+        plain[_word(group)] = {_word(name): value for name, value in values.items()}
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return _word(value) if isinstance(value, str) else value
+
+
+def _word(text: str) -> str:
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def _metres(point: Mapping[str, Any]) -> float:
+    unit = str((point.get("UNITS") or ["mm"])[0]).strip().lower()
+    if unit not in METRES:
+        raise _ContentError(f"has points in '{unit}'", hint=f"set POINT:UNITS to one of {', '.join(METRES)}")
+    return METRES[unit]
+
+
+def _world(point: Mapping[str, Any]) -> F64:
+    up = str((point.get("Y_SCREEN") or ["+Z"])[0]).strip().upper()
+    up = up if up[:1] in ("+", "-") else f"+{up or 'Z'}"
+    if up not in _WORLD_FROM_UP:
+        raise _ContentError(f"has the vertical axis '{up}'", hint="set POINT:Y_SCREEN to +X, -X, +Y, -Y, +Z or -Z")
+    return _WORLD_FROM_UP[up]
+
+
+def _names(group: Mapping[str, Any], parameter: str, count: int, fallback: str) -> tuple[str, ...]:
+    """LABELS, LABELS2, and so on: a parameter holds no more than 255; what has no name is numbered."""
+    names: list[str] = []
+    for suffix in ("", *map(str, range(2, 2 + count // 255 + 1))):
+        names += [str(name).strip() for name in group.get(f"{parameter}{suffix}") or []]
+    return tuple(names[i] if i < len(names) and names[i] else f"{fallback} {i + 1}" for i in range(count))
+
+
+def _groups(
+    parameters: Mapping[str, Mapping[str, Any]], count: int, codes: Mapping[str, str]
+) -> tuple[dict[str, _Points], dict[tuple[str, str], _Points]]:
+    """The points of each subject, and those that models added by (parameter, subject)."""
+    point, about = parameters.get("POINT", {}), parameters.get("SUBJECTS", {})
+    prefixes = [str(prefix) for prefix in about.get("LABEL_PREFIXES") or []]
+    people = [str(name).strip() for name in about.get("NAMES") or []]
+    of_prefix = {prefix: name for prefix, name in zip(prefixes, people, strict=False) if prefix.strip()}
+    only = people[0] if len(people) == 1 else ""
+    kinds = {str(label).strip(): kind for kind in (ANGLES, *OTHERS) for label in point.get(kind) or []}
+    markers: dict[str, dict[int, str]] = {}
+    models: dict[tuple[str, str], dict[int, str]] = {}
+    for column, label in enumerate(_names(point, "LABELS", count, "point")):
+        prefix = next((prefix for prefix in of_prefix if label.startswith(prefix)), None)
+        if prefix is not None:
+            subject, name = of_prefix[prefix], label[len(prefix) :]
+        elif label.startswith("*"):
+            subject, name = "", label[1:] or label
+        else:
+            subject, _, name = label.rpartition(":")
+            subject = subject or only
+        subject = codes.get(subject, subject)
+        kind = kinds.get(label) or kinds.get(name)
+        (markers.setdefault(subject, {}) if kind is None else models.setdefault((kind, subject), {}))[column] = name
+    return (
+        {subject: _Points(tuple(names), tuple(names.values())) for subject, names in markers.items()},
+        {key: _Points(tuple(names), tuple(names.values())) for key, names in models.items()},
+    )
+
+
+def _facts(
+    parameters: Mapping[str, Any], point: Mapping[str, Any], analog: Mapping[str, Any], about: Mapping[str, Any]
+) -> Iterator[Facts]:
+    yield Facts("parameters", dict(parameters))
+    yield Facts("points", {**about, "units": point.get("UNITS"), "up": point.get("Y_SCREEN"), "scale": point.get("SCALE")})
+    if analog.get("LABELS"):
+        yield Facts("analog", {key.lower(): analog.get(key) for key in ("LABELS", "UNITS", "DESCRIPTIONS", "RATE")})
+    event = parameters.get("EVENT", {})
+    used = int((event.get("USED") or [0])[0])
+    if used:
+        times = np.array(event.get("TIMES") or [], np.float64).reshape(2, -1)  # minutes, seconds
+        columns = {key: event.get(key) or [] for key in ("LABELS", "CONTEXTS", "SUBJECTS", "DESCRIPTIONS")}
+        events = []
+        for i in range(min(used, times.shape[1])):
+            words = {key[:-1].lower(): str(values[i]).strip() if i < len(values) else "" for key, values in columns.items()}
+            events.append({**words, "time_s": float(60 * times[0, i] + times[1, i])})
+        yield Facts("events", {"events": events})

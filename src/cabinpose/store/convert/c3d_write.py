@@ -1,0 +1,214 @@
+"""Messages as a C3D file (through ezc3d), which knows one rate of frames, one of analog values, and no gaps.
+
+Markers are written as `Subject:Marker` in millimetres, z up, in 32-bit floats; those without a label as `*12`. C3D has 8 bits
+for a residual: steps of 0.01 mm, or of a 255th of the largest. It has none for a residual that nobody knows: 0 is written,
+which C3D calls filled in or unknown.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from cabinpose.core.errors import MocapError
+from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
+from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d
+from cabinpose.store.convert.rows import Row, whole_file
+
+_MM = 1e3
+_BLOCK, _HEADER_SCALE = 512, 12  # bytes
+_RESIDUAL_STEP_MM = 0.01
+_RESIDUAL_STEPS = 255
+_NAMES_A_PARAMETER = 255
+_FRAME_LIMIT = 0xFFFF  # 16 bits count the frames
+_POINT_LIMIT = 16_000  # four values a point and 16 bits to count a frame's
+
+
+@dataclass
+class _Table:
+    """Values of named columns at times: of `width` numbers each, NaN where there are none."""
+
+    width: int
+    columns: dict[str, int] = field(default_factory=dict)
+    rows: dict[int, list[tuple[list[int], F64]]] = field(default_factory=dict)  # time -> columns and their values
+
+    def add(self, time_ns: int, names: Sequence[str], values: F64) -> None:
+        if len(set(names)) != len(names):
+            raise MocapError(f"two of {', '.join(names)} have one name", hint="rename one: C3D tells points apart by their names")
+        at = [self.columns.setdefault(name, len(self.columns)) for name in names]
+        self.rows.setdefault(time_ns, []).append((at, values.reshape(len(at), self.width)))
+
+    def rate_hz(self) -> float | None:
+        """From the median of the differences of the times."""
+        times = np.sort(np.array(list(self.rows), np.int64))
+        step = np.median(np.diff(times)) if len(times) > 1 else 0.0
+        return 1e9 / float(step) if step > 0 else None
+
+    def at(self, first_ns: int, rate_hz: float, count: int) -> F64:
+        """(count, columns, width); the rows in the frames nearest to them. MocapError where two fall into one."""
+        result, taken = np.full((count, len(self.columns), self.width), np.nan), np.full((count, len(self.columns)), False)
+        for time_ns, parts in self.rows.items():
+            k = round((time_ns - first_ns) * 1e-9 * rate_hz)
+            for columns, values in parts:
+                if taken[k, columns].any():
+                    name = list(self.columns)[columns[0]]
+                    raise MocapError(
+                        f"two values of {name} fall into the frame of 1/{rate_hz:g} s at {time_ns * 1e-9:.4f} s",
+                        hint="give the rate of the frames; a recording in which a device began anew is exported in parts",
+                    )
+                result[k, columns], taken[k, columns] = values, True
+        return result
+
+
+def write_c3d(
+    path: Path, rows: Iterable[Row], *, rate_hz: float | None = None, with_channels: bool = True, overwrite: bool = False
+) -> Path:
+    """Write the markers, joint angles and channels of a recording; the file appears when it is whole.
+
+    A frame's time is its device time (host time where there is none). The rate is that of the markers: given, told by facts
+    (of C3D or Vicon), or the median of the differences. A frame that is missing is one in which all markers are occluded.
+    Channels must come at a multiple of it; those that come more slowly than others are repeated. Events are taken from facts
+    named `events`, as `read_c3d` gives them. The number of the first frame is kept if it fits into C3D's 16 bits, else it is 1.
+    Segments, single sensors and images have no place here and are left out.
+
+    Raises MocapError where there are no markers, or more frames than C3D counts, or rates and times that do not fit each other.
+    """
+    module = ezc3d()
+    points, angles = _Table(3), _Table(3)
+    residuals = _Table(1)
+    channels: dict[tuple[str, ...], _Table] = {}
+    facts: dict[str, Mapping[str, Any]] = {}
+    for host_ns, device_ns, message in rows:
+        time_ns = host_ns if device_ns is None else device_ns
+        if isinstance(message, Markers):
+            names = [_label(message.subject, name) for name in message.names]
+            points.add(time_ns, names, message.position_m)
+            residuals.add(time_ns, names, message.residual_m)
+        elif isinstance(message, JointAngles):
+            angles.add(time_ns, [_label(message.subject, name) for name in message.names], message.angles)
+        elif isinstance(message, Channels) and with_channels:
+            channels.setdefault(message.names, _Table(1)).add(time_ns, message.names, message.values)
+        elif isinstance(message, Facts):
+            facts[message.about] = message.values
+    if not points.rows:
+        raise MocapError("there are no markers to write", hint="export a recording of an optical system")
+    if len(points.columns) + len(angles.columns) > _POINT_LIMIT:
+        raise MocapError(f"{len(points.columns)} markers are more than C3D holds", hint="leave out those without a label")
+    rate = rate_hz or _told_rate(facts) or points.rate_hz() or 100.0
+    first_ns = min(points.rows)
+    count = round((max(points.rows) - first_ns) * 1e-9 * rate) + 1
+    if count > _FRAME_LIMIT:
+        raise MocapError(f"{count} frames are more than C3D counts ({_FRAME_LIMIT})", hint="export the recording in parts")
+    file = module.c3d()
+    _put_points(file, points.at(first_ns, rate, count), residuals.at(first_ns, rate, count)[..., 0], points, angles)
+    if angles.rows:
+        values = angles.at(first_ns, rate, count)
+        file["data"]["points"][:3, len(points.columns) :] = np.degrees(values).transpose(2, 1, 0)
+        file.add_parameter("POINT", ANGLES, list(angles.columns))
+        file.add_parameter("POINT", "ANGLE_UNITS", ["deg"])
+    file["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    first = round(first_ns * 1e-9 * rate)
+    file["header"]["points"]["first_frame"] = first if 0 <= first <= _FRAME_LIMIT - count else 0
+    _put_analogs(file, list(channels.values()), first_ns, rate, count, facts.get("analog", {}))
+    _put_events(file, facts.get("events", {}))
+    with whole_file(path, overwrite=overwrite, binary=True) as out, TemporaryDirectory(dir=path.parent, prefix=".c3d-") as folder:
+        made = Path(folder) / "made.c3d"  # the library wants this ending
+        file.write(str(made))
+        check_size(made)  # a full disk is no error to the library
+        with made.open("rb") as source:
+            header = bytearray(source.read(_BLOCK))
+            # The library leaves the header's scale at -1, whatever the parameter says.
+            struct.pack_into("<f", header, _HEADER_SCALE, file["parameters"]["POINT"]["SCALE"]["value"][0])
+            out.write(header)
+            shutil.copyfileobj(source, out)
+    return path
+
+
+def _label(subject: str, name: str) -> str:
+    if subject:
+        return f"{subject}:{name}"
+    return f"*{name}" if name.isdigit() else name
+
+
+def _told_rate(facts: Mapping[str, Mapping[str, Any]]) -> float | None:
+    for about, key in (("points", "rate_hz"), ("stream", "frame_rate_hz")):
+        rate = facts.get(about, {}).get(key)
+        if isinstance(rate, (int, float)) and np.isfinite(rate) and rate > 0:
+            return float(rate)
+    return None
+
+
+def _put_points(file: Any, position_m: F64, residual_m: F64, points: _Table, angles: _Table) -> None:
+    count, total = len(position_m), len(points.columns) + len(angles.columns)
+    values = np.ones((4, total, count))
+    values[:3, : len(points.columns)] = position_m.transpose(2, 1, 0) * _MM
+    occluded = ~np.isfinite(position_m).all(axis=2)
+    residual_mm = np.where(np.isfinite(residual_m), np.maximum(residual_m, 0.0) * _MM, 0.0)
+    residual_mm[occluded] = 0.0
+    step = max(_RESIDUAL_STEP_MM, float(residual_mm.max(initial=0.0)) / _RESIDUAL_STEPS)
+    residuals = np.zeros((1, total, count))
+    residuals[0, : len(points.columns)] = np.where(occluded, -1.0, np.round(residual_mm / step) * step).T
+    file["data"]["points"] = values
+    file["data"]["meta_points"]["residuals"] = residuals
+    file["data"]["meta_points"]["camera_masks"] = np.zeros((7, total, count), bool)
+    names = [*points.columns, *angles.columns]
+    _put_names(file, "POINT", {"LABELS": names, "DESCRIPTIONS": [""] * len(names)})
+    point = file["parameters"]["POINT"]
+    point["UNITS"]["value"], point["SCALE"]["value"] = ["mm"], [-step]
+    file.add_parameter("POINT", "X_SCREEN", ["+X"])
+    file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+
+
+def _put_analogs(file: Any, tables: list[_Table], first_ns: int, rate: float, count: int, told: Mapping[str, Any]) -> None:
+    """All channels at the highest of their rates, each value held until the next."""
+    if not tables:
+        return
+    ratios = []
+    for table in tables:
+        ratio = (table.rate_hz() or rate) / rate
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 0.02 * ratio:
+            raise MocapError(
+                f"the channels {', '.join(list(table.columns)[:3])} come {ratio:.3f} times a frame, not a whole number",
+                hint="export them to CSV, and leave channels out here",
+            )
+        ratios.append(round(ratio))
+    highest = max(ratios)
+    columns = []
+    for table, ratio in zip(tables, ratios, strict=True):
+        if highest % ratio:
+            raise MocapError(f"channels that come {ratio} and {highest} times a frame do not fit", hint="leave channels out")
+        inside = {t: parts for t, parts in table.rows.items() if 0 <= round((t - first_ns) * 1e-9 * rate * ratio) < count * ratio}
+        values = _Table(1, table.columns, inside).at(first_ns, rate * ratio, count * ratio)[..., 0]
+        columns.append(np.repeat(values, highest // ratio, axis=0))
+    names = [name for table in tables for name in table.columns]
+    units_of = dict(zip(told.get("labels") or [], told.get("units") or [], strict=False))
+    units = [str(units_of.get(name, "")) for name in names]
+    file["data"]["analogs"] = np.concatenate(columns, axis=1).T[None]
+    file["parameters"]["ANALOG"]["RATE"]["value"] = [rate * highest]
+    _put_names(file, "ANALOG", {"LABELS": names, "UNITS": units})
+
+
+def _put_names(file: Any, group: str, lists: Mapping[str, Sequence[str]]) -> None:
+    """A parameter holds 255 values: the next ones go to LABELS2, and so on."""
+    for parameter, values in lists.items():
+        for i in range(0, len(values), _NAMES_A_PARAMETER):
+            suffix = str(i // _NAMES_A_PARAMETER + 1) if i else ""
+            file.add_parameter(group, f"{parameter}{suffix}", list(values[i : i + _NAMES_A_PARAMETER]))
+
+
+def _put_events(file: Any, told: Mapping[str, Any]) -> None:
+    events = [event for event in told.get("events") or [] if isinstance(event, Mapping)]
+    if not events:
+        return
+    minutes, seconds = zip(*(divmod(float(event.get("time_s") or 0.0), 60.0) for event in events), strict=True)
+    file.add_parameter("EVENT", "USED", [len(events)])
+    file.add_parameter("EVENT", "TIMES", np.array([minutes, seconds]))
+    for key in ("label", "context", "subject", "description"):
+        file.add_parameter("EVENT", f"{key.upper()}S", [str(event.get(key) or "") for event in events])
