@@ -12,7 +12,7 @@ from cabinpose.core.errors import MocapError
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
 from cabinpose.scene.cabin import build_cabin
-from cabinpose.synth.mocap import read_bvh
+from cabinpose.store.convert.bvh import read_bvh
 from cabinpose.synth.posture import choose_setting, sample_pose
 from cabinpose.synth.posture.motion import recorded_count
 from cabinpose.synth.posture.retarget import retarget

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError
 from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.synth.mocap import UpAxis, read_bvh
+from cabinpose.store.convert.bvh import UpAxis, read_bvh
 from cabinpose.synth.posture.retarget import Motion, retarget
 from cabinpose.synth.profiles import MocapProfile
 

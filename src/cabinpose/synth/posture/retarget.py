@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError
 from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.synth.mocap import Clip
+from cabinpose.store.convert.bvh import Clip
 
 Array = NDArray[np.float64]
 

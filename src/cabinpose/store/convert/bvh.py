@@ -1,4 +1,4 @@
-"""Motion capture from Biovision Hierarchy (BVH) files: reading and forward kinematics.
+"""Biovision Hierarchy (BVH) files: reading, forward kinematics, and a recording's messages. `bvh_write` is the way back.
 
 A BVH file gives a hierarchy of joints with offsets, and for every frame the value of each channel. Rotations are
 intrinsic, in the order in which the channels are listed (Meredith and Maddock, "Motion Capture File Formats
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError
+from cabinpose.core.recorded import Facts, SegmentPoses
+from cabinpose.store.convert.rows import Row
 
 UpAxis = Literal["y", "z"]
 
@@ -26,10 +29,11 @@ UpAxis = Literal["y", "z"]
 CMU_UNIT_M = 0.0254 / 0.45
 
 # world_from_file: rows are the world's x (forward), y (left), z (up). Both are proper rotations.
-_AXES: dict[str, NDArray[np.float64]] = {
+WORLD_FROM_FILE: dict[str, NDArray[np.float64]] = {
     "y": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),  # faces +z, +x to its left
     "z": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),  # faces -y, +x to its left
 }
+_DEEPEST = 200  # joints below each other
 _CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -80,7 +84,7 @@ class Bvh:
         A joint's position channels replace its offset (as in the root), its rotation channels turn its children.
         """
         frames, count = len(self.motion), len(self.joints)
-        axes = _AXES[self.up]
+        axes = WORLD_FROM_FILE[self.up]
         rotations = np.empty((frames, count, 3, 3))
         positions = np.empty((frames, count, 3))
         rest = np.empty((count, 3))
@@ -144,6 +148,26 @@ def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") 
     return Bvh(joints, motion, frame_s, up)
 
 
+def read_bvh_rows(
+    path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y", subject: str = "subject", start_ns: int = 0
+) -> Iterator[Row]:
+    """The messages of a file: its skeleton as facts, then the pose of every frame; end sites turn with their joint.
+
+    BVH has no clock: device_ns counts from the first frame, host_ns from `start_ns`. Raises MocapError as `read_bvh` does.
+    """
+    clip = read_bvh(path, unit_m=unit_m, up=up).clip()
+    segments = [
+        {"name": name, "parent": clip.names[parent] if parent >= 0 else None, "rest_m": [float(x) for x in rest]}
+        for name, parent, rest in zip(clip.names, clip.parents, clip.rest_positions, strict=True)
+    ]
+    yield start_ns, 0, Facts(f"subject {subject}", {"segments": segments, "frame_rate_hz": 1 / clip.frame_s})
+    quaternions = Rotation.from_matrix(clip.rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
+    poses = zip(clip.positions, quaternions.reshape(len(clip), -1, 4), strict=True)
+    for i, (position, orientation) in enumerate(poses):
+        time_ns = round(i * clip.frame_s * 1e9)
+        yield start_ns + time_ns, time_ns, SegmentPoses(subject, clip.names, position, orientation)
+
+
 class _Hierarchy:
     """A recursive-descent parser of the HIERARCHY section."""
 
@@ -166,7 +190,7 @@ class _Hierarchy:
             raise self._error(f"joint names given twice: {', '.join(doubled)}", "every joint needs a name of its own")
         return tuple(self._joints)
 
-    def _joint(self, name: str, parent: int) -> None:
+    def _joint(self, name: str, parent: int, depth: int = 0) -> None:
         self._expect("{")
         self._expect("OFFSET")
         offset = self._vector()
@@ -174,9 +198,11 @@ class _Hierarchy:
         channels = self._channels(name)
         index = len(self._joints)
         self._joints.append(BvhJoint(name, parent, offset, channels))
+        if depth > _DEEPEST:
+            raise self._error(f"joint {name} lies {depth} joints deep", "no body has such a limb")
         while (token := self._take()) != "}":
             if token == "JOINT":
-                self._joint(self._take(), index)
+                self._joint(self._take(), index, depth + 1)
             elif token == "End":
                 self._expect("Site")
                 self._expect("{")

@@ -1,0 +1,191 @@
+"""Poses of one subject as a Biovision Hierarchy (BVH) file, which `bvh.read_bvh` and animation programs read.
+
+BVH turns rigid bones at a constant rate. A segment whose place in its parent's frame moves gets position channels, as the root
+has them, so that nothing is lost; poses that did not come at a constant rate are interpolated (positions straight, rotations by
+SLERP).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.recorded import Facts, SegmentPoses
+from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.store.convert.bvh import WORLD_FROM_FILE, UpAxis
+from cabinpose.store.convert.rows import Row, whole_file
+
+F64 = NDArray[np.float64]
+
+_RIGID_M = 1e-4  # a bone's end that moves less in its parent's frame is an offset of the skeleton
+_EULER = "ZYX"  # intrinsic, the order in which most files list rotations
+_MOST_VALUES = 1 << 28  # of the poses in memory: an hour of 60 segments at 240 Hz
+
+
+@dataclass(frozen=True)
+class _Skeleton:
+    """Segments with parents before children; `parents` are indices, -1 for the root."""
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+
+
+def write_bvh(
+    path: Path,
+    rows: Iterable[Row],
+    *,
+    subject: str | None = None,
+    parents: Mapping[str, str] | None = None,
+    unit_m: float = 0.01,
+    up: UpAxis = "y",
+    overwrite: bool = False,
+) -> Path:
+    """Write a subject's poses, in their order of time; the file appears when it is whole.
+
+    parents: of each segment but the root; otherwise those that facts on the subject state, or those of MVN's segments ·
+    unit_m: metres of the file's unit of length · up: its vertical axis.
+
+    Raises RecordingError where there are no poses, or of several subjects, where the hierarchy is not known or not one tree, and
+    where segments were not seen.
+    """
+    stated: dict[str, Mapping[str, str]] = {}
+    names: tuple[str, ...] = ()
+    times: list[int] = []
+    positions: list[F64] = []
+    orientations: list[F64] = []
+    for host_ns, device_ns, message in rows:
+        if isinstance(message, Facts) and (found := _stated_parents(message.values)):
+            stated[message.about.removeprefix("subject ")] = found
+        if not isinstance(message, SegmentPoses) or (subject is not None and message.subject != subject):
+            continue
+        if not times:
+            subject, names = message.subject, message.names
+        if message.subject != subject:
+            continue  # of the first one, where none was named
+        if message.names != names:
+            raise RecordingError(f"the segments of {subject} change", hint="cut the recording where they do")
+        times.append(host_ns if device_ns is None else device_ns)
+        positions.append(message.position_m)
+        orientations.append(message.orientation_wxyz)
+        if len(times) * len(names) * 7 > _MOST_VALUES:
+            raise RecordingError("the recording is too long for one BVH file", hint="cut it")
+    if not times:
+        raise RecordingError(f"no poses{'' if subject is None else f' of {subject}'} to write", hint="BVH needs segments' poses")
+    skeleton, order = _skeleton(names, parents or stated.get(subject or "") or _mvn_parents(names))
+    moved = _regular(times, np.array(positions)[:, order], np.array(orientations)[:, order])
+    with whole_file(path, overwrite=overwrite) as file:
+        _write(file, skeleton, *moved, unit_m, WORLD_FROM_FILE[up])
+    return path
+
+
+def _stated_parents(values: Mapping[str, object]) -> Mapping[str, str]:
+    """Parents from the facts on a subject, as Vicon's and BVH's are; nothing where there are none."""
+    segments = values.get("segments")
+    if not isinstance(segments, Sequence):
+        return {}
+    pairs = [(s.get("name"), s.get("parent")) for s in segments if isinstance(s, Mapping)]
+    return {str(name): str(parent) for name, parent in pairs if parent}
+
+
+def _mvn_parents(names: Sequence[str]) -> Mapping[str, str]:
+    known = set(MVN_SEGMENTS)
+    if not set(names) <= known:
+        raise RecordingError("the hierarchy of these segments is not known", hint="give the parent of each segment")
+    return {child: parent for _, parent, child in MVN_JOINTS}
+
+
+def _skeleton(names: tuple[str, ...], parents: Mapping[str, str]) -> tuple[_Skeleton, list[int]]:
+    """The tree with parents first, and where each of its segments stands among `names`."""
+    roots = [name for name in names if parents.get(name, "") not in names]
+    if len(roots) != 1:
+        raise RecordingError(f"{len(roots)} segments have no parent: {', '.join(roots[:5])}", hint="BVH holds one tree")
+    ordered: list[str] = []
+    waiting = [roots[0]]
+    while waiting:
+        ordered.append(waiting.pop())
+        waiting += [name for name in reversed(names) if parents.get(name) == ordered[-1]]
+    if len(ordered) != len(names):
+        raise RecordingError("the segments form a ring", hint="check their parents")
+    indices = tuple(ordered.index(parents[name]) if name != roots[0] else -1 for name in ordered)
+    return _Skeleton(tuple(ordered), indices), [names.index(name) for name in ordered]
+
+
+def _regular(times_ns: Sequence[int], positions: F64, orientations: F64) -> tuple[F64, F64, float]:
+    """Positions, rotation matrices and seconds a frame at a constant rate."""
+    if not (np.isfinite(positions).all() and np.isfinite(orientations).all()):
+        unseen = int((~np.isfinite(positions).all(axis=(1, 2))).sum())
+        raise RecordingError(
+            f"{unseen} of {len(times_ns)} frames have segments that were not seen", hint="BVH cannot say that; cut"
+        )
+    time, first = np.unique(np.asarray(times_ns, dtype=np.int64), return_index=True)
+    positions, orientations = positions[first], orientations[first]
+    frames, segments = positions.shape[:2]
+    rotations = Rotation.from_quat(orientations.reshape(-1, 4), scalar_first=True).as_matrix().reshape(frames, segments, 3, 3)
+    if frames < 2:
+        return positions, rotations, 1 / 60
+    step = float(np.median(np.diff(time)))
+    seconds = (time - time[0]) / 1e9
+    even = np.arange(round((time[-1] - time[0]) / step) + 1) * (step / 1e9)
+    if len(even) == frames and np.abs(even - seconds).max() < 0.01 * step / 1e9:
+        return positions, rotations, float(seconds[-1] / (frames - 1))
+    even = even[even <= seconds[-1]]
+    after = np.clip(np.searchsorted(seconds, even, side="right"), 1, frames - 1)
+    share = ((even - seconds[after - 1]) / (seconds[after] - seconds[after - 1]))[:, None, None]
+    moved = positions[after - 1] * (1 - share) + positions[after] * share
+    turned = [Slerp(seconds, Rotation.from_matrix(rotations[:, s]))(even).as_matrix() for s in range(segments)]
+    return moved, np.stack(turned, axis=1), step / 1e9
+
+
+def _write(
+    file: IO[str], skeleton: _Skeleton, positions: F64, rotations: F64, frame_s: float, unit_m: float, world_from_file: F64
+) -> None:
+    file_from_world = world_from_file.T
+    places = positions @ file_from_world.T / unit_m
+    turns = file_from_world @ rotations @ world_from_file
+    columns: list[F64] = []
+    offsets: list[F64] = []
+    moving: list[bool] = []
+    for s, parent in enumerate(skeleton.parents):
+        local, turn = places[:, s], turns[:, s]
+        if parent >= 0:
+            back = turns[:, parent].transpose(0, 2, 1)
+            local, turn = (back @ (local - places[:, parent])[:, :, None])[:, :, 0], back @ turn
+        offset = np.median(local, axis=0) if parent >= 0 else np.zeros(3)
+        moves = parent < 0 or bool(np.linalg.norm(local - offset, axis=1).max() > _RIGID_M / unit_m)
+        offsets.append(offset)
+        moving.append(moves)
+        if moves:
+            columns.append(local)
+        columns.append(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True))
+    file.write("HIERARCHY\n")
+    _joint(file, skeleton, 0, offsets, moving, "")
+    motion = np.concatenate(columns, axis=1)
+    file.write(f"MOTION\nFrames: {len(motion)}\nFrame Time: {frame_s:.9f}\n")
+    np.savetxt(file, motion, fmt="%.6f")
+
+
+def _joint(file: IO[str], skeleton: _Skeleton, s: int, offsets: Sequence[F64], moving: Sequence[bool], indent: str) -> None:
+    """A segment and those below it. A leaf gets an end site of no length, which the format demands."""
+    inner = indent + "\t"
+    file.write(f"{indent}{'JOINT' if s else 'ROOT'} {_name(skeleton.names[s])}\n{indent}{{\n")
+    file.write(f"{inner}OFFSET {' '.join(f'{x:.6f}' for x in offsets[s])}\n")
+    channels = [*(f"{axis}position" for axis in "XYZ" if moving[s]), *(f"{axis}rotation" for axis in _EULER)]
+    file.write(f"{inner}CHANNELS {len(channels)} {' '.join(channels)}\n")
+    children = [child for child, parent in enumerate(skeleton.parents) if parent == s]
+    for child in children:
+        _joint(file, skeleton, child, offsets, moving, inner)
+    if not children:
+        file.write(f"{inner}End Site\n{inner}{{\n{inner}\tOFFSET 0.000000 0.000000 0.000000\n{inner}}}\n")
+    file.write(f"{indent}}}\n")
+
+
+def _name(name: str) -> str:
+    """A name without blanks and braces, which would end it."""
+    return "".join("_" if c.isspace() or c in "{}" else c for c in name) or "_"
