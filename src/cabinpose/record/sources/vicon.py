@@ -70,6 +70,8 @@ class ViconSettings(BaseModel):
     """Markers without a label."""
     up: Literal["server", "z", "y"] = "server"
     """The server's vertical axis: what it says itself, or what is known better."""
+    subjects: dict[str, str] = {}
+    """Subject codes for the names of subjects in Vicon's software. The packets themselves, which are kept, hold the names."""
     connect_timeout_s: Annotated[float, Field(gt=0, le=60)] = 3.0
     """How long a connection and its greeting may take."""
     silence_s: Annotated[float, Field(ge=2, le=600)] = 5.0
@@ -96,7 +98,7 @@ class ViconSource:
         self._reset()
 
     def _reset(self) -> None:
-        self._decoder = PacketDecoder(up=None if self.settings.up == "server" else self.settings.up)
+        self._decoder = PacketDecoder(up=None if self.settings.up == "server" else self.settings.up, codes=self.settings.subjects)
         self._account = FrameAccount(self._counts)
         self._socket: socket.socket | None = None
         self._state = _State.CLOSED

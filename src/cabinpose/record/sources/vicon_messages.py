@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.ports import Counts
 from cabinpose.core.recorded import F64, Channels, Facts, Markers, Message, SegmentPoses
 from cabinpose.record.sources.vicon_protocol import TICKS_PER_SECOND, Packet, Rows, SubjectInfo, Type
 
-ZUP_FROM_YUP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _MM = 1e-3
 _NOT_A_ROTATION = 1e-3  # largest deviation of an element from the nearest rotation's; a server's deviate by 1e-7
 _COUNTER = 1 << 32
@@ -69,11 +70,12 @@ class _Table:
 class PacketDecoder:
     """Turns packets into messages; remembers what the server says once: subjects, axes, frame period.
 
-    up: the server's vertical axis, "z" or "y"; None believes what the server says of itself (z, if nothing).
+    up: the server's vertical axis, "z" or "y"; None believes what the server says of itself (z, if nothing) · codes: what
+    subjects are called, by their names on the server.
     """
 
-    def __init__(self, *, up: str | None = None) -> None:
-        self._up = up
+    def __init__(self, *, up: str | None = None, codes: Mapping[str, str] | None = None) -> None:
+        self._up, self._codes = up, codes or {}
         self._subjects: tuple[SubjectInfo, ...] = ()
         self._segments, self._markers = _Table(), _Table()
         self._y_up = False
@@ -173,7 +175,8 @@ class PacketDecoder:
             return quaternion_wxyz(ZUP_FROM_YUP @ matrix if self._turn else matrix)
 
     def _learn(self, infos: Sequence[SubjectInfo]) -> None:
-        self._subjects = tuple({info.subject: info for info in infos}.values())
+        named = (replace(info, name=self._codes.get(info.name, info.name)) for info in infos)
+        self._subjects = tuple({info.subject: info for info in named}.values())
         self._segments = _Table([(s.subject, s.name, [(part.segment, part.name) for part in s.segments]) for s in self._subjects])
         self._markers = _Table([(s.subject, s.name, s.markers) for s in self._subjects])
 
