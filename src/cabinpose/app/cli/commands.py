@@ -310,6 +310,61 @@ class Bench:
     action: Annotated[BenchSynth, subcommand("synth")] | Annotated[BenchDetect, subcommand("detect")]
 
 
+@dataclass(frozen=True)
+class EmulateMvn:
+    """Stream a motion as Xsens MVN's network streamer does, over a network as bad as you like. Ctrl-C ends it."""
+
+    motion: str = "seated"
+    """seated, walk, or an MVNX file to repeat."""
+    host: str = "127.0.0.1"
+    """Where to stream to (listen: where to be reached)."""
+    port: int = 9763
+    """Port there."""
+    transport: Literal["udp", "tcp", "listen"] = "udp"
+    """udp; tcp to a receiver that waits; listen for one that connects."""
+    types: tuple[int, ...] = (2,)
+    """Types of datagrams: 1 2 3 5 20 21 22 23 24 25. Names and scales (12, 13) come every second."""
+    rate: float = 60.0
+    """Samples a second."""
+    capture_rate: float | None = None
+    """Samples a second that the sample counter counts; default: the rate."""
+    characters: int = 1
+    """People, side by side."""
+    props: int = 0
+    """Props of each."""
+    fingers: bool = False
+    """With 40 finger segments."""
+    items_per_datagram: int | None = None
+    """Split samples over datagrams of so many items."""
+    latency: float = 0.0
+    """Seconds from taking a sample to sending it."""
+    clock_offset: float = 0.0
+    """What the sender's clock shows at the start, seconds."""
+    clock_drift: float = 0.0
+    """By how much the sender's clock runs fast, millionths."""
+    loss: float = 0.0
+    """Share of datagrams that are lost."""
+    duplicate: float = 0.0
+    """Share of datagrams that arrive twice."""
+    reorder: float = 0.0
+    """Share of datagrams that arrive late."""
+    seconds: float | None = None
+    """How long; default: until Ctrl-C."""
+    log: Path | None = None
+    """File for a line of JSON on each datagram and its fate."""
+    seed: int = 0
+    """Seed of what the network does."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Emulate:
+    """Play a device that is not there: a server that sends the real bytes, on loopback unless told otherwise."""
+
+    # One member would be no choice, and its name would not be typed: so MVN goes by its maker's name as well.
+    device: Annotated[EmulateMvn, subcommand("mvn")] | Annotated[EmulateMvn, subcommand("xsens")]
+
+
 Command = (
     Annotated[Synth, subcommand("synth")]
     | Annotated[Config, subcommand("config")]
@@ -321,13 +376,14 @@ Command = (
     | Annotated[Train, subcommand("train")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Predict, subcommand("predict")]
+    | Annotated[Emulate, subcommand("emulate")]
     | Annotated[Bench, subcommand("bench")]
 )
 
 RUNNERS = MappingProxyType(
     {
         Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
-        Models: "models", Predict: "predict", Bench: "bench", Import: "importing",
+        Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
     }
 )  # fmt: skip
 

@@ -204,6 +204,7 @@ class MvnEmulator:
 
     def _send(self, datagram: Datagram, copies: int, late: bool, sampled_ns: int) -> None:
         assert self._socket is not None
+        sent_ns = self._clock.now_ns()
         for _ in range(copies):
             try:
                 self._socket.sendall(datagram.data)
@@ -213,4 +214,4 @@ class MvnEmulator:
                 raise RecordingError(f"the receiver went away ({error.strerror or error})", hint="start it again") from error
         at = self._clock.from_monotonic_ns(sampled_ns)
         d = datagram
-        self._log(Sent(d.kind, d.character, d.counter, d.piece, d.pieces, d.time_ms, at, self._clock.now_ns(), copies, late))
+        self._log(Sent(d.kind, d.character, d.counter, d.piece, d.pieces, d.time_ms, at, sent_ns, copies, late))

@@ -41,7 +41,7 @@ _SIDE_BY_SIDE_M = 1.0  # between characters
 class MvnEmulatorSettings(BaseModel):
     """What is streamed, where to, and what the network does to it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     host: str = "127.0.0.1"
     """Where to send to (`listen`: where to be reached)."""

@@ -17,7 +17,7 @@ import struct
 import sys
 import time
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -45,7 +45,7 @@ _OLDEST_STAMP_NS = 10_000_000_000  # an older arrival stamp of the kernel is not
 class MvnSettings(BaseModel):
     """Where MVN streams to, and what its numbers mean."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     host: str = "127.0.0.1"
     """Address of this computer to listen on (`connect`: of the other one); 0.0.0.0 listens to the whole network."""
@@ -67,6 +67,8 @@ class MvnSettings(BaseModel):
 
 class MvnSource:
     """A `core.ports.FrameSource` that listens to MVN."""
+
+    Settings: ClassVar = MvnSettings
 
     def __init__(self, name: str, settings: MvnSettings | None = None, *, clock: HostClock | None = None) -> None:
         self._name = name
@@ -259,7 +261,8 @@ class MvnSource:
     def _greet(self, stream: socket.socket) -> None:
         stream.setblocking(False)
         if self._connected_before:
-            self._ledger.restarted(self._clock.now_ns())
+            self._ledger.reconnected(self._clock.now_ns())
+            self._began_anew()
         self._connected_before = True
 
     def _cut(self, data: bytes) -> list[bytes]:
@@ -299,8 +302,7 @@ class MvnSource:
                 return Sample(None, host_ns, self._device_ns(header, host_ns), data, self._decoder(header, payload))
             arrival = self._ledger.arrive(header, payload, hash(data), host_ns)
             if arrival.restarted:
-                self._clocks.clear()
-                self._decoder.restart()
+                self._began_anew()
             if not arrival.fresh:
                 return Sample(None, host_ns, None, data)
             device_ns = self._device_ns(header, host_ns)
@@ -312,6 +314,10 @@ class MvnSource:
         except MalformedError:
             self._counts.malformed += 1
             return Sample(None, host_ns, None, data)
+
+    def _began_anew(self) -> None:
+        self._clocks.clear()
+        self._decoder.restart()
 
     def _device_ns(self, header: Header, host_ns: int) -> int:
         """The sender's time of a sample; a new recording in MVN starts it again, which is a new beginning."""

@@ -96,6 +96,12 @@ class Ledger:
             self._restarted_ns = host_ns
         return new
 
+    def reconnected(self, host_ns: int) -> None:
+        """The sender came back after its connection broke: a restart. It may go on counting; what came does not come again."""
+        self.restarted(host_ns)
+        for stream in self._streams.values():
+            stream.forget()
+
     def settle(self) -> None:
         """Give up waiting: samples that lack pieces are lost."""
         for stream in self._streams.values():
@@ -174,6 +180,12 @@ class _Stream:
         self._counts.lost += len(self._open)
         self._ledger.incomplete += len(self._open)
         self._open.clear()
+
+    def forget(self) -> None:
+        """Expect nothing more of what came before."""
+        self.settle()
+        self._seen.clear()
+        self._missing.clear()
 
     def _place(self, counter: int, host_ns: int) -> int | None:
         """The sequence of a sample that had not come before, and the account of the gap that it opens or fills."""
