@@ -11,9 +11,11 @@ import onnx
 import pytest
 import small
 import torch
+from numpy.typing import NDArray
 
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, Predictor
+from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.export import TOLERANCE, export_onnx
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.onnx_model import METADATA_KEY
@@ -44,6 +46,31 @@ def test_onnx_says_what_torch_says(method: str, checkpoints: dict[str, Path], tm
     with pytest.raises(ModelError, match="exists"):
         export_onnx(checkpoints[method], path, name="mine", card={})
     export_onnx(checkpoints[method], path, name="other", card={}, overwrite=True)
+
+
+def test_a_mirrored_model_knows_no_side(checkpoints: dict[str, Path], trained: dict[str, Path], tmp_path: Path) -> None:
+    """It says of the mirror image what it says of the frame, sides swapped, and that is the mean of what the plain one says."""
+    assert export_onnx(checkpoints["compact"], tmp_path / "m.onnx", name="m", card={}, mirrored=True) <= TOLERANCE
+    model, plain = load_model(tmp_path / "m.onnx", threads=1), load_model(trained["compact"], threads=1)
+    rng = np.random.default_rng(4)
+    view = model.config.view
+    frame = {name: rng.uniform(0.5, 2, (1, view.height, view.width)).astype(np.float32) for name in ("depth", "amplitude")}
+    image = {name: np.ascontiguousarray(array[..., ::-1]) for name, array in frame.items()}
+    other_side = {name: ("r" if name[0] == "l" else "l") + name[1:] for name in JOINTS}
+    swap = [JOINTS.index(other_side[name]) if other_side[name] in JOINTS else i for i, name in enumerate(JOINTS)]
+
+    def reflected(uvz: NDArray[np.float32]) -> NDArray[np.float32]:
+        uvz = uvz[:, :, swap].copy()  # the places of these models have no mirror places
+        uvz[..., 0] = view.width - 1 - uvz[..., 0]
+        return uvz
+
+    one, other = model.outputs(frame)["joints"], model.outputs(image)["joints"]
+    np.testing.assert_allclose(one, reflected(other), atol=1e-3)
+    mean = (plain.outputs(frame)["joints"] + reflected(plain.outputs(image)["joints"])) / 2
+    np.testing.assert_allclose(one, mean, atol=1e-3)
+    assert np.abs(one - plain.outputs(frame)["joints"]).max() > 0.1
+    with pytest.raises(ConfigError, match="mirrored form"):
+        export_onnx(checkpoints["paf"], tmp_path / "p.onnx", name="p", card={}, mirrored=True)
 
 
 def test_a_model_that_differs_is_not_kept(checkpoints: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

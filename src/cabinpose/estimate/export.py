@@ -13,10 +13,10 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from cabinpose.core.errors import ModelError
+from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.onnx_model import METADATA_KEY, open_session
 from cabinpose.estimate.tasks import TASKS
-from cabinpose.estimate.training import Detector, load_detector
+from cabinpose.estimate.training import Detector, load_detector, load_symbol
 
 TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime, in units of the outputs (px, m, logits)
 _OPSET = 18
@@ -35,27 +35,39 @@ class _Named(nn.Module):
         return tuple(getattr(values, name) for name in self._outputs)
 
 
-def export_onnx(checkpoint: Path, out: Path, *, name: str, card: Mapping[str, Any], overwrite: bool = False) -> float:
+def export_onnx(
+    checkpoint: Path, out: Path, *, name: str, card: Mapping[str, Any], mirrored: bool = False, overwrite: bool = False
+) -> float:
     """Write a checkpoint as ONNX and return the greatest difference between both on a test batch.
 
-    name, card: go into the file's metadata with the method and its settings. Raises ModelError where `out` exists, or where
-    ONNX Runtime answers anything that differs by more than `TOLERANCE`.
+    name, card: go into the file's metadata with the method and its settings · mirrored: the model answers with the mean over
+    a frame and its mirror image. Raises ModelError where `out` exists, or where ONNX Runtime answers anything that differs by
+    more than `TOLERANCE`; ConfigError for a method that has no mirrored form.
     """
     if out.exists() and not overwrite:
         raise ModelError(f"{out} exists", hint="--overwrite replaces it")
-    return write_onnx(load_detector(checkpoint), out, name=name, card=card)
+    return write_onnx(load_detector(checkpoint), out, name=name, card=card, mirrored=mirrored)
 
 
-def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, Any]) -> float:
+def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, Any], mirrored: bool = False) -> float:
     """As `export_onnx`, of a detector in memory; replaces `out`."""
     method, config = detector.method, detector.method_config
-    network = _Named(detector.network, method.outputs).eval()
+    if mirrored and method.mirrored is None:
+        raise ConfigError(f"{method.name} has no mirrored form", hint="leave --mirrored out, or export a compact detector")
+    answering = load_symbol(method.mirrored)(detector.network) if mirrored and method.mirrored else detector.network
+    network = _Named(answering, method.outputs).eval()
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
     partial = out.with_name(out.name + ".tmp")
     out.parent.mkdir(parents=True, exist_ok=True)
     write_graph(network, examples, method.outputs, partial)
     model = onnx.load(str(partial))
-    metadata = {"name": name, "method": method.name, "config": config.model_dump(mode="json"), "card": dict(card)}
+    metadata = {
+        "name": name,
+        "method": method.name,
+        "config": config.model_dump(mode="json"),
+        "mirrored": mirrored,
+        "card": dict(card),
+    }
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
     onnx.save(model, str(partial))
     difference = _difference(network, partial, examples, method.outputs)

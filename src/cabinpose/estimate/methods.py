@@ -30,8 +30,9 @@ class Method:
     what training does for each · config: its settings (`estimate.settings.Settings`) · outputs: names of the network's outputs,
     in order · decode(outputs, settings, seen): what the task gives, from the outputs and what the view saw (`depth`, and
     `amplitude` where it is an input) as numpy arrays · network, loss, measure: import paths "module:name", loaded when a model
-    is trained; measure(settings, frames) fills the settings that are measured on the training frames · learning_rate,
-    weight_decay: what a run takes that names none.
+    is trained; measure(settings, frames) fills the settings that are measured on the training frames · mirrored: import path
+    of what wraps a network to answer with the mean over a frame and its mirror image · learning_rate, weight_decay: what a
+    run takes that names none.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Method:
     network: str
     loss: str
     measure: str | None = None
+    mirrored: str | None = None
     learning_rate: float = 3e-3
     weight_decay: float = 0.02
 
@@ -68,6 +70,7 @@ METHODS = {
             compact_decode.decode,
             "cabinpose.estimate.compact.model:Compact",
             "cabinpose.estimate.compact.fit:loss",
+            mirrored="cabinpose.estimate.compact.model:Mirrored",
         ),
         Method(
             "paf",

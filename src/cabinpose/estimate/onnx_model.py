@@ -134,7 +134,8 @@ class _AnyModel(OnnxModel):
 
 
 def describe_model(path: Path | str) -> dict[str, Any]:
-    """What an ONNX file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, settings, card.
+    """What an ONNX file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, mirrored,
+    settings, card.
 
     Raises ModelError as `OnnxModel` does.
     """
@@ -148,6 +149,7 @@ def describe_model(path: Path | str) -> dict[str, Any]:
         "inputs": list(model.config.inputs),
         "persons": list(model.config.slots),
         "joints": list(model.config.joints),
+        "mirrored": bool(model.metadata.get("mirrored", False)),
         "settings": model.metadata["config"],
         "card": model.metadata.get("card", {}),
     }

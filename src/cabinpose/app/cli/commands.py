@@ -13,6 +13,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
+ThingArgument = Annotated[Positional[Path], arg(metavar="DATASET|RECORDING")]
+RecordingArgument = Annotated[Positional[Path], arg(metavar="RECORDING")]
 FolderArgument = Annotated[Positional[Path], arg(metavar="DATASET")]
 JsonFlag = Annotated[bool, arg(name="json", help="Print one JSON object on stdout.")]
 
@@ -80,25 +82,33 @@ class Config:
 
 @dataclass(frozen=True)
 class Info:
-    """Say what a dataset holds: frames by car, person, action and view, depth, acceptance, size."""
+    """Say what a dataset holds (frames by car, person, action and view), or a recording (sources, rates, gaps, losses).
 
-    dataset: FolderArgument
-    """Folder of the dataset."""
+    With --subject: the takes of a person in a folder of recordings.
+    """
+
+    dataset: ThingArgument
+    """Folder of the dataset, or a recording (.mcap)."""
     verify: bool = False
-    """Read every frame, and so compare every checksum."""
+    """Read every frame of a dataset, and so compare every checksum; of a recording they always are."""
+    subject: str | None = None
+    """List the takes of this subject code in the folder."""
     as_json: JsonFlag = False
 
 
 @dataclass(frozen=True)
 class View:
-    """Make pictures to judge a dataset by: a contact sheet (PNG) and a page to browse frames (HTML, one file)."""
+    """Make pictures to judge a dataset or a recording by: a contact sheet (PNG) and a page (HTML, one file).
 
-    dataset: FolderArgument
-    """Folder of the dataset."""
+    Of a dataset the page browses frames; of a recording it shows time lines, rates, gaps and sample frames.
+    """
+
+    dataset: ThingArgument
+    """Folder of the dataset, or a recording (.mcap)."""
     out: Path
     """Folder for contact_sheet.png and index.html."""
     frames: int = 24
-    """Frames on the page, spread evenly over the dataset."""
+    """Frames on the page, spread evenly over the dataset or take."""
     rows: int = 8
     """Frames on the contact sheet."""
     overwrite: bool = False
@@ -122,6 +132,8 @@ class Export:
     """Name of the ONNX model in reports; default: the file's."""
     card: Path | None = None
     """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
+    mirrored: bool = False
+    """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
     splits: Path | None = None
     """YAML file of splits, of which one is exported."""
     split: str | None = None
@@ -265,6 +277,52 @@ class Predict:
 
 
 @dataclass(frozen=True)
+class Record:
+    """Record what the devices of a rig say into one file (MCAP), until Ctrl-C.
+
+    Nothing connects or listens beyond what the rig names. A device that goes away is reached again; what is lost is counted.
+    """
+
+    config: Path
+    """The rig (YAML): its sources, how to write, and the take."""
+    out: Path | None = None
+    """Recording to write (.mcap)."""
+    take: Path | None = None
+    """YAML file of the take (subjects, action, car), in place of the rig's."""
+    check: bool = False
+    """Say what is missing, of the disk and of each source, and record nothing."""
+    duration: float | None = None
+    """Stop after so many seconds."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Recover:
+    """Make a whole recording of one that a crash cut short, or that is damaged."""
+
+    recording: RecordingArgument
+    """The recording as it is; it stays so."""
+    out: Path
+    """Recording to write."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Forget:
+    """Erase the takes of a subject, at their request: list them, and with --confirm delete them."""
+
+    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
+    """Folder of recordings, and the folders within."""
+    subject: str
+    """Subject code."""
+    confirm: bool = False
+    """Delete; without it nothing is."""
+    shared: bool = False
+    """Delete also the takes in which others were recorded beside the subject."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class BenchSynth:
     """Measure generation: frames a second, stages, acceptance, memory, and Blender on the same scenes."""
 
@@ -304,10 +362,27 @@ class BenchDetect:
 
 
 @dataclass(frozen=True)
+class BenchRecord:
+    """Measure recording: two ToF cameras and a suit, emulated, raw and decoded, into one file at a steady rate."""
+
+    seconds: float = 120.0
+    """Length of the take."""
+    rate_mb: float = 160.0
+    """MB/s that the sources give."""
+    folder: Path | None = None
+    """Folder on the disk to measure; default: that of temporary files. The recording is deleted again."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure what the package promises on this machine."""
 
-    action: Annotated[BenchSynth, subcommand("synth")] | Annotated[BenchDetect, subcommand("detect")]
+    action: (
+        Annotated[BenchSynth, subcommand("synth")]
+        | Annotated[BenchDetect, subcommand("detect")]
+        | Annotated[BenchRecord, subcommand("record")]
+    )
 
 
 @dataclass(frozen=True)
@@ -377,6 +452,9 @@ Command = (
     | Annotated[Models, subcommand("models")]
     | Annotated[Predict, subcommand("predict")]
     | Annotated[Emulate, subcommand("emulate")]
+    | Annotated[Record, subcommand("record")]
+    | Annotated[Recover, subcommand("recover")]
+    | Annotated[Forget, subcommand("forget")]
     | Annotated[Bench, subcommand("bench")]
 )
 

@@ -36,7 +36,7 @@ def _rows(described: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("model", described["name"]),
         ("file", f"{described['file']}, {described['bytes'] / 1e6:.2f} MB"),
-        ("method", described["method"]),
+        ("method", described["method"] + (", mean over the frame and its mirror image" if described["mirrored"] else "")),
         ("reads", f"{', '.join(described['inputs'])}, up to {view['max_depth_m']:g} m"),
         ("view", f"{view['width']}x{view['height']} px, focal length {view['focal']:g} px; frames of any camera are resampled"),
         ("places", ", ".join(described["persons"]) or "any"),
