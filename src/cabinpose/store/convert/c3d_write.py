@@ -10,7 +10,6 @@ from __future__ import annotations
 import shutil
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,6 +20,7 @@ from cabinpose.core.errors import MocapError
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
 from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d
 from cabinpose.store.convert.rows import Row, whole_file
+from cabinpose.store.convert.table import Table, told_rate
 
 _MM = 1e3
 _BLOCK, _HEADER_SCALE = 512, 12  # bytes
@@ -29,42 +29,6 @@ _RESIDUAL_STEPS = 255
 _NAMES_A_PARAMETER = 255
 _FRAME_LIMIT = 0xFFFF  # 16 bits count the frames
 _POINT_LIMIT = 16_000  # four values a point and 16 bits to count a frame's
-
-
-@dataclass
-class _Table:
-    """Values of named columns at times: of `width` numbers each, NaN where there are none."""
-
-    width: int
-    columns: dict[str, int] = field(default_factory=dict)
-    rows: dict[int, list[tuple[list[int], F64]]] = field(default_factory=dict)  # time -> columns and their values
-
-    def add(self, time_ns: int, names: Sequence[str], values: F64) -> None:
-        if len(set(names)) != len(names):
-            raise MocapError(f"two of {', '.join(names)} have one name", hint="rename one: C3D tells points apart by their names")
-        at = [self.columns.setdefault(name, len(self.columns)) for name in names]
-        self.rows.setdefault(time_ns, []).append((at, values.reshape(len(at), self.width)))
-
-    def rate_hz(self) -> float | None:
-        """From the median of the differences of the times."""
-        times = np.sort(np.array(list(self.rows), np.int64))
-        step = np.median(np.diff(times)) if len(times) > 1 else 0.0
-        return 1e9 / float(step) if step > 0 else None
-
-    def at(self, first_ns: int, rate_hz: float, count: int) -> F64:
-        """(count, columns, width); the rows in the frames nearest to them. MocapError where two fall into one."""
-        result, taken = np.full((count, len(self.columns), self.width), np.nan), np.full((count, len(self.columns)), False)
-        for time_ns, parts in self.rows.items():
-            k = round((time_ns - first_ns) * 1e-9 * rate_hz)
-            for columns, values in parts:
-                if taken[k, columns].any():
-                    name = list(self.columns)[columns[0]]
-                    raise MocapError(
-                        f"two values of {name} fall into the frame of 1/{rate_hz:g} s at {time_ns * 1e-9:.4f} s",
-                        hint="give the rate of the frames; a recording in which a device began anew is exported in parts",
-                    )
-                result[k, columns], taken[k, columns] = values, True
-        return result
 
 
 def write_c3d(
@@ -81,9 +45,9 @@ def write_c3d(
     Raises MocapError where there are no markers, or more frames than C3D counts, or rates and times that do not fit each other.
     """
     module = ezc3d()
-    points, angles = _Table(3), _Table(3)
-    residuals = _Table(1)
-    channels: dict[tuple[str, ...], _Table] = {}
+    points, angles = Table(3), Table(3)
+    residuals = Table(1)
+    channels: dict[tuple[str, ...], Table] = {}
     facts: dict[str, Mapping[str, Any]] = {}
     for host_ns, device_ns, message in rows:
         time_ns = host_ns if device_ns is None else device_ns
@@ -94,14 +58,14 @@ def write_c3d(
         elif isinstance(message, JointAngles):
             angles.add(time_ns, [_label(message.subject, name) for name in message.names], message.angles)
         elif isinstance(message, Channels) and with_channels:
-            channels.setdefault(message.names, _Table(1)).add(time_ns, message.names, message.values)
+            channels.setdefault(message.names, Table(1)).add(time_ns, message.names, message.values)
         elif isinstance(message, Facts):
             facts[message.about] = message.values
     if not points.rows:
         raise MocapError("there are no markers to write", hint="export a recording of an optical system")
     if len(points.columns) + len(angles.columns) > _POINT_LIMIT:
         raise MocapError(f"{len(points.columns)} markers are more than C3D holds", hint="leave out those without a label")
-    rate = rate_hz or _told_rate(facts) or points.rate_hz() or 100.0
+    rate = rate_hz or told_rate(facts) or points.rate_hz() or 100.0
     first_ns = min(points.rows)
     count = round((max(points.rows) - first_ns) * 1e-9 * rate) + 1
     if count > _FRAME_LIMIT:
@@ -137,15 +101,7 @@ def _label(subject: str, name: str) -> str:
     return f"*{name}" if name.isdigit() else name
 
 
-def _told_rate(facts: Mapping[str, Mapping[str, Any]]) -> float | None:
-    for about, key in (("points", "rate_hz"), ("stream", "frame_rate_hz")):
-        rate = facts.get(about, {}).get(key)
-        if isinstance(rate, (int, float)) and np.isfinite(rate) and rate > 0:
-            return float(rate)
-    return None
-
-
-def _put_points(file: Any, position_m: F64, residual_m: F64, points: _Table, angles: _Table) -> None:
+def _put_points(file: Any, position_m: F64, residual_m: F64, points: Table, angles: Table) -> None:
     count, total = len(position_m), len(points.columns) + len(angles.columns)
     values = np.ones((4, total, count))
     values[:3, : len(points.columns)] = position_m.transpose(2, 1, 0) * _MM
@@ -166,7 +122,7 @@ def _put_points(file: Any, position_m: F64, residual_m: F64, points: _Table, ang
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
 
 
-def _put_analogs(file: Any, tables: list[_Table], first_ns: int, rate: float, count: int, told: Mapping[str, Any]) -> None:
+def _put_analogs(file: Any, tables: list[Table], first_ns: int, rate: float, count: int, told: Mapping[str, Any]) -> None:
     """All channels at the highest of their rates, each value held until the next."""
     if not tables:
         return
@@ -185,7 +141,7 @@ def _put_analogs(file: Any, tables: list[_Table], first_ns: int, rate: float, co
         if highest % ratio:
             raise MocapError(f"channels that come {ratio} and {highest} times a frame do not fit", hint="leave channels out")
         inside = {t: parts for t, parts in table.rows.items() if 0 <= round((t - first_ns) * 1e-9 * rate * ratio) < count * ratio}
-        values = _Table(1, table.columns, inside).at(first_ns, rate * ratio, count * ratio)[..., 0]
+        values = Table(1, table.columns, inside).at(first_ns, rate * ratio, count * ratio)[..., 0]
         columns.append(np.repeat(values, highest // ratio, axis=0))
     names = [name for table in tables for name in table.columns]
     units_of = dict(zip(told.get("labels") or [], told.get("units") or [], strict=False))

@@ -1,0 +1,82 @@
+"""Messages laid out as tables of one rate, for formats that know no gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cabinpose.core.errors import MocapError
+from cabinpose.core.recorded import F64
+
+_CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
+
+
+@dataclass
+class Table:
+    """Values of named columns at times: of `width` numbers each, NaN where there are none."""
+
+    width: int
+    columns: dict[str, int] = field(default_factory=dict)
+    rows: dict[int, list[tuple[list[int], F64]]] = field(default_factory=dict)  # time -> columns and their values
+
+    def add(self, time_ns: int, names: Sequence[str], values: F64) -> None:
+        """Values (names, width) at a time. MocapError where two names are the same."""
+        if len(set(names)) != len(names):
+            raise MocapError(f"two of {', '.join(names)} have one name", hint="rename one: they are told apart by their names")
+        at = [self.columns.setdefault(name, len(self.columns)) for name in names]
+        self.rows.setdefault(time_ns, []).append((at, values.reshape(len(at), self.width)))
+
+    def rate_hz(self) -> float | None:
+        """From the median of the differences of the times."""
+        times = np.sort(np.array(list(self.rows), np.int64))
+        step = np.median(np.diff(times)) if len(times) > 1 else 0.0
+        return 1e9 / float(step) if step > 0 else None
+
+    def frames(self, rate_hz: float) -> tuple[int, F64]:
+        """The first time, and (F, columns, width) from there to the last."""
+        first_ns = min(self.rows)
+        return first_ns, self.at(first_ns, rate_hz, round((max(self.rows) - first_ns) * 1e-9 * rate_hz) + 1)
+
+    def at(self, first_ns: int, rate_hz: float, count: int) -> F64:
+        """(count, columns, width); the rows in the frames nearest to them.
+
+        MocapError where two fall into one, or where the times lie so far apart that the table does not fit into memory.
+        """
+        if count * len(self.columns) * self.width > _CELL_LIMIT:
+            raise MocapError(f"there are {count} frames from the first time to the last", hint="export the recording in parts")
+        result, taken = np.full((count, len(self.columns), self.width), np.nan), np.full((count, len(self.columns)), False)
+        for time_ns, parts in self.rows.items():
+            k = round((time_ns - first_ns) * 1e-9 * rate_hz)
+            for columns, values in parts:
+                if taken[k, columns].any():
+                    name = list(self.columns)[columns[0]]
+                    raise MocapError(
+                        f"two values of {name} fall into the frame of 1/{rate_hz:g} s at {time_ns * 1e-9:.4f} s",
+                        hint="give the rate of the frames; a recording in which a device began anew is exported in parts",
+                    )
+                result[k, columns], taken[k, columns] = values, True
+        return result
+
+
+def told_rate(facts: Mapping[str, Mapping[str, Any]]) -> float | None:
+    """The rate of frames by what facts (about -> values) of C3D, TRC or Vicon say, Hz."""
+    for about, key in (("points", "rate_hz"), ("stream", "frame_rate_hz")):
+        rate = facts.get(about, {}).get(key)
+        if isinstance(rate, (int, float)) and np.isfinite(rate) and rate > 0:
+            return float(rate)
+    return None
+
+
+def chosen_subject(subjects: Iterable[str], wanted: str | None, what: str) -> str:
+    """The subject to write: the wanted one, or the only one that has a name. MocapError where that is none, or several."""
+    known = [subject for subject in subjects if subject] or list(subjects)
+    if wanted is None and len(known) == 1:
+        return known[0]
+    if wanted in known:
+        return wanted
+    if not known:
+        raise MocapError(f"there are no {what} to write", hint="export a recording that has some")
+    raise MocapError(f"there are {what} of {', '.join(known)}", hint="say whose are to be written")
