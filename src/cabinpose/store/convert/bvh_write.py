@@ -163,7 +163,7 @@ def _write(
         moving.append(moves)
         if moves:
             columns.append(local)
-        columns.append(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True))
+        columns.append(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True, suppress_warnings=True))
     file.write("HIERARCHY\n")
     _joint(file, skeleton, 0, offsets, moving, "")
     motion = np.concatenate(columns, axis=1)

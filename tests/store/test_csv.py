@@ -1,0 +1,197 @@
+"""Recordings as CSV tables and back; tables of others, against pandas' layout and the real gaitmap files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cabinpose.core.errors import RecordingError
+from cabinpose.core.ports import Sample
+from cabinpose.core.recorded import (
+    Channels,
+    Facts,
+    JointAngles,
+    Markers,
+    Message,
+    SegmentKinematics,
+    SegmentPoses,
+    SensorReadings,
+    ToFFrame,
+)
+from cabinpose.store.convert.csv_ import read_csv, write_csv
+from cabinpose.store.convert.csv_table import read_csv_table
+
+NONE3, NONE4 = np.zeros((0, 3)), np.zeros((0, 4))
+
+
+def messages(rng: np.random.Generator, index: int) -> tuple[Message, ...]:
+    two = rng.normal(size=(2, 3))
+    two[0, 0] = np.nan
+    names = ("Pelvis", "Left.Hand, upper")  # points and commas in names
+    markers = tuple(f"m{i}" for i in range(1 + index % 3))
+    place = rng.normal(size=(len(markers), 3))
+    return (
+        SegmentPoses("S01", names, two, rng.normal(size=(2, 4))),
+        SegmentPoses("S02", names[:1], two[:1], rng.normal(size=(1, 4))),
+        SegmentKinematics("S01", names, two, two + 1, NONE3, NONE3),
+        SensorReadings("S01", ("left", "right"), rng.normal(size=(2, 4)), two, NONE3, two * 2),
+        JointAngles("S01", ("jKnee",), two[:1]),
+        Markers("S01", markers, place, np.array([np.nan, *place[1:, 0]])),
+        Markers("", ("7",), place[:1], place[:1, 0]),
+        Channels(("force x", "y"), rng.normal(size=2)),
+        Facts("weather", {"text": 'a "quoted", ü\n', "n": [1, 2.5, None]}),
+    )
+
+
+def samples() -> Iterator[tuple[str, Sample]]:
+    rng = np.random.default_rng(0)
+    for i in range(5):
+        device = None if i == 3 else i * 10**7 - 5
+        yield "lab/suit", Sample(i if i else None, 1_700_000_000_000_000_000 + i, device, b"raw", messages(rng, i))
+
+
+def same(one: Message, other: Message) -> None:
+    assert type(one) is type(other)
+    for each in fields(one):
+        a, b = getattr(one, each.name), getattr(other, each.name)
+        if isinstance(a, np.ndarray):
+            np.testing.assert_array_equal(a, b)
+            assert a.shape == b.shape
+        else:
+            assert a == b
+
+
+def test_tables_come_back_bit_by_bit(tmp_path: Path) -> None:
+    paths = write_csv(tmp_path / "out", samples())
+    assert {p.name for p in paths} == {
+        f"lab_suit.{name}.csv"
+        for name in ("poses", "poses-2", "kinematics", "sensors", "joint_angles", "markers", "channels", "facts")
+    }
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(p.name for p in paths)
+    back = [row for path in paths for row in read_csv(path)]
+    expected = [(s.host_ns, s.device_ns, s.sequence, m) for _, s in samples() for m in s.messages]
+    assert len(back) == len(expected) == 45
+    for host, device, sequence, message in expected:
+        found = [
+            m for h, d, q, m in back
+            if (h, d, q) == (host, device, sequence) and type(m) is type(message)
+            and getattr(m, "subject", "") == getattr(message, "subject", "")
+        ]  # fmt: skip
+        assert len(found) == 1
+        same(found[0], message)
+    with pytest.raises(RecordingError, match="exists"):
+        write_csv(tmp_path / "out", samples())
+
+
+def test_others_read_the_columns(tmp_path: Path) -> None:
+    (path,) = write_csv(tmp_path, [("a", Sample(4, 10, 7, b"", (Channels(("u", "v"), np.array([0.1, 1e300])),)))])
+    assert path.read_text() == "host_ns,device_ns,sequence,subject,u,v\n10,7,4,,0.1,1e+300\n"
+
+
+def test_frames_leave_a_line_each(tmp_path: Path) -> None:
+    depth = np.zeros((2, 4), np.uint16)
+    depth[0] = 5
+    k = np.array([[10.0, 0, 1], [0, 11, 2], [0, 0, 1]])
+    frame = ToFFrame(depth, 1e-4, depth, np.zeros((0, 0), np.uint8), k, np.array([0.1, 0, 0, 0, 0.2]), np.zeros(5))
+    (path,) = write_csv(tmp_path, [("tof", Sample(0, 1, 2, b"", (frame,)))])
+    assert path.name == "tof.frames.csv"
+    (row,) = csv.DictReader(path.open())
+    assert (row["width"], row["height"], row["valid_share"], row["fy"], row["k3"]) == ("4", "2", "0.5", "11.0", "0.2")
+    with pytest.raises(RecordingError, match="no table of messages"):
+        list(read_csv(path))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda t: t.replace("host_ns", "time"), "columns are not those"),
+        (lambda t: t.replace("0.5", "half"), "near line 3"),
+        (lambda t: t.rstrip("\n") + ",1\n", "2 columns and 3 values"),
+        (lambda t: t.replace("\n20,", "\nlate,"), "invalid literal"),
+        (lambda t: "", "columns are not those"),
+    ],
+)
+def test_damaged_tables_are_refused(tmp_path: Path, damage: Callable[[str], str], message: str) -> None:
+    def two() -> list[tuple[str, Sample]]:
+        return [("a", Sample(i, 10 * (i + 1), None, b"", (Channels(("u", "v"), np.array([0.5 * i, 1])),))) for i in range(2)]
+
+    (path,) = write_csv(tmp_path, two())
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(RecordingError, match=message):
+        list(read_csv(path))
+    with pytest.raises(RecordingError, match="cannot read"):
+        list(read_csv(tmp_path / "b.poses.csv"))
+
+
+def test_a_failed_export_leaves_nothing(tmp_path: Path) -> None:
+    def breaks() -> Iterator[tuple[str, Sample]]:
+        yield from samples()
+        raise RecordingError("the recording is damaged")
+
+    with pytest.raises(RecordingError, match="damaged"):
+        write_csv(tmp_path, breaks())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_real_markers_and_sensors(real_data: Callable[[str], Path]) -> None:
+    path = real_data("gaitmap/mocap_sample.csv")
+    rows = list(read_csv_table(path, rate_hz=100.0, start_ns=5))
+    assert len(rows) == 3870
+    text = path.read_text().splitlines()
+    for i in (0, 1234, 3869):
+        host_ns, device_ns, message = rows[i]
+        assert (host_ns, device_ns) == (5 + i * 10**7, i * 10**7)
+        assert isinstance(message, Markers)
+        assert message.names == ("L_TOE", "R_TOE", "L_FCC", "R_FCC", "R_FM5", "L_FM5")
+        cells = [float(c) if c else np.nan for c in text[2 + i].split(",")[1:]]
+        np.testing.assert_allclose(message.position_m.ravel(), np.array(cells) / 1000)
+    path = real_data("gaitmap/imu_sample.csv")
+    rows = list(read_csv_table(path, rate_hz=204.8))
+    assert len(rows) == 7928
+    names, axes, *lines = path.read_text().splitlines()
+    pairs = list(zip(names.split(",")[1:], axes.split(",")[1:], strict=True))
+    for i in (0, 4000, 7927):
+        message = rows[i][2]
+        assert isinstance(message, SensorReadings)
+        assert message.names == ("left_sensor", "right_sensor")
+        values = dict(zip(pairs, map(float, lines[i].split(",")[1:]), strict=True))
+        for s, name in enumerate(message.names):
+            for a, axis in enumerate("xyz"):
+                assert message.acceleration[s, a] == values[name, f"acc_{axis}"]
+                assert message.angular_velocity[s, a] == pytest.approx(np.deg2rad(values[name, f"gyr_{axis}"]))
+    still = np.array([np.linalg.norm(m.acceleration[0]) for _, _, m in rows[:200] if isinstance(m, SensorReadings)])
+    assert np.median(still) == pytest.approx(9.81, abs=0.3)  # so the units are right
+    assert rows[2048][1] == 10 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", {}, "no two rows of headings"),
+        (",a,a\n,x,y\n0,1\n", {}, "1 values under 2 headings"),
+        (",a,a\n,x,x\n0,1,2\n", {}, "there twice"),
+        (",a\n,x\n0,one\n", {}, "could not convert"),
+        (",a\n,x\n0,1\n", {"rate_hz": 0.0}, "make no time"),
+    ],
+)
+def test_other_tables_are_refused(tmp_path: Path, text: str, options: dict[str, Any], message: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=message):
+        list(read_csv_table(path, **{"rate_hz": 100.0} | options))
+
+
+def test_what_is_neither_marker_nor_sensor_is_a_channel(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(",a,a,a,plate\n,x,y,z,force\n0,1,2,,4\n")
+    (_, _, markers), (_, _, channels) = read_csv_table(path, rate_hz=1.0, unit_m=1.0)
+    assert isinstance(markers, Markers)
+    np.testing.assert_array_equal(markers.position_m, [[1, 2, np.nan]])
+    assert isinstance(channels, Channels)
+    assert (channels.names, channels.values.tolist()) == (("plate.force",), [4.0])
