@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import socket
 import struct
 import threading
@@ -9,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -422,6 +425,56 @@ def test_the_emulators_address_must_be_free() -> None:
     with ViconEmulator(motion()) as emulator, pytest.raises(RecordingError) as raised:
         ViconEmulator(motion(), ViconEmulatorSettings(port=emulator.address[1])).start()
     assert "port" in (raised.value.hint or "")
+
+
+def test_the_command(run: Callable[..., Any], tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    taken: list[Sample] = []
+    over = threading.Event()
+
+    def take() -> None:
+        source = ViconSource("vicon", ViconSettings(port=port))
+        while not over.is_set():  # until the command has begun to listen
+            with contextlib.suppress(RecordingError):
+                source.open()
+                break
+        while not over.is_set():
+            taken.extend(source.read(0.05))
+        source.close()
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    flags = ("--port", port, "--seconds", "2", "--rate", "50", "--subjects", "2", "--drop", "0.1", "--json")
+    code, out, err = run("emulate", "vicon", *flags, "--log", tmp_path / "sent.jsonl")
+    over.set()
+    thread.join(PATIENCE_S)
+    assert code == 0
+    assert f"streaming generated at 50 Hz, tcp 127.0.0.1:{port}" in err
+    summary = json.loads(out)
+    assert summary["clients"] == 1
+    assert summary["refused"] == 0
+    log = [json.loads(line) for line in (tmp_path / "sent.jsonl").read_text().splitlines()]
+    sent = [line["frame"] for line in log if line["fate"] == "sent"]
+    assert len(sent) == summary["sent"] > 0
+    assert len(log) - len(sent) == summary["dropped"] > 0
+    received = [sample.sequence for sample in frames(taken)]
+    assert received == sent[: len(received)]
+    assert received
+    assert {"S01", "S02"} <= {message.subject for sample in taken for message in of(sample, Markers)}
+
+
+def test_the_commands_mistakes(run: Callable[..., Any], tmp_path: Path) -> None:
+    for flags, words in (
+        (("--drop", "2"), "drop: Input should be less than or equal to 1"),
+        (("--motion", "dance"), "unknown motion 'dance'"),
+        (("--motion", tmp_path / "none.c3d"), "cannot read"),
+        (("--log", tmp_path), "cannot write"),
+    ):
+        code, out, err = run("emulate", "vicon", "--port", "0", *flags)
+        assert (code, out) == (2, "")
+        assert words in err
+        assert "hint:" in err
 
 
 # ------------------------------------------------------------------------------------------------------- the account

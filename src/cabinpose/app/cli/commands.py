@@ -433,11 +433,53 @@ class EmulateMvn:
 
 
 @dataclass(frozen=True)
+class EmulateVicon:
+    """Serve a motion as Vicon's DataStream does, to any number of clients. Ctrl-C ends it."""
+
+    motion: str = "generated"
+    """generated, or a C3D file to repeat."""
+    host: str = "127.0.0.1"
+    """Address to listen on."""
+    port: int = 8801
+    """Port to listen on; 0 takes a free one. Vicon's own is 801, which most systems keep for the administrator."""
+    rate: float | None = None
+    """Frames a second; default: the motion's (generated: 100)."""
+    subjects: int = 1
+    """People of a generated motion, side by side."""
+    first_frame: int = 0
+    """Number of the first frame."""
+    latency: float = 0.0
+    """Seconds from a frame's capture to its sending, as the server reports them."""
+    clock_drift: float = 0.0
+    """By how much the server's clock runs fast, millionths."""
+    drop: float = 0.0
+    """Share of frames that are never sent."""
+    occlude_markers: float = 0.0
+    """Share of markers that are not seen."""
+    occlude_segments: float = 0.0
+    """Share of segments that are not solved."""
+    up: Literal["z", "y"] = "z"
+    """The server's vertical axis."""
+    die_after: float | None = None
+    """Die after so many seconds, and return."""
+    dead_for: float = 2.0
+    """Seconds until it returns."""
+    anew: bool = False
+    """When it returns, number frames from the first again."""
+    seconds: float | None = None
+    """How long; default: until Ctrl-C."""
+    log: Path | None = None
+    """File for a line of JSON on each frame for each client, and its fate."""
+    seed: int = 0
+    """Seed of the motion, and of what is dropped and occluded."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Emulate:
     """Play a device that is not there: a server that sends the real bytes, on loopback unless told otherwise."""
 
-    # One member would be no choice, and its name would not be typed: so MVN goes by its maker's name as well.
-    device: Annotated[EmulateMvn, subcommand("mvn")] | Annotated[EmulateMvn, subcommand("xsens")]
+    device: Annotated[EmulateMvn, subcommand("mvn")] | Annotated[EmulateVicon, subcommand("vicon")]
 
 
 Command = (

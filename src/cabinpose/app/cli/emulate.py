@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+import numpy as np
+from pydantic import BaseModel, ValidationError
 
-from cabinpose.app.cli.commands import Emulate, EmulateMvn
+from cabinpose.app.cli.commands import Emulate, EmulateMvn, EmulateVicon
 from cabinpose.app.cli.output import print_json, print_rows
-from cabinpose.core.errors import ConfigError, RecordingError
+from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
+from cabinpose.record.emulate.vicon import ViconEmulator, ViconEmulatorSettings
+from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
+from cabinpose.record.emulate.vicon_motion import generated_motion, motion_of_c3d
 from cabinpose.store.convert.mvnx import read_mvnx
+
+_Settings = TypeVar("_Settings", bound=BaseModel)
 
 
 def run(command: Emulate) -> None:
     """Play a device until it is over or interrupted, then print what was sent."""
-    summary: dict[str, Any] = _RUNNERS[type(command.device)](command.device)
+    summary = _RUNNERS[type(command.device)](command.device)
     if command.device.as_json:
         print_json(summary)
     else:
@@ -28,20 +38,17 @@ def run(command: Emulate) -> None:
 
 
 def _mvn(command: EmulateMvn) -> dict[str, Any]:
-    try:
-        settings = MvnEmulatorSettings.model_validate(
-            {
-                "host": command.host, "port": command.port, "transport": command.transport, "rate_hz": command.rate,
-                "capture_rate_hz": command.capture_rate, "kinds": command.types, "characters": command.characters,
-                "props": command.props, "fingers": command.fingers, "items_per_datagram": command.items_per_datagram,
-                "latency_s": command.latency, "clock_offset_s": command.clock_offset, "clock_drift_ppm": command.clock_drift,
-                "loss": command.loss, "duplicate": command.duplicate, "reorder": command.reorder, "seed": command.seed,
-            }
-        )  # fmt: skip
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "settings"
-        raise ConfigError(f"{where}: {first['msg']}", hint="see cabinpose emulate mvn --help") from error
+    settings = _checked(
+        MvnEmulatorSettings,
+        "mvn",
+        {
+            "host": command.host, "port": command.port, "transport": command.transport, "rate_hz": command.rate,
+            "capture_rate_hz": command.capture_rate, "kinds": command.types, "characters": command.characters,
+            "props": command.props, "fingers": command.fingers, "items_per_datagram": command.items_per_datagram,
+            "latency_s": command.latency, "clock_offset_s": command.clock_offset, "clock_drift_ppm": command.clock_drift,
+            "loss": command.loss, "duplicate": command.duplicate, "reorder": command.reorder, "seed": command.seed,
+        },
+    )  # fmt: skip
     sent = {"samples": 0, "datagrams": 0, "lost": 0, "duplicate": 0, "late": 0}
     with _log_file(command.log) as file:
 
@@ -76,4 +83,52 @@ def _log_file(path: Path | None) -> Any:
         raise RecordingError(f"cannot write {path} ({error.strerror or error})", hint="give a new file with --log") from error
 
 
-_RUNNERS = {EmulateMvn: _mvn}
+def _vicon(command: EmulateVicon) -> dict[str, Any]:
+    outages = [] if command.die_after is None else [(command.die_after, command.dead_for, command.anew)]
+    settings = _checked(
+        ViconEmulatorSettings,
+        "vicon",
+        {
+            "host": command.host, "port": command.port, "rate_hz": command.rate, "first_frame": command.first_frame,
+            "drift_ppm": command.clock_drift, "latency_s": command.latency, "drop": command.drop, "up": command.up,
+            "occlude_markers": command.occlude_markers, "occlude_segments": command.occlude_segments, "outages": outages,
+            "seed": command.seed,
+        },
+    )  # fmt: skip
+    motion = _vicon_motion(command)
+    with _log_file(command.log) as file:
+        emulator = ViconEmulator(motion, settings)
+        with emulator, suppress(KeyboardInterrupt):
+            host, port = emulator.address
+            print(f"streaming {command.motion} at {emulator.rate_hz:g} Hz, tcp {host}:{port}", file=sys.stderr)
+            until = math.inf if command.seconds is None else time.monotonic() + command.seconds
+            while (left := until - time.monotonic()) > 0:
+                time.sleep(min(left, 0.5))
+        if file is not None:
+            file.writelines(sent.line() + "\n" for sent in emulator.log)
+    fates = Counter(sent.fate for sent in emulator.log)
+    clients = {"clients": len({sent.client for sent in emulator.log})}
+    return clients | {fate: fates[fate] for fate in ("sent", "dropped", "refused")}
+
+
+def _vicon_motion(command: EmulateVicon) -> ViconMotion:
+    path = Path(command.motion)
+    if path.suffix.lower() == ".c3d":
+        return motion_of_c3d(path)
+    if command.motion != "generated":
+        raise unknown_name("motion", command.motion, ["generated", "a C3D file"])
+    people = tuple(f"S{i + 1:02d}" for i in range(command.subjects))
+    rng = np.random.Generator(np.random.Philox(key=(command.seed, 0)))
+    return generated_motion(rng=rng, rate_hz=command.rate or 100.0, subjects=people)
+
+
+def _checked(model: type[_Settings], device: str, values: dict[str, Any]) -> _Settings:
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "settings"
+        raise ConfigError(f"{where}: {first['msg']}", hint=f"see cabinpose emulate {device} --help") from error
+
+
+_RUNNERS: Mapping[type, Callable[[Any], dict[str, Any]]] = {EmulateMvn: _mvn, EmulateVicon: _vicon}

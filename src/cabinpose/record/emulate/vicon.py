@@ -10,12 +10,13 @@ the motion, the seed and its number alone: `frame` says what was in it.
 
 from __future__ import annotations
 
+import json
 import selectors
 import socket
 import struct
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -83,6 +84,10 @@ class Sent:
     fate: Literal["sent", "dropped", "refused"]
     captured_ns: int
     sent_ns: int
+
+    def line(self) -> str:
+        """As a line of JSON."""
+        return json.dumps(asdict(self))
 
 
 @dataclass
