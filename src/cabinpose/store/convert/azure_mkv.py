@@ -83,9 +83,9 @@ class RationalLens:
         dy = self.p2 * both + self.p1 * (r2 + 2 * y * y)
         return np.stack((x * scale + dx, y * scale + dy), axis=-1)
 
-    def rays(self, width: int, height: int) -> NDArray[np.float64]:
-        """(height, width, 2) ideal normalised coordinates of the pixels, NaN where the model has none."""
-        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    def rays(self, width: int, height: int, every: int = 1) -> NDArray[np.float64]:
+        """(height, width, 2) ideal normalised coordinates of each `every`-th pixel, NaN elsewhere and where there are none."""
+        u, v = np.meshgrid(np.arange(0, width, every, dtype=np.float64), np.arange(0, height, every, dtype=np.float64))
         target = np.stack(((u - self.cx) / self.fx, (v - self.cy) / self.fy), axis=-1)
         guess, eps = target.copy(), 1e-6
         for _ in range(60):
@@ -101,7 +101,9 @@ class RationalLens:
             if np.abs(step).max() < 1e-13:
                 break
         guess[np.linalg.norm(self.distort(guess) - target, axis=-1) > 1e-7] = np.nan
-        return guess
+        rays = np.full((height, width, 2), np.nan)
+        rays[::every, ::every] = guess
+        return rays
 
 
 class AzureFile:
@@ -273,7 +275,7 @@ def rational_lens(calibration: Mapping[str, Any], mode: DepthMode) -> RationalLe
 
 
 def _fit(lens: RationalLens, mode: DepthMode) -> CameraFit:
-    rays = lens.rays(mode.width, mode.height)
+    rays = lens.rays(mode.width, mode.height, every=max(mode.width // 160, 1))
     with np.errstate(invalid="ignore"):
         rays[~(np.linalg.norm(rays, axis=-1) <= mode.field)] = np.nan
     fit = fit_camera(rays)
