@@ -140,6 +140,36 @@ def test_a_sender_that_streams_faster_than_before() -> None:
     assert (source.counts.received, source.counts.lost, source.counts.restarts) == (160, 0, 0)
 
 
+def arriving(source: MvnSource, emulated: MvnEmulatorSettings, numbers: list[int]) -> None:
+    streamer = Streamer(emulated.model_copy(update={"meta_every_s": 0}), MOTION)
+    for at, number in enumerate(numbers):
+        for datagram in streamer.sample(number):
+            source.take(datagram.data, at * 16_666_667)
+
+
+def test_losses_while_the_step_is_found() -> None:
+    """Of the first samples two in a row, then one, are lost; the step is that of the others."""
+    source = listening()
+    arriving(source, MvnEmulatorSettings(rate_hz=60, capture_rate_hz=240), [*range(4), *range(6, 10), *range(11, 40)])
+    assert source.counts == Counts(received=37, lost=3)
+
+
+def test_a_broken_step_grows_sharp() -> None:
+    """At 240 / 100 the step is known from 16 samples to 2 %, from 500 to 0.1 %: enough for a long gap."""
+    source = listening()
+    arriving(source, MvnEmulatorSettings(rate_hz=100, capture_rate_hz=240), [*range(500), *range(3500, 3510)])
+    assert abs(source.counts.lost - 3000) <= 3
+
+
+def test_the_first_to_come_was_not_the_first() -> None:
+    """Sample 5 overtakes 3: 4 is lost, until it comes too; what precedes the first has no sequence."""
+    source = listening()
+    arriving(source, MvnEmulatorSettings(), [5, 3, 6])
+    assert source.counts == Counts(received=3, lost=1, reordered=1)
+    arriving(source, MvnEmulatorSettings(), [4])
+    assert source.counts == Counts(received=4, reordered=2)
+
+
 def test_many_losses_do_not_make_a_step() -> None:
     source, truth = listening(), Truth()
     play(source, MvnEmulatorSettings(loss=0.3, seed=3), 600, truth)
@@ -178,6 +208,14 @@ def test_a_short_life_before_the_return() -> None:
     play(source, MvnEmulatorSettings(start_counter=0, clock_offset_s=5), 30, truth, epoch=1, at_ns=600_000_000)
     source.close()
     assert (source.counts.received, source.counts.lost, source.counts.duplicate, source.counts.restarts) == (60, 0, 0, 1)
+
+
+def test_a_return_right_after_the_first_sample() -> None:
+    """Counters far below the first that came are no late ones, however soon they come."""
+    source = listening()
+    arriving(source, MvnEmulatorSettings(start_counter=5000), list(range(5)))
+    arriving(source, MvnEmulatorSettings(), list(range(5)))
+    assert source.counts == Counts(received=10, restarts=1)
 
 
 def test_a_network_that_is_away_for_a_while_loses_what_was_sent() -> None:
@@ -274,6 +312,9 @@ def test_memory_is_bounded_whatever_is_sent() -> None:
     for n in range(10_000):
         header = mvn.Header(21, n * 7, 0, True, 1, 0, 0, 23, 0, 0, 40)
         source.take(mvn.build_header(header) + bytes(40), 0)
+    for n in range(500):
+        header = mvn.Header(22, n, 0, False, 1, 0, 0, 23, 0, 0, 44)
+        source.take(mvn.build_header(header) + bytes(44), 0)
     streams = source._ledger._streams
     assert len(streams) <= 256
     assert max(len(s._open) for s in streams.values()) <= 65

@@ -19,6 +19,7 @@ import time
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.clock import HostClock, Unwrapper
@@ -167,9 +168,8 @@ class MvnSource:
 
     def read(self, timeout_s: float) -> Sequence[Sample]:
         """What has arrived; waits at most `timeout_s` for the first."""
-        if self.settings.transport == "udp":
-            return self._read_datagrams(timeout_s)
-        return self._read_stream(timeout_s)
+        with np.errstate(invalid="ignore", over="ignore"):  # a sender's infinities are no fault of ours to warn of
+            return self._read_datagrams(timeout_s) if self.settings.transport == "udp" else self._read_stream(timeout_s)
 
     # ---------------------------------------------------------------------------------------------------------- UDP
     def _read_datagrams(self, timeout_s: float) -> list[Sample]:

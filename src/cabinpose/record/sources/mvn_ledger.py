@@ -161,8 +161,6 @@ class _Stream:
                 if known != digest:
                     return None
                 self._counts.duplicate += 1
-                sample.seen_ns = host_ns  # a sender that is paused may repeat a sample for long
-                self._seen.move_to_end(counter)
                 return Arrival(fresh=False)
         return self._fit(counter, sample, header, payload, digest)
 
@@ -267,7 +265,7 @@ class _Stream:
         """Forget what is older than the window, or too much: what belongs to it when it comes is a new beginning."""
         limit_ns, ledger = host_ns - self._ledger.window_ns, self._ledger
         while self._seen:
-            oldest = next(iter(self._seen))  # in the order of arrival
+            oldest = next(iter(self._seen))  # in the order of arrival; a paused sender may repeat the newest for long
             if (self._seen[oldest].seen_ns >= limit_ns or oldest == self._highest) and len(self._seen) <= ledger.memory:
                 break
             del self._seen[oldest]

@@ -161,11 +161,11 @@ class Decoder:
         self._points.clear()
 
     def __call__(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        """The messages of a whole sample, whose `header.items` counts the items of all its pieces. Raises MalformedError."""
-        if header.kind in _PLAIN:
-            return _DECODERS[header.kind](self, header, payload)
-        with np.errstate(invalid="ignore", over="ignore"):  # a sender's infinities stay what they are, and are no fault of ours
-            return _DECODERS[header.kind](self, header, payload)
+        """The messages of a whole sample, whose `header.items` counts the items of all its pieces. Raises MalformedError.
+
+        A sender's infinities and NaN stay what they are; `np.errstate` tells whether numpy warns of them.
+        """
+        return _DECODERS[header.kind](self, header, payload)
 
     def _quaternion(self, header: Header, payload: bytes) -> tuple[Message, ...]:
         items = mvn.read_items(mvn.QUATERNION, header.items, payload)
@@ -277,7 +277,6 @@ class Decoder:
         segment, point = divmod(number, mvn.SEGMENT_STRIDE)
         return self._points.get((character, number)) or f"{segment_name(segment)}.{point}"
 
-    @np.errstate(invalid="ignore", over="ignore")
     def _decide_unit(self, character: int, names: tuple[str, ...], position: F64) -> tuple[Message, ...]:
         """Settle the unit of a character's positions, once; an object has no size to tell by and takes the others' unit."""
         if self._setting != "auto":
@@ -306,8 +305,6 @@ def centre_of_mass_names(subject: str) -> tuple[str, str, str]:
     return (f"{subject}.centre_of_mass.x", f"{subject}.centre_of_mass.y", f"{subject}.centre_of_mass.z")
 
 
-# Without arithmetic that infinities could upset; it is the type that comes most often.
-_PLAIN = frozenset({mvn.QUATERNION})
 _DECODERS = {
     mvn.EULER: Decoder._euler,
     mvn.QUATERNION: Decoder._quaternion,
