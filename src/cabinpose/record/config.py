@@ -122,7 +122,7 @@ def load_rig(path: Path) -> Rig:
 
 def parse_rig(data: Any, text: str = "", *, base: Path = Path()) -> Rig:
     """Check plain data; relative paths in the settings of sources are taken from `base`."""
-    file = _checked(RigFile, data, "")
+    file = _checked(RigFile, data)
     plans = tuple(_plan(name, dict(settings), base) for name, settings in file.sources.items())
     return Rig(file.take, file.storage, plans, text)
 
@@ -130,7 +130,7 @@ def parse_rig(data: Any, text: str = "", *, base: Path = Path()) -> Rig:
 def load_take(path: Path) -> Take:
     """Read and check a file with a take alone. Raises ConfigError."""
     try:
-        return _checked(Take, yaml.safe_load(path.read_text(encoding="utf-8")), "")
+        return _checked(Take, yaml.safe_load(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", hint="docs/recording.md says what a take is") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -149,22 +149,26 @@ def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
         raise ConfigError(
             f"sources.{name}: kind '{kind}' cannot be loaded: {problem}", hint=f"install what {module} needs"
         ) from problem
-    checked = _checked(make.Settings, settings, f"sources.{name}.")
+    checked = _checked(make.Settings, settings, "sources", name)
     paths = {key: base / value for key, value in checked if isinstance(value, Path) and not value.is_absolute()}
     return SourcePlan(name, kind, make, checked.model_copy(update=paths))
 
 
-def _checked(model: type[Any], data: Any, where: str) -> Any:
+def _checked(model: type[Any], data: Any, *where: str) -> Any:
     if not isinstance(data, dict):
-        raise ConfigError(f"{where or 'a rig '}is a mapping of keys to values", hint="docs/recording.md has a rig to start from")
+        raise ConfigError(
+            f"{'.'.join(where) or 'what stands here'} is a mapping of keys to values",
+            hint="docs/recording.md has a rig to start from",
+        )
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        findings = [f"{where}{'.'.join(map(str, found['loc']))}: {_reason(found)}" for found in error.errors()]
+        findings = [f"{'.'.join((*where, *map(str, found['loc'])))}: {_reason(found)}".lstrip(": ") for found in error.errors()]
         raise ConfigError("; ".join(findings), hint=f"keys here: {', '.join(model.model_fields)}") from error
 
 
 def _reason(found: Any) -> str:
     if found["type"] == "extra_forbidden":
         return "unknown key"
-    return f"{found['msg'][0].lower()}{found['msg'][1:]}, not {found['input']!r}"
+    message = found["msg"].removeprefix("Value error, ")
+    return f"{message[0].lower()}{message[1:]}, not {found['input']!r}"

@@ -1,4 +1,4 @@
-"""`cabinpose bench`: the figures of generation and of the detectors on this machine."""
+"""`cabinpose bench`: the figures of generation, of the detectors and of recording on this machine."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cabinpose.app.bench import run_bench, run_detect_bench
-from cabinpose.app.cli.commands import Bench, BenchDetect, BenchSynth
+from cabinpose.app.cli.commands import Bench, BenchDetect, BenchRecord, BenchSynth
 from cabinpose.app.cli.output import print_json, print_rows, print_table
+from cabinpose.app.extras import require
 
 _STAGES = ("input", "network", "decode")
 
@@ -16,10 +17,15 @@ _STAGES = ("input", "network", "decode")
 def run(command: Bench) -> None:
     """Measure, saying on stderr what is under way."""
     action = command.action
-    result = _synth(action) if isinstance(action, BenchSynth) else _detect(action)
+    if isinstance(action, BenchSynth):
+        result = _synth(action)
+    elif isinstance(action, BenchRecord):
+        result = _record(action)
+    else:
+        result = _detect(action)
     if action.as_json:
         print_json(result)
-    elif isinstance(action, BenchSynth):
+    elif isinstance(action, (BenchSynth, BenchRecord)):
         print_rows(_rows(result))
     else:
         _print_detectors(result)
@@ -46,6 +52,13 @@ def _detect(command: BenchDetect) -> dict[str, Any]:
         peers=not command.skip_peers,
         say=_say,
     )
+
+
+def _record(command: BenchRecord) -> dict[str, Any]:
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "psutil", extra="record,bench")
+    from cabinpose.app.bench.record import run_record_bench
+
+    return run_record_bench(seconds=command.seconds, rate_mb=command.rate_mb, folder=command.folder, say=_say)
 
 
 def _say(words: str) -> None:

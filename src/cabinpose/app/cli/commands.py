@@ -504,6 +504,7 @@ RUNNERS = MappingProxyType(
     {
         Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
+        Record: "record", Recover: "recover", Forget: "forget",
     }
 )  # fmt: skip
 

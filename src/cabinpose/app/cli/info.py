@@ -1,4 +1,4 @@
-"""`cabinpose info`: what a dataset holds."""
+"""`cabinpose info`: what a dataset or a recording holds."""
 
 from __future__ import annotations
 
@@ -10,12 +10,19 @@ import numpy as np
 
 from cabinpose.app.cli.commands import Info
 from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.recording_info import recording_info, takes_of
 from cabinpose.app.view.summary import BIN_M, DatasetSummary, summarise
 from cabinpose.store import open_dataset, read_manifest
 
 
 def run(command: Info) -> None:
     """Print the summary; with `verify`, after every frame was read."""
+    if command.subject is not None:
+        takes_of(command.dataset, command.subject, as_json=command.as_json)
+        return
+    if command.dataset.is_file():
+        recording_info(command.dataset, as_json=command.as_json)
+        return
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset, missing="ignore")
     if command.verify:

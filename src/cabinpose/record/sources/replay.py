@@ -16,6 +16,7 @@ from cabinpose.core.ports import Counts, Sample
 from cabinpose.store.recording import Recording
 
 _MOST_AT_ONCE = 256
+_REMEMBERED = 4096  # missing numbers that may still come late
 
 
 class ReplaySettings(BaseModel):
@@ -45,6 +46,7 @@ class ReplaySource:
         self._next: Sample | None = None
         self._began_ns = self._first_ns = 0
         self._last: int | None = None
+        self._missing: set[int] = set()  # counted as lost, and may still come
 
     @property
     def name(self) -> str:
@@ -119,11 +121,16 @@ class ReplaySource:
         number, last = sample.sequence, self._last
         if number is None:
             return
-        if last is not None and number > last:
-            self._counts.lost += number - last - 1
-        elif last is not None and number == last:
-            self._counts.duplicate += 1
-        elif last is not None:
+        if last is None or number > last:
+            if last is not None:
+                self._counts.lost += number - last - 1
+                self._missing |= set(range(max(last + 1, number - _REMEMBERED), number))
+            self._last = number
+        elif number in self._missing:
+            self._missing.remove(number)
+            self._counts.lost -= 1
             self._counts.reordered += 1
-            self._counts.lost = max(self._counts.lost - 1, 0)
-        self._last = number if last is None else max(number, last)
+        else:
+            self._counts.duplicate += 1
+        if len(self._missing) > 2 * _REMEMBERED:
+            self._missing = set(sorted(self._missing)[-_REMEMBERED:])

@@ -1,10 +1,12 @@
 """Recordings: MCAP files of what devices said, raw and decoded. See docs/recording.md."""
 
 from cabinpose.store.recording.container import Compression
+from cabinpose.store.recording.folder import TakeFile, erase, takes_in
 from cabinpose.store.recording.reader import Place, Recording
 from cabinpose.store.recording.recover import Recovered, recover
 from cabinpose.store.recording.scan import Damage
 from cabinpose.store.recording.schemas import SourceStatus
+from cabinpose.store.recording.survey import SourceSurvey, Survey, TopicSurvey, survey
 from cabinpose.store.recording.take import Participant, Take
 from cabinpose.store.recording.writer import RecordingWriter
 
@@ -17,6 +19,13 @@ __all__ = [
     "RecordingWriter",
     "Recovered",
     "SourceStatus",
+    "SourceSurvey",
+    "Survey",
     "Take",
+    "TakeFile",
+    "TopicSurvey",
+    "erase",
     "recover",
+    "survey",
+    "takes_in",
 ]

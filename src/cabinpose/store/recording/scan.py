@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -39,6 +40,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 _LIKE_A_CHUNK = re.compile(
     rb"\x06(?=.{5}\x00\x00\x00.{28}(?:\x00\x00\x00\x00|\x03\x00\x00\x00lz4|\x04\x00\x00\x00zstd))", re.DOTALL
 )
+_ALWAYS = 0, 1 << 64
 _LOOK_AHEAD = 64  # bytes of a chunk's head with the name of its compression, and some
 _INSIDE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
@@ -110,11 +112,15 @@ class Scanner:
         """Close the file."""
         self._file.close()
 
-    def walk(self, start_time: int = 0, end_time: int = 1 << 64) -> Iterator[Chunk | Metadata | Attachment]:
+    def walk(self, start_time: int = _ALWAYS[0], end_time: int = _ALWAYS[1]) -> Iterator[Chunk | Metadata | Attachment]:
         """What the file holds, in its order; of chunks only those with messages between the times (end excluded).
 
-        Schemas, channels and messages outside chunks come as chunks of one record.
+        Schemas, channels and messages outside chunks come as chunks of one record. Between times, a file with a sound index
+        is not gone through: only its chunks are given.
         """
+        if (start_time, end_time) != _ALWAYS and (index := self._index) is not None:
+            yield from self._indexed(index, start_time, end_time)
+            return
         self.damage = damage = Damage()
         self._ended = self._chunked = False
         head = self._bytes(0, 9)
@@ -146,6 +152,25 @@ class Scanner:
             if isinstance(found, Chunk):
                 collect(found.records, *((schemas, channels) if found.verified else doubtful))
         return doubtful[0] | schemas, doubtful[1] | channels
+
+    @cached_property
+    def _index(self) -> list[tuple[int, int, int]] | None:
+        """Offset, first and last time of each chunk; None without a sound summary, or where it has no chunks."""
+        summary = self._summary()
+        records = () if summary is None else records_in(summary)
+        found = [struct.unpack_from("<QQQ", content) for opcode, content in records if opcode == Opcode.CHUNK_INDEX]
+        return [(offset, first, last) for first, last, offset in found] or None
+
+    def _indexed(self, index: list[tuple[int, int, int]], start_time: int, end_time: int) -> Iterator[Chunk]:
+        self.damage = Damage(whole=True)
+        for offset, first, last in index:
+            if last < start_time or first >= end_time:
+                continue
+            found, end = self._record(offset, start_time, end_time)
+            if isinstance(found, Chunk):
+                yield found
+            elif end is None:
+                self.damage.chunks += 1
 
     def _bytes(self, position: int, count: int) -> bytes:
         self._file.seek(position)

@@ -1,0 +1,42 @@
+"""A survey as rows of text, for the terminal and the page alike."""
+
+from __future__ import annotations
+
+from cabinpose.store.recording import SourceSurvey, Survey
+
+
+def source_rows(found: Survey) -> list[list[str]]:
+    """A head and a line for each source. missing: numbers that the file lacks; from `lost` on, what the recorder counted."""
+    head = [
+        "source",
+        "samples",
+        "rate/s",
+        "jitter_ms",
+        "gaps",
+        "longest_s",
+        "missing",
+        "lost",
+        "dropped",
+        "late",
+        "bad",
+        "restarts",
+    ]
+    return [[title.replace("_", " ") for title in head], *(_source(source) for source in found.sources)]
+
+
+def topic_rows(found: Survey) -> list[list[str]]:
+    """A head and a line for each topic."""
+    rows = [["topic", "schema", "messages", "rate/s", "MB"]]
+    return rows + [
+        [t.topic, t.schema or "bytes", str(t.messages), f"{t.rate_hz:.1f}", f"{t.bytes / 1e6:.2f}"] for t in found.topics
+    ]
+
+
+def _source(source: SourceSurvey) -> list[str]:
+    longest = float((source.gaps[:, 1] - source.gaps[:, 0]).max()) if len(source.gaps) else 0.0
+    seen = [str(source.samples), f"{source.rate_hz:.1f}", f"{source.jitter_ms:.2f}", str(len(source.gaps)), f"{longest:.2f}"]
+    row = [source.name, *seen, str(source.missing)]
+    if (status := source.status) is None:
+        return row + ["?"] * 5
+    late, bad = status.reordered + status.duplicate, status.malformed + status.refused
+    return row + [str(count) for count in (status.lost, status.dropped, late, bad, status.restarts)]
