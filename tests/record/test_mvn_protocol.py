@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 
 import numpy as np
@@ -255,6 +256,8 @@ def test_meta_with_colons_and_unknown_tags() -> None:
         header_bytes("02", items=22, payload=736) + bytes(736),
         header_bytes("23", items=2, payload=112) + bytes(112),  # one of 44 and one of 68
         header_bytes("24", items=1, payload=8) + bytes(8),
+        header_bytes("24", items=1, payload=12) + bytes(36),
+        header_bytes("24", items=1, payload=36) + bytes(12),
         header_bytes("25", items=1, payload=12) + b"12-34-56.789",
         header_bytes("25", items=1, payload=12) + "１２:34:56.7".encode()[:12],
         header_bytes("25", items=1, payload=16) + struct.pack(">i", -1) + b"12:34:56.789",
@@ -290,6 +293,36 @@ _STREAM = [
         MvnEmulatorSettings(kinds=ALL, characters=2, props=1, fingers=True, items_per_datagram=30), generated()
     ).sample(number)
 ]
+
+
+@pytest.mark.slow
+def test_thirty_thousand_mutations() -> None:
+    """As below, without hypothesis' care, so that it is many; the stream's framing too."""
+    draw = random.Random(1)
+    source = MvnSource("suit")
+    now = 0
+    with np.errstate(invalid="ignore", over="ignore"):
+        for i in range(30_000):
+            data = bytearray(draw.choice(_STREAM))
+            match draw.randrange(8):
+                case 0:
+                    data = data[: draw.randrange(len(data) + 1)]
+                case 1:
+                    data = data[:24] + draw.choice(_STREAM)[24:]
+                case 2:
+                    at = draw.randrange(len(data))
+                    data[at:at] = draw.randbytes(draw.randrange(1, 9))
+                case _:
+                    for _ in range(draw.choice((1, 1, 2, 4, 16))):
+                        at = draw.randrange(len(data) if draw.random() < 0.5 else 28)
+                        data[at] = draw.choice((0, 1, 127, 128, 255, draw.randrange(256)))
+            now += draw.choice((0, 10**5, 10**6, 3 * 10**9)) if draw.random() < 0.3 else 10**5
+            assert source.take(bytes(data), now).raw == data
+            if i % 10 == 0:
+                source._cut(bytes(data))
+    source.close()
+    assert source.counts.malformed > 15_000
+    assert source.counts.received > 1_500
 
 
 @given(st.binary(max_size=2000))

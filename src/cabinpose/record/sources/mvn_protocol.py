@@ -180,11 +180,11 @@ class Scale(NamedTuple):
 def read_scale(payload: bytes) -> Scale:
     """The measures in one datagram: MVN sends the segments in a first one and the points in several others."""
     reader = _Reader(payload)
-    segments = {reader.text(): reader.vector() for _ in range(reader.count(16))}
+    segments = {reader.text(): reader.vector() for _ in reader.things()}
     points = []
     # The vendor's reader finds no count of points after the segments; the specification has one of 0 there.
     if reader.left or not segments:
-        for _ in range(reader.count(24)):
+        for _ in reader.things():
             segment, point = reader.unpack(_IDS)
             name = reader.text()
             points.append(ScalePoint(segment, point, name, reader.unpack(_U32)[0], reader.vector()))
@@ -232,12 +232,9 @@ class _Reader:
             raise MalformedError("a length that is no number")
         return x, y, z
 
-    def count(self, smallest: int) -> int:
-        """A number of things of at least `smallest` bytes each, which must fit into what is left."""
-        (number,) = self.unpack(_U32)
-        if number * smallest > self.left:
-            raise MalformedError(f"{number} things in {self.left} bytes")
-        return int(number)
+    def things(self) -> range:
+        """As many things as a number before them says; reading more than there are raises before it takes long."""
+        return range(self.unpack(_U32)[0])
 
 
 # ------------------------------------------------------------------------------------------------------------- building
