@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class SimulatedSource(CameraSource):
     camera_k (3, 3), camera_dist (5,). `log` is the ground truth of what the camera did.
     """
 
-    Settings = SimulatedSettings
+    Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
 
     def __init__(
         self,
