@@ -295,7 +295,7 @@ class MvnSource:
 
     # ---------------------------------------------------------------------------------------------------- datagrams
     def take(self, data: bytes, host_ns: int) -> Sample:
-        """What one datagram that arrived at `host_ns` is; malformed ones and duplicates carry their bytes only."""
+        """What one datagram that arrived at `host_ns` is; malformed ones and duplicates carry no messages."""
         try:
             header, payload = mvn.read_datagram(data)
             if header.kind not in mvn.COUNTED:
@@ -303,8 +303,6 @@ class MvnSource:
             arrival = self._ledger.arrive(header, payload, hash(data), host_ns)
             if arrival.restarted:
                 self._began_anew()
-            if not arrival.fresh:
-                return Sample(None, host_ns, None, data)
             device_ns = self._device_ns(header, host_ns)
             if arrival.payload is None:
                 return Sample(None, host_ns, device_ns, data)

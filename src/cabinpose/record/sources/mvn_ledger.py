@@ -40,13 +40,12 @@ class _Sample:
 class Arrival(NamedTuple):
     """What a datagram did: it made the sample `sequence` whole, whose `payload` of `items` is complete, or not (None).
 
-    A sample that precedes the first has no sequence. `fresh`: no duplicate · `restarted`: the sender began anew with it.
+    A sample that precedes the first has no sequence. `restarted`: the sender began anew with it.
     """
 
     sequence: int | None = None
     items: int = 0
     payload: bytes | None = None
-    fresh: bool = True
     restarted: bool = False
 
 
@@ -161,7 +160,7 @@ class _Stream:
                 if known != digest:
                     return None
                 self._counts.duplicate += 1
-                return Arrival(fresh=False)
+                return Arrival()
         return self._fit(counter, sample, header, payload, digest)
 
     def _order(self, counter: int, piece: int) -> None:
