@@ -89,6 +89,31 @@ def listening(**given_: object) -> MvnSource:
     return MvnSource("suit", MvnSettings(**given_))
 
 
+def test_the_network_does_what_it_is_told() -> None:
+    """Shares within five standard deviations of a binomial; a late datagram is overtaken by as many as asked; the seed decides."""
+    given_ = MvnEmulatorSettings(loss=0.1, duplicate=0.05, reorder=0.2, reorder_by=4, seed=9)
+    count = 4000
+
+    def fates(given_: MvnEmulatorSettings) -> list[tuple[int, int, bool, int]]:
+        network, out = Network(given_), []
+        for n in range(count):
+            datagram = Datagram(2, 0, n, 0, 1, 0, b"")
+            out += [(each.counter, copies, late, n) for each, copies, late in network.carry(datagram)]
+        return out + [(each.counter, copies, late, count) for each, copies, late in network.rest()]
+
+    told = fates(given_)
+    assert sorted(number for number, *_ in told) == list(range(count))
+    for share, seen in (
+        (0.1, sum(copies == 0 for _, copies, _, _ in told)),
+        (0.9 * 0.05, sum(copies == 2 for _, copies, _, _ in told)),
+        (0.9 * 0.2, sum(late for _, _, late, _ in told)),
+    ):
+        assert abs(seen - share * count) < 5 * (count * share * (1 - share)) ** 0.5
+    assert {n - number for number, _, late, n in told if late and n < count} == {4}
+    assert all(n == number for number, _, late, n in told if not late)
+    assert fates(given_) == told != fates(given_.model_copy(update={"seed": 10}))
+
+
 @settings(max_examples=60)
 @given(st.data())
 def test_every_sample_is_received_or_lost(data: st.DataObject) -> None:

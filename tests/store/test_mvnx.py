@@ -94,6 +94,15 @@ def test_round_trip_of_everything(tmp_path: Path) -> None:
     np.testing.assert_array_equal(facts["position"], rows[2][2].values["position"])
 
 
+def test_gaps_stay_gaps(tmp_path: Path) -> None:
+    """Frames that are missing leave their numbers out, so that the others keep their exact times."""
+    rows = [row for row in rows_of_a_take(20) if row[1] not in {round(n * 1e9 / 60) for n in (3, 4, 11)}]
+    path = write_mvnx(tmp_path / "take.mvnx", rows)
+    assert [device for _, device, m in read_mvnx(path) if isinstance(m, SegmentPoses)] == [
+        round(n * 1e9 / 60) for n in range(20) if n not in (3, 4, 11)
+    ]
+
+
 def test_writing_is_a_fixed_point(tmp_path: Path) -> None:
     first = write_mvnx(tmp_path / "a.mvnx", rows_of_a_take())
     rows = list(read_mvnx(first))
