@@ -90,7 +90,7 @@ def listening(**given_: object) -> MvnSource:
 
 
 def test_the_network_does_what_it_is_told() -> None:
-    """Shares within five standard deviations of a binomial; a late datagram is overtaken by as many as asked; the seed decides."""
+    """Shares within five standard deviations of a binomial; so many overtake a late datagram as asked; the seed decides."""
     given_ = MvnEmulatorSettings(loss=0.1, duplicate=0.05, reorder=0.2, reorder_by=4, seed=9)
     count = 4000
 
