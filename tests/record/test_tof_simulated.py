@@ -28,7 +28,7 @@ def few(count: int = 40) -> Iterator[dict[str, Any]]:
         yield {"depth": depth, "camera_k": np.eye(3), "amplitude": np.full((4, 6), i, np.uint16)}
 
 
-def play(source: SimulatedSource, *, seconds: float = 20.0) -> list[Sample]:
+def play(source: SimulatedSource, *, seconds: float = 120.0) -> list[Sample]:
     """Everything until the end."""
     samples: list[Sample] = []
     end = time.monotonic() + seconds

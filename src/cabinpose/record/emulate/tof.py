@@ -78,10 +78,10 @@ class EmulatedCamera:
             self._thread.join(timeout_s)
             self._thread = None
 
-    def device_ns(self, taken_ns: int, started_ns: int) -> int:
-        """What the camera's clock says at a moment of the host's."""
-        elapsed = taken_ns - started_ns
-        return started_ns + elapsed + round(elapsed * self.faults.clock_drift_ppm * 1e-6 + self.faults.clock_offset_s * 1e9)
+    def device_ns(self, taken_ns: int, origin_ns: int) -> int:
+        """What the camera's clock says at a moment of the host's; it began to drift at `origin_ns`."""
+        elapsed = taken_ns - origin_ns
+        return origin_ns + elapsed + round(elapsed * self.faults.clock_drift_ppm * 1e-6 + self.faults.clock_offset_s * 1e9)
 
     def _guarded(self) -> None:
         try:
@@ -94,7 +94,7 @@ class EmulatedCamera:
         faults = self.faults
         rng = np.random.Generator(np.random.Philox(key=faults.seed))
         period_ns = round(1e9 / faults.rate_hz)
-        started_ns = self.clock.now_ns()
+        origin_ns = started_ns = self.clock.now_ns()
         slack_ns = period_ns + round((faults.latency_s + 4 * faults.jitter_s) * 1e9)
         for counter, frame in enumerate(self._endless()):
             taken_ns = started_ns + counter * period_ns
@@ -107,8 +107,8 @@ class EmulatedCamera:
             delay_s = faults.latency_s + max(rng.normal(0.0, faults.jitter_s), 0.0) if faults.jitter_s else faults.latency_s
             if self._stop.wait(max((taken_ns - self.clock.now_ns()) / 1e9 + delay_s, 0.0)):
                 return
-            fate = self._fate(taken_ns - started_ns, rng.random())
-            device_ns = self.device_ns(taken_ns, started_ns)
+            fate = self._fate(taken_ns - origin_ns, rng.random())
+            device_ns = self.device_ns(taken_ns, origin_ns)
             self.log.append(Sent(counter, device_ns, taken_ns, fate))
             if fate == "sent":
                 self.listener(counter, device_ns, frame)
