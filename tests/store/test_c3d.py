@@ -284,6 +284,21 @@ def test_what_cannot_be_understood(tmp_path: Path, point: dict, message: str) ->
         list(read_c3d(plain_file(tmp_path / "a.c3d", **point)))
 
 
+def test_frames_that_16_bits_do_not_count_are_not_left_out_in_silence(tmp_path: Path) -> None:
+    def trial(start: list[int], end: list[int]) -> list:
+        path = plain_file(tmp_path / "a.c3d")
+        file = ezc3d.c3d(str(path))
+        file["data"]["meta_points"]["residuals"] = np.zeros((1, 3, 4))
+        file.add_parameter("TRIAL", "ACTUAL_START_FIELD", start)
+        file.add_parameter("TRIAL", "ACTUAL_END_FIELD", end)
+        file.write(str(path))
+        return list(read_c3d(path))
+
+    assert of(trial([1, 0], [4, 0]), Markers)
+    with pytest.raises(MocapError, match="65540 frames, of which 4"):
+        trial([1, 0], [4, 1])
+
+
 def test_a_rate_of_zero_cannot_be_understood(tmp_path: Path) -> None:
     path = plain_file(tmp_path / "a.c3d")
     path.write_bytes(path.read_bytes().replace(struct.pack("<f", 50.0), struct.pack("<f", 0.0)))

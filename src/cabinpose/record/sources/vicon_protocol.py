@@ -8,7 +8,7 @@ types that it has (ObjectEnums). The client answers with those that it wants, no
 frames: RequestFrame 0 for one, 1 for all as they come. Static objects come when they change, or when the set of types does;
 Contents then says which types are as before. A Ping comes back as it was sent.
 
-Nothing that a packet says of its own size is trusted: counts are held against the bytes that came before anything is read. A
+Nothing that a packet says of its own size is trusted: reading ends where the bytes end, and nothing is allocated for more. A
 block that does not hold what its type needs is left out and counted; the packet's other blocks stand.
 """
 
@@ -140,18 +140,11 @@ class _Reader:
     def number(self, kind: struct.Struct = _U32) -> Any:
         return kind.unpack(self._take(kind.size))[0]
 
-    def count(self, smallest: int) -> int:
-        """A count of items of at least `smallest` bytes each: no more than there are bytes for."""
-        count: int = self.number()
-        if count * smallest > len(self._data) - self._at:
-            raise _MalformedError
-        return count
-
     def text(self) -> str:
         return str(self._take(self.number()), "utf-8", "replace")
 
     def rows(self, dtype: np.dtype[Any]) -> Rows:
-        count = self.count(dtype.itemsize)
+        count: int = self.number()
         return np.frombuffer(self._take(count * dtype.itemsize), dtype)
 
     def floats(self, count: int) -> tuple[float, ...]:
@@ -186,10 +179,10 @@ def decode(payload: bytes | memoryview) -> Packet:
 def _read_subject(packet: Packet, data: _Reader) -> None:
     subject, name = data.number(), data.text()
     segments = []
-    for _ in range(data.count(36)):
+    for _ in range(data.number()):
         parent, segment, bounds = data.number(), data.number(), data.floats(6)
         segments.append(SegmentInfo(parent, segment, data.text(), bounds))
-    markers = tuple((data.number(), data.text()) for _ in range(data.count(8)))
+    markers = tuple((data.number(), data.text()) for _ in range(data.number()))
     attachments = tuple(data.rows(_ATTACHMENT).tolist())
     packet.subjects.append(SubjectInfo(subject, name, tuple(segments), markers, attachments))
 
@@ -203,7 +196,7 @@ def _read_segments(into: Callable[[Packet], dict[int, Rows]]) -> Callable[[Packe
 
 
 def _read_contents(packet: Packet, data: _Reader) -> None:
-    counts = {data.number(): data.number() for _ in range(data.count(8))}
+    counts = {data.number(): data.number() for _ in range(data.number())}
     packet.contents = Contents(counts, data.enums())
 
 
@@ -225,8 +218,8 @@ _READ: Mapping[int, Callable[[Packet, _Reader], None]] = MappingProxyType(
         Type.HARDWARE_FRAME_INFO: _read("hardware_frame", _Reader.number),
         Type.STREAM_INFO: _read("period", lambda data: data.number(_I64)),
         Type.APPLICATION_INFO: _read("y_up", lambda data: data.number(_BYTE) == 1),
-        Type.FRAME_RATE_INFO: _read("rates", lambda data: {data.text(): data.number(_F64) for _ in range(data.count(12))}),
-        Type.LATENCY_INFO: _read("latency", lambda data: tuple((data.text(), data.number(_F64)) for _ in range(data.count(12)))),
+        Type.FRAME_RATE_INFO: _read("rates", lambda data: {data.text(): data.number(_F64) for _ in range(data.number())}),
+        Type.LATENCY_INFO: _read("latency", lambda data: tuple((data.text(), data.number(_F64)) for _ in range(data.number()))),
         Type.SUBJECT_INFO: _read_subject,
         Type.SUBJECT_TOPOLOGY: _read_segments(lambda packet: packet.neutral),
         Type.LABELED_RECONS: _read("labeled", lambda data: data.rows(LABELED)),

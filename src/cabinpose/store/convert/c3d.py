@@ -98,13 +98,12 @@ class _Trial:
 
     def rows(self, start_ns: int) -> Iterator[Row]:
         """Everything, by time."""
-        points, residual = self.points, self.residual
-        occluded = ~(residual >= 0) | ~np.isfinite(points).all(axis=2)
+        points = self.points
+        occluded = ~np.isfinite(points).all(axis=2)  # the library gives NaN where a residual is negative
         with np.errstate(all="ignore"):
             position = points * self.scale @ self.world.T
         position[occluded] = np.nan
-        residual_m = np.where(occluded, np.nan, residual * self.scale)
-        modelled = np.where((residual < 0)[..., None], np.nan, points)
+        residual_m = np.where(occluded, np.nan, self.residual * self.scale)
         ratio = len(self.analogs) // max(1, len(points)) if self.channels else 0
         first_ns = self.time_ns(self.first)
         for facts in self.facts:
@@ -115,7 +114,7 @@ class _Trial:
                 columns = part.columns
                 yield start_ns + frame_ns, frame_ns, Markers(subject, part.names, position[k, columns], residual_m[k, columns])
             for (kind, subject), part in self.models.items():
-                message = _modelled(kind, subject, part, modelled[k, part.columns], degrees=self.degrees)
+                message = _modelled(kind, subject, part, points[k, part.columns], degrees=self.degrees)
                 yield start_ns + frame_ns, frame_ns, message
             for i in range(ratio):
                 analog_ns = self.time_ns(self.first + k + i / ratio)
