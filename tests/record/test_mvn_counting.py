@@ -338,9 +338,11 @@ def test_memory_is_bounded_whatever_is_sent() -> None:
     for n in range(10_000):
         header = mvn.Header(21, n * 7, 0, True, 1, 0, 0, 23, 0, 0, 40)
         source.take(mvn.build_header(header) + bytes(40), 0)
+    other = listening()
     for n in range(500):
         header = mvn.Header(22, n, 0, False, 1, 0, 0, 23, 0, 0, 44)
-        source.take(mvn.build_header(header) + bytes(44), 0)
+        other.take(mvn.build_header(header) + bytes(44), 0)
+    assert len(other._ledger._streams[22, 0]._open) <= 65
     streams = source._ledger._streams
     assert len(streams) <= 256
     assert max(len(s._open) for s in streams.values()) <= 65

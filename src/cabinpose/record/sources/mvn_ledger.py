@@ -7,6 +7,7 @@ datagrams. What was sent before the first and after the last sample that came ca
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -257,8 +258,12 @@ class _Stream:
         self._step = step = self._risen / self._taken
         steps = [(counter, rise, max(1, round(rise / step))) for counter, rise in known]
         self._counts.lost -= sum(rise - taken for _, rise, taken in steps)
-        expected = {counter + round(k * step) for counter, _, taken in steps for k in range(1, taken)}
-        self._missing = OrderedDict((c, kept) for c, kept in self._missing.items() if c in expected)
+        begins = [counter for counter, _, _ in steps]
+        for missing in list(self._missing):
+            before, _, taken = steps[max(0, bisect_right(begins, missing) - 1)]
+            k = round((missing - before) / step)
+            if not 1 <= k < taken or before + round(k * step) != missing:
+                del self._missing[missing]
 
     def _forget(self, host_ns: int) -> None:
         """Forget what is older than the window, or too much: what belongs to it when it comes is a new beginning."""
