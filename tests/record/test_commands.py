@@ -214,7 +214,7 @@ def test_the_bench_accounts_for_every_sample(tmp_path: Path) -> None:
     assert result["accounted"]
     assert result["error"] is None
     assert result["mb_per_s"] > 0
-    assert result["bytes"] > 1e6
+    assert result["bytes"] > 1e5
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ConfigError, match="needs seconds"):
         run_record_bench(seconds=0)

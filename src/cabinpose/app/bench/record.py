@@ -35,7 +35,8 @@ def run_record_bench(
     this process, so their cost is within the figures. Every sample is counted in the file afterwards.
 
     Keys: mb_per_s into the file; dropped, lost: samples; peak_rss_mb and rss_mb over the take; cpu_share of one core;
-    latency_ms: greatest time from arrival to file; frames_hz of a camera; accounted: written + dropped + lost = sent.
+    cpu_s_per_gb, which other load hardly changes; latency_ms: greatest time from arrival to file; frames_hz of a camera;
+    accounted: whether written + dropped + lost = sent, by the samples found in the file.
     """
     if seconds <= 0 or rate_mb <= 0:
         raise ConfigError("a bench needs seconds and a rate", hint="give both more than 0")
@@ -88,6 +89,7 @@ def _take(rig: Rig, out: Path, seconds: float, say: Callable[[str], None]) -> di
         "frames_hz": rig.sources[0].settings.model_dump()["rate_hz"],
         "latency_ms": latency,
         "cpu_share": cpu / taken,
+        "cpu_s_per_gb": cpu / (outcome.bytes_written / 1e9),
         "peak_rss_mb": max(rss, default=0.0),
         "rss_mb": [round(x, 1) for x in rss[:: max(len(rss) // 30, 1)]],
         "error": None if outcome.error is None else str(outcome.error),

@@ -13,10 +13,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
-ThingArgument = Annotated[Positional[Path], arg(metavar="DATASET|RECORDING")]
-RecordingArgument = Annotated[Positional[Path], arg(metavar="RECORDING")]
-FolderArgument = Annotated[Positional[Path], arg(metavar="DATASET")]
-JsonFlag = Annotated[bool, arg(name="json", help="Print one JSON object on stdout.")]
+from cabinpose.app.cli.arguments import JsonFlag, ThingArgument
+from cabinpose.app.cli.record_commands import Forget, Record, Recover
 
 
 @dataclass(frozen=True)
@@ -273,52 +271,6 @@ class Predict:
     """Name of the split to run."""
     overwrite: bool = False
     """Replace the file."""
-    as_json: JsonFlag = False
-
-
-@dataclass(frozen=True)
-class Record:
-    """Record what the devices of a rig say into one file (MCAP), until Ctrl-C.
-
-    Nothing connects or listens beyond what the rig names. A device that goes away is reached again; what is lost is counted.
-    """
-
-    config: Path
-    """The rig (YAML): its sources, how to write, and the take."""
-    out: Path | None = None
-    """Recording to write (.mcap)."""
-    take: Path | None = None
-    """YAML file of the take (subjects, action, car), in place of the rig's."""
-    check: bool = False
-    """Say what is missing, of the disk and of each source, and record nothing."""
-    duration: float | None = None
-    """Stop after so many seconds."""
-    as_json: JsonFlag = False
-
-
-@dataclass(frozen=True)
-class Recover:
-    """Make a whole recording of one that a crash cut short, or that is damaged."""
-
-    recording: RecordingArgument
-    """The recording as it is; it stays so."""
-    out: Path
-    """Recording to write."""
-    as_json: JsonFlag = False
-
-
-@dataclass(frozen=True)
-class Forget:
-    """Erase the takes of a subject, at their request: list them, and with --confirm delete them."""
-
-    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
-    """Folder of recordings, and the folders within."""
-    subject: str
-    """Subject code."""
-    confirm: bool = False
-    """Delete; without it nothing is."""
-    shared: bool = False
-    """Delete also the takes in which others were recorded beside the subject."""
     as_json: JsonFlag = False
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from cabinpose.app.cli.commands import Forget
 from cabinpose.app.cli.output import print_json, print_table
+from cabinpose.app.cli.record_commands import Forget
 from cabinpose.app.cli.takes import rows, unknown_note
 from cabinpose.app.extras import require
 from cabinpose.core.errors import RecordingError

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cabinpose.app.cli.commands import Record
 from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.record_commands import Record
 from cabinpose.app.extras import require
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from cabinpose.app.cli.commands import Recover
 from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.record_commands import Recover
 from cabinpose.app.extras import require
 
 
