@@ -259,7 +259,7 @@ def test_lost_incomplete_and_foreign_buffers_are_counted(rig: SimpleNamespace) -
     samples = numbered(source.read(0.1))
     assert [s.sequence for s in samples] == [0, 1, 2, 3, 4, 7, 8, 9, 10]
     assert [len(s.messages) for s in samples] == [1] * 6 + [0] * 3
-    assert (source.counts.lost, source.counts.malformed, source.counts.received) == (2, 3, 9)
+    assert (source.counts.lost, source.counts.malformed, source.counts.received, source.counts.restarts) == (2, 3, 9, 0)
     assert rig.acquirer.out == 0
     source.close()
 
