@@ -47,7 +47,8 @@ def run_record_bench(
     load = list(os.getloadavg())
     with tempfile.TemporaryDirectory(prefix="cabinpose-bench-", dir=where) as name:
         result = _take(_rig(rate_mb), Path(name) / "bench.mcap", seconds, say)
-    return {"seconds": seconds, "cores": os.cpu_count(), "load_average": {"before": load, "after": list(os.getloadavg())}, **result}
+    loads = {"before": load, "after": list(os.getloadavg())}
+    return {"seconds": seconds, "cores": os.cpu_count(), "load_average": loads, **result}
 
 
 def _rig(rate_mb: float) -> Rig:
