@@ -8,8 +8,10 @@ import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -19,7 +21,7 @@ from recorded_things import bits, take_samples
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
 from cabinpose.store.recording import Participant, Recording, RecordingWriter, Take, recover
-from cabinpose.store.recording.scan import Chunk, Scanner, messages_in
+from cabinpose.store.recording.scan import Chunk, Scanner, _uncompressed, messages_in
 
 TAKE = Take(action="reach", subjects=(Participant(code="S07"),))
 SAMPLES = take_samples(24, rng=np.random.default_rng(5))
@@ -120,6 +122,26 @@ def test_truncated_files_become_ordinary_ones(tmp_path: Path, whole: tuple[bytes
     assert found == truth
 
 
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_of_half_a_chunk_the_whole_messages_are_kept(tmp_path: Path, compression: str) -> None:
+    """A file of another writer may be one large chunk: what stands before the cut is worth having, and said to be unverified."""
+    data = made(tmp_path / "a.mcap", compression, 1 << 24, take_samples(300, rng=np.random.default_rng(6)))
+    outcome = saved(tmp_path, data[: len(data) * 6 // 10])
+    assert outcome is not None
+    found, damage = outcome
+    truth = lines(tmp_path / "a.mcap")
+    assert found == truth[: len(found)]
+    assert len(found) > 0.4 * len(truth)
+    assert damage.unverified == len(found) - 1  # all but the take, which has a chunk of its own
+
+
+def test_what_unpacks_to_more_than_it_says_is_stopped() -> None:
+    for compression, body in (("zstd", zstandard.compress(bytes(1 << 26))), ("lz4", lz4.frame.compress(bytes(1 << 26)))):
+        data, whole = _uncompressed(body, compression, 100)
+        assert not whole
+        assert len(data) < 1 << 22
+
+
 @settings(max_examples=60)
 @given(st.data())
 def test_flipped_bits_are_found_and_counted(tmp_path_factory: pytest.TempPathFactory, whole: tuple, data: st.DataObject) -> None:
@@ -197,8 +219,6 @@ def test_sizes_in_heads_are_not_believed(tmp_path: Path) -> None:
         outcome = saved(tmp_path, data[:300] + struct.pack("<BQ", opcode, length) + data[300:])
         assert outcome is not None
     bomb = struct.pack("<QQQII", 0, 1, 1 << 29, 7, 4) + b"zstd"
-    import zstandard
-
     body = zstandard.compress(bytes(1 << 20))
     record = bomb + struct.pack("<Q", len(body)) + body
     outcome = saved(tmp_path, data[:8] + struct.pack("<BQ", 6, len(record)) + record + data[8:])
@@ -256,7 +276,8 @@ def test_definitions_are_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("cabinpose.store.recording.container.DEFINITIONS_S", 0.0)
     data = made(tmp_path / "a.mcap")
     truth = lines(tmp_path / "a.mcap")
-    changed = bytearray(data[:-900])
+    (summary,) = struct.unpack_from("<Q", data, len(data) - 28)
+    changed = bytearray(data[:summary])
     first = data.index(b"suit/poses")
     changed[first] ^= 1
     outcome = saved(tmp_path, bytes(changed))

@@ -58,7 +58,7 @@ class Recorder:
         self._free = self._min_free
         self._rate = (self._began, 0, 0.0)  # when, bytes then, bytes a second before
         self._error: RecordingError | None = None
-        self._thread = threading.Thread(target=self._run, name="recording-writer")
+        self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
 
     def start(self, timeout_s: float = 30.0) -> None:
         """Open all sources and begin. Raises RecordingError, with nothing left running, where one cannot be opened."""

@@ -62,10 +62,12 @@ def _record(command: Record, rig: Rig, out: Path) -> None:
     recorder = begin(rig, out, HostClock())
     until = time.monotonic() + (command.duration or float("inf"))
     with _asked_to_stop() as asked, panel(out, command.duration) as show:
-        while recorder.running and time.monotonic() < until and not asked():
-            show(recorder.status())
-            time.sleep(_REFRESH_S)
-        outcome = recorder.stop()
+        try:
+            while recorder.running and time.monotonic() < until and not asked():
+                show(recorder.status())
+                time.sleep(_REFRESH_S)
+        finally:
+            outcome = recorder.stop()
     totals = {s.source: dataclasses.asdict(s) for s in outcome.sources}
     if command.as_json:
         print_json({"recording": str(out), "seconds": outcome.seconds, "bytes": outcome.bytes_written, "sources": totals})
