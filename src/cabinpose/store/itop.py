@@ -27,6 +27,7 @@ _STEP = 1.0 / (8 * 2 * K[0, 0] * 0.075)
 _SCALES_M = np.arange(2.0, 10.0, 0.001)
 _CLEAR = 0.7  # strength of the lattice, of at most 1, from which on it is believed
 _ALIAS = 0.9  # share of the greatest strength that the true scale has too: half and third of it fit as well
+_MOST_LEVELS = 1000  # the camera has 650 between 0.5 m and 10 m: frames of more were smoothed
 _NEAR = 2.5  # 1 / scaled depth; nearer than that the levels are finer than the numbers of the file
 # ITOP's labels lie nearer to the camera than the joints of a body: those of arms on the skin that the camera sees, those of
 # the trunk half as deep as its middle, the head's in its middle. How much nearer, in round numbers, per joint.
@@ -111,7 +112,7 @@ def recovered_scale(scaled: NDArray[np.floating]) -> float:
     """
     inverse = 1.0 / np.unique(scaled[scaled > 0].astype(np.float64))
     inverse = inverse[inverse < _NEAR]
-    if not inverse.size:
+    if not 0 < inverse.size <= _MOST_LEVELS:
         return NOMINAL_SCALE_M
     strength = np.abs(np.exp(2j * np.pi * np.outer(1.0 / (_SCALES_M * _STEP), inverse)).mean(axis=1))
     if strength.max() < _CLEAR:
