@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+
+from cabinpose.app.cli import main
 
 REAL_DATA = "CABINPOSE_REAL_DATA"
 
@@ -25,3 +28,24 @@ def real_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """`run("info", folder)`: exit code, stdout and stderr of a command."""
+
+    def call(*arguments: object) -> Outcome:
+        try:
+            code = main([str(a) for a in arguments])
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return call

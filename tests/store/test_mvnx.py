@@ -25,8 +25,9 @@ from cabinpose.core.recorded import (
     SensorReadings,
 )
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS, RIGS
-from cabinpose.store.convert.mvnx import Row, read_mvnx
+from cabinpose.store.convert.mvnx import read_mvnx
 from cabinpose.store.convert.mvnx_write import write_mvnx
+from cabinpose.store.convert.rows import Row
 
 REAL = "mocap/xsens_upper_body.mvnx"
 JOINTS = tuple(name for name, _, _ in MVN_JOINTS)

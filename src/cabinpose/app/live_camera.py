@@ -37,7 +37,7 @@ class SynthCameraSource(SimulatedSource):
         try:
             SynthConfig.load(self._scenes.scenes)
         except CabinposeError as error:
-            return [f"{error} ({error.hint})" if error.hint else str(error)]
+            return [error.in_one_line()]
         return []
 
     def _connect(self) -> None:

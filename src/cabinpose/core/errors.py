@@ -12,6 +12,10 @@ class CabinposeError(Exception):
         super().__init__(message)
         self.hint = hint
 
+    def in_one_line(self) -> str:
+        """The message, with the remedy in brackets where there is one."""
+        return f"{self} ({self.hint})" if self.hint else str(self)
+
 
 class ConfigError(CabinposeError):
     """A configuration value is unknown, out of range or contradicts another one."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,9 +87,8 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
     reference = read_itop_reference(frames)
     found = model.predict(read_itop_frames(frames)).joints_3d[:, 0]
-    labelled, anatomical = (
-        evaluate_itop(reference, joints, options, model=model.name, name=frames.name) for joints in (as_labelled(found), found)
-    )
+    labelled = evaluate_itop(reference, as_labelled(found), options, model=model.name, name=frames.name)
+    anatomical = evaluate_itop(reference, found, replace(options, resamples=0))  # for one number, without its interval
     within = itop_summary(anatomical)["within_10cm"]
     if command.as_json:
         print_json(itop_summary(labelled) | {"within_10cm_anatomical": within})

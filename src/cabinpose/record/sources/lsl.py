@@ -80,7 +80,7 @@ class LslSource:
         try:
             self._find(_load(), self._settings.resolve_s)
         except CabinposeError as error:
-            return [f"{error} ({error.hint})" if error.hint else str(error)]
+            return [error.in_one_line()]
         return []
 
     def open(self) -> None:

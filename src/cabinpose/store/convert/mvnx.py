@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
 from xml.parsers import expat
 
 import numpy as np
@@ -23,8 +22,7 @@ from scipy.spatial.transform import Rotation
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-
-Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
+from cabinpose.store.convert.rows import Row
 
 _CHUNK = 1 << 16
 _ELEMENT_LIMIT = 1 << 20  # characters of one element's text; a frame's largest array has about 2000

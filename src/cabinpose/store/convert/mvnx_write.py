@@ -14,7 +14,8 @@ import numpy as np
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, THEIRS, Row, turned
+from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, THEIRS, turned
+from cabinpose.store.convert.rows import Row
 
 _NAMESPACE = "http://www.xsens.com/mvn/mvnx"
 _MS = 1_000_000

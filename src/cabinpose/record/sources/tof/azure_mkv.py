@@ -58,7 +58,7 @@ class AzureMkvSource:
         try:
             AzureFile(self._settings.path).close()
         except CabinposeError as error:
-            return [f"{error} ({error.hint})" if error.hint else str(error)]
+            return [error.in_one_line()]
         return []
 
     def open(self) -> None:

@@ -94,7 +94,7 @@ class CameraSource(ABC):
         try:
             return self._missing()
         except CabinposeError as error:
-            return [f"{error} ({error.hint})" if error.hint else str(error)]
+            return [error.in_one_line()]
 
     def open(self) -> None:
         """Connect and let frames come."""
