@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cabinpose.core.clock import HostClock, Unwrapper
+from cabinpose.core.clock import ClockMap, HostClock, Unwrapper
 
 
 def test_a_camera_that_counts_microseconds_wraps() -> None:
@@ -45,3 +46,19 @@ def test_host_time_does_not_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 <= clock.now_ns() - first < 60_000_000_000
     moment = time.monotonic_ns()
     assert clock.from_monotonic_ns(moment) <= clock.now_ns()
+
+
+def test_a_map_between_clocks_and_its_inverse_keep_every_nanosecond():
+    start = 1_700_000_000_000_000_000
+    a = start + np.arange(0, 3_600_000_000_000, 977_777_777)
+    b_from_a = ClockMap(-1_699_999_000_123_456_789, 1e-4, start)
+    b = b_from_a(a)
+    assert b[0] == 999_876_543_211
+    assert abs((b[-1] - b[0]) / (a[-1] - a[0]) - 1.0001) < 1e-12
+    assert np.abs(b_from_a.inverse()(b) - a).max() <= 1
+
+
+def test_maps_between_clocks_follow_one_another():
+    b_from_a, c_from_b = ClockMap(5_000_000_000, 2e-5, 100), ClockMap(-70, -3e-5, 4_000_000_000)
+    a = np.arange(0, 10**12, 10**10 + 7)
+    assert np.abs(b_from_a.then(c_from_b)(a) - c_from_b(b_from_a(a))).max() <= 1

@@ -9,6 +9,9 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 
 class HostClock:
     """Nanoseconds since the Unix epoch that advance with the monotonic clock: no step where the system's time is set."""
@@ -48,3 +51,31 @@ class Unwrapper:
     def restart(self) -> None:
         """Forget what came before: the device has begun anew."""
         self.last = None
+
+
+@dataclass(frozen=True)
+class ClockMap:
+    """What clock b shows when clock a shows t: b = a + offset_ns + drift * (a - reference_ns).
+
+    drift: of b against a, dimensionless (1e-6 = 1 ppm) · reference_ns: time of a at which the offset holds. Times are int64
+    nanoseconds; only the small difference to the reference is a float, so that an epoch costs no digits.
+    """
+
+    offset_ns: int
+    drift: float = 0.0
+    reference_ns: int = 0
+
+    def __call__(self, a_ns: ArrayLike) -> NDArray[np.int64]:
+        """Times (...) of clock a on clock b."""
+        a = np.asarray(a_ns, np.int64)
+        return a + self.offset_ns + np.rint(self.drift * (a - self.reference_ns)).astype(np.int64)
+
+    def inverse(self) -> ClockMap:
+        """What clock a shows when clock b does."""
+        return ClockMap(-self.offset_ns, -self.drift / (1 + self.drift), self.reference_ns + self.offset_ns)
+
+    def then(self, c_from_b: ClockMap) -> ClockMap:
+        """The map from a to c."""
+        reference = self.reference_ns
+        offset = int(c_from_b(self(reference))) - reference
+        return ClockMap(offset, (1 + self.drift) * (1 + c_from_b.drift) - 1, reference)

@@ -57,6 +57,10 @@ class SourceEndedError(RecordingError):
     """A source has given all that it ever will."""
 
 
+class AlignmentError(CabinposeError):
+    """Data do not determine what is asked of them: a delay, a calibration or a transform."""
+
+
 class DependencyError(CabinposeError):
     """An optional dependency (an extra) is needed and not installed."""
 

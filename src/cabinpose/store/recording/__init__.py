@@ -6,6 +6,7 @@ from cabinpose.store.recording.reader import Place, Recording
 from cabinpose.store.recording.recover import Recovered, recover
 from cabinpose.store.recording.scan import Damage
 from cabinpose.store.recording.schemas import SourceStatus
+from cabinpose.store.recording.series import MarkerSeries, SegmentSeries, marker_series, segment_series, tof_frames
 from cabinpose.store.recording.survey import SourceSurvey, Survey, TopicSurvey, survey
 from cabinpose.store.recording.take import Participant, Take
 from cabinpose.store.recording.writer import RecordingWriter
@@ -13,11 +14,13 @@ from cabinpose.store.recording.writer import RecordingWriter
 __all__ = [
     "Compression",
     "Damage",
+    "MarkerSeries",
     "Participant",
     "Place",
     "Recording",
     "RecordingWriter",
     "Recovered",
+    "SegmentSeries",
     "SourceStatus",
     "SourceSurvey",
     "Survey",
@@ -25,7 +28,10 @@ __all__ = [
     "TakeFile",
     "TopicSurvey",
     "erase",
+    "marker_series",
     "recover",
+    "segment_series",
     "survey",
     "takes_in",
+    "tof_frames",
 ]
