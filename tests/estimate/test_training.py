@@ -258,3 +258,23 @@ def test_advice_is_left_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
     captured = capfd.readouterr()
     for noise in ("💡", "Tip", "available:", "does not have many workers", "Seed set"):
         assert noise not in captured.out + captured.err
+
+
+def test_a_run_begins_with_the_weights_of_another(checkpoints: dict[str, Path], tmp_path: Path) -> None:
+    """With a rate that moves nothing, the run ends with the weights that it began with."""
+    c = config("compact", epochs=1, learning_rate=1e-12, weight_decay=0.0, average=0.0)
+    begun = load_detector(fit(c, frames(c), frames(c), tmp_path / "begun", init=checkpoints["compact"], devices=1))
+    fresh = load_detector(fit(c, frames(c), frames(c), tmp_path / "fresh", devices=1))
+    before = dict(load_detector(checkpoints["compact"]).network.named_parameters())
+    assert all(torch.allclose(value, before[name], atol=1e-8) for name, value in begun.network.named_parameters())
+    assert not all(torch.allclose(value, before[name], atol=1e-8) for name, value in fresh.network.named_parameters())
+
+
+@pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}, {"slots": ("front_passenger", "driver")}])
+def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], checkpoints: dict[str, Path], tmp_path: Path) -> None:
+    c = config("compact", settings=small.TINY["compact"] | change)
+    with pytest.raises(ModelError, match="another network"):
+        fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)
+    c = config("lifting")
+    with pytest.raises(ModelError, match=r"another network \(compact\)"):
+        fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)

@@ -180,15 +180,16 @@ def fit(
     out: Path,
     *,
     resume: bool = False,
+    init: Path | None = None,
     callbacks: tuple[Callback, ...] = (),
     devices: int | str = "auto",
     nodes: int = 1,
 ) -> Path:
     """Train into the folder `out` and return the best epoch's checkpoint.
 
-    `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). Raises ConfigError where
-    `out` holds another run and `resume` is not asked for, or where there is too little memory for a batch; ModelError where the
-    run to resume is of another network.
+    `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). `init`: checkpoint whose
+    weights a new run begins with. Raises ConfigError where `out` holds another run and `resume` is not asked for, or where there
+    is too little memory for a batch; ModelError where the run to resume, or to begin with, is of another network.
     """
     last = out / "last.ckpt"
     if last.exists() and not resume:
@@ -214,6 +215,8 @@ def fit(
         detector = Detector(config)
         if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
             detector.spare_batches = config.epochs * config.workers
+        if init is not None and not last.exists():
+            begin_with(detector, init)
         trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=False)
     return out / "best.ckpt"
 
@@ -299,6 +302,22 @@ def load_detector(path: Path) -> Detector:
     except RuntimeError as error:
         raise ModelError(f"{path} does not fit its network: {str(error).splitlines()[0]}", hint="train it again") from error
     return detector.eval()
+
+
+def begin_with(detector: Detector, checkpoint: Path) -> None:
+    """Give a detector the weights of a checkpoint. Raises ModelError where that one is of another network."""
+    other = load_detector(checkpoint)
+    mine, theirs = detector.method_config, other.method_config
+    fits = type(mine) is type(theirs) and (mine.joints, mine.slots) == (theirs.joints, theirs.slots)
+    try:
+        if fits:
+            detector.network.load_state_dict(other.network.state_dict())
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise ModelError(
+            f"{checkpoint} is of another network ({other.method.name})", hint="begin with a run of the same method and settings"
+        )
 
 
 def frame_spec(config: TrainConfig) -> FrameSpec:

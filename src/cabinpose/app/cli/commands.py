@@ -241,6 +241,8 @@ class Train:
     """Devices a machine, as Lightning understands them."""
     nodes: int = 1
     """Machines, started by Lightning's launchers."""
+    init: Path | None = None
+    """Checkpoint of an earlier run of the same network, whose weights this one begins with."""
     resume: bool = False
     """Go on with the run in the folder."""
     as_json: JsonFlag = False

@@ -32,7 +32,14 @@ def run(command: Train) -> None:
     else:
         raise ConfigError("there is nothing to learn from", hint="give one of --data and --synth")
     best = fit(
-        config, training, validation, command.out, resume=command.resume, devices=_devices(command.devices), nodes=command.nodes
+        config,
+        training,
+        validation,
+        command.out,
+        resume=command.resume,
+        init=command.init,
+        devices=_devices(command.devices),
+        nodes=command.nodes,
     )
     if command.as_json:
         print_json({"best": str(best)})
