@@ -12,12 +12,12 @@ from render_scenes import BARREL, Embree, ball, cabin_view, people_in_cars, pers
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix, apply, invert, look_at
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, JOINTS
+from cabinpose.core.skeleton import INDEX, JOINTS, REACH_M
 from cabinpose.scene.labels import BODY_PARTS
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.render import OWN_PARTS, REACH_M, joint_visibility
+from cabinpose.synth.render import OWN_PARTS, joint_visibility
 
 FORWARD = invert(look_at((0, 0, 0), (1, 0, 0)))
 

@@ -27,6 +27,14 @@ LIMBS: tuple[tuple[str, str], ...] = tuple((parent, child) for child, parent in 
 
 SYMMETRIC_PAIRS: tuple[tuple[str, str], ...] = tuple((n, "r" + n[1:]) for n in JOINTS if n[0] == "l")
 
+# How far the surface of a joint's own part may be from the joint (m): the greatest half-thickness of the part seen from
+# anywhere, for a heavy adult in winter clothes, rounded up.
+_REACH_M = {
+    "head": 0.25, "neck": 0.25, "chest": 0.40, "hip": 0.40, "shoulder": 0.22, "elbow": 0.15, "wrist": 0.12, "hand": 0.12,
+    "pelvis": 0.30, "knee": 0.18, "ankle": 0.15, "foot": 0.15,
+}  # fmt: skip
+REACH_M = MappingProxyType({joint: _REACH_M[joint if joint in _REACH_M else joint[1:]] for joint in JOINTS})
+
 # The groups of the reports (the thesis' five, and a hand group beside them).
 GROUPS = MappingProxyType(
     {

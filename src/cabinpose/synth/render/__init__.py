@@ -6,6 +6,6 @@ every joint how it is seen.
 
 from cabinpose.synth.render.projection import NEAR_M
 from cabinpose.synth.render.rasteriser import Rasteriser, RenderedFrame
-from cabinpose.synth.render.visibility import OWN_PARTS, REACH_M, joint_visibility
+from cabinpose.synth.render.visibility import OWN_PARTS, joint_visibility
 
-__all__ = ["NEAR_M", "OWN_PARTS", "REACH_M", "Rasteriser", "RenderedFrame", "joint_visibility"]
+__all__ = ["NEAR_M", "OWN_PARTS", "Rasteriser", "RenderedFrame", "joint_visibility"]

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import JOINTS
+from cabinpose.core.skeleton import JOINTS, REACH_M
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.surface import Surface
@@ -65,14 +65,6 @@ def _own_parts() -> dict[str, tuple[str, ...]]:
 
 # The labels whose surface is the joint's own: its part and the two that meet there.
 OWN_PARTS = MappingProxyType(_own_parts())
-
-_REACH_M = {
-    "head": 0.25, "neck": 0.25, "chest": 0.40, "hip": 0.40, "shoulder": 0.22, "elbow": 0.15, "wrist": 0.12, "hand": 0.12,
-    "pelvis": 0.30, "knee": 0.18, "ankle": 0.15, "foot": 0.15,
-}  # fmt: skip
-# How far the own surface may be from the joint: the greatest half-thickness of the part seen from anywhere, for a heavy
-# adult in winter clothes, rounded up.
-REACH_M = MappingProxyType({joint: _REACH_M[joint if joint in _REACH_M else joint[1:]] for joint in JOINTS})
 
 _TILES = 64  # the index of rays: tiles a side
 _SLACK = 1e-5  # ideal coordinates around the rays, so that each lies inside a tile

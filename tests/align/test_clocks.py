@@ -1,0 +1,59 @@
+"""Clocks of devices from arrivals that come late by a floor and more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from cabinpose.align.clocks import host_from_device
+from cabinpose.core.clock import ClockMap
+from cabinpose.core.errors import AlignmentError
+
+TRUE = ClockMap(1_700_000_000_123_456_789, 8e-5, 0)
+
+
+def arrivals(seed: int, count: int = 1800, jitter_s: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    device = np.cumsum(rng.integers(16_000_000, 17_000_000, count))
+    return device, TRUE(device) + rng.exponential(jitter_s * 1e9, count).astype(np.int64)
+
+
+def test_without_jitter_the_clock_is_found_to_the_nanosecond():
+    device, host = arrivals(1, jitter_s=0.0)
+    assert np.abs(host_from_device(device, host)(device) - host).max() <= 2
+
+
+def test_with_jitter_the_floor_is_found_to_a_part_of_a_percent_of_it():
+    errors = []
+    for seed in range(20):
+        device, host = arrivals(seed)
+        errors.append(np.abs(host_from_device(device, host)(device) - TRUE(device)).max() / 1e6)
+    assert np.median(errors) < 0.04
+    assert max(errors) < 0.2
+
+
+def test_it_is_the_best_line_below_all_arrivals():
+    device, host = arrivals(3, count=300)
+    found = host_from_device(device, host)
+    x, y = (device - device[0]) / 1e9, (host - host[0] - (device - device[0])) / 1e9
+    best = linprog([-x.sum(), -len(x)], A_ub=np.stack((x, np.ones_like(x)), 1), b_ub=y, bounds=(None, None))
+    assert abs(found.drift - best.x[0]) < 1e-9
+    assert np.sum(host - found(device)) / 1e9 == pytest.approx(np.sum(y) + best.fun, abs=1e-6)
+    assert (found(device) <= host + 1).all()
+
+
+def test_what_is_no_steady_clock_is_refused():
+    device, host = arrivals(4)
+    with pytest.raises(AlignmentError, match="too few"):
+        host_from_device(device[:5], host[:5])
+    jumped = device.copy()
+    jumped[900:] += 400_000_000
+    with pytest.raises(AlignmentError, match=r"jumps by (39|40|41)\d ms, 1[4-7] s into"):
+        host_from_device(jumped, host, "suit")
+    back = device.copy()
+    back[900:] -= 10_000_000_000
+    with pytest.raises(AlignmentError, match="backwards"):
+        host_from_device(back, host)
+    with pytest.raises(AlignmentError, match="as no clock does"):
+        host_from_device(device * 1000, host)
