@@ -20,6 +20,7 @@ from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
+from cabinpose.record.emulate.vicon import Sent as ViconSent
 from cabinpose.record.emulate.vicon import ViconEmulator, ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
 from cabinpose.record.emulate.vicon_motion import generated_motion, motion_of_c3d
@@ -78,7 +79,8 @@ def _log_file(path: Path | None) -> Any:
     if path is None:
         return nullcontext()
     try:
-        return path.open("x", encoding="utf-8", newline="\n")
+        # Line by line: what was sent is known even of an emulator that was killed.
+        return path.open("x", encoding="utf-8", newline="\n", buffering=1)
     except OSError as error:
         raise RecordingError(f"cannot write {path} ({error.strerror or error})", hint="give a new file with --log") from error
 
@@ -97,15 +99,18 @@ def _vicon(command: EmulateVicon) -> dict[str, Any]:
     )  # fmt: skip
     motion = _vicon_motion(command)
     with _log_file(command.log) as file:
-        emulator = ViconEmulator(motion, settings)
+
+        def note(sent: ViconSent) -> None:
+            if file is not None:
+                file.write(sent.line() + "\n")
+
+        emulator = ViconEmulator(motion, settings, tell=note)
         with emulator, suppress(KeyboardInterrupt):
             host, port = emulator.address
             print(f"streaming {command.motion} at {emulator.rate_hz:g} Hz, tcp {host}:{port}", file=sys.stderr)
             until = math.inf if command.seconds is None else time.monotonic() + command.seconds
             while (left := until - time.monotonic()) > 0:
                 time.sleep(min(left, 0.5))
-        if file is not None:
-            file.writelines(sent.line() + "\n" for sent in emulator.log)
     fates = Counter(sent.fate for sent in emulator.log)
     clients = {"clients": len({sent.client for sent in emulator.log})}
     return clients | {fate: fates[fate] for fate in ("sent", "dropped", "refused")}

@@ -7,9 +7,10 @@ against.
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +45,10 @@ class Sent:
     device_ns: int
     taken_ns: int
     fate: Fate
+
+    def line(self) -> str:
+        """As a line of JSON."""
+        return json.dumps(asdict(self))
 
 
 @dataclass

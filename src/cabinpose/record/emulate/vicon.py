@@ -16,6 +16,7 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Literal, NamedTuple
 
@@ -106,11 +107,20 @@ class _Client:
 class ViconEmulator:
     """One server, in a thread of its own between `start` and `stop`; a context manager."""
 
-    def __init__(self, motion: Motion, settings: ViconEmulatorSettings | None = None, clock: HostClock | None = None) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        settings: ViconEmulatorSettings | None = None,
+        clock: HostClock | None = None,
+        *,
+        tell: Callable[[Sent], None] | None = None,
+    ) -> None:
+        """tell: called with each entry of `log` as it is made, from the thread that sends."""
         self.motion = motion
         self.settings = settings or ViconEmulatorSettings()
         self.rate_hz = self.settings.rate_hz or motion.rate_hz
         self.log: list[Sent] = []
+        self._tell = tell or (lambda _: None)
         self.malformed = 0
         self._clock = clock or HostClock()
         self._content = ViconContent(
@@ -312,8 +322,9 @@ class ViconEmulator:
         captured_ns = self._clock.from_monotonic_ns(round(self._captured(count) * 1e9))
         if self._content.dropped(number):
             now_ns = self._clock.now_ns()
-            streaming = [client.number for client in self._clients.values() if client.streaming and client.wanted is not None]
-            self.log += [Sent(client, number, "dropped", captured_ns, now_ns) for client in streaming]
+            streaming = [each.number for each in self._clients.values() if each.streaming and each.wanted is not None]
+            for client in streaming:
+                self._note(Sent(client, number, "dropped", captured_ns, now_ns))
             return
         self._newest = (number, captured_ns)
         for client in list(self._clients.values()):
@@ -325,12 +336,16 @@ class ViconEmulator:
             return
         refused = len(client.outbox) > _OUTBOX
         # Before it is sent: who has received a frame finds it in the log.
-        self.log.append(Sent(client.number, number, "refused" if refused else "sent", captured_ns, self._clock.now_ns()))
+        self._note(Sent(client.number, number, "refused" if refused else "sent", captured_ns, self._clock.now_ns()))
         if refused:
             return
         packet = self._content.packet(number, client.wanted, statics=client.statics_due)
         client.asked, client.last, client.statics_due = False, number, False
         self._post(client, packet)
+
+    def _note(self, sent: Sent) -> None:
+        self.log.append(sent)
+        self._tell(sent)
 
     def _post(self, client: _Client, packet: Packet) -> None:
         client.outbox += vicon.encode(packet)

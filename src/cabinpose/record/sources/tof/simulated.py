@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,6 +30,7 @@ class SimulatedSettings(CameraSettings):
     dataset: Path | None = Field(None, description="folder of the dataset whose frames it sees")
     faults: TofFaults = Field(default_factory=TofFaults, description="its rate, losses, delays and clock")
     loop: bool = Field(True, description="begin anew after the last frame; otherwise the source ends")
+    log: Path | None = Field(None, description="new file for a line of JSON on each frame and its fate, written when the take ends")
 
 
 class SimulatedSource(CameraSource):
@@ -51,6 +53,7 @@ class SimulatedSource(CameraSource):
         self._settings = settings
         self._frames = frames or self._frames_of_dataset
         self._given = frames is not None
+        self._logging = False
         self._numbers = FrameNumbers(self._counts)
         self.camera = EmulatedCamera(self._frames, settings.faults, clock, self._taken, settings.loop)
 
@@ -79,12 +82,29 @@ class SimulatedSource(CameraSource):
     def _connect(self) -> None:
         if not self._given:
             self._folder()
+        self._begin_log()
         faults = self._settings.faults
         self._state("camera", vendor="simulated", rate_hz=faults.rate_hz, faults=faults.model_dump(exclude_defaults=True))
         self.camera.start()
 
+    def _begin_log(self) -> None:
+        """Make the file of the log; one that is there is not replaced."""
+        if self._settings.log is None or self._logging:
+            return
+        try:
+            self._settings.log.touch(exist_ok=False)
+        except OSError as error:
+            raise RecordingError(
+                f"{self.name} cannot write {self._settings.log} ({error.strerror})", hint="name a new file with `log`"
+            ) from error
+        self._logging = True
+
     def _disconnect(self) -> None:
         self.camera.stop()
+        if self._settings.log is not None and self._logging:
+            lines = "".join(entry.line() + "\n" for entry in self.camera.log)
+            with suppress(OSError):  # the take is over, and whole without it
+                self._settings.log.write_text(lines, encoding="utf-8")
 
     def _alive(self) -> bool:
         return True  # an end is told by `read`, not mended by reaching it again
