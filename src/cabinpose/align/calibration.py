@@ -1,0 +1,159 @@
+"""What `calibrate` finds and `align` uses, as a YAML file: lens, place and delay of the camera, and each subject's head."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from cabinpose.align.suit import HAND_M
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import AlignmentError
+from cabinpose.core.frames import Matrix, is_rigid
+
+Row = tuple[float, float, float, float]
+Rows = tuple[Row, Row, Row, Row]
+
+
+def _rigid(rows: Rows) -> Rows:
+    if not is_rigid(np.array(rows), atol=1e-5):
+        raise ValueError("not a rigid transform: a right-handed rotation and a translation in metres, last row 0 0 0 1")
+    return rows
+
+
+Rigid = Annotated[Rows, AfterValidator(_rigid)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Intrinsics(_Model):
+    """The camera's lens."""
+
+    width: Annotated[int, Field(ge=1)]
+    height: Annotated[int, Field(ge=1)]
+    fx: Annotated[float, Field(gt=0)]
+    fy: Annotated[float, Field(gt=0)]
+    cx: float
+    cy: float
+    dist: Annotated[tuple[float, float, float, float, float], Field(description="k1 k2 p1 p2 k3 (OpenCV)")] = (0, 0, 0, 0, 0)
+    source: Annotated[str, Field(description="checkerboard, or camera: what the camera says of itself")] = "camera"
+    views: Annotated[int, Field(ge=0, description="of the checkerboard")] = 0
+    rms_px: Annotated[float | None, Field(description="reprojection error of the views fitted")] = None
+    held_out_px: Annotated[float | None, Field(description="reprojection error of views that were held out")] = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera model."""
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.dist)
+
+
+class Extrinsics(_Model):
+    """Where the camera stands in the optical system's world."""
+
+    camera_from_world: Rigid
+    views: Annotated[int, Field(ge=0)] = 0
+    rms_m: Annotated[float | None, Field(description="distance between markers seen by both systems")] = None
+    held_out_m: Annotated[float | None, Field(description="the same on views that were held out")] = None
+    marker_rms_m: Annotated[dict[str, float], Field(description="by marker")] = Field(default_factory=dict)
+    sd_m: Annotated[float | None, Field(description="standard deviation of the translation")] = None
+    sd_rad: Annotated[float | None, Field(description="standard deviation of the rotation")] = None
+
+    @property
+    def matrix(self) -> Matrix:
+        """camera_from_world (4, 4)."""
+        return np.array(self.camera_from_world)
+
+
+class Delay(_Model):
+    """Stamps of one event: the second source's less the first's, on the host's axis, s."""
+
+    offset_s: float
+    interval_s: Annotated[tuple[float, float] | None, Field(description="95 % confidence interval")] = None
+    correlation: float | None = None
+
+
+class Head(_Model):
+    """A subject: where the suit's head segment sits in the optical head object, and what the suit lacks."""
+
+    object_from_head: Rigid
+    residual_rad: Annotated[float | None, Field(description="rms angle between the two systems' heads")] = None
+    offset: Annotated[str, Field(description="measured, or fitted from the turning head")] = "measured"
+    hand_m: Annotated[float, Field(gt=0, description="wrist to finger base, m")] = HAND_M
+
+    @property
+    def matrix(self) -> Matrix:
+        """object_from_head (4, 4)."""
+        return np.array(self.object_from_head)
+
+
+class Names(_Model):
+    """What the sources of the recordings are called, and what they call things."""
+
+    suit: str = "suit"
+    optical: str = "optical"
+    tof: str = "tof"
+    head_object: Annotated[str, Field(description="the optical system's subject on the head")] = "head"
+    head_segment: Annotated[str, Field(description="its segment")] = "head"
+    board: Annotated[str, Field(description="the optical system's subject of the board's markers")] = "board"
+    pendulum: Annotated[str, Field(description="its subject and marker that swings")] = "pendulum"
+
+
+class Calibration(_Model):
+    """A rig's calibration."""
+
+    version: Literal[1] = 1
+    names: Names = Field(default_factory=Names)
+    intrinsics: Intrinsics
+    extrinsics: Extrinsics
+    tof_to_optical: Annotated[Delay, Field(description="stamps of the optical system less those of the camera")]
+    heads: Annotated[dict[str, Head], Field(description="by subject code")] = Field(default_factory=dict)
+    vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands, if known")] = None
+
+    def head(self, subject: str) -> Head:
+        """The head of a subject. Raises AlignmentError for one who was not calibrated."""
+        if subject not in self.heads:
+            raise AlignmentError(
+                f"the calibration knows no subject {subject}",
+                hint=f"calibrate with a take of their head turning; known: {', '.join(self.heads) or 'none'}",
+            )
+        return self.heads[subject]
+
+    def save(self, path: Path) -> None:
+        """Write the file; an existing one is replaced as a whole."""
+        text = yaml.safe_dump(
+            self.model_dump(mode="json", exclude_none=True), sort_keys=False, default_flow_style=None, width=120
+        )
+        temporary = path.with_name(f".{path.name}.tmp")
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Calibration:
+        """The calibration in a file. Raises AlignmentError where it is none."""
+        found: Calibration = read_model(path, cls, "calibration")
+        return found
+
+
+def read_model(path: Path, model: type[Any], what: str) -> Any:
+    """A pydantic model from a YAML file. Raises AlignmentError that names the key."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise AlignmentError(f"cannot read {path}: {error}", hint=f"give the YAML file of a {what}") from error
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or what
+        raise AlignmentError(f"{path}: {where}: {first['msg']}", hint="docs/alignment.md lists the keys") from error
+
+
+def rows(matrix: NDArray[np.float64]) -> Rows:
+    """A (4, 4) matrix as plain numbers."""
+    return tuple(tuple(float(x) for x in row) for row in matrix)  # type: ignore[return-value]
