@@ -21,6 +21,7 @@ from cabinpose.record.sources.tof.counting import FrameNumbers
 from cabinpose.store import open_dataset, read_manifest
 
 DATASET_UNIT_M = 1e-4  # of the depth that a dataset stores
+_KEPT_BYTES = 128 << 20  # frames of a dataset that small are read once, not in each loop
 _IMAGES = ("depth", "amplitude", "confidence", "camera_k", "camera_dist")
 
 
@@ -30,7 +31,7 @@ class SimulatedSettings(CameraSettings):
     dataset: Path | None = Field(None, description="folder of the dataset whose frames it sees")
     faults: TofFaults = Field(default_factory=TofFaults, description="its rate, losses, delays and clock")
     loop: bool = Field(True, description="begin anew after the last frame; otherwise the source ends")
-    log: Path | None = Field(None, description="new file for a line of JSON on each frame and its fate, written when the take ends")
+    log: Path | None = Field(None, description="new file for what became of each frame (JSON lines), written when the take ends")
 
 
 class SimulatedSource(CameraSource):
@@ -54,6 +55,7 @@ class SimulatedSource(CameraSource):
         self._frames = frames or self._frames_of_dataset
         self._given = frames is not None
         self._logging = False
+        self._kept: list[Frame] = []
         self._numbers = FrameNumbers(self._counts)
         self.camera = EmulatedCamera(self._frames, settings.faults, clock, self._taken, settings.loop)
 
@@ -120,11 +122,24 @@ class SimulatedSource(CameraSource):
         return tof_frame(payload[2])
 
     def _frames_of_dataset(self) -> Iterator[Mapping[str, Any]]:
+        """The frames of the dataset once; from memory where all of them were kept the time before."""
+        if self._kept:
+            yield from self._kept
+            return
         dataset = open_dataset(self._folder())
         present = dataset[[name for name in _IMAGES if name in dataset]]
+        kept: list[Frame] | None = []
+        room = _KEPT_BYTES
         for i in range(dataset.sizes["frame"]):
             frame = present.isel(frame=i) if "frame" in present.dims else present
-            yield {str(name): frame[name].values for name in frame.data_vars}
+            images = {str(name): frame[name].values for name in frame.data_vars}
+            room -= sum(image.nbytes for image in images.values())
+            if kept is not None and room >= 0:
+                kept.append(images)
+            else:
+                kept = None
+            yield images
+        self._kept = kept or []
 
 
 def tof_frame(frame: Mapping[str, Any]) -> ToFFrame:
