@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cabinpose.align.suit import HAND_M
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import Matrix, is_rigid
+from cabinpose.store.yaml_file import read_mapping, validated
 
 Row = tuple[float, float, float, float]
 Rows = tuple[Row, Row, Row, Row]
@@ -136,22 +137,8 @@ class Calibration(_Model):
     @classmethod
     def load(cls, path: Path) -> Calibration:
         """The calibration in a file. Raises AlignmentError where it is none."""
-        found: Calibration = read_model(path, cls, "calibration")
-        return found
-
-
-def read_model(path: Path, model: type[Any], what: str) -> Any:
-    """A pydantic model from a YAML file. Raises AlignmentError that names the key."""
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise AlignmentError(f"cannot read {path}: {error}", hint=f"give the YAML file of a {what}") from error
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or what
-        raise AlignmentError(f"{path}: {where}: {first['msg']}", hint="docs/alignment.md lists the keys") from error
+        hint = "`cabinpose calibrate` writes it; docs/alignment.md lists its keys"
+        return validated(cls, read_mapping(path, hint=hint, error=AlignmentError), path, hint=hint, error=AlignmentError)
 
 
 def rows(matrix: NDArray[np.float64]) -> Rows:

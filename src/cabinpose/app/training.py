@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-import yaml
-from pydantic import ValidationError
 
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import FrameSpec, GeneratedFrames, StoredFrames
 from cabinpose.estimate.training import TrainConfig
 from cabinpose.store.split import read_named_splits, split_dataset
+from cabinpose.store.yaml_file import read_mapping, validated
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import person_slots, preflight
 from cabinpose.synth.write import FrameMaker
@@ -25,24 +23,13 @@ _NAMES = 5  # of subjects in a message
 
 def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
     """The configuration in a YAML file, its method replaced by `method` if given. Raises ConfigError."""
-    data: Any = {}
-    if path is not None:
-        try:
-            data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise ConfigError(f"cannot read {path}: {error}", hint="give a YAML file with --config") from error
-        if not isinstance(data, Mapping):
-            raise ConfigError(f"{path} is no mapping", hint="write `key: value` lines")
+    hint = "docs/training.md lists the keys"
+    data = read_mapping(path, hint=hint) if path is not None else {}
     if method is not None:
         if data.get("method", method) != method:
             raise ConfigError(f"{path} is for {data['method']}, not {method}", hint="leave --method out, or give another file")
         data = {**data, "method": method}
-    try:
-        return TrainConfig.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{path}: {where}: {first['msg']}", hint="docs/training.md lists the keys") from error
+    return validated(TrainConfig, data, path, hint=hint)
 
 
 def training_split(dataset: xr.Dataset, splits: Path | None, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:

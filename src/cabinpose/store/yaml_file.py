@@ -1,0 +1,38 @@
+"""Files of settings: YAML mappings, and what is wrong with one in a sentence that names the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from cabinpose.core.errors import CabinposeError, ConfigError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_mapping(path: Path, *, hint: str, error: type[CabinposeError] = ConfigError) -> dict[str, Any]:
+    """The mapping in a YAML file; an empty file is an empty one. Raises `error` with the hint where there is none."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise error(f"cannot read {path}: {problem.strerror}", hint=hint) from problem
+    except (UnicodeDecodeError, yaml.YAMLError) as problem:
+        raise error(f"{path} is not YAML: {problem}", hint=hint) from problem
+    if data is not None and not isinstance(data, dict):
+        raise error(f"{path} is no mapping of keys to values", hint=hint)
+    return data or {}
+
+
+def validated(
+    model: type[Model], data: dict[str, Any], path: Path | None, *, hint: str, error: type[CabinposeError] = ConfigError
+) -> Model:
+    """The data of a file as a model. Raises `error`, with the hint, that names the first key that does not fit."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise error(": ".join(filter(None, (str(path or ""), where, first["msg"]))), hint=hint) from problem
