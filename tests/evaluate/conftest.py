@@ -14,6 +14,7 @@ from cabinpose.store import open_dataset
 from cabinpose.store.predictions import Predictions
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "store"))
+sys.path.insert(0, str(Path(__file__).parent))
 
 import sphere_people
 

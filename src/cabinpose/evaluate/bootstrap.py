@@ -13,6 +13,7 @@ Weights = NDArray[np.uint8]  # (B, F): how often each frame was drawn in each of
 
 LEVEL = 0.95
 _BLOCK = 4096  # frames at a time, so that weights are floats only block by block
+_ELEMENTS = 1 << 20  # of several resamples at a time, so that few frames cost few calls
 
 
 def frame_weights(frames: int, resamples: int, *, rng: np.random.Generator) -> Weights:
@@ -37,10 +38,15 @@ def weighted_quantiles(values: Array, at: NDArray[np.int64], weights: Weights, s
     order = np.argsort(values, kind="stable")
     ordered, frames = values[order], at[order]
     result = np.full((len(weights), len(shares)), np.nan)
-    for row, weight in zip(result, weights, strict=True):
-        mass = np.cumsum(weight[frames], dtype=np.int64)
-        if mass.size and mass[-1]:
-            row[:] = ordered[np.searchsorted(mass, shares * mass[-1], side="left").clip(0, len(ordered) - 1)]
+    if not len(values):
+        return result
+    rows = max(_ELEMENTS // len(values), 1)
+    for start in range(0, len(weights), rows):
+        masses = np.cumsum(weights[start : start + rows, frames], axis=1, dtype=np.int64)
+        for row, mass in zip(result[start : start + rows], masses, strict=True):
+            if mass[-1]:
+                place = np.searchsorted(mass, shares * mass[-1], side="left")
+                row[:] = ordered[np.minimum(place, len(ordered) - 1)]
     return result
 
 

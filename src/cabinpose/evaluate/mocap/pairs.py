@@ -1,0 +1,80 @@
+"""Which segment or joint of the suit stands for which one of the optical system's model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+from cabinpose.core.errors import AlignmentError, unknown_name
+from cabinpose.core.skeleton import JOINTS, PARENT, RIGS
+
+
+class Pair(NamedTuple):
+    """One thing, under its names in the suit's and in the optical system's recording."""
+
+    name: str
+    suit: str
+    optical: str
+
+
+def _both(name: str, suit: str, optical: str) -> list[Pair]:
+    return [Pair(s + name, side + suit, f"{s.upper()}_{optical}") for s, side in (("l", "Left"), ("r", "Right"))]
+
+
+# The thesis' Table 3.1: a sensor's segment and the segment of Vicon's kinematic fit that turns with it.
+SEGMENT_PAIRS: tuple[Pair, ...] = (
+    Pair("head", "Head", "Head"), *_both("shoulder", "Shoulder", "Collar"), *_both("upperarm", "UpperArm", "Humerus"),
+    *_both("forearm", "Forearm", "Elbow"), *_both("hand", "Hand", "Wrist"), *_both("upperleg", "UpperLeg", "Femur"),
+    *_both("lowerleg", "LowerLeg", "Tibia"), *_both("foot", "Foot", "Foot"), Pair("chest", "T8", "LowerBack"),
+    Pair("pelvis", "Pelvis", "Root"),
+)  # fmt: skip
+
+# The joints that both systems stream, by our skeleton. The thesis' Table 3.2 has as many, and differs in three places: it has the
+# hands' ends, which MVN's stream of segments does not, where we have the shoulders; names the arms' joints by the segment before
+# them, not after; and takes R_Collar for the chest.
+JOINT_PAIRS: tuple[Pair, ...] = tuple(
+    Pair(joint, RIGS["mvn"][joint], RIGS["vicon_kinematic_fit"][joint])
+    for joint in JOINTS
+    if joint in RIGS["mvn"] and joint in RIGS["vicon_kinematic_fit"]
+)
+PELVIS = MappingProxyType({"left": "lpelvis", "right": "rpelvis", "hip": "hip"})  # the joints that span the pelvis' frame
+
+
+def present(pairs: Sequence[Pair], suit: Sequence[str], optical: Sequence[str], *, least: int = 1) -> tuple[Pair, ...]:
+    """The pairs that both recordings have. Raises AlignmentError where fewer than `least` are left, saying what is missing."""
+    found = tuple(p for p in pairs if p.suit in suit and p.optical in optical)
+    if len(found) >= least:
+        return found
+    absent = [f"{p.suit} (suit)" for p in pairs if p.suit not in suit]
+    absent += [f"{p.optical} (optical)" for p in pairs if p.optical not in optical]
+    raise AlignmentError(
+        f"{len(found)} of {len(pairs)} pairs are in both recordings, {least} needed; missing: {', '.join(dict.fromkeys(absent))}",
+        hint=f"the suit gives: {', '.join(suit) or 'nothing'}; the optical system gives: {', '.join(optical) or 'nothing'}",
+    )
+
+
+def missing(pairs: Sequence[Pair], found: Sequence[Pair]) -> str:
+    """A note on the pairs that were not recorded; empty where all were."""
+    absent = [p.name for p in pairs if p not in found]
+    return f"not recorded by both systems: {', '.join(absent)}" if absent else ""
+
+
+def joint_limbs(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Lines of a stick figure between joints of ours (indices into `names`), over joints that are not there."""
+    lines = []
+    for child in names:
+        parent = PARENT.get(child)
+        while parent is not None and parent not in names:
+            parent = PARENT.get(parent)
+        if parent is not None:
+            lines.append((names.index(parent), names.index(child)))
+    return lines
+
+
+def replaced(pairs: Sequence[Pair], by: Mapping[str, str]) -> tuple[Pair, ...]:
+    """The pairs with other optical names: `by` maps our names (or the suit's) to the optical system's."""
+    for name in by:
+        if not any(name in (p.name, p.suit) for p in pairs):
+            raise unknown_name("pair", name, [p.name for p in pairs])
+    return tuple(Pair(p.name, p.suit, by.get(p.name, by.get(p.suit, p.optical))) for p in pairs)

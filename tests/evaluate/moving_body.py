@@ -1,0 +1,52 @@
+"""A body of MVN's segments that stands, moves and turns, in exact numbers: what the suit's evaluations are tried on."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+
+# Offsets of a segment's origin from its parent's, m; x forward, y left, z up, standing in an N-pose.
+OFFSETS = {
+    "L5": (0, 0, 0.10), "L3": (0, 0, 0.10), "T12": (0, 0, 0.09), "T8": (0, 0, 0.09), "Neck": (0.01, 0, 0.13),
+    "Head": (0.02, 0, 0.09),
+    "RightShoulder": (0, -0.03, 0.10), "RightUpperArm": (0, -0.14, 0), "RightForearm": (0, -0.01, -0.29),
+    "RightHand": (0.01, 0, -0.25),
+    "LeftShoulder": (0, 0.03, 0.10), "LeftUpperArm": (0, 0.14, 0), "LeftForearm": (0, 0.01, -0.29), "LeftHand": (0.01, 0, -0.25),
+    "RightUpperLeg": (0, -0.09, -0.01), "RightLowerLeg": (0.01, 0, -0.42), "RightFoot": (-0.01, 0, -0.41),
+    "RightToe": (0.14, 0, -0.07),
+    "LeftUpperLeg": (0, 0.09, -0.01), "LeftLowerLeg": (0.01, 0, -0.42), "LeftFoot": (-0.01, 0, -0.41), "LeftToe": (0.14, 0, -0.07),
+}  # fmt: skip
+PARENT = {child: parent for _, parent, child in MVN_JOINTS}
+
+
+def quaternions(rotation: Rotation) -> np.ndarray:
+    return rotation.as_quat(scalar_first=True)
+
+
+def moving(time_s: np.ndarray, *, amplitude: float = 0.5, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (T, 23, 3) and orientations (T, 23, 4): every joint swings smoothly about an axis of its own, from the N-pose."""
+    rng = np.random.default_rng(seed)
+    pose: dict[str, Rotation] = {}
+    place: dict[str, np.ndarray] = {}
+    for name in MVN_SEGMENTS:
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        swing = amplitude * np.sin(2 * np.pi * rng.uniform(0.2, 0.5) * time_s)
+        local = Rotation.from_rotvec(swing[:, None] * axis)
+        if name == "Pelvis":
+            pose[name] = local
+            place[name] = np.stack((0.1 * np.sin(time_s), 0.2 * np.sin(0.7 * time_s), np.full(len(time_s), 0.95)), axis=1)
+        else:
+            parent = PARENT[name]
+            pose[name] = pose[parent] * local
+            place[name] = place[parent] + pose[parent].apply(np.array(OFFSETS[name], float))
+    return np.stack([place[n] for n in MVN_SEGMENTS], axis=1), np.stack([quaternions(pose[n]) for n in MVN_SEGMENTS], axis=1)
+
+
+def turned(heading_rad: float, shift: tuple[float, float, float], position: np.ndarray, orientation: np.ndarray) -> tuple:
+    """The same body in a world turned about the vertical and shifted."""
+    world = Rotation.from_rotvec((0, 0, heading_rad))
+    flat = (world * Rotation.from_quat(orientation.reshape(-1, 4), scalar_first=True)).as_quat(scalar_first=True)
+    return world.apply(position.reshape(-1, 3)).reshape(position.shape) + shift, flat.reshape(orientation.shape)
