@@ -16,7 +16,8 @@ OFFSETS = {
     "LeftShoulder": (0, 0.03, 0.10), "LeftUpperArm": (0, 0.14, 0), "LeftForearm": (0, 0.01, -0.29), "LeftHand": (0.01, 0, -0.25),
     "RightUpperLeg": (0, -0.09, -0.01), "RightLowerLeg": (0.01, 0, -0.42), "RightFoot": (-0.01, 0, -0.41),
     "RightToe": (0.14, 0, -0.07),
-    "LeftUpperLeg": (0, 0.09, -0.01), "LeftLowerLeg": (0.01, 0, -0.42), "LeftFoot": (-0.01, 0, -0.41), "LeftToe": (0.14, 0, -0.07),
+    "LeftUpperLeg": (0, 0.09, -0.01), "LeftLowerLeg": (0.01, 0, -0.42), "LeftFoot": (-0.01, 0, -0.41),
+    "LeftToe": (0.14, 0, -0.07),
 }  # fmt: skip
 PARENT = {child: parent for _, parent, child in MVN_JOINTS}
 
