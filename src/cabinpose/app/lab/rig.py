@@ -13,7 +13,7 @@ from cabinpose.app.lab.clocks import Clock, ClockSettings
 from cabinpose.core.clock import ClockMap
 from cabinpose.core.errors import unknown_name
 from cabinpose.core.frames import Matrix, invert, is_rigid, look_at
-from cabinpose.scene.sensor import Sensor, sensor_by_name
+from cabinpose.scene.sensor import PhysicalNoise, Sensor, sensor_by_name
 
 Source = Literal["tof", "optical", "suit"]
 SOURCES: tuple[Source, ...] = ("tof", "optical", "suit")
@@ -48,6 +48,12 @@ class SuitErrors(BaseModel):
     magnetic_deg: float = Field(default=2.0, ge=0, description="Heading of single segments that come near the car's steel.")
     calibration_offset_deg: float = Field(
         default=2.0, ge=0, description="Constant of each segment: the pose taken for N was none."
+    )
+    length_error: float = Field(
+        default=0.02, ge=0, lt=0.3, description="Of each segment, as a part of its length; above 0 no spine stretches either."
+    )
+    root_drift_m_per_min: float = Field(
+        default=0.05, ge=0, description="Of the pelvis, which the suit finds by dead reckoning (m)."
     )
 
 
@@ -98,6 +104,17 @@ class Rig(BaseModel):
     def camera_from_world(self) -> Matrix:
         """The truth that calibration looks for."""
         return np.array(self.extrinsics)
+
+    @property
+    def noise(self) -> PhysicalNoise:
+        """What the camera adds to geometry, by the switches of the rig. The lens blurs, and edges mix, in any case."""
+        noisy, real = self.sensor_noise, self.sensor_systematic
+        physical = PhysicalNoise(shot_noise=noisy, read_noise=noisy, full_well=real)
+        return (
+            physical
+            if real
+            else physical.model_copy(update=dict.fromkeys(("wiggling", "stray_light", "ambient", "daylight"), 0.0))
+        )
 
     def clock(self, source: Source) -> Clock:
         """The clock of a source."""

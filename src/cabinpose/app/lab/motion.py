@@ -1,0 +1,339 @@
+"""A person who moves: key poses of the generator, joined so that at every instant the body holds and its joints obey.
+
+Between keys each degree of freedom follows a minimum-jerk course (Flash & Hogan 1985, eq. 2: 10 t³ - 15 t⁴ + 6 t⁵) and the
+pelvis the same by slerp. Angles are interpolated as joint coordinates and not as rotations of bones: limits of joints are a
+box in them, so what lies between two keys within the limits is within them too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.errors import SceneError, unknown_name
+from cabinpose.core.frames import Matrix
+from cabinpose.core.skeleton import JOINTS
+from cabinpose.scene.body import DOF_INDEX, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
+from cabinpose.scene.body.kinematics import joints_into, main_frames
+from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, self_contact, solid_topology
+from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
+from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, turn_head
+from cabinpose.synth.posture.limbs import LOWER, UPPER
+from cabinpose.synth.sample import judged_cabin
+from cabinpose.synth.validate import Validator
+
+F64 = NDArray[np.float64]
+
+SLOT = "driver"
+# Deeper than what yields anyway, in passing from one key to the next: a hand that leaves the rim opens late.
+PASS_M = 0.01
+CHECK_HZ = 8.0  # how often a move is looked at
+_TRIES = 60  # keys drawn before giving up
+_MOVE_S, _HOLD_S, _GLANCE_HOLD_S = (0.8, 2.0), (0.1, 0.6), (0.2, 0.6)
+_FASTEST = 2.5  # rad/s at the peak, of an unhurried joint
+_PEAK = 1.875  # greatest speed of a minimum-jerk course, in parts of its mean
+_GLANCE = 0.7  # how often a key is followed by a look elsewhere
+# Yaw (+ left) and pitch (+ up).
+_LOOKS_DEG = {"left": (55.0, -5.0), "right": (-60.0, -5.0), "mirror": (-28.0, 8.0), "down": (-12.0, -38.0)}
+_LOOK_SIGMA_DEG = 8.0
+
+
+@dataclass(frozen=True)
+class Window:
+    """A named span of a motion: from start_s to end_s."""
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One person's motion in the scene's frame (the vehicle's, or a room's with z up and the floor at 0).
+
+    Key k is held from arrive_s[k] to leave_s[k] (K,), rising · q: (K, D) rad in the order of `DOFS` · root: (K, 4, 4)
+    scene_from_root · wheel_angle: (K,) rad · keys: (K,) what each is · windows: labelled spans · cabin, settings: the car, None
+    in a room. Before the first key and after the last one the person holds still.
+    """
+
+    person: Person
+    arrive_s: F64
+    leave_s: F64
+    q: F64
+    root: Matrix
+    wheel_angle: F64
+    keys: tuple[str, ...]
+    windows: tuple[Window, ...] = ()
+    cabin: Cabin | None = None
+    settings: Mapping[str, SeatSetting] = field(default_factory=dict)
+
+    @property
+    def duration_s(self) -> float:
+        """The time at which the last key is left."""
+        return float(self.leave_s[-1])
+
+    def key_at(self, time_s: float) -> str:
+        """What the person is about: the key that is held, or the next one."""
+        return self.keys[min(int(np.searchsorted(self.leave_s, time_s)), len(self.keys) - 1)]
+
+    def pose_at(self, time_s: ArrayLike) -> tuple[F64, Matrix, F64]:
+        """q (T, D) rad, scene_from_root (T, 4, 4) and wheel angle (T,) rad at times (T,)."""
+        t = np.atleast_1d(np.asarray(time_s, np.float64))
+        before = np.clip(np.searchsorted(self.arrive_s, t, side="right") - 1, 0, len(self.keys) - 1)
+        after = np.minimum(before + 1, len(self.keys) - 1)
+        span = np.maximum(self.arrive_s[after] - self.leave_s[before], 1e-12)
+        x = np.clip((t - self.leave_s[before]) / span, 0.0, 1.0)
+        s = x**3 * (10.0 + x * (6.0 * x - 15.0))
+        s[after == before] = 0.0
+        q = self.q[before] + s[:, None] * (self.q[after] - self.q[before])
+        first, second = Rotation.from_matrix(self.root[before, :3, :3]), Rotation.from_matrix(self.root[after, :3, :3])
+        root = np.tile(np.eye(4), (len(t), 1, 1))
+        root[:, :3, :3] = (first * Rotation.from_rotvec(s[:, None] * (first.inv() * second).as_rotvec())).as_matrix()
+        root[:, :3, 3] = self.root[before, :3, 3] + s[:, None] * (self.root[after, :3, 3] - self.root[before, :3, 3])
+        return q, root, self.wheel_angle[before] + s * (self.wheel_angle[after] - self.wheel_angle[before])
+
+    def bones(self, time_s: ArrayLike) -> tuple[F64, F64]:
+        """Rotation (T, 23, 3, 3) and origin (T, 23, 3) m of the main bones of `rig.MAIN_BONES`, scene frame."""
+        q, root, _ = self.pose_at(time_s)
+        frames = [main_frames(q[k], self.person.rest, root[k]) for k in range(len(q))]
+        return np.stack([rotation for rotation, _ in frames]), np.stack([position for _, position in frames])
+
+    def joints(self, time_s: ArrayLike) -> F64:
+        """(T, 20, 3) m: the joints of `core.skeleton.JOINTS`, scene frame."""
+        rotation, position = self.bones(time_s)
+        out = np.empty((len(rotation), len(JOINTS), 3))
+        for k in range(len(out)):
+            joints_into(self.person.rest, rotation[k], position[k], out[k])
+        return out
+
+    def body(self, time_s: float) -> PosedBody:
+        """The posed, skinned body at a time."""
+        q, root, _ = self.pose_at(time_s)
+        return self.person.pose(q[0], root[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A person at the wheel: the car, its validator, who, how the seats are set, how the pelvis sits in the driver's."""
+
+    car: str
+    cabin: Cabin
+    validator: Validator
+    subject: str
+    person: Person
+    settings: Mapping[str, SeatSetting]
+    offset: SeatOffset
+
+
+@lru_cache(maxsize=8)
+def named_person(subject: str) -> Person:
+    """One of the package's people, prepared once. Raises ConfigError for a name that does not exist."""
+    if subject not in SUBJECTS:
+        raise unknown_name("subject", subject, list(SUBJECTS))
+    return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
+
+
+def at_the_wheel(car: str = "sedan", subject: str = "S01", *, rng: np.random.Generator) -> Stage:
+    """A person of the package on the driver's seat of a preset car, the seat set as people differ in setting it."""
+    cabin, validator = judged_cabin(car, "left")
+    person = named_person(subject)
+    settings = {slot: seat.default for slot, seat in cabin.seats.items()}
+    settings[SLOT] = choose_setting(person, cabin.seats[SLOT], cabin, rng=rng, variation=1.0)
+    return Stage(car, cabin, validator, subject, person, settings, draw_offset(0.015, math.radians(3.0), rng=rng))
+
+
+def drive(stage: Stage, seconds: float, *, rng: np.random.Generator) -> Motion:
+    """At least `seconds` of a driver's doings, ending at rest: actions of the generator, with looks to mirrors and sides between.
+
+    Keys hold as the generator's frames do (`Validator.check`). Between them the body goes no deeper than `PASS_M` beyond what
+    yields, looked at `CHECK_HZ` times a second: a key that cannot be reached so is drawn again. Raises SceneError where none
+    is found.
+    """
+    course = _Course(stage)
+    course.add(_first(stage, rng), "drive", 0.0, rng.uniform(*_HOLD_S))
+    while course.end_s < seconds:
+        for _ in range(_TRIES):
+            action = random_action(stage.cabin.seats[SLOT], stage.cabin, rng=rng)
+            try:
+                key = _key(stage, action, rng)
+            except SceneError:
+                continue
+            if course.try_move(key, action, rng.uniform(0.9, 1.1), rng.uniform(*_HOLD_S)):
+                break
+        else:
+            raise SceneError(
+                f"no way from '{course.names[-1]}' to any other key in {_TRIES} draws", hint="try another seed, person or car"
+            )
+        if rng.random() < _GLANCE:
+            name = str(rng.choice(list(_LOOKS_DEG)))
+            course.try_move(_look(stage, course.last, name, rng), f"look_{name}", 0.8, rng.uniform(*_GLANCE_HOLD_S))
+    return course.motion()
+
+
+_SHARE = {"flexion": 0.7, "lateral": 0.8, "rotation": 0.5}  # of a turn that the neck does; the head does the rest
+_CALIBRATION_LIMIT_DEG = {"flexion": 30.0, "lateral": 30.0, "rotation": 40.0}
+_LEAST_DEG = 15.0
+_SWING_S = 1.3
+
+
+def calibrate_head(stage: Stage, *, rng: np.random.Generator) -> Motion:
+    """Flexion and extension, lateral flexion and rotation of the head, each twice, on a still trunk: about 20 s.
+
+    The head goes as far as its joints and the headrest let it, at most 30 deg (rotation: 40). Windows: flexion, lateral,
+    rotation. Raises SceneError where it can turn less than 15 deg to a side.
+    """
+    for _ in range(_TRIES):
+        start = _first(stage, rng)
+        course = _Course(stage)
+        course.add(start, "rest", 0.0, 1.0)
+        windows = []
+        for axis, limit in _CALIBRATION_LIMIT_DEG.items():
+            begun = course.end_s
+            ends = [_farthest(course, axis, sign * limit) for sign in (1.0, -1.0)]
+            if any(end is None for end in ends):
+                break
+            for end in (*ends, *ends):
+                assert end is not None  # looked at above
+                course.add(end, axis, _SWING_S, 0.05)
+            course.add(start, "rest", _SWING_S, 0.5)
+            windows.append(Window(axis, begun, course.end_s))
+        else:
+            return course.motion(tuple(windows))
+    raise SceneError("the head has no room to turn in this seat", hint="try another seed, person or car")
+
+
+class Key(tuple[F64, Matrix, float]):
+    """A key pose: q (D,) rad, scene_from_root (4, 4), wheel angle (rad)."""
+
+    __slots__ = ()
+
+
+class _Course:
+    """Keys in the making."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._topology: SolidTopology | None = None
+        self._keys: list[Key] = []
+        self._arrive: list[float] = []
+        self._leave: list[float] = []
+        self.names: list[str] = []
+
+    @property
+    def end_s(self) -> float:
+        return self._leave[-1]
+
+    @property
+    def last(self) -> Key:
+        return self._keys[-1]
+
+    def add(self, key: Key, name: str, move_s: float, hold_s: float) -> None:
+        arrive = (self._leave[-1] if self._leave else 0.0) + move_s
+        self._keys.append(key)
+        self._arrive.append(arrive)
+        self._leave.append(arrive + hold_s)
+        self.names.append(name)
+
+    def try_move(self, key: Key, name: str, pace: float, hold_s: float) -> bool:
+        """Add a key if the way there is free; pace: how long it takes, in parts of the unhurried time."""
+        farthest = float(np.abs(key[0] - self.last[0])[_TURNING].max())
+        move_s = float(np.clip(pace * _PEAK * farthest / _FASTEST, *_MOVE_S))
+        if not self.free(key, move_s):
+            return False
+        self.add(key, name, move_s, hold_s)
+        return True
+
+    def free(self, key: Key, move_s: float) -> bool:
+        """Whether nothing goes deeper than `PASS_M` beyond what yields on the way to a key, the key included."""
+        steps = max(math.ceil(move_s * CHECK_HZ), 2)
+        q, root, wheel = _between(self.last, key, np.arange(1, steps + 1) / steps)
+        return all(self._depth(q[k], root[k], float(wheel[k])) <= PASS_M for k in range(steps))
+
+    def motion(self, windows: tuple[Window, ...] = ()) -> Motion:
+        return Motion(
+            self._stage.person, np.array(self._arrive), np.array(self._leave), np.stack([k[0] for k in self._keys]),
+            np.stack([k[1] for k in self._keys]), np.array([k[2] for k in self._keys]), tuple(self.names), windows,
+            self._stage.cabin, self._stage.settings,
+        )  # fmt: skip
+
+    def _depth(self, q: F64, root: Matrix, wheel: float) -> float:
+        """By how much (m) a pose goes deeper than flesh and foam yield: into itself or the car."""
+        stage = self._stage
+        posed = stage.person.pose(q, root)
+        if self._topology is None:
+            self._topology = solid_topology(stage.person.skin_faces, stage.person.skin_segment, SEGMENTS, posed.skin)
+        body = PosedSolids.of(self._topology, posed.skin)
+        found = self_contact(body, posed.joints)
+        contact = stage.validator.contact
+        assert contact is not None  # a car's validator has the car's fields
+        touched = contact.at(stage.settings, wheel).deepest(body.skin_points()[0], FLESH_M)
+        return max(0.0 if found is None else found[1].excess_m, 0.0 if touched is None else touched.excess_m)
+
+
+_TURNING = np.array([not name.endswith("grip") for name in DOF_INDEX])
+
+
+def _between(one: Key, two: Key, share: F64) -> tuple[F64, Matrix, F64]:
+    """Poses at shares (N,) of the way's time from one key to another."""
+    way = Motion(
+        None, np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.stack((one[0], two[0])), np.stack((one[1], two[1])),  # type: ignore[arg-type]
+        np.array((one[2], two[2])), ("", ""),
+    )  # fmt: skip
+    return way.pose_at(share)
+
+
+def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
+    """A valid key pose of an action, as the generator draws it. Raises SceneError where the draw does not hold."""
+    pose = sample_pose(
+        stage.person, stage.cabin.seats[SLOT], stage.settings[SLOT], stage.cabin, action, offset=stage.offset, rng=rng
+    )
+    wheel = pose.wheel_angle or 0.0
+    posed = stage.person.pose(pose.q, pose.vehicle_from_root)
+    verdict = stage.validator.check([(SLOT, stage.person, posed)], stage.settings, wheel)
+    if not verdict.ok:
+        raise SceneError(f"{action}: {verdict.detail}", hint="draw again")
+    return Key((pose.q, pose.vehicle_from_root, wheel))
+
+
+def _first(stage: Stage, rng: np.random.Generator) -> Key:
+    """Both hands on the wheel. Raises SceneError where no draw holds."""
+    for _ in range(_TRIES):
+        try:
+            return _key(stage, "drive", rng)
+        except SceneError as error:
+            last = error
+    raise SceneError(f"none of {_TRIES} draws: {last}", hint="try another seed, person or car")
+
+
+def _look(stage: Stage, key: Key, where: str, rng: np.random.Generator) -> Key:
+    """A key with the head turned elsewhere."""
+    yaw, pitch = np.radians(np.array(_LOOKS_DEG[where]) + _LOOK_SIGMA_DEG * np.clip(rng.standard_normal(2), -2.0, 2.0))
+    q = key[0].copy()
+    heading = stage.cabin.seats[SLOT].facing_yaw
+    turn_head(q, stage.person.rest, key[1], head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch))
+    return Key((q, key[1], key[2]))
+
+
+def _farthest(course: _Course, axis: str, degrees: float) -> Key | None:
+    """The key with the head turned about an axis as far as joints and headrest allow, up to `degrees`; None: not 15 deg."""
+    neck, head = DOF_INDEX[f"neck.{axis}"], DOF_INDEX[f"head.{axis}"]
+    start = course.last
+    for share in np.arange(1.0, 0.2, -0.1):
+        q = start[0].copy()
+        turn = math.radians(share * degrees)
+        q[neck] = np.clip(q[neck] + _SHARE[axis] * turn, LOWER[neck], UPPER[neck])
+        q[head] = np.clip(start[0][head] + turn - (q[neck] - start[0][neck]), LOWER[head], UPPER[head])
+        turned = abs(float(q[neck] + q[head] - start[0][neck] - start[0][head]))
+        if turned < math.radians(_LEAST_DEG):
+            return None
+        key = Key((q, start[1], start[2]))
+        if course.free(key, _SWING_S):
+            return key
+    return None

@@ -1,0 +1,272 @@
+"""The optical system: a cap with markers on the person's head, cameras around the car, and what hides one from the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.app.lab.motion import Motion
+from cabinpose.core.frames import Matrix, apply, invert, transform
+from cabinpose.core.register import kabsch
+from cabinpose.core.skeleton import INDEX, RIGS
+from cabinpose.scene.body import SEGMENTS, Person
+from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.materials import MATERIALS
+
+F64 = NDArray[np.float64]
+
+HEAD_SUBJECT = HEAD_SEGMENT = "head"
+LEAST_MARKERS, LEAST_CAMERAS = 3, 2  # of a rigid body; that see a marker
+LOOK_HZ = 10.0  # how often it is looked at what is hidden; it stays so until the next time
+# Cameras about a driver, m, in a frame at the head's place with the vehicle's axes: around the car on stands and seen through its
+# windows, and four in it, at the windscreen and under the roof.
+CAMERAS_M: F64 = np.array(
+    [
+        (2.6, 1.3, 0.7), (2.6, -1.6, 0.7), (0.3, 2.4, 0.6), (0.2, -2.8, 0.6), (-2.8, 1.2, 0.6), (-2.8, -1.6, 0.6),
+        (0.75, 0.25, 0.08), (0.75, -0.75, 0.08), (0.25, -0.85, 0.12), (-0.55, -0.9, 0.1),
+    ]
+)  # fmt: skip
+# The cap's markers as seen from the middle of the head (x ahead, y left, z up), on stalks; no two distances are equal.
+_DIRECTIONS: F64 = np.array(
+    [(0.85, 0.15, 0.55), (0.25, 0.85, 0.60), (0.10, -0.90, 0.45), (-0.75, 0.30, 0.65), (-0.35, -0.45, 1.00)]
+)
+_STALK_M = 0.03
+_CONE = 0.97  # cosine of the cone about a direction in which the head's surface is sought
+# The object's axes, as an operator draws them up, against the head's.
+_OBJECT_TURN = Rotation.from_euler("ZYX", (23.0, -14.0, 8.0), degrees=True)
+_ENDS_M = 0.004  # a ray ends this far before its marker, the radius of which it is
+_MOVED_M = 0.1  # by which a head may leave the places where it was looked for
+_TRANSMISSIVE = np.array([m.id for m in MATERIALS if m.transmissive], np.uint8)
+
+# The optical model's segments, in our joints' order, and the bone that turns with each where it is not the joint's own: the
+# model's head is one piece from neck to crown, its loins begin at L5.
+MODEL_SEGMENTS: tuple[str, ...] = tuple(RIGS["vicon_kinematic_fit"].values())
+_MODEL_JOINTS = np.array([INDEX[joint] for joint in RIGS["vicon_kinematic_fit"]])
+_MODEL_BONE = {"neck": "head", "hip": "spine04"}
+# A model's joint lies between several markers on skin: its noise is so many times a marker's, its turn that over 0.1 m.
+_MODEL_NOISE, _MODEL_LEVER_M = 5.0, 0.1
+
+
+@dataclass(frozen=True)
+class Cap:
+    """The marker cap of a person: names (M,), markers_m (M, 3) in the object's frame, object_from_head (4, 4).
+
+    head: MVN's head segment, whose origin is C1. The object's origin is the middle of its markers.
+    """
+
+    names: tuple[str, ...]
+    markers_m: F64
+    object_from_head: Matrix
+
+
+def cap_of(person: Person) -> Cap:
+    """The cap on a person's head: five markers 3 cm above the skin."""
+    head = BONE_INDEX["head"]
+    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")] - person.rest.heads[head]
+    middle = skin.mean(axis=0, dtype=np.float64)
+    out = skin - middle
+    length = np.linalg.norm(out, axis=1)
+    markers = []
+    for direction in _DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True):
+        within = out @ direction > _CONE * length
+        markers.append(middle + direction * (float(length[within].max()) + _STALK_M))
+    at = np.stack(markers)
+    head_from_object = transform(_OBJECT_TURN, at.mean(axis=0))
+    object_from_head = invert(head_from_object)
+    return Cap(tuple(f"cap{k + 1}" for k in range(len(at))), apply(object_from_head, at), object_from_head)
+
+
+def seen_by(eyes: F64, markers: F64, vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(N, M): which cameras (N, 3) see which markers (M, 3): no triangle of (F, 3) lies between. All in one frame, m."""
+    return _seen(
+        np.ascontiguousarray(eyes, np.float64), np.ascontiguousarray(markers, np.float64),
+        np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32), _ENDS_M,
+    )  # fmt: skip
+
+
+class Watch:
+    """What hides a driver's cap from cameras: his own body, and the car without its panes."""
+
+    def __init__(self, motion: Motion, cap: Cap, eyes: F64 | None = None) -> None:
+        """eyes: (N, 3) m in the scene's frame; left out: `CAMERAS_M` about the head's place at the start."""
+        self._motion, self._cap = motion, cap
+        heads = motion.joints(np.arange(0.0, motion.duration_s + 0.2, 0.2))[:, INDEX["head"]]
+        self.eyes = apply(transform(translation=heads[0]), CAMERAS_M) if eyes is None else np.asarray(eyes, np.float64)
+        # Of the car only what can come between: in a pyramid from a camera about all places of the head.
+        reach = float(np.linalg.norm(apply(invert(cap.object_from_head), cap.markers_m), axis=1).max()) + _MOVED_M
+        low, high = heads.min(axis=0) - reach, heads.max(axis=0) + reach
+        corners = np.array(list(product(*zip(low, high, strict=True))))
+        self._rows, self._faces = np.zeros(0, np.int64), np.zeros((0, 3), np.int32)
+        if motion.cabin is not None:
+            surface = motion.cabin.surface(motion.settings, wheel_angle=float(motion.wheel_angle[0]))
+            between = _between(self.eyes, corners, surface.vertices.astype(np.float64), surface.faces)
+            kept = (between | (surface.label == LABEL["steering_wheel"])) & ~np.isin(surface.material, _TRANSMISSIVE)
+            self._rows, faces = np.unique(surface.faces[kept], return_inverse=True)
+            self._faces = faces.reshape(-1, 3).astype(np.int32)
+
+    def at(self, time_s: float) -> NDArray[np.bool_]:
+        """(N, M): which camera sees which marker."""
+        motion = self._motion
+        body = motion.body(time_s)
+        markers = apply(body.bones[BONE_INDEX["head"]] @ invert(self._cap.object_from_head), self._cap.markers_m)
+        vertices, faces = [body.skin], [motion.person.skin_faces]
+        if motion.cabin is not None:
+            surface = motion.cabin.surface(motion.settings, wheel_angle=float(motion.pose_at(time_s)[2][0]))
+            vertices.append(surface.vertices[self._rows])
+            faces.append(self._faces + np.int32(len(body.skin)))
+        return seen_by(self.eyes, markers, np.concatenate(vertices), np.concatenate(faces))
+
+    def over(self, time_s: F64) -> NDArray[np.bool_]:
+        """(T, M): whether enough cameras see each marker at rising times (T,), looked at `LOOK_HZ` times a second."""
+        looks = np.floor((time_s - time_s[0]) * LOOK_HZ + 1e-9).astype(np.int64)
+        first, inverse = np.unique(looks, return_index=True, return_inverse=True)[1:]
+        each = np.stack([self.at(float(time_s[k])).sum(axis=0) >= LEAST_CAMERAS for k in first])
+        return each[inverse]
+
+
+def true_object(head: Matrix, cap: Cap) -> Matrix:
+    """(T, 4, 4) world_from_object from world_from_head (T, 4, 4)."""
+    return head @ invert(cap.object_from_head)
+
+
+def measured_object(
+    world_from_object: Matrix, cap: Cap, visible: NDArray[np.bool_] | None, noise_m: float, *, rng: np.random.Generator
+) -> tuple[F64, F64]:
+    """Position (T, 3) m and orientation (T, 4) wxyz of the object, NaN where fewer than three markers are seen.
+
+    Each marker is off by `noise_m` along each axis, independently; the pose is that of the markers seen (Kabsch).
+    visible: (T, M), None: all. The same numbers are drawn whatever is seen.
+    """
+    count = len(world_from_object)
+    position, orientation = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
+    noise = noise_m * rng.standard_normal((count, *cap.markers_m.shape))
+    for k in range(count):
+        seen = np.ones(len(cap.markers_m), np.bool_) if visible is None else visible[k]
+        if seen.sum() < LEAST_MARKERS:
+            continue
+        measured = apply(world_from_object[k], cap.markers_m[seen]) + noise[k, seen]
+        fitted = kabsch(measured, cap.markers_m[seen])
+        position[k] = fitted[:3, 3]
+        orientation[k] = Rotation.from_matrix(fitted[:3, :3]).as_quat(scalar_first=True)
+    return position, orientation
+
+
+def measured_model(
+    motion: Motion, time_s: F64, world_from_scene: Matrix, noise_m: float, *, rng: np.random.Generator
+) -> tuple[F64, F64]:
+    """Positions (T, S, 3) m and orientations (T, S, 4) wxyz of `MODEL_SEGMENTS` in the world: the full-body optical model.
+
+    Every joint is off by five times a marker's `noise_m` along each axis, every segment turned by that over 0.1 m. A segment's
+    frame is aligned with the world in the rig's zero pose (arms hanging) of a person who looks along its x.
+    """
+    rotation, position = motion.bones(time_s)
+    rest = motion.person.rest
+    bone = rest.joint_bone[_MODEL_JOINTS]
+    at = position[:, bone] + np.einsum("tsij,sj->tsi", rotation[:, bone], rest.joint_offset[_MODEL_JOINTS])
+    joints = tuple(RIGS["vicon_kinematic_fit"])
+    turning = np.array([BONE_INDEX[_MODEL_BONE[j]] if j in _MODEL_BONE else b for j, b in zip(joints, bone, strict=True)])
+    off, turned = rng.standard_normal((2, *at.shape)) * _MODEL_NOISE * noise_m
+    exact = Rotation.from_matrix((world_from_scene[:3, :3] @ rotation[:, turning]).reshape(-1, 3, 3))
+    noisy = exact * Rotation.from_rotvec(turned.reshape(-1, 3) / _MODEL_LEVER_M)
+    return apply(world_from_scene, at) + off, noisy.as_quat(scalar_first=True).reshape(*at.shape[:2], 4)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _outside(eye: F64, points: F64, vertices: F64, codes: NDArray[np.uint8]) -> None:
+    """Into `codes` (V,), which planes of a pyramid from an eye about points (P, 3) each vertex is beyond: a bit for each.
+
+    A triangle all of whose corners are beyond one plane is not between the eye and any of the points. No bit where a point lies
+    beside the eye: no pyramid holds it then.
+    """
+    wx, wy, wz = points[:, 0].mean() - eye[0], points[:, 1].mean() - eye[1], points[:, 2].mean() - eye[2]
+    length = np.sqrt(wx * wx + wy * wy + wz * wz)
+    wx, wy, wz = wx / length, wy / length, wz / length
+    if abs(wz) < 0.9:
+        ux, uy, uz = -wy, wx, 0.0
+    else:
+        ux, uy, uz = 0.0, -wz, wy
+    norm = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / norm, uy / norm, uz / norm
+    vx, vy, vz = wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
+    low_u, high_u, low_v, high_v, far = np.inf, -np.inf, np.inf, -np.inf, 0.0
+    codes[:] = 0
+    for m in range(len(points)):
+        dx, dy, dz = points[m, 0] - eye[0], points[m, 1] - eye[1], points[m, 2] - eye[2]
+        w = wx * dx + wy * dy + wz * dz
+        if w <= 0.0:
+            return
+        u, v = (ux * dx + uy * dy + uz * dz) / w, (vx * dx + vy * dy + vz * dz) / w
+        low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
+        far = max(far, w)
+    for i in range(len(vertices)):
+        dx, dy, dz = vertices[i, 0] - eye[0], vertices[i, 1] - eye[1], vertices[i, 2] - eye[2]
+        w = wx * dx + wy * dy + wz * dz
+        u, v = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz
+        code = 0  # a little to spare for rounding
+        if u < low_u * w - 1e-9:
+            code |= 1
+        if u > high_u * w + 1e-9:
+            code |= 2
+        if v < low_v * w - 1e-9:
+            code |= 4
+        if v > high_v * w + 1e-9:
+            code |= 8
+        if w > far:
+            code |= 16
+        if w < 0.0:
+            code |= 32
+        codes[i] = code
+
+
+@njit(cache=True, nogil=True)
+def _between(eyes: F64, points: F64, vertices: F64, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(F,): faces that may come between one of the eyes and a point within the hull of points (P, 3)."""
+    result = np.zeros(len(faces), np.bool_)
+    codes = np.empty(len(vertices), np.uint8)
+    for n in range(len(eyes)):
+        _outside(eyes[n], points, vertices, codes)
+        for f in range(len(faces)):
+            if not codes[faces[f, 0]] & codes[faces[f, 1]] & codes[faces[f, 2]]:
+                result[f] = True
+    return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen(eyes: F64, markers: F64, vertices: F64, faces: NDArray[np.int32], ends: float) -> NDArray[np.bool_]:
+    """Rays from eyes to markers against triangles (Moeller & Trumbore 1997); each ends `ends` m before its marker."""
+    seen = np.ones((len(eyes), len(markers)), np.bool_)
+    codes = np.empty(len(vertices), np.uint8)
+    for n in range(len(eyes)):
+        ex, ey, ez = eyes[n, 0], eyes[n, 1], eyes[n, 2]
+        _outside(eyes[n], markers, vertices, codes)
+        for f in range(len(faces)):
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            if codes[a] & codes[b] & codes[c]:
+                continue
+            px, py, pz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+            qx, qy, qz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+            sx, sy, sz = ex - vertices[a, 0], ey - vertices[a, 1], ez - vertices[a, 2]
+            rx, ry, rz = sy * pz - sz * py, sz * px - sx * pz, sx * py - sy * px
+            along = qx * rx + qy * ry + qz * rz
+            for m in range(len(markers)):
+                if not seen[n, m]:
+                    continue
+                dx, dy, dz = markers[m, 0] - ex, markers[m, 1] - ey, markers[m, 2] - ez
+                hx, hy, hz = dy * qz - dz * qy, dz * qx - dx * qz, dx * qy - dy * qx
+                det = px * hx + py * hy + pz * hz
+                if det == 0.0:
+                    continue
+                first = (sx * hx + sy * hy + sz * hz) / det
+                second = (dx * rx + dy * ry + dz * rz) / det
+                if first < 0.0 or second < 0.0 or first + second > 1.0:
+                    continue
+                t = along / det
+                if 0.0 < t < 1.0 - ends / np.sqrt(dx * dx + dy * dy + dz * dz):
+                    seen[n, m] = False
+    return seen

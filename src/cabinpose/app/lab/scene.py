@@ -1,0 +1,125 @@
+"""What the ToF camera sees of a person who moves, through the generator's own renderer and sensor model, with the truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cabinpose.app.lab.motion import SLOT, Motion
+from cabinpose.app.lab.rig import Rig
+from cabinpose.core.camera import Camera
+from cabinpose.core.frames import Matrix, invert, transform
+from cabinpose.core.recorded import ToFFrame
+from cabinpose.scene.cabin import belt_surface
+from cabinpose.scene.room import Room
+from cabinpose.scene.sensor import PhysicalNoise, Sensor
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
+from cabinpose.synth.config import Camera as CameraConfig
+from cabinpose.synth.sample import STANDING_SLOT, Scene, ScenePerson, person_slots
+from cabinpose.synth.write import FrameMaker
+
+DEPTH_UNIT_M = 1e-4
+VIEW = "driver"
+
+
+def noise_of(rig: Rig) -> PhysicalNoise:
+    """The generator's noise model with a rig's two switches; reflectance, incidence and mixed pixels are what a camera sees."""
+    model = PhysicalNoise(shot_noise=rig.sensor_noise, read_noise=rig.sensor_noise)
+    if rig.sensor_systematic:
+        return model
+    return model.model_copy(update={"full_well": False, "wiggling": 0.0, "stray_light": 0.0, "ambient": 0.0, "daylight": 0.0})
+
+
+def world_from_vehicle(rig: Rig, motion: Motion, view: str = VIEW) -> Matrix:
+    """Where the car stands: so that the rig's camera is at a view's place in it and looks that way, with its own pitch and roll.
+
+    A rotation about the vertical and a translation: both frames have z up.
+    """
+    if motion.cabin is None:
+        raise ValueError("a motion in a room has no vehicle")
+    anchor = motion.cabin.view(view)
+    world_from_camera = invert(rig.camera_from_world)
+    wanted = np.asarray(anchor.target) - anchor.eye
+    return _placed(world_from_camera, np.asarray(anchor.eye), float(np.arctan2(wanted[1], wanted[0])))
+
+
+def world_from_room(rig: Rig) -> Matrix:
+    """Where a room stands: its origin on the floor under the rig's camera, 1.4 m below it, x the way it looks."""
+    return _placed(invert(rig.camera_from_world), np.array((0.0, 0.0, 1.4)), 0.0)
+
+
+def _placed(world_from_camera: Matrix, eye: NDArray[np.float64], heading: float) -> Matrix:
+    """world_from_scene, upright, in which the camera is at `eye` and looks along a heading of the scene."""
+    axis = world_from_camera[:3, 2]
+    turn = Rotation.from_euler("z", np.arctan2(axis[1], axis[0]) - heading)
+    return transform(turn, world_from_camera[:3, 3] - turn.apply(eye))
+
+
+class Stagehand:
+    """Makes the camera's frames of one motion. `room`: what stands around a person outside a car."""
+
+    def __init__(
+        self, rig: Rig, motion: Motion, world_from_scene: Matrix, room: Room | None = None, *, sensor: Sensor | None = None,
+        belted: bool = True,
+    ) -> None:  # fmt: skip
+        """sensor: in place of the rig's camera."""
+        self._motion, self._belted = motion, belted
+        self._sensor = sensor or rig.tof_sensor
+        self._scene_from_camera = invert(world_from_scene) @ invert(rig.camera_from_world)
+        scene = CabinScene() if motion.cabin is not None else RoomScene()
+        self._config = SynthConfig(scene=scene, camera=CameraConfig(sensor=self._sensor), noise=noise_of(rig))
+        self._maker = FrameMaker(self._config, 0)
+        self._slot = SLOT if motion.cabin is not None else STANDING_SLOT
+        self._row = person_slots(self._config).index(self._slot)
+        self._room = room
+
+    @property
+    def camera(self) -> Camera:
+        """The camera's intrinsics."""
+        return self._sensor.camera
+
+    def frame(self, time_s: float, *, rng: np.random.Generator) -> dict[str, Any]:
+        """The frame at a time: variables of the dataset standard, as `FrameMaker.see` has them.
+
+        joints_3d (20, 3) m, camera frame, joints_2d (20, 2) px and visibility (20,) are the person's.
+        """
+        frame = dict(self._maker.see(self._scene(time_s), rng=rng))
+        for name in ("joints_3d", "joints_2d", "visibility"):
+            frame[name] = frame[name][self._row]
+        return frame
+
+    def _scene(self, time_s: float) -> Scene:
+        motion = self._motion
+        body = motion.body(time_s)
+        clothed = body.surface(1 + self._row)
+        surfaces = [clothed]
+        somebody = ScenePerson(self._slot, "", motion.key_at(time_s), motion.person, body)
+        if motion.cabin is None:
+            if self._room is None:
+                raise ValueError("a person outside a car needs a room to be seen in")
+            people = (_with(somebody, surfaces),)
+            return Scene(self._room.surface, people, self._scene_from_camera, "room", "room")
+        wheel = float(motion.pose_at(time_s)[2][0])
+        seat = motion.cabin.seats[self._slot]
+        if self._belted and seat.belt is not None:
+            setting = motion.settings[self._slot]
+            surfaces.append(belt_surface(clothed.vertices, clothed.faces, body.joints, seat, setting, motion.cabin))
+        backdrop = motion.cabin.surface(motion.settings, wheel_angle=wheel)
+        people = (_with(somebody, surfaces),)
+        return Scene(backdrop, people, self._scene_from_camera, motion.cabin.name, VIEW, motion.cabin, motion.settings, wheel)
+
+
+def _with(person: ScenePerson, surfaces: list[Any]) -> ScenePerson:
+    return ScenePerson(person.slot, person.subject, person.action, person.person, person.posed, tuple(surfaces))
+
+
+def message_of(frame: dict[str, Any]) -> ToFFrame:
+    """A frame as a camera delivers it: depth in steps of 0.1 mm."""
+    depth = np.nan_to_num(np.rint(frame["depth"] / DEPTH_UNIT_M), nan=0.0)
+    return ToFFrame(
+        np.minimum(depth, 65535).astype(np.uint16), DEPTH_UNIT_M, np.asarray(frame["amplitude"], np.uint16),
+        np.asarray(frame["confidence"], np.uint8), frame["camera_k"], frame["camera_dist"], frame["camera_dist"],
+    )  # fmt: skip
