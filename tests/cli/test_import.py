@@ -75,7 +75,8 @@ def test_import(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--format", "bvh"), "hint: known: coco, itop, ntu, png-json"),
+        (("--format", "fbx"), "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, csv, itop, mvnx, ntu, png-json, sto, trc, xdf"),
+        (("--format", "bvh"), "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu"),
         (("--format", "coco", "--keep-invalid"), "hint: leave out --keep-invalid"),
         (("--format", "itop", "--images", "x"), "hint: leave out --images"),
         (("--format", "itop", "--intrinsics", "0", "1", "2", "3"), "hint: give fx, fy, cx and cy"),

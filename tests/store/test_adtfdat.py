@@ -69,13 +69,13 @@ def same(one: Message, other: Message) -> None:
 def test_every_message_comes_back(tmp_path: Path) -> None:
     path = write_adtfdat(tmp_path / "take.adtfdat", samples())
     rows = list(read_adtfdat(path))
-    about = [row for row in rows if isinstance(row[3], Facts) and row[3].about == "adtf stream"]
+    about = [row for row in rows if isinstance(row[4], Facts) and row[4].about == "adtf stream"]
     assert len(about) == 9
     found = rows[len(about) :]
-    expected = [(s.host_ns, s.device_ns, m) for _, s in samples() for m in s.messages]
+    expected = [(s.host_ns, s.device_ns, s.sequence, m) for _, s in samples() for m in s.messages]
     assert len(found) == len(expected) == 54
-    for (source, host, device, message), (true_host, true_device, true) in zip(found, expected, strict=True):
-        assert (source, host, device) == ("suit", true_host, true_device)
+    for (source, *stamps, message), (*true_stamps, true) in zip(found, expected, strict=True):
+        assert (source, stamps) == ("suit", true_stamps)
         same(message, true)
     with pytest.raises(RecordingError, match="exists"):
         write_adtfdat(path, samples())
@@ -141,8 +141,8 @@ def test_files_of_others_give_their_numbers(tmp_path: Path) -> None:
         writer.close()
     rows = list(read_adtfdat(path))
     assert [row[0] for row in rows] == ["imu", "video", "imu"]
-    _, host_ns, device_ns, message = rows[-1]
-    assert (host_ns, device_ns) == (5_000_000, 5_000_000)
+    _, host_ns, device_ns, sequence, message = rows[-1]
+    assert (host_ns, device_ns, sequence) == (5_000_000, 5_000_000, None)
     assert isinstance(message, Channels)
     assert message.names == ("acc[0]", "acc[1]", "n")
     np.testing.assert_array_equal(message.values, [0.5, -1.5, 7])

@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from cabinpose.app.cli.arguments import JsonFlag, ThingArgument
+from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
 
 
@@ -111,56 +112,6 @@ class View:
     """Frames on the contact sheet."""
     overwrite: bool = False
     """Replace the pictures that are in the folder."""
-    as_json: JsonFlag = False
-
-
-@dataclass(frozen=True)
-class Export:
-    """Write a dataset in another format (png-json, coco, itop, ntu or ply), or a trained model as ONNX."""
-
-    out: Path
-    """Folder (with --onnx: file) to write; it appears when the export is whole."""
-    dataset: Annotated[Positional[Path | None], arg(metavar="DATASET")] = None
-    """Folder of the dataset."""
-    format: str | None = None
-    """png-json: 16-bit PNG and JSON poses; coco: COCO keypoints; itop: ITOP's HDF5; ntu: NTU skeletons; ply: point clouds."""
-    onnx: Path | None = None
-    """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
-    name: str | None = None
-    """Name of the ONNX model in reports; default: the file's."""
-    card: Path | None = None
-    """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
-    mirrored: bool = False
-    """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
-    splits: Path | None = None
-    """YAML file of splits, of which one is exported."""
-    split: str | None = None
-    """Name of the split to export."""
-    overwrite: bool = False
-    """Replace the folder."""
-    as_json: JsonFlag = False
-
-
-@dataclass(frozen=True)
-class Import:
-    """Make a dataset of one in another format: an export of ours, COCO keypoints, ITOP, or skeletons of NTU RGB+D."""
-
-    source: Annotated[Positional[Path], arg(metavar="SOURCE")]
-    """Folder or file to read."""
-    format: str
-    """png-json: an export of ours; coco: COCO keypoints; itop: ITOP's HDF5; ntu: NTU RGB+D's .skeleton files."""
-    out: Path
-    """Folder of the dataset; it appears when the import is whole."""
-    images: Path | None = None
-    """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
-    keep_invalid: bool = False
-    """itop: keep the frames whose labels are marked as not valid, without their joints."""
-    intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy of the camera in px, in place of those of the source."""
-    licence: str | None = None
-    """Licence of the data; default: what the source says."""
-    overwrite: bool = False
-    """Replace the dataset that is in the folder."""
     as_json: JsonFlag = False
 
 

@@ -1,4 +1,4 @@
-"""`cabinpose export`: a dataset, or one of its splits, in another format; a trained model as ONNX."""
+"""`cabinpose export`: a dataset, one of its splits or a recording in another format; a trained model as ONNX."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from typing import Any
 
 import yaml
 
-from cabinpose.app.cli.commands import Export
+from cabinpose.app.cli.exchange_commands import Export
 from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.recording_exchange import export_recording
 from cabinpose.app.cli.splits import chosen_split
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import export_dataset
+from cabinpose.store.convert import FORMATS, RECORDING_EXPORTS, export_dataset
 from cabinpose.store.split import split_dataset
 
 
@@ -24,6 +25,10 @@ def run(command: Export) -> None:
         return
     if command.dataset is None or command.format is None:
         raise ConfigError("there is nothing to export", hint="give DATASET and --format, or --onnx CHECKPOINT")
+    if export_recording(command, command.dataset, command.format):
+        return
+    if command.format not in FORMATS:
+        raise unknown_name("format", command.format, (*FORMATS, *RECORDING_EXPORTS))
     split = chosen_split(command.splits, command.split)
     dataset = open_dataset(command.dataset)
     for chosen in split_dataset(dataset, split).values():

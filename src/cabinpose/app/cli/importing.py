@@ -1,18 +1,23 @@
-"""`cabinpose import`: a dataset of the standard from one in another format."""
+"""`cabinpose import`: a dataset of the standard from one in another format, or a recording from another tool's file."""
 
 from __future__ import annotations
 
 import sys
 
-from cabinpose.app.cli.commands import Import
+from cabinpose.app.cli.exchange_commands import Import
 from cabinpose.app.cli.output import print_json, progress
-from cabinpose.core.errors import ConfigError
-from cabinpose.store.convert import check_new_dataset, import_source, open_source
+from cabinpose.app.cli.recording_exchange import import_recording
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, check_new_dataset, import_source, open_source
 from cabinpose.store.convert.source import ImportOptions
 
 
 def run(command: Import) -> None:
     """Import with a progress bar and name what was written."""
+    if import_recording(command):
+        return
+    if command.format not in IMPORTS:
+        raise unknown_name("format", command.format, (*IMPORTS, *RECORDING_IMPORTS))
     for flag, given, name in (("--images", command.images is not None, "coco"), ("--keep-invalid", command.keep_invalid, "itop")):
         if given and command.format != name:
             raise ConfigError(f"{flag} is of the format {name}, not {command.format}", hint=f"leave out {flag}")

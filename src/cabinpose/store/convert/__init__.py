@@ -1,4 +1,5 @@
-"""Other formats: a module each, with `export(dataset, folder, report)`, `read(path, options)` for imports, or both.
+"""Other formats: a module each. Of datasets, with `export(dataset, folder, report)`, `read(path, options)` for imports, or both;
+of recordings, see `recordings`.
 
 A format's module is imported when it is asked for. A folder appears under its name when the export or import is whole.
 """
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 FORMATS = MappingProxyType({"png-json": "png_json", "coco": "coco", "itop": "itop", "ntu": "ntu", "ply": "ply"})
 IMPORTS = MappingProxyType({"png-json": "png_json", "coco": "coco_import", "itop": "itop_import", "ntu": "ntu"})
+# Formats of recordings, which `recordings` reads and writes: names alone, since that module needs the extra `record`.
+RECORDING_EXPORTS = ("c3d", "bvh", "trc", "sto", "mvnx", "csv", "adtfdat", "xdf")
+RECORDING_IMPORTS = ("mvnx", "c3d", "bvh", "adtfdat", "xdf", "azure-mkv", "trc", "sto", "csv")
 
 Report = Callable[[int], None]  # called with the number of frames done
 

@@ -57,7 +57,7 @@ _LENS = ("camera_k", "camera_dist", "amplitude_dist")
 _UNKNOWN = -(1 << 63)  # of device_ns and sequence
 _STAMPS = ("host_ns", "device_ns", "sequence")
 _MOST_LEAVES = 10_000
-Stamped = tuple[str, int, int | None, Message]  # stream, host_ns, device_ns, message
+Stamped = tuple[str, int, int | None, int | None, Message]  # stream, host_ns, device_ns, sequence, message
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,9 @@ def write_adtfdat(path: Path, samples: Iterable[tuple[str, Sample]], *, overwrit
 
 
 def read_adtfdat(path: Path) -> Iterator[Stamped]:
-    """(stream, host_ns, device_ns, message) in the order of the file, after facts on each stream.
+    """(stream, host_ns, device_ns, sequence, message) in the order of the file, after facts on each stream.
 
-    host_ns and device_ns are as they were written; of other files, host_ns is the file's time and device_ns the sample's own.
+    Times and sequence are as they were written; of other files, both times are the file's, and there is no sequence.
     Raises DependencyError without the package `adtf`, RecordingError where the file cannot be read.
     """
     adtf_file = optional_module("adtf_file", purpose="an ADTF file", hint="pip install adtf (Linux and Windows, 64 bits)")
@@ -123,7 +123,7 @@ def read_adtfdat(path: Path) -> Iterator[Stamped]:
         streams: dict[int, _Stream] = {}
         for stream in reader.streams:
             streams[stream.stream_id] = found = _Stream(adtf_file, stream)
-            yield found.name, 0, None, found.facts
+            yield found.name, 0, None, None, found.facts
         while (item := reader.get_next_item()) is not None:
             if item.type == adtf_file.ItemType.Sample and item.stream_id in streams:
                 found = streams[item.stream_id]
@@ -148,8 +148,8 @@ class _Stream:
         about = {"stream": str(stream.name), "meta_type": str(kind.meta_type), "samples": int(stream.item_count)}
         self.facts = Facts("adtf stream", about | {"properties": properties})
 
-    def message(self, sample: Any) -> tuple[int, int | None, Message] | None:
-        """host_ns, device_ns and message; None for a sample of others that is not described."""
+    def message(self, sample: Any) -> tuple[int, int | None, int | None, Message] | None:
+        """host_ns, device_ns, sequence and message; None for a sample of others that is not described."""
         if self._kind in {"facts", "frames", "unlabelled"}:
             return _from_plain(self._kind, bytes(sample.buffer))
         decoded = self._decoder.decode(sample)
@@ -159,17 +159,17 @@ class _Stream:
         if not leaves:
             return None
         time_ns = round(sample.time_stamp.total_seconds() * 1e6) * 1000
-        return time_ns, time_ns, Channels(tuple(leaves), np.array(list(leaves.values()), dtype=np.float64))
+        return time_ns, time_ns, None, Channels(tuple(leaves), np.array(list(leaves.values()), dtype=np.float64))
 
-    def _ours(self, decoded: Any) -> tuple[int, int | None, Message]:
+    def _ours(self, decoded: Any) -> tuple[int, int | None, int | None, Message]:
         kind, fields = _KINDS[str(self._kind)]
-        host_ns, device_ns = int(decoded.host_ns), int(decoded.device_ns)
+        stamps = int(decoded.host_ns), _known(int(decoded.device_ns)), _known(int(decoded.sequence))
         arrays = {}
         for name, width in fields:
             values = np.atleast_1d(np.asarray(getattr(decoded, name, ()), dtype=np.float64))
             arrays[name] = values if width == 1 else values.reshape(-1, width)
         subject = {} if kind is Channels else {"subject": self._subject}
-        return host_ns, _known(device_ns), kind(names=self._names, **subject, **arrays)
+        return *stamps, kind(names=self._names, **subject, **arrays)
 
 
 def _described(message: Message) -> _Described | None:
@@ -245,10 +245,10 @@ def _none_for_nan(values: NDArray[np.float64]) -> Any:
     return np.where(np.isfinite(values), values.astype(object), np.array(None, dtype=object)).tolist()
 
 
-def _from_plain(kind: str, data: bytes) -> tuple[int, int | None, Message]:
+def _from_plain(kind: str, data: bytes) -> tuple[int, int | None, int | None, Message]:
     (size,) = struct.unpack_from("<I", data)
     head = json.loads(data[4 : 4 + size])
-    stamps = int(head["host_ns"]), _known(int(head["device_ns"]))
+    stamps = int(head["host_ns"]), _known(int(head["device_ns"])), _known(int(head["sequence"]))
     if kind == "facts":
         return *stamps, Facts(str(head["about"]), head["values"])
     if kind == "unlabelled":

@@ -7,7 +7,7 @@ SLERP).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -25,6 +25,7 @@ from cabinpose.store.convert.rows import Row, whole_file
 F64 = NDArray[np.float64]
 
 _RIGID_M = 1e-4  # a bone's end that moves less in its parent's frame is an offset of the skeleton
+_STILL = 1e-6  # of a rotation matrix: an end site turns with its joint
 _EULER = "ZYX"  # intrinsic, the order in which most files list rotations
 _MOST_VALUES = 1 << 28  # of the poses in memory: an hour of 60 segments at 240 Hz
 
@@ -152,6 +153,7 @@ def _write(
     columns: list[F64] = []
     offsets: list[F64] = []
     moving: list[bool] = []
+    ends: set[int] = set()
     for s, parent in enumerate(skeleton.parents):
         local, turn = places[:, s], turns[:, s]
         if parent >= 0:
@@ -161,18 +163,35 @@ def _write(
         moves = parent < 0 or bool(np.linalg.norm(local - offset, axis=1).max() > _RIGID_M / unit_m)
         offsets.append(offset)
         moving.append(moves)
+        if not moves and _is_end(skeleton, s) and np.abs(turn - np.eye(3)).max() < _STILL:
+            ends.add(s)
+            continue
         if moves:
             columns.append(local)
         columns.append(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True, suppress_warnings=True))
     file.write("HIERARCHY\n")
-    _joint(file, skeleton, 0, offsets, moving, "")
+    _joint(file, skeleton, 0, offsets, moving, ends, "")
     motion = np.concatenate(columns, axis=1)
     file.write(f"MOTION\nFrames: {len(motion)}\nFrame Time: {frame_s:.9f}\n")
     np.savetxt(file, motion, fmt="%.6f")
 
 
-def _joint(file: IO[str], skeleton: _Skeleton, s: int, offsets: Sequence[F64], moving: Sequence[bool], indent: str) -> None:
-    """A segment and those below it. A leaf gets an end site of no length, which the format demands."""
+def _is_end(skeleton: _Skeleton, s: int) -> bool:
+    """Whether a segment is called as `bvh.read_bvh` calls the end site of its parent, and nothing follows it."""
+    parent = skeleton.parents[s]
+    return parent >= 0 and s not in skeleton.parents and skeleton.names[s] == f"{skeleton.names[parent]}_end"
+
+
+def _joint(
+    file: IO[str],
+    skeleton: _Skeleton,
+    s: int,
+    offsets: Sequence[F64],
+    moving: Sequence[bool],
+    ends: Collection[int],
+    indent: str,
+) -> None:
+    """A segment and those below it. A leaf without an end site gets one of no length, which the format demands."""
     inner = indent + "\t"
     file.write(f"{indent}{'JOINT' if s else 'ROOT'} {_name(skeleton.names[s])}\n{indent}{{\n")
     file.write(f"{inner}OFFSET {' '.join(f'{x:.6f}' for x in offsets[s])}\n")
@@ -180,9 +199,10 @@ def _joint(file: IO[str], skeleton: _Skeleton, s: int, offsets: Sequence[F64], m
     file.write(f"{inner}CHANNELS {len(channels)} {' '.join(channels)}\n")
     children = [child for child, parent in enumerate(skeleton.parents) if parent == s]
     for child in children:
-        _joint(file, skeleton, child, offsets, moving, inner)
-    if not children:
-        file.write(f"{inner}End Site\n{inner}{{\n{inner}\tOFFSET 0.000000 0.000000 0.000000\n{inner}}}\n")
+        if child not in ends:
+            _joint(file, skeleton, child, offsets, moving, ends, inner)
+    for end in [offsets[child] for child in children if child in ends] or ([] if children else [np.zeros(3)]):
+        file.write(f"{inner}End Site\n{inner}{{\n{inner}\tOFFSET {' '.join(f'{x:.6f}' for x in end)}\n{inner}}}\n")
     file.write(f"{indent}}}\n")
 
 

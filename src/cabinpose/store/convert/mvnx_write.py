@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from itertools import chain, groupby
 from pathlib import Path
-from typing import Any, TextIO
+from typing import IO, Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
+from cabinpose.core.recorded import (
+    F64,
+    Channels,
+    Facts,
+    JointAngles,
+    Markers,
+    Message,
+    SegmentKinematics,
+    SegmentPoses,
+    SensorReadings,
+    ToFFrame,
+)
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, THEIRS, turned
-from cabinpose.store.convert.rows import Row
+from cabinpose.store.convert.rows import Row, whole_file
 
 _NAMESPACE = "http://www.xsens.com/mvn/mvnx"
 _MS = 1_000_000
+_LATE_NS = 2_000_000_000  # device time by which a message may be late
 
 
 def write_mvnx(path: Path, rows: Iterable[Row], *, frame_rate_hz: float | None = None, overwrite: bool = False) -> Path:
@@ -28,22 +40,46 @@ def write_mvnx(path: Path, rows: Iterable[Row], *, frame_rate_hz: float | None =
     there are. The frame rate is the facts', unless it is given. What MVNX has no place for (other subjects' and optical
     markers, other channels) raises RecordingError, as do segments that are not MVN's.
     """
-    if path.exists() and not overwrite:
-        raise RecordingError(f"{path} exists", hint="--overwrite replaces it, or give another file")
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
-            _write(file, rows, frame_rate_hz)
-        temporary.replace(path)
-    except OSError as error:
-        raise RecordingError(f"cannot write {path} ({error.strerror or error})", hint="check the folder and its space") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with whole_file(path, overwrite=overwrite) as file:
+        _write(file, rows, frame_rate_hz)
     return path
 
 
-def _write(file: TextIO, rows: Iterable[Row], frame_rate_hz: float | None) -> None:
+def of_one_subject(rows: Iterable[Row], subject: str | None = None) -> Iterator[Row]:
+    """What MVNX holds of a subject (None: the only one with poses), by its device's time, late messages in their place.
+
+    Props, fingers and other channels are left out. Raises RecordingError where there are poses of several and none was named.
+    """
+    chosen = subject
+    waiting: list[tuple[int, int, Row]] = []
+    newest: int | None = None
+    for number, row in enumerate(rows):
+        time_ns, message = row[0] if row[1] is None else row[1], row[2]
+        if isinstance(message, SegmentPoses) and message.names == MVN_SEGMENTS and message.subject != chosen:
+            if subject is None and chosen is not None:
+                raise RecordingError(f"poses of {chosen} and {message.subject}", hint="say whose are to be written (--subject)")
+            chosen = chosen or message.subject
+        if newest is not None and newest - time_ns > _LATE_NS:  # the device's clock began anew
+            yield from (each for _, _, each in sorted(waiting) if _has_place(each[2], chosen))
+            waiting, newest = [], None
+        newest = time_ns if newest is None else max(newest, time_ns)
+        heapq.heappush(waiting, (time_ns, number, row))
+        while newest - waiting[0][0] > _LATE_NS:
+            _, _, each = heapq.heappop(waiting)
+            if _has_place(each[2], chosen):
+                yield each
+    yield from (each for _, _, each in sorted(waiting) if _has_place(each[2], chosen))
+
+
+def _has_place(message: Message, subject: str | None) -> bool:
+    if isinstance(message, SegmentPoses | SegmentKinematics) and message.names != MVN_SEGMENTS:
+        return False
+    if isinstance(message, Channels) and not any(_channel(name)[1] for name in message.names):
+        return False
+    return not isinstance(message, Markers | ToFFrame) and _subject(message) == subject
+
+
+def _write(file: IO[str], rows: Iterable[Row], frame_rate_hz: float | None) -> None:
     facts: list[Mapping[str, object]] = []
     frames = _frames(rows, facts)
     first = next(frames, None)
@@ -110,7 +146,7 @@ class _Header:
         self._calibrations: list[Mapping[str, Any]] = [each for each in facts if "calibration" in each]
         rate_hz = frame_rate_hz or known.get("frame_rate_hz")
         if not rate_hz:
-            raise RecordingError("the frame rate is not known", hint="give it: frame_rate_hz")
+            raise RecordingError("the frame rate is not known", hint="give it: frame_rate_hz (--rate)")
         self._rate_hz = float(rate_hz)
         self.sensors: tuple[str, ...] = ()
         self.angles: tuple[str, ...] = ()

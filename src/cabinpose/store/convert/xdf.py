@@ -11,8 +11,8 @@ Source of the layout: the XDF specification 1.0 (SCCN).
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.optional import optional_module
+from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Channels, Facts, Message
 from cabinpose.store.convert.rows import Row, whole_file
 
@@ -175,6 +176,39 @@ def write_xdf(path: Path, streams: Sequence[XdfStream], *, overwrite: bool = Fal
             )
             _chunk(file, _FOOTER, identity, _xml("info", sample_count=str(count), **ends))
     return path
+
+
+def streams_of_samples(samples: Iterable[tuple[str, Sample]]) -> list[XdfStream]:
+    """The channels of a recording's sources as streams. Text and everything else that is no channel stays in the recording.
+
+    Streams that came from an XDF file keep how their senders' clocks lay to the recorder's; of devices, it is the median of
+    what lies between the device's time and arrival. Raises RecordingError where no source has channels, or they change.
+    """
+    rows: dict[str, list[Row]] = {}
+    told: dict[str, Mapping[str, Any]] = {}
+    for source, sample in samples:
+        for message in sample.messages:
+            if isinstance(message, Channels):
+                rows.setdefault(source, []).append((sample.host_ns, sample.device_ns, message))
+            elif isinstance(message, Facts) and message.about == "stream":
+                told[source] = message.values
+    if not rows:
+        raise RecordingError("no source has channels", hint="XDF holds streams of numbers; choose sources that have some")
+    streams = []
+    begun_ns = min(each[0][0] for each in rows.values())
+    measured = all("clock_offsets_s" in told.get(source, {}) for source in rows)
+    for source, each in rows.items():
+        about = told.get(source, {})
+        stream = stream_of_rows(
+            str(about.get("name") or source), each, type_=str(about.get("type") or ""), rate_hz=float(about.get("rate_hz") or 0.0)
+        )
+        if measured:
+            offsets = np.array(about["clock_offsets_s"], dtype=np.float64).reshape(-1, 2)
+        else:
+            host_s = np.array([host_ns - begun_ns for host_ns, _, _ in each]) / 1e9
+            offsets = np.array([[stream.stamps_s[0], np.median(host_s - stream.stamps_s)]])
+        streams.append(replace(stream, offsets=offsets, start_ns=begun_ns))
+    return streams
 
 
 def stream_of_rows(name: str, rows: Sequence[Row], *, type_: str = "", rate_hz: float = 0.0) -> XdfStream:

@@ -76,14 +76,22 @@ class ContainerWriter:
     as it was after the last whole chunk, of which `finish` can still make a readable file.
     """
 
-    def __init__(self, path: Path, *, library: str, profile: str = "", compression: Compression = "none") -> None:
-        """Creates the file. Raises FileExistsError if there is one."""
+    def __init__(
+        self,
+        path: Path,
+        *,
+        library: str,
+        profile: str = "",
+        compression: Compression = "none",
+        definitions_s: float = DEFINITIONS_S,
+    ) -> None:
+        """Creates the file. definitions_s: as DEFINITIONS_S. Raises FileExistsError if there is one."""
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         self.offset = 0
         self._compression = "" if compression == "none" else compression
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._defined_at = time.monotonic()
+        self._definitions_s, self._defined_at = definitions_s, time.monotonic()
         self._chunk_indexes = bytearray()
         self._attachment_indexes: list[AttachmentIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -163,7 +171,7 @@ class ContainerWriter:
             ChunkIndex(length, offset, self._compression, stored_size, chunk.end, len(indexes), offsets, chunk.start, size)
         )
         self._count(chunk)
-        if time.monotonic() - self._defined_at >= DEFINITIONS_S:
+        if time.monotonic() - self._defined_at >= self._definitions_s:
             self._defined_at = time.monotonic()
             self._open.small += self._definitions()
 

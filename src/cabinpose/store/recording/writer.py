@@ -21,7 +21,7 @@ from types import TracebackType
 from cabinpose import __version__
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
-from cabinpose.store.recording.container import Compression, ContainerWriter
+from cabinpose.store.recording.container import DEFINITIONS_S, Compression, ContainerWriter
 from cabinpose.store.recording.messages import Record, encode, encode_json, encode_status
 from cabinpose.store.recording.schemas import (
     FORMAT,
@@ -77,10 +77,13 @@ class RecordingWriter:
         chunk_bytes: int = 4 << 20,
         flush_s: float = 0.25,
         sync_s: float = 1.0,
+        definitions_s: float = DEFINITIONS_S,
     ) -> None:
         """rig: the rig's configuration as YAML text, kept as an attachment · started_ns: `HostClock` time of the take ·
         chunk_bytes, flush_s: a chunk is closed when it is so large or so old · sync_s: pause between requests to the disk to
-        hold all of it; 0 = only at the end. Raises RecordingError where the file exists or cannot be made.
+        hold all of it; 0 = only at the end · definitions_s: how often schemas and channels are repeated for a damaged file's sake
+        (infinite, with no call of `poll`: the same samples give the same bytes). Raises RecordingError where the file exists or
+        cannot be made.
         """
         self.path = path
         self._take = take or Take()
@@ -93,7 +96,9 @@ class RecordingWriter:
         self._in_chunk: Counter[str] = Counter()
         self._in_last_chunk: Counter[str] = Counter()
         with recording_errors(path):
-            self._file = ContainerWriter(path, library=LIBRARY, profile=PROFILE, compression=compression)
+            self._file = ContainerWriter(
+                path, library=LIBRARY, profile=PROFILE, compression=compression, definitions_s=definitions_s
+            )
             self._file.metadata(TAKE_METADATA, {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()})
             if rig:
                 self._file.attachment(RIG_ATTACHMENT, "application/yaml", rig.encode(), log_time=started_ns)

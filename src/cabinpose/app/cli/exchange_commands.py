@@ -1,0 +1,93 @@
+"""What can be typed about other formats; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import JsonFlag
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a dataset or a recording in another format, or a trained model as ONNX.
+
+    Datasets: png-json, coco, itop, ntu, ply. Recordings: c3d, bvh, trc, sto, mvnx, csv, adtfdat, xdf.
+    """
+
+    out: Path
+    """Folder (recordings but for csv, and --onnx: file) to write; it appears when the export is whole."""
+    dataset: Annotated[Positional[Path | None], arg(metavar="DATASET|RECORDING")] = None
+    """Folder of the dataset, or a recording (.mcap)."""
+    format: str | None = None
+    """Format to write; see above and docs."""
+    onnx: Path | None = None
+    """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
+    name: str | None = None
+    """Name of the ONNX model in reports; default: the file's."""
+    card: Path | None = None
+    """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
+    mirrored: bool = False
+    """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
+    splits: Path | None = None
+    """Datasets: YAML file of splits, of which one is exported."""
+    split: str | None = None
+    """Datasets: name of the split to export."""
+    source: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
+    """Recordings: sources to export; default: all, or the only one that has what the format holds."""
+    subject: str | None = None
+    """Recordings: whose data (c3d, bvh, trc, sto, mvnx); needed where there are several."""
+    span: Annotated[tuple[float, float] | None, arg(metavar="FROM TO")] = None
+    """Recordings: seconds from the start of the take."""
+    rate: float | None = None
+    """Recordings: frames a second (c3d, trc, sto, mvnx); default: what the device told, or the median."""
+    angles: bool = False
+    """sto: joint angles in place of orientations."""
+    overwrite: bool = False
+    """Replace what is there."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class Import:
+    """Make a dataset of one in another format, or a recording of another tool's file.
+
+    Datasets: png-json (an export of ours), coco, itop, ntu. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv, trc, sto, csv.
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="SOURCE")]
+    """Folder or file to read."""
+    format: str
+    """Format of the source; see above and docs."""
+    out: Path
+    """Folder of the dataset, or recording (.mcap); it appears when the import is whole."""
+    images: Path | None = None
+    """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
+    keep_invalid: bool = False
+    """itop: keep the frames whose labels are marked as not valid, without their joints."""
+    intrinsics: tuple[float, float, float, float] | None = None
+    """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
+    licence: str | None = None
+    """Datasets: licence of the data; default: what the source says."""
+    subject: Annotated[tuple[str, ...], arg(metavar="CODE [CODE ...]")] = ()
+    """Recordings: codes of the subjects, in the order of the file."""
+    action: str | None = None
+    """Recordings: what is done, as a short word."""
+    car: str | None = None
+    """Recordings: the car or mock-up."""
+    take: Path | None = None
+    """Recordings: YAML file of the take, in place of --subject, --action and --car."""
+    name: str | None = None
+    """Recordings: name of the source (mvnx, c3d, bvh, trc, sto, azure-mkv); default: suit, optical, motion or tof."""
+    begun: str | None = None
+    """c3d, bvh, trc, sto: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
+    unit_m: float | None = None
+    """bvh: metres of the unit of length; default: that of the CMU database."""
+    up: Literal["y", "z"] | None = None
+    """bvh: the vertical axis; default: y."""
+    overwrite: bool = False
+    """Replace what is there."""
+    as_json: JsonFlag = False

@@ -1,0 +1,350 @@
+"""Files of other tools to recordings and back, through the commands: nothing of what a format holds is lost on the way."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cabinpose.core.ports import Sample
+from cabinpose.core.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, SensorReadings, ToFFrame
+from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.store.convert import RECORDING_EXPORTS, RECORDING_IMPORTS
+from cabinpose.store.convert.adtfdat import write_adtfdat
+from cabinpose.store.convert.azure_mkv import read_azure_mkv
+from cabinpose.store.convert.bvh import read_bvh_rows
+from cabinpose.store.convert.bvh_write import write_bvh
+from cabinpose.store.convert.c3d import read_c3d
+from cabinpose.store.convert.c3d_write import write_c3d
+from cabinpose.store.convert.csv_ import write_csv
+from cabinpose.store.convert.mvnx import read_mvnx
+from cabinpose.store.convert.mvnx_write import write_mvnx
+from cabinpose.store.convert.recordings import READERS, WRITERS
+from cabinpose.store.convert.sto import read_sto, write_sto
+from cabinpose.store.convert.trc import read_trc, write_trc
+from cabinpose.store.convert.xdf import XdfStream, read_xdf, write_xdf
+from cabinpose.store.recording import Participant, Recording, RecordingWriter, Take
+
+Run = Callable[..., Any]
+Rows = list[tuple[int, int | None, Message]]
+BEGAN = 1_700_000_000_000_000_000
+
+
+def motion(frames: int = 12, subject: str = "S07") -> Rows:
+    """A suit's frames at 60 Hz, as MVNX holds them."""
+    rng = np.random.default_rng(1)
+    rows: Rows = [(BEGAN, 0, Facts(subject, {"frame_rate_hz": 60.0}))]
+    for i in range(frames):
+        at = round(i * 1e9 / 60)
+        host = BEGAN + round(at / 1e6) * 1_000_000  # the file has milliseconds
+        turn = Rotation.random(23, rng=rng).as_quat(scalar_first=True, canonical=True)
+        angles = JointAngles(subject, tuple(name for name, _, _ in MVN_JOINTS), rng.normal(size=(22, 3)) * 0.1)
+        poses = SegmentPoses(subject, MVN_SEGMENTS, rng.normal(size=(23, 3)), turn)
+        contacts = Channels((f"{subject}.foot_contact.left", f"{subject}.foot_contact.right"), np.array([i % 2.0, 1.0]))
+        rows += [(host, at, message) for message in (poses, angles, contacts)]
+    return rows
+
+
+def markers(frames: int = 12) -> Rows:
+    """An optical system's frames at 100 Hz, of one subject."""
+    rng = np.random.default_rng(2)
+    rows: Rows = [(0, 0, Facts("points", {"rate_hz": 100.0}))]
+    for i in range(frames):
+        place = rng.normal(size=(3, 3)).astype(np.float32).astype(np.float64)
+        place[i % 3] = np.nan if i % 4 == 0 else place[i % 3]
+        residual = np.where(np.isnan(place[:, 0]), np.nan, 0.00025)
+        rows.append((i * 10_000_000, i * 10_000_000, Markers("S07", ("LASI", "RASI", "C7"), place, residual)))
+    return rows
+
+
+def of(kind: type, rows: Rows) -> Rows:
+    return [row for row in rows if isinstance(row[2], kind)]
+
+
+def samples() -> Iterator[tuple[str, Sample]]:
+    """Two sources and everything that a table holds."""
+    rng = np.random.default_rng(3)
+    for i in range(6):
+        two = rng.normal(size=(2, 3))
+        two[0, 0] = np.nan
+        messages = (
+            SegmentPoses("S07", ("a", "b"), two, rng.normal(size=(2, 4))),
+            SensorReadings("S07", ("a",), np.zeros((0, 4)), two[:1], two[1:], np.zeros((0, 3))),
+            Markers("", ("1", "2"), two, np.array([np.nan, 0.5])),
+        )
+        yield "suit", Sample(i, BEGAN + i * 10**7, None if i == 2 else i * 77, b"", messages)
+        plate = (Channels(("fz",), rng.normal(size=1)), Facts("plate", {"n": [1, None, "ü"]}))
+        yield "plate", Sample(10 + i, BEGAN + i * 10**7 + 5, i, b"", plate)
+
+
+def xdf_file(path: Path) -> Path:
+    stamps = 100 + np.arange(20) / 50
+    values = np.random.default_rng(4).normal(size=(20, 2))
+    offsets = np.array([[100.0, -3.5], [100.1, -3.5], [100.3, -3.5]])
+    force = XdfStream("Force plate", "Force", 50.0, ("fx", "fz"), stamps, values, offsets, BEGAN)
+    return write_xdf(path, [force, replace(force, name="Second", stamps_s=stamps + 0.005, values=values + 1)])
+
+
+MAKE: dict[str, Callable[[Path], object]] = {
+    "mvnx": lambda path: write_mvnx(path, motion()),
+    "c3d": lambda path: write_c3d(path, markers()),
+    "bvh": lambda path: write_bvh(path, of(SegmentPoses, motion())),
+    "trc": lambda path: write_trc(path, markers()),
+    "sto": lambda path: write_sto(path, motion()),
+    "csv": lambda path: write_csv(path, samples()),
+    "adtfdat": lambda path: write_adtfdat(path, samples()),
+    "xdf": xdf_file,
+}
+READ: dict[str, Callable[[Path], Iterator[Any]]] = {
+    "mvnx": lambda path: read_mvnx(path, subjects=["S07"]), "c3d": read_c3d, "trc": read_trc, "sto": read_sto,
+    "azure-mkv": read_azure_mkv,
+    "bvh": lambda path: read_bvh_rows(path, unit_m=0.01),
+}  # fmt: skip
+NEEDS = {"bvh": ("--unit-m", 0.01)}
+
+
+def in_recording(path: Path) -> Rows:
+    with Recording(path) as recording:
+        return [(s.host_ns, s.device_ns, m) for _, s in recording.samples() for m in s.messages]
+
+
+def same(one: Any, other: Any, atol: float = 0.0) -> None:
+    assert type(one) is type(other)
+    for each in fields(one):
+        a, b = getattr(one, each.name), getattr(other, each.name)
+        if each.name == "orientation_wxyz" and len(a):  # q and -q are one rotation
+            a = a * np.sign((a * b).sum(axis=1, keepdims=True))
+        if isinstance(a, np.ndarray):
+            np.testing.assert_allclose(a, b, rtol=0, atol=atol)
+        elif each.name != "values":
+            assert a == b
+
+
+def same_rows(ours: Rows, theirs: Rows, atol: float = 0.0, kinds: tuple[type, ...] = ()) -> None:
+    if kinds:
+        ours, theirs = ([row for row in rows if isinstance(row[2], kinds)] for rows in (ours, theirs))
+    assert len(ours) == len(theirs) > 0
+    for (host, device, message), (true_host, true_device, true) in zip(ours, theirs, strict=True):
+        assert abs(host - true_host) <= 1000
+        assert device == true_device
+        same(message, true, atol)
+
+
+def test_the_tables_of_formats_are_one() -> None:
+    assert tuple(READERS) == RECORDING_IMPORTS
+    assert tuple(WRITERS) == RECORDING_EXPORTS
+
+
+@pytest.mark.parametrize("name", sorted(MAKE))
+def test_file_recording_file(run: Run, tmp_path: Path, name: str) -> None:
+    if name == "adtfdat":
+        pytest.importorskip("adtf_file")
+    first, take, again = tmp_path / f"first.{name}", tmp_path / "take.mcap", tmp_path / f"again.{name}"
+    MAKE[name](first)
+    code, out, err = run("import", first, "--format", name, "--out", take, "--subject", "S07", *NEEDS.get(name, ()), "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["refused"] == 0
+    with Recording(take) as recording:
+        assert recording.take == Take(subjects=(Participant(code="S07"),))
+        assert set(told["samples"]) == set(recording.sources)
+    if name in READ:  # what the reader says is in the recording, bit by bit
+        rows = list(READ[name](first))
+        rows = [(h, d, replace(m, subject="S07") if hasattr(m, "subject") else m) for h, d, m in rows]
+        same_rows(in_recording(take), rows, kinds=(SegmentPoses, JointAngles, Markers, Channels))
+    code, out, err = run("export", take, "--format", name, "--out", again)
+    assert code == 0, err
+    if first.is_dir():
+        assert {p.name: p.read_bytes() for p in again.iterdir()} == {p.name: p.read_bytes() for p in first.iterdir()}
+    elif name == "adtfdat":
+        assert again.read_bytes() == first.read_bytes()
+    elif name == "xdf":
+        one, two = read_xdf(first), read_xdf(again)
+        assert list(one) == list(two)
+        for stream, other in zip(one.values(), two.values(), strict=True):
+            assert (stream.type, stream.rate_hz, stream.labels) == (other.type, other.rate_hz, other.labels)
+            np.testing.assert_allclose(stream.stamps_s, other.stamps_s, rtol=0, atol=1e-9)
+            np.testing.assert_array_equal(stream.values, other.values)
+            np.testing.assert_array_equal(stream.offsets, other.offsets)
+            assert [r[0] for r in other.rows()] == pytest.approx([r[0] for r in stream.rows()], abs=2000)
+    else:  # double precision but for degrees; single precision, or text of six decimals of a millimetre or degree
+        same_rows(list(READ[name](again)), list(READ[name](first)), atol=1e-12 if name == "mvnx" else 2e-6)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted({first.name, take.name, again.name})
+    again_take = tmp_path / "again.mcap"
+    assert run("import", first, "--format", name, "--out", again_take, "--subject", "S07", *NEEDS.get(name, ())).code == 0
+    assert again_take.read_bytes() == take.read_bytes()  # same file, same bytes
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "file", "source"),
+    [
+        ("mvnx", "mocap/xsens_upper_body.mvnx", "suit"), ("c3d", "mocap/vicon_two_subjects.c3d", "optical"),
+        ("bvh", "mocap/cmu_131_01.bvh", "motion"), ("azure-mkv", "tof/azure_kinect.mkv", "tof"),
+    ],
+)  # fmt: skip
+def test_real_files(run: Run, real_data: Callable[[str], Path], tmp_path: Path, name: str, file: str, source: str) -> None:
+    path, take = real_data(file), tmp_path / "take.mcap"
+    done = run("import", path, "--format", name, "--out", take, "--action", "walk", "--car", "lab")
+    assert done.code == 0, done.err
+    read = list((READ | {"bvh": read_bvh_rows, "mvnx": read_mvnx})[name](path))
+    same_rows(in_recording(take), read)
+    with Recording(take) as recording:
+        assert (recording.sources, recording.take.action, recording.take.car) == ((source,), "walk", "lab")
+    if name == "azure-mkv":
+        return
+    again = tmp_path / f"again.{name}"
+    done = run("export", take, "--format", name, "--out", again)
+    assert done.code == 0, done.err
+    if name == "bvh":
+        same_rows(list(read_bvh_rows(again, unit_m=0.01)), read, atol=2e-4, kinds=(SegmentPoses,))
+    else:
+        kinds = (SegmentPoses, SensorReadings, JointAngles, Markers, Channels)
+        same_rows(list((READ | {"mvnx": read_mvnx})[name](again)), read, atol=1e-5, kinds=kinds)
+
+
+def recording(path: Path, *more: tuple[str, Sample]) -> Path:
+    """A suit of two people, late by one frame, an optical system and a camera."""
+    rows = motion() + motion(subject="S08")
+    order = sorted(range(len(rows)), key=lambda i: (rows[i][0], i))
+    order[20], order[23] = order[23], order[20]
+    image = np.full((2, 3), 7, np.uint16)
+    frame = ToFFrame(image, 0.001, image, np.zeros((0, 0), np.uint8), np.eye(3), np.zeros(5), np.zeros(5))
+    with RecordingWriter(path, Take(), started_ns=BEGAN, sync_s=0) as writer:
+        for i in order:
+            writer.write("suit", Sample(i, rows[i][0], rows[i][1], b"", (rows[i][2],)))
+        for host_ns, device_ns, message in markers():
+            writer.write("optical", Sample(None, BEGAN + host_ns, device_ns, b"", (message,)))
+        writer.write("tof", Sample(0, BEGAN, 5, b"", (frame,)))
+        for source, sample in more:
+            writer.write(source, sample)
+    return path
+
+
+def test_one_subject_of_several_and_late_messages(run: Run, tmp_path: Path) -> None:
+    take = recording(tmp_path / "take.mcap")
+    done = run("export", take, "--format", "mvnx", "--out", tmp_path / "a.mvnx")
+    assert done.code == 2
+    assert "S07 and S08" in done.err
+    assert "--subject" in done.err
+    done = run("export", take, "--format", "mvnx", "--out", tmp_path / "a.mvnx", "--subject", "S08", "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["files"] == [str(tmp_path / "a.mvnx")]
+    same_rows(list(read_mvnx(tmp_path / "a.mvnx", subjects=["S08"])), motion(subject="S08"), 1e-12, (SegmentPoses, JointAngles))
+    done = run("export", take, "--format", "bvh", "--out", tmp_path / "a.bvh", "--subject", "S07")
+    assert done.code == 0, done.err
+    assert len(of(SegmentPoses, list(read_bvh_rows(tmp_path / "a.bvh")))) == 12
+
+
+def test_a_span_a_rate_and_angles(run: Run, tmp_path: Path) -> None:
+    take = recording(tmp_path / "take.mcap")
+    done = run("export", take, "--format", "trc", "--out", tmp_path / "a.trc", "--span", "0.02", "0.06", "--rate", "100")
+    assert done.code == 0, done.err
+    found = of(Markers, list(read_trc(tmp_path / "a.trc")))
+    assert [row[1] for row in found] == [20_000_000, 30_000_000, 40_000_000, 50_000_000]
+    done = run("export", take, "--format", "sto", "--out", tmp_path / "a.sto", "--subject", "S07", "--angles")
+    assert done.code == 0, done.err
+    assert len(of(JointAngles, list(read_sto(tmp_path / "a.sto")))) == 12
+
+
+def test_tables_of_chosen_sources(run: Run, tmp_path: Path) -> None:
+    take = recording(tmp_path / "take.mcap")
+    done = run("export", take, "--format", "csv", "--out", tmp_path / "csv", "--source", "optical", "tof")
+    assert done.code == 0, done.err
+    assert {p.name for p in (tmp_path / "csv").iterdir()} == {"optical.markers.csv", "optical.facts.csv", "tof.frames.csv"}
+    assert "is not empty" in run("export", take, "--format", "csv", "--out", tmp_path / "csv").err
+    assert run("export", take, "--format", "csv", "--out", tmp_path / "csv", "--overwrite").code == 0
+    assert (tmp_path / "csv" / "suit.poses.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("export", "take.mcap", "--format", "coco", "--out", "x"), "recordings go to c3d"),
+        (("export", "take.mcap", "--format", "fbx", "--out", "x"), "known: adtfdat"),
+        (("export", "folder", "--format", "c3d", "--out", "x"), "datasets go to png-json"),
+        (("export", "folder", "--format", "coco", "--out", "x", "--source", "suit"), "leave out --source"),
+        (("export", "take.mcap", "--format", "c3d", "--out", "x", "--split", "a"), "leave out --split"),
+        (("export", "take.mcap", "--format", "csv", "--out", "x", "--subject", "S07"), "leave out --subject"),
+        (("export", "take.mcap", "--format", "bvh", "--out", "x", "--rate", "60"), "leave out --rate"),
+        (("export", "take.mcap", "--format", "trc", "--out", "x", "--rate", "-1"), "more than 0"),
+        (("export", "take.mcap", "--format", "trc", "--out", "x", "--angles"), "leave out --angles"),
+        (("export", "take.mcap", "--format", "c3d", "--out", "x", "--source", "plate"), "it has: optical, suit, tof"),
+        (("export", "take.mcap", "--format", "c3d", "--out", "x", "--source", "tof"), "sources that have some: optical"),
+        (("export", "take.mcap", "--format", "c3d", "--out", "take.mcap", "--overwrite"), "the recording itself"),
+        (("export", "gone.mcap", "--format", "c3d", "--out", "x"), "gone.mcap"),
+        (("export", "take.mcap", "--format", "xdf", "--out", "x", "--source", "tof"), "no source has channels"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x"), "--out FILE.mcap"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "take.mcap"), "take.mcap exists"),
+        (("import", "a.mvnx", "--format", "fbx", "--out", "x.mcap"), "known: adtfdat"),
+        (("import", "a.mvnx", "--format", "coco", "--out", "x.mcap"), "recordings are made of mvnx"),
+        (("import", "a.mvnx", "--format", "coco", "--out", "x", "--subject", "S07"), "leave out --subject"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--keep-invalid"), "leave out --keep-invalid"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--up", "z"), "leave out --up"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--subject", "Anna"), "--subject: a code has a digit"),
+        (("import", "a.bvh", "--format", "bvh", "--out", "x.mcap", "--begun", "noon"), "2026-11-21"),
+        (("import", "a.bvh", "--format", "bvh", "--out", "x.mcap"), "MOTION"),
+        (("import", "gone", "--format", "bvh", "--out", "x.mcap"), "there is no gone"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap"), "no whole MVNX"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "nowhere/x.mcap"), "nowhere"),
+    ],
+)
+def test_mistakes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], message: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    take = recording(tmp_path / "take.mcap").read_bytes()
+    (tmp_path / "folder").mkdir()
+    write_mvnx(tmp_path / "a.mvnx", motion())
+    (tmp_path / "a.mvnx").write_bytes((tmp_path / "a.mvnx").read_bytes()[:-300])  # cut off after whole frames
+    (tmp_path / "a.bvh").write_text("HIERARCHY\n")
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert "hint: " in err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.bvh", "a.mvnx", "folder", "take.mcap"]
+    assert (tmp_path / "take.mcap").read_bytes() == take
+
+
+def test_overwriting_keeps_what_was_there_until_the_new_is_whole(run: Run, tmp_path: Path) -> None:
+    take = recording(tmp_path / "take.mcap")
+    before = take.read_bytes()
+    (tmp_path / "cut.mvnx").write_text("<mvnx>")
+    assert run("import", tmp_path / "cut.mvnx", "--format", "mvnx", "--out", take, "--overwrite").code == 2
+    assert take.read_bytes() == before
+    write_mvnx(tmp_path / "a.mvnx", motion())
+    done = run("import", tmp_path / "a.mvnx", "--format", "mvnx", "--out", take, "--overwrite", "--name", "left")
+    assert done.code == 0, done.err
+    with Recording(take) as made:
+        assert made.sources == ("left",)
+    done = run("export", take, "--format", "bvh", "--out", tmp_path / "a.bvh")
+    assert done.code == 0, done.err
+    assert "exists" in run("export", take, "--format", "bvh", "--out", tmp_path / "a.bvh").err
+    assert run("export", take, "--format", "bvh", "--out", tmp_path / "a.bvh", "--overwrite").code == 0
+
+
+def test_take_files_and_times_of_day(run: Run, tmp_path: Path) -> None:
+    write_trc(tmp_path / "a.trc", markers())
+    (tmp_path / "take.yaml").write_text("action: reach\nsubjects: [{code: S09, seat: driver, consent: C-3}]\n")
+    flags = ("--format", "trc", "--out", tmp_path / "take.mcap", "--take", tmp_path / "take.yaml")
+    done = run("import", tmp_path / "a.trc", *flags, "--begun", "2023-11-14T23:13:20+01:00")
+    assert done.code == 0, done.err
+    with Recording(tmp_path / "take.mcap") as made:
+        assert made.take.subjects == (Participant(code="S09", seat="driver", consent="C-3"),)
+        assert made.head.started_ns == BEGAN
+    assert {row[2].subject for row in of(Markers, in_recording(tmp_path / "take.mcap"))} == {"S09"}  # type: ignore[union-attr]
+    assert "take.yaml already" in run("import", tmp_path / "a.trc", *flags, "--action", "x").err
+
+
+def test_files_of_others_get_names_and_times(run: Run, tmp_path: Path) -> None:
+    xdf_file(tmp_path / "a.xdf")
+    assert run("import", tmp_path / "a.xdf", "--format", "xdf", "--out", tmp_path / "take.mcap").code == 0
+    with Recording(tmp_path / "take.mcap") as made:
+        assert made.sources == ("force-plate", "second")
+        hosts = [sample.host_ns for _, sample in made.samples()]
+    assert hosts == sorted(hosts)
+    assert hosts[0] == BEGAN
