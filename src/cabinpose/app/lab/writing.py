@@ -1,0 +1,27 @@
+"""Writing what the sources of a virtual rig gave as one recording."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from cabinpose.app.lab.rig import Rig
+from cabinpose.core.ports import Sample
+from cabinpose.store.recording import RecordingWriter, Take
+
+
+def write_recording(path: Path, rig: Rig, take: Take, streams: Mapping[str, Iterable[Sample]], *, start_s: float = 0.0) -> None:
+    """Write samples by source, each in the order of arrival, as the recorder would: merged by arrival.
+
+    start_s: when the take began, after the rig's start. The same samples make the same bytes. Raises RecordingError where the
+    file exists.
+    """
+
+    def arrivals(source: str, samples: Iterable[Sample]) -> Iterator[tuple[int, str, Sample]]:
+        return ((sample.host_ns, source, sample) for sample in samples)
+
+    started_ns = rig.start_ns + round(start_s * 1e9)
+    with RecordingWriter(path, take, started_ns=started_ns, compression="lz4", sync_s=0) as writer:
+        for _, source, sample in heapq.merge(*(arrivals(*stream) for stream in streams.items()), key=lambda row: row[:2]):
+            writer.write(source, sample)
