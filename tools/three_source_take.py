@@ -188,7 +188,8 @@ def account(sent: Sent, found: list[tuple[Any, int, int]], counts: Mapping[str, 
     """Each sample sent, by what became of it. found: stream, number and sequence of each sample in the file.
 
     `exact`: what is missing between the first and the last sample that came is what was counted as lost or dropped, and is
-    as many gaps in the sequence; nothing is in the file twice, or was not sent.
+    as many gaps in the sequence; nothing is in the file twice, or was not sent. What was dropped after the last sample in the
+    file (`dropped_at_end`) is outside, though it is counted.
     """
     numbers: dict[Any, set[int]] = {}
     for stream, number, _ in found:
@@ -204,11 +205,12 @@ def account(sent: Sent, found: list[tuple[Any, int, int]], counts: Mapping[str, 
     sequences = {sequence for _, _, sequence in found}
     gaps = max(sequences, default=0) - min(sequences, default=1) + 1 - len(sequences)
     total = sum(map(len, sent.streams.values()))
-    lost = counts["lost"] + counts["dropped"]
-    exact = missing == lost == gaps and total == unique + lost + outside and not foreign and len(found) == unique > 0
+    at_end = counts["lost"] + counts["dropped"] - missing
+    exact = missing == gaps and 0 <= at_end <= min(counts["dropped"], outside) and not foreign and len(found) == unique > 0
     return {
         "sent": total, "in_file": unique, "missing": missing, "counted_lost": counts["lost"], "dropped": counts["dropped"],
-        "gaps_in_sequence": gaps, "outside": outside, "nobody_listened": total - sent.logged, "exact": exact,
+        "dropped_at_end": at_end, "gaps_in_sequence": gaps, "outside": outside, "nobody_listened": total - sent.logged,
+        "exact": exact,
     }  # fmt: skip
 
 

@@ -68,9 +68,13 @@ def test_an_account_that_does_not_come_out(tool: ModuleType) -> None:
     assert ends["exact"]
     assert ends["outside"] == 2
     assert tool.account(sent(tool), found(("a", 4), ("b", 2)), {"lost": 1, "dropped": 1})["exact"]
+    at_end = tool.account(sent(tool), found(("a", 4), ("b", 4)), {"lost": 1, "dropped": 1})
+    assert (at_end["exact"], at_end["dropped_at_end"]) == (True, 1)
     for gone, extra, counts in (
         ((("a", 4),), [], {"lost": 0, "dropped": 0}),  # missing and not counted
         ((), [], {"lost": 1, "dropped": 0}),  # counted and not missing
+        ((), [], {"lost": 0, "dropped": 1}),  # dropped, and nothing is missing at the end
+        ((("b", 4),), [], {"lost": 1, "dropped": 0}),  # lost, where only dropping is known of
         ((), [("a", 3, 115)], {"lost": 0, "dropped": 0}),  # twice
         ((), [("a", 10, 115)], {"lost": 0, "dropped": 0}),  # never sent
         ((("a", 4),), [("a", 40, 104)], {"lost": 1, "dropped": 0}),
