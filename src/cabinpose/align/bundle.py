@@ -1,0 +1,281 @@
+"""camera_from_world from every pixel at once: bundle adjustment of the camera and of the board's poses.
+
+The optical system knows where the board is, and so where each of its corners is. In a view, the markers alone give depth by a
+plane whose tilt a few pixels decide; all corners of all views against their known places leave six numbers to thousands of
+pixels. What the optical system says of the board is noisy as well: so the board's pose in each view is free, held by its
+markers as seen by both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cabinpose.align.board import Board
+from cabinpose.align.extrinsics import ExtrinsicsResult, skew, world_from_boards
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import AlignmentError
+from cabinpose.core.frames import Matrix, apply, rotation_vector
+
+F64 = NDArray[np.float64]
+
+_HUBER = 2.5  # of the noise: where a residual stops counting by its square
+_ROUNDS = 60
+_STEP_M = 1e-6  # of the numeric derivative of the projection
+_LEAST_PX, _LEAST_M = 1e-4, 1e-6  # noise that is assumed at least: exact data have none
+
+
+def refine_camera_from_world(
+    camera: Camera,
+    board: Board,
+    corners: ArrayLike,
+    marker_uv: ArrayLike,
+    p_world: ArrayLike,
+    start: ExtrinsicsResult,
+    *,
+    lens: bool = False,
+    rounds: int = 3,
+) -> ExtrinsicsResult:
+    """camera_from_world that fits corners (V, N, 2) px, markers in the image (V, M, 2) px and in the world (V, M, 3) m best.
+
+    NaN = not seen; a view counts where its corners and at least three markers in the world are known; pairs that `start` left
+    out stay out. Minimised: the corners' and markers' distances in the image over sigma_px and the optical markers' distances
+    from the board over sigma_m, Huber's loss, over camera_from_world and a pose of the board per view. The sigmas are found
+    from the residuals, `rounds` times. lens: fit the camera's intrinsics along with it, starting from `camera`; the optical
+    system's lengths decide on focal length and principal point what the boards' own perspective leaves open, but its errors of
+    scale go into them as well. Raises AlignmentError where fewer than three views are left.
+    """
+    uv, mark, world = (np.asarray(x, np.float64) for x in (corners, marker_uv, p_world))
+    world = np.where((start.used | ~np.isfinite(start.residual_m))[..., None], world, np.nan)
+    boards = world_from_boards(world, board)
+    good = np.isfinite(boards).all(axis=(1, 2)) & np.isfinite(uv).all(axis=(1, 2))
+    if good.sum() < 3:
+        raise AlignmentError(
+            f"{good.sum()} views have all corners and three markers, 3 needed", hint="record more views of the board"
+        )
+    problem = _Problem(board, uv[good], mark[good], world[good])
+    state = _State(start.camera_from_world, boards[good], camera, lens)
+    sigma_px, sigma_m = 0.1, 0.0005
+    for _ in range(rounds):
+        state, normal, cost = _solve(problem, state, sigma_px, sigma_m)
+        sigma_px, sigma_m = _sigmas(problem, state, sigma_px, sigma_m)
+    state, normal, cost = _solve(problem, state, sigma_px, sigma_m)
+    residual = np.full(start.residual_m.shape, np.nan)
+    pixel, place = _residuals(problem, state)
+    residual[good] = np.linalg.norm(place, axis=-1)
+    # Held out: every view once, its board placed by the optical system alone.
+    out_px = []
+    for group in np.array_split(np.arange(len(problem.world)), min(len(problem.world), 10)):
+        rest = np.setdiff1d(np.arange(len(problem.world)), group)
+        if len(rest) < 3:
+            continue
+        other, _, _ = _solve(problem.taken(rest), replace(state, boards=state.boards[rest]), sigma_px, sigma_m)
+        blind = replace(other, boards=boards[good][group])
+        out_px.append(_residuals(problem.taken(group), blind)[0][:, : uv.shape[1]])
+    seen = np.isfinite(pixel).all(axis=-1)
+    rms = np.sqrt(np.nanmean(np.sum(place**2, axis=-1)))
+    return replace(
+        start,
+        camera_from_world=state.camera_from_world,
+        residual_m=residual,
+        used=np.isfinite(residual),
+        rms_m=float(rms),
+        held_out_rms_m=float("nan"),
+        covariance=np.asarray(np.linalg.inv(normal)[:6, :6] * cost, np.float64),
+        method="corners",
+        rms_px=float(np.sqrt(np.mean(np.sum(pixel[seen] ** 2, axis=-1)))),
+        held_out_rms_px=float(np.sqrt(np.mean(np.sum(np.concatenate(out_px) ** 2, axis=-1)))) if out_px else float("nan"),
+        sigma_px=sigma_px,
+        sigma_m=sigma_m,
+        camera=state.camera,
+    )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    board: Board
+    uv: F64  # (V, N, 2) corners
+    mark: F64  # (V, M, 2) markers in the image
+    world: F64  # (V, M, 3) markers in the world
+
+    def taken(self, views: NDArray[np.intp]) -> _Problem:
+        return replace(self, uv=self.uv[views], mark=self.mark[views], world=self.world[views])
+
+    @property
+    def points(self) -> F64:
+        """(N + M, 3) corners and markers in the board frame."""
+        return np.concatenate((self.board.corners, self.board.marker_centres))
+
+    @property
+    def pixels(self) -> F64:
+        """(V, N + M, 2)."""
+        return np.concatenate((self.uv, self.mark), axis=1)
+
+
+@dataclass(frozen=True)
+class _State:
+    camera_from_world: Matrix
+    boards: F64  # (V, 4, 4) world_from_board
+    camera: Camera
+    lens: bool  # whether the camera is free
+
+
+def _places(problem: _Problem, state: _State) -> F64:
+    """(V, N + M, 3) all points of the board in the world."""
+    points = problem.points
+    return np.asarray(np.einsum("vij,nj->vni", state.boards[:, :3, :3], points) + state.boards[:, None, :3, 3])
+
+
+def _residuals(problem: _Problem, state: _State) -> tuple[F64, F64]:
+    """Pixels seen less predicted (V, N + M, 2), and markers in the world less those of the board (V, M, 3)."""
+    places = _places(problem, state)
+    predicted = state.camera.project(apply(state.camera_from_world, places))
+    return problem.pixels - predicted, problem.world - places[:, len(problem.board.corners) :]
+
+
+def _huber(length: F64, sigma: float) -> F64:
+    """Weights of Huber's loss; 0 for what is missing."""
+    scaled = np.where(np.isfinite(length), length, np.inf) / sigma
+    return np.where(scaled <= _HUBER, 1.0, _HUBER / np.maximum(scaled, _HUBER))
+
+
+def _cost(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> float:
+    pixel, place = _residuals(problem, state)
+    total = 0.0
+    for residual, sigma in ((pixel, sigma_px), (place, sigma_m)):
+        scaled = np.linalg.norm(residual, axis=-1) / sigma
+        loss = np.where(scaled <= _HUBER, 0.5 * scaled**2, _HUBER * (scaled - 0.5 * _HUBER))
+        total += float(np.nansum(loss))
+    return total
+
+
+def _solve(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> tuple[_State, F64, float]:
+    """Levenberg-Marquardt; the state, the information on camera_from_world (and the lens), and the cost per degree of freedom."""
+    damping, cost = 1e-6, _cost(problem, state, sigma_px, sigma_m)
+    size = 15 if state.lens else 6
+    reduced = np.eye(size)
+    for _ in range(_ROUNDS):
+        head, rest, both, pull_head, pull_rest = _normal(problem, state, sigma_px, sigma_m)
+        reduced, _ = _schur(head, rest, both, pull_head, pull_rest)
+        damp = 1 + damping
+        step, per_view = _step(head * _damped(size, damp), rest * _damped(6, damp), both, pull_head, pull_rest)
+        tried = _moved(state, step, per_view)
+        after = _cost(problem, tried, sigma_px, sigma_m)
+        if after <= cost:
+            small = max(np.abs(step[:6]).max(), np.abs(per_view).max()) < 1e-10 or cost - after < 1e-9 * cost
+            state, cost, damping = tried, after, max(damping / 10, 1e-12)
+            if small:
+                break
+        else:
+            damping = max(damping * 10, 1e-9)
+            if damping > 1e6:
+                break
+    pixel, place = _residuals(problem, state)
+    numbers = np.isfinite(pixel).sum() + np.isfinite(place).sum() - size - 6 * len(state.boards)
+    return state, reduced, 2 * cost / max(float(numbers), 1.0)
+
+
+def _damped(size: int, factor: float) -> F64:
+    return np.ones((size, size)) + (factor - 1) * np.eye(size)
+
+
+def _normal(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> tuple[F64, F64, F64, F64, F64]:
+    """Normal equations of small motions: exp(x) camera_from_world, exp(y) world_from_board per view."""
+    places = _places(problem, state)
+    p_camera = apply(state.camera_from_world, places)
+    by_point = _derivative(state.camera, p_camera)  # (V, K, 2, 3)
+    pixel, place = _residuals(problem, state)
+    weight = _huber(np.linalg.norm(pixel, axis=-1), sigma_px) / sigma_px**2
+    pixel = np.where(weight[..., None] > 0, np.nan_to_num(pixel), 0.0)
+    head_j = np.concatenate((-by_point @ skew(p_camera), by_point), axis=-1)  # (V, K, 2, 6)
+    if state.lens:
+        head_j = np.concatenate((head_j, _by_lens(state.camera, p_camera)), axis=-1)  # (V, K, 2, 15)
+    by_place = by_point @ state.camera_from_world[:3, :3]
+    view_j = np.concatenate((-by_place @ skew(places), by_place), axis=-1)
+    head = np.einsum("vkia,vk,vkib->ab", head_j, weight, head_j)
+    both = np.einsum("vkia,vk,vkib->vab", head_j, weight, view_j)
+    rest = np.einsum("vkia,vk,vkib->vab", view_j, weight, view_j)
+    pull_head = np.einsum("vkia,vk,vki->a", head_j, weight, pixel)
+    pull_rest = np.einsum("vkia,vk,vki->va", view_j, weight, pixel)
+    marks = places[:, len(problem.board.corners) :]
+    weight = _huber(np.linalg.norm(place, axis=-1), sigma_m) / sigma_m**2
+    place = np.where(weight[..., None] > 0, np.nan_to_num(place), 0.0)
+    mark_j = np.concatenate((-skew(marks), np.broadcast_to(np.eye(3), (*marks.shape, 3))), axis=-1)
+    rest = rest + np.einsum("vkia,vk,vkib->vab", mark_j, weight, mark_j)
+    pull_rest = pull_rest + np.einsum("vkia,vk,vki->va", mark_j, weight, place)
+    return head, rest, both, pull_head, pull_rest
+
+
+def _schur(head: F64, rest: F64, both: F64, pull_head: F64, pull_rest: F64) -> tuple[F64, F64]:
+    """The views' poses eliminated: (6, 6) and (6,), or 15."""
+    inverse = np.linalg.inv(rest)
+    reduced = head - np.einsum("vab,vbc,vdc->ad", both, inverse, both)
+    pull = pull_head - np.einsum("vab,vbc,vc->a", both, inverse, pull_rest)
+    return np.asarray(reduced, np.float64), np.asarray(pull, np.float64)
+
+
+def _step(head: F64, rest: F64, both: F64, pull_head: F64, pull_rest: F64) -> tuple[F64, F64]:
+    reduced, pull = _schur(head, rest, both, pull_head, pull_rest)
+    step = np.linalg.solve(reduced, pull)
+    left = pull_rest - np.einsum("vab,a->vb", both, step)
+    return np.asarray(step, np.float64), np.linalg.solve(rest, left[..., None])[..., 0]
+
+
+def _derivative(camera: Camera, p_camera: F64) -> F64:
+    """(..., 2, 3) of the pixel by the point, by central differences."""
+    columns = [(camera.project(p_camera + d) - camera.project(p_camera - d)) / (2 * _STEP_M) for d in np.eye(3) * _STEP_M]
+    return np.nan_to_num(np.stack(columns, axis=-1))
+
+
+def _lens(camera: Camera) -> F64:
+    return np.array((camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist))
+
+
+def _with_lens(camera: Camera, numbers: F64) -> Camera:
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers.tolist()
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, dist=(k1, k2, p1, p2, k3))
+
+
+def _by_lens(camera: Camera, p_camera: F64) -> F64:
+    """(..., 2, 9) of the pixel by (fx, fy, cx, cy, k1, k2, p1, p2, k3), by central differences."""
+    numbers = _lens(camera)
+    columns = []
+    for d in np.diag(np.where(np.arange(9) < 4, 1e-3, 1e-6)):
+        ahead, behind = (_with_lens(camera, numbers + sign * d).project(p_camera) for sign in (1, -1))
+        columns.append((ahead - behind) / (2 * d.sum()))
+    return np.nan_to_num(np.stack(columns, axis=-1))
+
+
+def _moved(state: _State, step: F64, per_view: F64) -> _State:
+    boards = np.stack([_nudge(x) @ b for x, b in zip(per_view, state.boards, strict=True)])
+    camera = _with_lens(state.camera, _lens(state.camera) + step[6:]) if state.lens else state.camera
+    return replace(state, camera_from_world=_nudge(step[:6]) @ state.camera_from_world, boards=boards, camera=camera)
+
+
+def _nudge(x: F64) -> Matrix:
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = rotation_vector(x[:3]), x[3:]
+    return result
+
+
+def _sigmas(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> tuple[float, float]:
+    """The noise of image (px a coordinate) and optical system (m a coordinate) that the residuals show.
+
+    A robust scale times what the fit took away: each view's six numbers are shared out by how much each kind says of them.
+    """
+    pixel, place = _residuals(problem, state)
+    _, rest, _, _, _ = _normal(problem, state, sigma_px, sigma_m)
+    marks = _places(problem, state)[:, len(problem.board.corners) :]
+    jacobian = np.concatenate((-skew(marks), np.broadcast_to(np.eye(3), (*marks.shape, 3))), axis=-1)
+    seen = np.isfinite(place).all(axis=-1)
+    mine = np.einsum("vkia,vk,vkib->vab", jacobian, seen / sigma_m**2, jacobian)
+    taken = float(np.einsum("vab,vba->", mine, np.linalg.inv(rest)))
+    free_m = max(3.0 * seen.sum() - taken, 1.0)
+    free_px = max(float(np.isfinite(pixel).sum()) - (6 * len(rest) - taken) - 6, 1.0)
+    out = []
+    for residual, sigma, free in ((pixel, sigma_px, free_px), (place, sigma_m, free_m)):
+        weight = _huber(np.linalg.norm(residual, axis=-1), sigma)
+        out.append(float(np.sqrt(np.nansum(weight * np.sum(residual**2, axis=-1)) / free)))
+    return max(out[0], _LEAST_PX), max(out[1], _LEAST_M)
