@@ -230,7 +230,7 @@ class _Session:
         """Write recording and truth."""
         seat = "driver" if car else None
         take = Take(action=action, car=car, subjects=(Participant(code=self.actor.code, seat=seat),))
-        with RecordingWriter(self.path, take, rig="", started_ns=self.rig.start_ns, sync_s=0.0) as writer:
+        with RecordingWriter(self.path, take, started_ns=self.rig.start_ns, flush_s=np.inf, sync_s=0.0) as writer:
             for source, k in _in_order(self.streams):
                 stream = self.streams[source]
                 sample = Sample(k, int(stream.host_ns[k]), int(stream.device_ns[k]), b"", stream.messages(k))
