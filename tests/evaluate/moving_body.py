@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cabinpose.core.ports import Sample
+from cabinpose.core.recorded import Message, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
+from cabinpose.store.recording import Participant, RecordingWriter, Take
 
 # Offsets of a segment's origin from its parent's, m; x forward, y left, z up, standing in an N-pose.
 OFFSETS = {
@@ -51,3 +58,41 @@ def turned(heading_rad: float, shift: tuple[float, float, float], position: np.n
     world = Rotation.from_rotvec((0, 0, heading_rad))
     flat = (world * Rotation.from_quat(orientation.reshape(-1, 4), scalar_first=True)).as_quat(scalar_first=True)
     return world.apply(position.reshape(-1, 3)).reshape(position.shape) + shift, flat.reshape(orientation.shape)
+
+
+# What an optical model of the same body would name its segments: those of both tables of pairs.
+OPTICAL = {p.optical: p.suit for p in (*SEGMENT_PAIRS, *JOINT_PAIRS)}
+BEGAN_NS = 1_700_000_000_000_000_000
+
+
+def write_take(path: Path, streams: Mapping[str, list[tuple[float, Message]]], action: str = "reach") -> Path:
+    """A recording of sources, each with messages at host times (s); the devices' clocks are the host's."""
+    rows = sorted(((at, source, message) for source, some in streams.items() for at, message in some), key=lambda row: row[0])
+    counts = dict.fromkeys(streams, 0)
+    with RecordingWriter(path, Take(action=action, subjects=(Participant(code="S01", seat="driver"),))) as writer:
+        for at, source, message in rows:
+            counts[source] += 1
+            host_ns = BEGAN_NS + round(at * 1e9)
+            writer.write(
+                source, Sample(sequence=counts[source], host_ns=host_ns, device_ns=host_ns, raw=b"", messages=(message,))
+            )
+    return path
+
+
+def suit_stream(time_s: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> list[tuple[float, Message]]:
+    rows = zip(time_s.tolist(), position, orientation, strict=True)
+    return [(at, SegmentPoses("S01", MVN_SEGMENTS, p, q)) for at, p, q in rows]
+
+
+def optical_stream(time_s: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> list[tuple[float, Message]]:
+    names, columns = tuple(OPTICAL), [MVN_SEGMENTS.index(suit) for suit in OPTICAL.values()]
+    rows = zip(time_s.tolist(), position[:, columns], orientation[:, columns], strict=True)
+    return [(at, SegmentPoses("S01", names, p, q)) for at, p, q in rows]
+
+
+def sensor_stream(time_s: np.ndarray, orientation: np.ndarray) -> list[tuple[float, Message]]:
+    nothing = np.zeros((0, 3))
+    return [
+        (at, SensorReadings("S01", ("sensor",), q[None], nothing, nothing, nothing))
+        for at, q in zip(time_s.tolist(), orientation, strict=True)
+    ]

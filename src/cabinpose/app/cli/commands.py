@@ -15,6 +15,7 @@ from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, ar
 
 from cabinpose.app.cli.arguments import JsonFlag, ThingArgument
 from cabinpose.app.cli.exchange_commands import Export, Import
+from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
 
 
@@ -395,6 +396,7 @@ Command = (
     | Annotated[Export, subcommand("export")]
     | Annotated[Import, subcommand("import")]
     | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[EvaluateMocap, subcommand("evaluate-mocap")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Predict, subcommand("predict")]
@@ -409,7 +411,7 @@ RUNNERS = MappingProxyType(
     {
         Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
-        Record: "record", Recover: "recover", Forget: "forget",
+        Record: "record", Recover: "recover", Forget: "forget", EvaluateMocap: "evaluate_mocap",
     }
 )  # fmt: skip
 

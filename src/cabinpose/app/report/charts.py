@@ -69,6 +69,48 @@ def box_chart(title: str, boxes: Mapping[str, Mapping[str, Sequence[float]]], *,
     return _svg(width, height, body)
 
 
+def series_chart(
+    title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], *, width: int = 420, height: int = 220
+) -> str:
+    """Values of any size, 0 included, over x (for each line its xs and ys); a line breaks where a value is not finite."""
+    finite = [(x, y) for xs, ys in lines.values() for x, y in zip(xs, ys, strict=True) if np.isfinite(y)]
+    x0, x1 = min((x for x, _ in finite), default=0.0), max((x for x, _ in finite), default=1.0)
+    x1 = x1 if x1 > x0 else x0 + 1.0
+    low, high = min(min((y for _, y in finite), default=0.0), 0.0), max((y for _, y in finite), default=1.0)
+    step = _nice_step(max(high - low, 1e-9) / 5)
+    floor, ceiling = step * np.floor(low / step), step * max(np.ceil(high / step), 1)
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        across, up = (x - x0) / (x1 - x0), (y - floor) / (ceiling - floor)
+        return _LEFT + across * (width - _LEFT - _RIGHT), _TOP + (1 - up) * (height - _TOP - _BOTTOM)
+
+    body = [_text(_LEFT, 18, title, "title")]
+    for y in np.arange(floor, ceiling + step / 2, step):
+        (left, level), (right, _) = at(x0, float(y)), at(x1, float(y))
+        body += [_line(left, level, right, level, "grid"), _text(left - 6, level + 4, f"{y:g}", "end")]
+    across = _nice_step((x1 - x0) / 6)
+    for x in np.arange(np.ceil(x0 / across - 1e-9) * across, x1 + across * 1e-9, across):
+        column, base = at(float(x), floor)
+        body += [_line(column, base, column, base + 4, "axis"), _text(column, base + 17, f"{x:g}", "middle")]
+    body.append(_text((_LEFT + width - _RIGHT) / 2, height - 6, x_label, "middle soft"))
+    for name, colour in reversed(list(zip(lines, _cycle(len(lines)), strict=True))):  # the first on top
+        points = [at(x, y) if np.isfinite(y) else None for x, y in zip(*lines[name], strict=True)]
+        body.append(
+            f'<path d="{_path(points)}" fill="none" stroke="{colour}" stroke-width="1.4"><title>{escape(name)}</title></path>'
+        )
+    return _svg(width, height, body)
+
+
+def _path(points: Sequence[tuple[float, float] | None]) -> str:
+    """An SVG path that is taken up again after each point that is missing."""
+    words, pen = [], "M"
+    for point in points:
+        if point is not None:
+            words.append(f"{pen}{point[0]:.1f},{point[1]:.1f}")
+        pen = "L" if point is not None else "M"
+    return "".join(words)
+
+
 def _box(x: float, wide: float, levels: Sequence[float], colour: str, model: str) -> list[str]:
     low, quarter, half, three, high = levels
     stroke = f'stroke="{colour}" stroke-width="1.4"'

@@ -23,31 +23,35 @@ _TILES = (
 def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[str]], worst: Mapping[str, Sequence[str]]) -> str:
     """The page on one or more models on one dataset; typical, worst: figures of such frames by model."""
     legend = f"{_dot(TRUTH)} truth {_dot(PREDICTION)} prediction {_dot(ERROR)} error"
-    style = (files("cabinpose.app.report") / "assets" / "report.css").read_text(encoding="utf-8")
     first = reports[0]
     sections = [
-        _section("At a glance", "".join(_tiles(r) for r in reports)),
-        _section("By joint group", _group_table(reports), _interval_note(first)),
-        _section(
-            "Curves", _curves(reports), "Share of the true joints that count, in per cent; one that was not found is wrong."
-        ),
-        _section("Error by joint", _boxes(reports), "Joints found. Box: quartiles and median; line: 5 % to 95 %."),
-        _section("By visibility", _visibility_table(reports)),
-        _section("Typical frames", _frames(reports, typical), f"Those nearest to the median frame's error. {legend}"),
-        _section("Worst frames", _frames(reports, worst), legend),
-        _section("All numbers", _number_table(reports)),
-        _section("Settings", _settings(first)),
+        section("At a glance", "".join(_tiles(r) for r in reports)),
+        section("By joint group", _group_table(reports), _interval_note(first)),
+        section("Curves", _curves(reports), "Share of the true joints that count, in per cent; one that was not found is wrong."),
+        section("Error by joint", _boxes(reports), "Joints found. Box: quartiles and median; line: 5 % to 95 %."),
+        section("By visibility", _visibility_table(reports)),
+        section("Typical frames", _frames(reports, typical), f"Those nearest to the median frame's error. {legend}"),
+        section("Worst frames", _frames(reports, worst), legend),
+        section("All numbers", _number_table(reports)),
+        section("Settings", _settings(first)),
     ]
     names = ", ".join(r.model for r in reports)
+    told = f"on {first.dataset}: {first.frames} frames, {first.people} people, {len(first.joint_sets[ALL])} joints"
+    return document(f"{names} on {first.dataset}", names, told, sections)
+
+
+def document(title: str, heading: str, told: str, sections: Sequence[str]) -> str:
+    """The whole page: its title, what stands at its head and in the line below, and its sections (HTML)."""
+    style = (files("cabinpose.app.report") / "assets" / "report.css").read_text(encoding="utf-8")
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(names)} on {escape(first.dataset)}</title><style>{style}</style></head><body>"
-        f"<header><h1>{escape(names)}</h1><p>on {escape(first.dataset)}: {first.frames} frames, {first.people} people, "
-        f"{len(first.joint_sets[ALL])} joints</p></header><main>{''.join(sections)}</main></body></html>\n"
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
+        f"<header><h1>{escape(heading)}</h1><p>{escape(told)}</p></header><main>{''.join(sections)}</main></body></html>\n"
     )
 
 
-def _section(title: str, body: str, note: str = "") -> str:
+def section(title: str, body: str, note: str = "") -> str:
+    """A section of a page; nothing where its body is empty."""
     return f"<section><h2>{title}</h2>{f'<p class=note>{note}</p>' if note else ''}{body}</section>" if body else ""
 
 

@@ -1,0 +1,212 @@
+"""`cabinpose evaluate-mocap`: the thesis' evaluations of a suit, as a table, a page and JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse, EvaluateMocap, EvaluateSfe, EvaluateSse, MocapReport
+from cabinpose.app.cli.output import print_json, print_table
+from cabinpose.app.extras import require
+from cabinpose.app.finite import finite
+from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError
+from cabinpose.core.resample import resample_positions
+from cabinpose.evaluate.mocap.bones import Bone, bone_lengths, mvn_bones, rigid_pairs
+from cabinpose.evaluate.mocap.result import Judgement
+from cabinpose.evaluate.mocap.sfe import SfeRun, find_poses, sfe, sfe_run
+from cabinpose.evaluate.mocap.sse import AXES, SseRun, find_steps, sse, sse_run
+from cabinpose.evaluate.mocap.stillness import Window
+from cabinpose.store.part import disk_errors
+
+if TYPE_CHECKING:  # they need the extra `record`, which is asked for first
+    from cabinpose.app.mocap.compare import Setup
+    from cabinpose.app.mocap.figures import Section
+    from cabinpose.app.mocap.inputs import Motion
+
+Outcome = tuple[Judgement, "list[Section]", dict[str, Any]]
+
+
+def run(command: EvaluateMocap) -> None:
+    """Evaluate; the table goes to stdout, the page to `out`."""
+    chosen = command.evaluation
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    if not chosen.takes:
+        raise ConfigError("there is nothing to evaluate", hint="give a recording or a file; --help shows how")
+    _check_out(chosen)
+    judgement, drawn, more = _EVALUATIONS[type(chosen)](chosen)
+    record = judgement.to_dict() | {"takes": list(chosen.takes)} | more
+    if chosen.out is not None:
+        from cabinpose.app.mocap.page import page_html
+
+        told = ", ".join(Path(word.partition("=")[2] or word).name for word in chosen.takes)
+        _write(chosen.out, page_html(judgement, drawn, told), record)
+    if chosen.as_json:
+        print_json(record)
+        return
+    from cabinpose.app.mocap.page import summary_rows
+
+    print_table(summary_rows(judgement))
+    for note in judgement.notes:
+        print(note)
+    if chosen.out is not None:
+        print(f"open {chosen.out / 'index.html'}", file=sys.stderr)
+
+
+def _sse(command: EvaluateSse) -> Outcome:
+    from cabinpose.app.mocap.figures import sse_sections
+    from cabinpose.app.mocap.inputs import labelled
+
+    runs: list[SseRun] = []
+    for axis, path in labelled(command.takes):
+        if axis not in AXES:
+            raise ConfigError(f"'{path}' is of no axis", hint=f"write AXIS=FILE, with an axis of {', '.join(AXES)}")
+        runs.append(_sse_run(command, axis, path))
+    found = sse(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
+    found = _told(found, command)
+    return found, sse_sections(found, runs, _measures(found)), {}
+
+
+def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
+    from cabinpose.app.mocap.inputs import read_channel, read_orientations
+
+    time, turned, origin_ns = read_orientations(path, command.sensor, source=command.source)
+    if command.motor is None:
+        step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
+        samples = command.samples or None
+        return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
+    source, slash, channel = command.motor.partition("/")
+    if not slash:
+        raise ConfigError(f"'{command.motor}' names no channel", hint="write --motor SOURCE/CHANNEL")
+    at, degrees, motor_ns = read_channel(path, source, channel)
+    offset_s = (motor_ns - origin_ns) / 1e9
+    reference = resample_positions(at + offset_s, np.radians(degrees), time, max_gap_s=60.0, policy="previous")
+    return sse_run(time, turned, axis=axis, reference_rad=reference)
+
+
+def _sfe(command: EvaluateSfe) -> Outcome:
+    from cabinpose.app.mocap.figures import sfe_sections
+    from cabinpose.app.mocap.inputs import body_source, labelled, read_motion
+
+    runs: list[SfeRun] = []
+    bones: dict[str, tuple[Bone, ...]] = {}
+    for label, path in labelled(command.takes):
+        motion = read_motion(path, source=command.source or body_source(path), subject=command.subject)
+        condition = label or motion.action or path.stem
+        if condition in bones:
+            raise ConfigError(f"two drives are called '{condition}'", hint="write DRIVE=FILE, each with a name of its own")
+        runs.append(_sfe_run(command, motion, condition))
+        segments = mvn_bones(motion.names)
+        linked = segments if len(segments) >= 3 else rigid_pairs(motion.position_m, motion.names)
+        bones[condition] = bone_lengths(motion.position_m, motion.names, linked)
+    found = _told(sfe(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s), command)
+    lengths = {name: [asdict(bone) for bone in found_] for name, found_ in bones.items()}
+    return found, sfe_sections(found, runs, _measures(found), bones), {"lengths": lengths}
+
+
+def _sfe_run(command: EvaluateSfe, motion: Motion, condition: str) -> SfeRun:
+    if (command.first is None) != (command.last is None):
+        raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
+    if command.first is not None and command.last is not None:
+        first, last = Window("first", *command.first), Window("last", *command.last)
+    else:
+        first, last = find_poses(motion.time_s, motion.position_m, motion.names, any_pose=command.any_pose)
+    if command.fit == "pelvis" and motion.orientation_wxyz is None:
+        raise AlignmentError(
+            f"{motion.path.name} holds markers, which have no pelvis", hint="--fit body lays whole bodies on each other"
+        )
+    return sfe_run(
+        motion.time_s, motion.position_m, motion.orientation_wxyz, motion.names, first=first, last=last, condition=condition,
+        fit=command.fit, pelvis=command.pelvis,
+    )  # fmt: skip
+
+
+def _dse(command: EvaluateDse) -> Outcome:
+    from cabinpose.app.mocap.compare import dse_runs
+    from cabinpose.app.mocap.figures import dse_sections
+    from cabinpose.app.mocap.inputs import labelled
+    from cabinpose.evaluate.mocap.dse import dse
+
+    heading = None if command.heading_deg is None else float(np.radians(command.heading_deg))
+    setup = replace(_setup(command), sensors=command.sensors, heading_rad=heading)
+    found = [dse_runs(path, label, setup) for label, path in labelled(command.takes)]
+    runs = [each for some, _ in found for each in some]
+    judged = dse(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
+    judged = _told(judged, command, [note for _, notes in found for note in notes])
+    headings = [{"condition": r.condition, "heading_deg": float(np.degrees(r.heading_rad))} for r in runs]
+    return judged, dse_sections(judged, runs, _measures(judged)), {"headings": headings}
+
+
+def _dfe(command: EvaluateDfe) -> Outcome:
+    from cabinpose.app.mocap.compare import dfe_runs
+    from cabinpose.app.mocap.figures import dfe_sections
+    from cabinpose.app.mocap.inputs import labelled
+    from cabinpose.evaluate.mocap.dfe import dfe
+
+    setup = _setup(command)
+    found = [dfe_runs(path, label, setup) for label, path in labelled(command.takes)]
+    runs = [each for some, _ in found for each in some]
+    judged = dfe(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
+    judged = _told(judged, command, [note for _, notes in found for note in notes])
+    return judged, dfe_sections(judged, runs, _measures(judged)), {}
+
+
+def _setup(command: EvaluateDse | EvaluateDfe) -> Setup:
+    from cabinpose.app.mocap.compare import Setup
+    from cabinpose.app.mocap.inputs import pairs, windows
+
+    if command.windows and len(command.takes) > 1:
+        raise ConfigError(
+            "windows are of one recording", hint="give one recording with --windows, or several with PLANE=RECORDING"
+        )
+    return Setup(
+        suit=command.suit,
+        optical=command.optical,
+        subject=command.subject,
+        optical_subject=command.optical_subject,
+        windows=windows(command.windows),
+        pairs=pairs(command.pairs),
+        rate_hz=command.rate,
+        max_gap_s=command.max_gap_s,
+        delay_s=None if command.delay_ms is None else command.delay_ms / 1e3,
+    )
+
+
+def _generator(command: MocapReport) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(key=command.seed))
+
+
+def _told(found: Judgement, command: MocapReport, notes: Sequence[str] = ()) -> Judgement:
+    """The judgement with the command's options as its settings, and with what the reading of the takes had to say."""
+    left_out = ("out", "overwrite", "as_json")
+    settings = {k: v for k, v in asdict(command).items() if k not in left_out}
+    return replace(found, settings=settings, notes=(*dict.fromkeys(notes), *found.notes))
+
+
+def _measures(found: Judgement) -> list[str]:
+    return list(dict.fromkeys(s.measure for s in found.summaries))
+
+
+def _check_out(command: MocapReport) -> None:
+    if command.out is None or command.overwrite:
+        return
+    if there := [name for name in ("index.html", "report.json") if (command.out / name).exists()]:
+        raise DatasetError(f"{command.out} already has {' and '.join(there)}", hint="--overwrite replaces them")
+
+
+def _write(folder: Path, page: str, record: dict[str, Any]) -> None:
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "index.html").write_text(page, encoding="utf-8")
+        (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
+
+
+_EVALUATIONS: MappingProxyType[type, Callable[[Any], Outcome]] = MappingProxyType(
+    {EvaluateSse: _sse, EvaluateSfe: _sfe, EvaluateDse: _dse, EvaluateDfe: _dfe}
+)

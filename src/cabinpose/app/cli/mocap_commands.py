@@ -1,0 +1,127 @@
+"""What can be typed about how good a suit's ground truth is; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg, subcommand
+
+from cabinpose.app.cli.arguments import JsonFlag
+
+
+@dataclass(frozen=True)
+class MocapReport:
+    """What all four evaluations can be told about their report."""
+
+    out: Path | None = None
+    """Folder for the page (index.html) and its numbers (report.json)."""
+    resamples: int = 1000
+    """Resamples of the bootstrap; 0: no intervals."""
+    block_s: float | None = None
+    """Seconds of a block of the bootstrap; default: by how long the errors remember themselves."""
+    seed: int = 0
+    """Seed of the bootstrap."""
+    overwrite: bool = False
+    """Replace the page that is in the folder."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class EvaluateSse(MocapReport):
+    """One sensor, turned in known steps about each of its axes: the error about the axis, mean and deviation."""
+
+    takes: Annotated[Positional[tuple[str, ...]], arg(metavar="AXIS=FILE")] = ()
+    """roll=FILE, pitch=FILE, yaw=FILE: recordings (.mcap) or MVNX files, one axis each."""
+    sensor: str | None = None
+    """Name of the sensor (or segment); default: the only one."""
+    source: str | None = None
+    """Source of the sensor in a recording."""
+    step_deg: float = 11.25
+    """Degrees that the motor turns at a step."""
+    steps: int = 33
+    """How many times the sensor stands still: 33 for a full turn of 32 steps, with the place where it began."""
+    samples: int = 300
+    """Samples taken at each step, from its middle; 0: all."""
+    still_deg_s: float = 1.5
+    """Degrees a second under which the sensor stands still."""
+    still_s: float = 0.5
+    """Seconds that it does so at least."""
+    motor: str | None = None
+    """SOURCE/CHANNEL that recorded the motor's angle in degrees, in place of steps."""
+
+
+@dataclass(frozen=True)
+class EvaluateSfe(MocapReport):
+    """The whole body: the first N-pose against the last, before and after a drive, joints relative to the pelvis."""
+
+    takes: Annotated[Positional[tuple[str, ...]], arg(metavar="[DRIVE=]FILE")] = ()
+    """Recordings (.mcap), MVNX, BVH or C3D files, one a drive."""
+    source: str | None = None
+    """Source of the suit in a recording; default: suit where there is one, else the only one that gives a body."""
+    subject: str | None = None
+    """Subject code; default: the only one."""
+    first: tuple[float, float] | None = None
+    """Seconds from and to, of the first pose; default: where the person stands still in an N-pose for the first time."""
+    last: tuple[float, float] | None = None
+    """Seconds from and to, of the last pose; default: the last time."""
+    any_pose: bool = False
+    """Take whatever pose the person is still in, not only an N-pose."""
+    fit: Literal["pelvis", "body"] = "pelvis"
+    """Lay the poses on each other by the pelvis, or by all joints (markers have no pelvis)."""
+    pelvis: str = "Pelvis"
+    """Name of the pelvis segment."""
+
+
+@dataclass(frozen=True)
+class _AgainstOptical(MocapReport):
+    """What both evaluations against an optical system can be told."""
+
+    takes: Annotated[Positional[tuple[str, ...]], arg(metavar="[PLANE=]RECORDING")] = ()
+    """Recordings (.mcap) of suit and optical system; default label: the take's action."""
+    suit: str = "suit"
+    """Source of the suit."""
+    optical: str = "optical"
+    """Source of the optical system."""
+    subject: str | None = None
+    """Subject code in the suit's stream; default: the only one."""
+    optical_subject: str | None = None
+    """Subject in the optical system's stream; default: the suit's, if it has it, else the only one."""
+    windows: tuple[str, ...] = ()
+    """PLANE=START:END in seconds of the take, to tell planes of motion in one recording apart."""
+    pairs: tuple[str, ...] = ()
+    """NAME=SEGMENT of the optical system, where its model names something differently."""
+    rate: float | None = None
+    """Samples a second of the common clock; default: the slower system's."""
+    max_gap_s: float = 0.1
+    """Longest pause of a stream that is interpolated over."""
+    delay_ms: float | None = None
+    """By how much the suit's stamps are late against the optical system's; default: from how both see the head turn."""
+
+
+@dataclass(frozen=True)
+class EvaluateDse(_AgainstOptical):
+    """Segments' turns since the first frame, suit against optical system, in up to 17 pairs, by plane of motion."""
+
+    sensors: bool = False
+    """Take the orientations of the suit's sensors, not of its segments."""
+    heading_deg: float | None = None
+    """Heading of the optical world seen from the suit's; default: fitted."""
+
+
+@dataclass(frozen=True)
+class EvaluateDfe(_AgainstOptical):
+    """Joints' positions, suit against optical system, in up to 18 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
+
+
+@dataclass(frozen=True)
+class EvaluateMocap:
+    """Judge the ground truth of a motion capture suit: the thesis' four evaluations, with intervals and a page each."""
+
+    evaluation: (
+        Annotated[EvaluateSse, subcommand("sse")]
+        | Annotated[EvaluateSfe, subcommand("sfe")]
+        | Annotated[EvaluateDse, subcommand("dse")]
+        | Annotated[EvaluateDfe, subcommand("dfe")]
+    )

@@ -1,0 +1,1 @@
+"""Recordings of a suit and an optical system, judged: what `cabinpose evaluate-mocap` reads, compares and shows."""

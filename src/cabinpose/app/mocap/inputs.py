@@ -1,0 +1,239 @@
+"""Motions as arrays, from a recording of ours or from a file of a suit or an optical system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.align.streams import on_host
+from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
+from cabinpose.core.recorded import Channels, Markers, Message, SegmentPoses, SensorReadings
+from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
+from cabinpose.evaluate.mocap.stillness import Window
+from cabinpose.store.convert.bvh import read_bvh_rows
+from cabinpose.store.convert.c3d import read_c3d
+from cabinpose.store.convert.mvnx import read_mvnx
+from cabinpose.store.convert.rows import Row
+from cabinpose.store.recording import Recording
+from cabinpose.store.recording.series import marker_series, segment_series
+
+F64 = NDArray[np.float64]
+FILES = (".mcap", ".mvnx", ".c3d", ".bvh")
+_LOOK = 50  # samples that tell what a source gives
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Named points of one subject over T samples: position_m (T, N, 3), orientation_wxyz (T, N, 4), None where points have none.
+
+    time_s (T,): on the host's clock, since `origin_ns` · action: what the take says it is of, "" where it says nothing.
+    """
+
+    path: Path
+    subject: str
+    names: tuple[str, ...]
+    time_s: F64
+    origin_ns: int
+    position_m: F64
+    orientation_wxyz: F64 | None
+    action: str
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second: by the median time between two."""
+        return float(1 / np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else float("nan")
+
+
+def read_motion(path: Path, *, source: str | None = None, subject: str | None = None, origin_ns: int | None = None) -> Motion:
+    """The segments of a subject, or its markers where a source gives no segments; from a recording or a file of `FILES`.
+
+    source: of a recording, None: the only one that gives either. Times count from `origin_ns`, None: the first sample.
+    Raises RecordingError or MocapError where there is nothing of that name, or the file cannot be read.
+    """
+    if path.suffix.lower() == ".mcap":
+        with Recording(path) as recording:
+            return _recorded(recording, source, subject, origin_ns)
+    if not path.exists():
+        raise RecordingError(f"there is no {path}", hint="give a recording (.mcap), or an MVNX, C3D or BVH file")
+    return _from_rows(path, subject, origin_ns)
+
+
+def read_orientations(path: Path, name: str | None, *, source: str | None = None) -> tuple[F64, F64, int]:
+    """Times (T,) s, orientations (T, 4) wxyz of one inertial sensor (None: the only one) and the clock's origin; of a recording
+    or an MVNX file. Where no sensor has that name, a segment may. Raises RecordingError where neither has.
+    """
+    rows = [row for row in _messages(path, source) if isinstance(row[1], SensorReadings)]
+    names = tuple(dict.fromkeys(n for _, m in rows if isinstance(m, SensorReadings) and len(m.orientation_wxyz) for n in m.names))
+    if name is None and len(names) == 1:
+        name = names[0]
+    if name not in names:
+        if name is not None:
+            motion = read_motion(path, source=source)
+            if name in motion.names and motion.orientation_wxyz is not None:
+                return motion.time_s, motion.orientation_wxyz[:, motion.names.index(name)], motion.origin_ns
+            names += motion.names
+        raise RecordingError(
+            f"{path} has no orientations of {f'a sensor {name!r}' if name else 'a single sensor'}",
+            hint=f"name one with --sensor: {', '.join(names) or 'there is none'}",
+        )
+    kept = [(ns, m.orientation_wxyz[m.names.index(name)]) for ns, m in rows if isinstance(m, SensorReadings) and name in m.names]
+    time_ns, rising = np.unique(np.array([ns for ns, _ in kept], np.int64), return_index=True)
+    return (time_ns - time_ns[0]) / 1e9, np.stack([q for _, q in kept])[rising], int(time_ns[0])
+
+
+def read_sensors(path: Path, *, source: str | None = None, subject: str | None = None) -> Motion:
+    """The inertial sensors of a subject as a motion without positions (NaN): orientations under the sensors' names."""
+    rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, SensorReadings) and len(m.orientation_wxyz)]
+    subjects = tuple(dict.fromkeys(m.subject for _, m in rows))
+    if subject is None and len(subjects) == 1:
+        subject = subjects[0]
+    mine = [(ns, m) for ns, m in rows if m.subject == subject]
+    if not mine:
+        raise RecordingError(
+            f"{path} has no orientations of {'sensors' if not subjects else 'that subject'}",
+            hint=f"subjects with sensors: {', '.join(map(repr, subjects)) or 'none; leave --sensors away'}",
+        )
+    names = mine[0][1].names
+    same = [(ns, m) for ns, m in mine if m.names == names]
+    turned = np.stack([m.orientation_wxyz for _, m in same])
+    time_ns = np.array([ns for ns, _ in same], np.int64)
+    return _motion(path, subject or "", names, time_ns, None, np.full((*turned.shape[:2], 3), np.nan), turned, "")
+
+
+def read_channel(path: Path, source: str, channel: str) -> tuple[F64, F64, int]:
+    """Times (T,) s and values (T,) of one channel of a recording's source, and the clock's origin."""
+    rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, Channels)]
+    names = tuple(dict.fromkeys(n for _, m in rows for n in m.names))
+    if channel not in names:
+        raise RecordingError(f"{source} gives no channel '{channel}'", hint=f"it gives: {', '.join(names) or 'none'}")
+    kept = [(ns, m.values[m.names.index(channel)]) for ns, m in rows if channel in m.names]
+    time_ns, rising = np.unique(np.array([ns for ns, _ in kept], np.int64), return_index=True)
+    return (time_ns - time_ns[0]) / 1e9, np.array([v for _, v in kept])[rising], int(time_ns[0])
+
+
+def _recorded(recording: Recording, source: str | None, subject: str | None, origin_ns: int | None) -> Motion:
+    action = recording.take.action or ""
+    source = _only_source(recording) if source is None else source
+    if source in recording.sources and "segments" not in _kinds(recording, source):
+        markers = marker_series(recording, source, subject)
+        named, position = markers.names, markers.position_m
+        return _motion(recording.path, markers.subject, named, on_host(markers), origin_ns, position, None, action)
+    series = segment_series(recording, source, subject)
+    turned = series.orientation_wxyz
+    return _motion(recording.path, series.subject, series.names, on_host(series), origin_ns, series.position_m, turned, action)
+
+
+def _motion(
+    path: Path, subject: str, names: tuple[str, ...], time_ns: NDArray[np.int64], origin_ns: int | None, position: F64,
+    orientation: F64 | None, action: str,
+) -> Motion:  # fmt: skip
+    """The host's times of a device rise as the device's do, but for rounding: equal ones are left out."""
+    time_ns, rising = np.unique(time_ns, return_index=True)
+    origin = int(time_ns[0]) if origin_ns is None else origin_ns
+    turned = None if orientation is None else orientation[rising]
+    return Motion(path, subject, names, (time_ns - origin) / 1e9, origin, position[rising], turned, action)
+
+
+def _only_source(recording: Recording) -> str:
+    found = [source for source in recording.sources if _kinds(recording, source)]
+    if len(found) != 1:
+        raise RecordingError(
+            f"{recording.path} has {len(found)} sources of segments or markers",
+            hint=f"name one with --source: {', '.join(found or recording.sources)}",
+        )
+    return found[0]
+
+
+def _kinds(recording: Recording, source: str) -> set[str]:
+    """Of segments and markers, which a source gives in its first samples."""
+    first = [sample for _, sample in islice(recording.samples([source]), _LOOK)]
+    kinds = {"segments": SegmentPoses, "markers": Markers}
+    return {name for name, kind in kinds.items() if any(isinstance(m, kind) for sample in first for m in sample.messages)}
+
+
+def _from_rows(path: Path, subject: str | None, origin_ns: int | None) -> Motion:
+    rows = [row for row in _messages(path, None) if isinstance(row[1], SegmentPoses | Markers)]
+    segments = [row for row in rows if isinstance(row[1], SegmentPoses)]
+    rows = segments or rows
+    subjects = tuple(dict.fromkeys(m.subject for _, m in rows if isinstance(m, SegmentPoses | Markers)))
+    if subject is None and len(subjects) == 1:
+        subject = subjects[0]
+    mine = [(ns, m) for ns, m in rows if isinstance(m, SegmentPoses | Markers) and m.subject == subject]
+    if not mine:
+        what = "several subjects" if subject is None and subjects else f"nothing of '{subject}'" if subject else "no motion"
+        raise RecordingError(f"{path} holds {what}", hint=f"--subject, of: {', '.join(map(repr, subjects)) or 'none'}")
+    names = mine[0][1].names
+    same = [(ns, m) for ns, m in mine if m.names == names]
+    time_ns = np.array([ns for ns, _ in same], np.int64)
+    position = np.stack([m.position_m for _, m in same])
+    turned = [m.orientation_wxyz for _, m in same if isinstance(m, SegmentPoses)]
+    return _motion(path, subject or "", names, time_ns, origin_ns, position, np.stack(turned) if turned else None, "")
+
+
+def _messages(path: Path, source: str | None) -> list[tuple[int, Message]]:
+    """Host times and messages of a file, or of one source of a recording."""
+    suffix = path.suffix.lower()
+    if suffix == ".mcap":
+        with Recording(path) as recording:
+            if source is not None and source not in recording.sources:
+                raise RecordingError(f"{path} has no source '{source}'", hint=f"it has: {', '.join(recording.sources) or 'none'}")
+            chosen = None if source is None else [source]
+            return [(sample.host_ns, m) for _, sample in recording.samples(chosen) for m in sample.messages]
+    readers: dict[str, Callable[[Path], Iterator[Row]]] = {".mvnx": read_mvnx, ".c3d": read_c3d, ".bvh": read_bvh_rows}
+    if suffix not in readers:
+        raise RecordingError(f"{path} is no motion that can be read", hint=f"files: {', '.join(FILES)}")
+    if not path.exists():
+        raise RecordingError(f"there is no {path}", hint="check the path")
+    return [(host if device is None else device, m) for host, device, m in readers[suffix](path)]
+
+
+def labelled(words: Sequence[str]) -> list[tuple[str, Path]]:
+    """LABEL=FILE or FILE (then the label is "")."""
+    found = []
+    for word in words:
+        label, equals, path = word.partition("=")
+        found.append((label, Path(path)) if equals and path and "/" not in label else ("", Path(word)))
+    return found
+
+
+def windows(words: Sequence[str]) -> tuple[Window, ...]:
+    """Windows of NAME=START:END, s. Raises ConfigError for what is none."""
+    found = []
+    for word in words:
+        name, _, span = word.partition("=")
+        start, colon, end = span.partition(":")
+        try:
+            window = Window(name, float(start), float(end))
+        except ValueError:
+            window = Window("", 0.0, 0.0)
+        if not (name and colon and window.start_s < window.end_s):
+            raise ConfigError(f"'{word}' is no window", hint="write NAME=START:END in seconds, such as coronal=3:21.5")
+        found.append(window)
+    return tuple(found)
+
+
+def pairs(words: Sequence[str]) -> dict[str, str]:
+    """NAME=SEGMENT as a mapping. Raises ConfigError for what is none, and for names of no pair."""
+    known = {name for p in (*SEGMENT_PAIRS, *JOINT_PAIRS) for name in (p.name, p.suit)}
+    found = {}
+    for word in words:
+        name, equals, segment = word.partition("=")
+        if not (equals and segment):
+            raise ConfigError(f"'{word}' is no pair", hint="write NAME=SEGMENT, such as pelvis=Hips")
+        if name not in known:
+            raise unknown_name("pair", name, sorted(known))
+        found[name] = segment
+    return found
+
+
+def body_source(path: Path) -> str | None:
+    """The source `suit` of a recording that has one; else none, which leaves it to `read_motion`."""
+    if path.suffix.lower() != ".mcap":
+        return None
+    with Recording(path) as recording:
+        return "suit" if "suit" in recording.sources else None
