@@ -11,6 +11,7 @@ from cabinpose.app.lab.optical import (
     Cap,
     Watch,
     cap_of,
+    kept,
     measured_model,
     measured_object,
     seen_by,
@@ -149,3 +150,15 @@ def test_the_model_of_the_whole_body_is_ours_with_its_names(driving: Motion) -> 
     noisy, _ = measured_model(driving, np.linspace(0, 4, 300), world, 1e-4, rng=generator(1))
     exact, _ = measured_model(driving, np.linspace(0, 4, 300), world, 0.0, rng=generator(1))
     assert (noisy - exact).std() == pytest.approx(5e-4, rel=0.05)
+
+
+def test_markers_are_lost_for_moments_alone_and_all_at_once() -> None:
+    time = np.arange(0.0, 3000.0, 0.02)
+    lost = ~kept(time, 3, rng=generator(5))
+    # Of a chain with rates a (lost) and b (found) a share of a / (a + b) is lost.
+    alone, together = 0.1 / (0.1 + 10.0), 0.05 / (0.05 + 5.0)
+    assert lost.all(axis=1).mean() == pytest.approx(together, rel=0.3)
+    assert lost.mean() == pytest.approx(1 - (1 - alone) * (1 - together), rel=0.15)
+    starts = np.count_nonzero(lost[1:, 0] & ~lost[:-1, 0])
+    assert lost[:, 0].sum() * 0.02 / starts == pytest.approx((0.1 * 0.1 + 0.05 * 0.2) / (0.1 + 0.05), rel=0.2)
+    assert not lost[0].any()

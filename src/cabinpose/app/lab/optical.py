@@ -24,14 +24,17 @@ F64 = NDArray[np.float64]
 HEAD_SUBJECT = HEAD_SEGMENT = "head"
 LEAST_MARKERS, LEAST_CAMERAS = 3, 2  # of a rigid body; that see a marker
 LOOK_HZ = 10.0  # how often it is looked at what is hidden; it stays so until the next time
-# Cameras about a driver, m, in a frame at the head's place with the vehicle's axes: around the car on stands and seen through its
-# windows, and four in it, at the windscreen and under the roof.
+# Cameras about a driver on the left, m from C1 along the vehicle's axes: five on stands around the car,
+# which see through its windows, and three in it, before the windscreen and under the roof.
 CAMERAS_M: F64 = np.array(
     [
-        (2.6, 1.3, 0.7), (2.6, -1.6, 0.7), (0.3, 2.4, 0.6), (0.2, -2.8, 0.6), (-2.8, 1.2, 0.6), (-2.8, -1.6, 0.6),
-        (0.75, 0.25, 0.08), (0.75, -0.75, 0.08), (0.25, -0.85, 0.12), (-0.55, -0.9, 0.1),
+        (2.6, 1.3, 0.7), (2.6, 0.3, 0.5), (2.6, -1.6, 0.7), (0.3, 2.4, 0.3), (0.2, -2.8, 0.25),
+        (0.75, -0.75, 0.08), (0.25, -0.85, 0.12), (-0.55, -0.9, 0.1),
     ]
 )  # fmt: skip
+# What an optical system loses without anything in between: ghosts, merged images, labels. How often (1/s) and how long (s, mean):
+# a single marker; all at once.
+_LOST_MARKER, _LOST_OBJECT = (0.1, 0.1), (0.05, 0.2)
 # The cap's markers as seen from the middle of the head (x ahead, y left, z up), on stalks; no two distances are equal.
 _DIRECTIONS: F64 = np.array(
     [(0.85, 0.15, 0.55), (0.25, 0.85, 0.60), (0.10, -0.90, 0.45), (-0.75, 0.30, 0.65), (-0.35, -0.45, 1.00)]
@@ -128,6 +131,17 @@ class Watch:
         first, inverse = np.unique(looks, return_index=True, return_inverse=True)[1:]
         each = np.stack([self.at(float(time_s[k])).sum(axis=0) >= LEAST_CAMERAS for k in first])
         return each[inverse]
+
+
+def kept(time_s: F64, markers: int, *, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(T, M): false where a marker is lost for a moment for no reason that could be seen, at rising times (T,)."""
+    rate, lasts = np.array([_LOST_MARKER] * markers + [_LOST_OBJECT]).T
+    drawn = rng.random((len(time_s), markers + 1))
+    lost = np.zeros(drawn.shape, np.bool_)
+    steps = np.diff(time_s, prepend=time_s[0])
+    for k in range(1, len(time_s)):
+        lost[k] = np.where(lost[k - 1], drawn[k] > steps[k] / lasts, drawn[k] < steps[k] * rate)
+    return ~(lost[:, :-1] | lost[:, -1:])
 
 
 def true_object(head: Matrix, cap: Cap) -> Matrix:

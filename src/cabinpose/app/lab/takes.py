@@ -19,6 +19,7 @@ from cabinpose.app.lab.optical import (
     Cap,
     Watch,
     cap_of,
+    kept,
     measured_model,
     measured_object,
     true_object,
@@ -194,8 +195,9 @@ class _Session:
         time = self._clock("optical", rig.optical.rate_hz)
         head = self.world_from_scene @ true_segments(self.motion, time).pose("Head")
         true = true_object(head, cap)
-        hides = rig.optical_occlusion and self.motion.cabin is not None
-        seen = Watch(self.motion, cap).over(time) if hides else np.ones((len(time), len(cap.names)), np.bool_)
+        seen = kept(time, len(cap.names), rng=self.rng) | (not rig.optical_occlusion)
+        if rig.optical_occlusion and self.motion.cabin is not None:
+            seen &= Watch(self.motion, cap).over(time)
         position, turned = measured_object(true, cap, seen, rig.optical_noise_m, rng=self.rng)
         if not whole_body:
             self._say("optical", lambda k: (_poses(HEAD_SUBJECT, (HEAD_SEGMENT,), position[k, None], turned[k, None]),))
