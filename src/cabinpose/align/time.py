@@ -1,0 +1,119 @@
+"""Time: how the clock of a suit, of a camera and of an optical system relate, from motions that two of them saw.
+
+Delays are maps from the first clock to the second (`Delay.to_b`, `Delay.clock_map`). A delay of a signal against time stamps
+counts with those of the clocks: a gyroscope's filter, an exposure stamped at its end.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cabinpose.core.angular import angular_speed, angular_velocity, rotation_angle
+from cabinpose.core.camera import Camera
+from cabinpose.core.delay import Delay, estimate_delay
+from cabinpose.core.errors import AlignmentError, unknown_name
+from cabinpose.core.frames import Matrix, apply
+from cabinpose.core.lags import WindowDelays
+from cabinpose.core.register import kabsch
+from cabinpose.core.resample import resample_positions
+
+__all__ = [
+    "Delay",
+    "WindowDelays",
+    "angular_speed",
+    "angular_velocity",
+    "estimate_delay",
+    "rotation_angle",
+    "suit_to_optical",
+    "tof_to_optical",
+]
+
+F64 = NDArray[np.float64]
+RotationSignal = Literal["velocity", "speed", "angle"]
+
+
+def suit_to_optical(
+    time_suit_s: ArrayLike,
+    suit_wxyz: ArrayLike,
+    time_optical_s: ArrayLike,
+    optical_wxyz: ArrayLike,
+    *,
+    max_lag_s: float,
+    signal: RotationSignal = "velocity",
+    drift: bool = True,
+    baseline_s: float = 0.1,
+    **options: Any,
+) -> Delay:
+    """From the suit's clock to the optical system's, from the orientations (T, 4), (U, 4) wxyz of one segment (the head) in both.
+
+    signal: "angle", of q·q0* since the first frame (the thesis; both have to begin at rest, and a drifting heading is taken for
+    motion) · "speed", the angular speed, which needs no common start · "velocity": the speed first, then the angular velocity as
+    three channels, the constant rotation between the two bodies' frames found on the way (Kabsch): a speed has a kink wherever
+    the head turns back, components have none. baseline_s: over which turns are taken, see `angular_velocity`. The frames of the
+    two worlds, their headings and the drift of these do not matter to the latter two. `options` are `estimate_delay`'s, which see
+    for errors.
+    """
+    if signal not in ("velocity", "speed", "angle"):
+        raise unknown_name("signal", signal, ("velocity", "speed", "angle"))
+    times = np.asarray(time_suit_s, np.float64), np.asarray(time_optical_s, np.float64)
+    both = np.asarray(suit_wxyz, np.float64), np.asarray(optical_wxyz, np.float64)
+    if signal == "angle":
+        suit, optical = (rotation_angle(q) for q in both)
+        return estimate_delay(times[0], suit, times[1], optical, max_lag_s=max_lag_s, drift=drift, **options)
+    suit, optical = (
+        angular_velocity(t, q, max_gap_s=_longest_pause(t), baseline_s=baseline_s) for t, q in zip(times, both, strict=True)
+    )
+    speeds = np.linalg.norm(suit, axis=1), np.linalg.norm(optical, axis=1)
+    rough = estimate_delay(times[0], speeds[0], times[1], speeds[1], max_lag_s=max_lag_s, drift=drift, **options)
+    if signal == "speed":
+        return rough
+    partner = resample_positions(times[1], optical, rough.to_b(times[0]), max_gap_s=_longest_pause(times[1]))
+    pairs = np.isfinite(partner).all(axis=1) & np.isfinite(suit).all(axis=1)
+    try:
+        optical_from_suit = kabsch(partner[pairs], suit[pairs], rotation_only=True)[:3, :3]
+    except AlignmentError:
+        return rough  # turned about one axis only: the frames stay open, and the speed has said all there is
+    # The speed knows the delay to some milliseconds; what is allowed about it has only to leave room for a peak and its feet.
+    narrow = options | {"around_s": rough.offset_s}
+    reach = 0.5 + abs(rough.drift) * float(np.ptp(times[0]))
+    return estimate_delay(times[0], suit @ optical_from_suit.T, times[1], optical, max_lag_s=reach, drift=drift, **narrow)
+
+
+def tof_to_optical(
+    time_tof_s: ArrayLike,
+    uv: ArrayLike,
+    time_optical_s: ArrayLike,
+    p_world: ArrayLike,
+    camera: Camera,
+    camera_from_world: Matrix,
+    *,
+    max_lag_s: float,
+    drift: bool = False,
+    **options: Any,
+) -> Delay:
+    """From the ToF camera's clock to the optical system's, from a marker that swings before both as a pendulum.
+
+    uv: (F, 2) px, where each frame shows it (`brightest_blob`; NaN: not) · p_world: (T, 3) m, where the optical system sees it ·
+    camera: with the distortion of the image that uv is from. The marker is projected into the image and both coordinates are
+    correlated. Space comes first: a swing that is a little elliptic has another phase from every side, so that no axis of it may
+    be taken for the image's; and the board that calibrates space stands still, and needs no time. A pendulum repeats: keep
+    max_lag_s below half its period. `options` are `estimate_delay`'s, which see for errors.
+    """
+    seen, marker = np.asarray(uv, np.float64), np.asarray(p_world, np.float64)
+    if seen.ndim != 2 or seen.shape[1] != 2 or marker.ndim != 2 or marker.shape[1] != 3:
+        raise AlignmentError(
+            f"pixels (F, 2) and points (T, 3) are needed, not {seen.shape} and {marker.shape}", hint="give one marker's"
+        )
+    expected = camera.project(apply(camera_from_world, marker))
+    # Far outside the image a distortion model means nothing; a little outside, it keeps the filter's kernels whole.
+    size = np.array((camera.width, camera.height))
+    expected[~((expected > -0.1 * size) & (expected < 1.1 * size)).all(axis=1)] = np.nan
+    return estimate_delay(time_tof_s, seen, time_optical_s, expected, max_lag_s=max_lag_s, drift=drift, **options)
+
+
+def _longest_pause(time_s: F64) -> float:
+    """Two samples and a half: what a derivative may bridge."""
+    return 2.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else np.inf

@@ -1,0 +1,59 @@
+"""How fast and how far a body turns: scalars that two systems see alike, whatever their frames of world and body."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cabinpose.core.errors import AlignmentError
+from cabinpose.core.resample import resample_rotations, rising_times
+from cabinpose.core.rotations import angle, conjugate, product, rotation_vectors, since_first
+
+F64 = NDArray[np.float64]
+
+
+def rotation_angle(quaternion_wxyz: ArrayLike) -> F64:
+    """(T,) rad in [0, π]: the angle of q·q0*, the turn of orientations (T, 4) since the first one that is known.
+
+    The same in any frame of the world and of the body, so that a suit and an optical system agree; but both have to begin with
+    the same orientation, as at rest. NaN where the orientation is. The thesis' eq. 3.4 with the least angle: q and -q are one.
+    """
+    q = np.asarray(quaternion_wxyz, np.float64)
+    if q.ndim != 2 or q.shape[1] != 4:
+        raise AlignmentError(f"quaternions (T, 4) are needed, not {q.shape}", hint="give one segment's")
+    return angle(since_first(q)) if len(q) else np.zeros(0)
+
+
+def angular_velocity(
+    time_s: ArrayLike, quaternion_wxyz: ArrayLike, *, max_gap_s: float = np.inf, baseline_s: float | None = None
+) -> F64:
+    """(T, 3) rad/s in the body's frame, as a gyroscope on it says, of orientations (T, 4) world_from_body at times (T,).
+
+    baseline_s: the turn from half of it before a sample to half of it after, between samples by SLERP; long enough that noise of
+    the orientations does not drown the turn. None: the turns to the sample before and to the next, each over its pause, and
+    between the two by the line. Both are centred on the sample, whatever the pauses, so that nothing is delayed. NaN where a
+    partner is missing, as at both ends, and across pauses longer than `max_gap_s`. Raises AlignmentError for times that do not
+    rise strictly.
+    """
+    q = np.asarray(quaternion_wxyz, np.float64)
+    if q.ndim != 2 or q.shape[1] != 4:
+        raise AlignmentError(f"quaternions (T, 4) are needed, not {q.shape}", hint="give one segment's")
+    time = rising_times(time_s, len(q))
+    result = np.full((len(q), 3), np.nan)
+    if len(q) < 3:
+        return result
+    if baseline_s is not None:
+        early, late = (resample_rotations(time, q, time + s * 0.5 * baseline_s, max_gap_s=max_gap_s) for s in (-1, 1))
+        return rotation_vectors(product(conjugate(early), late)) / baseline_s
+    pause = np.diff(time)[:, None]
+    velocity = rotation_vectors(product(conjugate(q[:-1]), q[1:])) / pause  # of the middle of each pause
+    velocity[pause[:, 0] > max_gap_s] = np.nan
+    result[1:-1] = (velocity[:-1] * pause[1:] + velocity[1:] * pause[:-1]) / (pause[:-1] + pause[1:])
+    return result
+
+
+def angular_speed(
+    time_s: ArrayLike, quaternion_wxyz: ArrayLike, *, max_gap_s: float = np.inf, baseline_s: float | None = None
+) -> F64:
+    """(T,) rad/s: the length of `angular_velocity`, which needs neither a common start nor a common frame."""
+    return np.linalg.norm(angular_velocity(time_s, quaternion_wxyz, max_gap_s=max_gap_s, baseline_s=baseline_s), axis=-1)

@@ -1,0 +1,201 @@
+"""The delay and the drift between two clocks, from a signal that both saw; and the reasons to refuse.
+
+1. Both signals pass the same filter without phase and are put on an even grid each (`core.correlation`).
+2. Their normalised cross-correlation over all lags allowed gives the peak to a sample, and its rivals (`core.lags`).
+3. The correlation of each of a dozen windows gives the delay over time; a robust line through these (Theil-Sen) the drift; a
+   step in them is a clock that jumps.
+4. Gauss-Newton on the curve between samples lays the whole of one signal on the other (`core.fitting`): delay, drift, intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cabinpose.core.clock import ClockMap
+from cabinpose.core.correlation import known_samples, smoothed
+from cabinpose.core.errors import AlignmentError
+from cabinpose.core.fitting import Fit, fit_delay
+from cabinpose.core.lags import LagSearch, Peak, WindowDelays, weak_error
+
+F64 = NDArray[np.float64]
+
+# What a rival peak must leave unexplained, as a multiple of what the best one leaves, lest the delay be ambiguous.
+_CLEAR = 1.5
+_PERFECT = 1e-6  # of exact signals nothing is left unexplained; a ratio needs something
+_GAP_PERIODS = 2.5  # one lost sample is bridged, two are a gap
+
+
+@dataclass(frozen=True)
+class Delay:
+    """What clock b shows when clock a shows t_a: t_b = t_a + offset_s + drift (t_a - reference_s).
+
+    interval_s, drift_interval: 95 % intervals (low, high) of offset and drift; both ends 0 where no drift was asked for ·
+    correlation: Pearson's r of the signals laid on each other · rival: that of the next best lag; NaN where there is none ·
+    reference_s: middle of the time used, on clock a, where offset and drift hardly depend on each other · windows: delays of
+    single windows, empty for takes too short to be cut · warp: of `piecewise`, times on a and what is added to the line there.
+    """
+
+    offset_s: float
+    interval_s: tuple[float, float]
+    drift: float
+    drift_interval: tuple[float, float]
+    reference_s: float
+    correlation: float
+    rival: float
+    windows: WindowDelays
+    warp: tuple[F64, F64] | None = None
+
+    def to_b(self, time_a_s: ArrayLike) -> F64:
+        """Times (...) of clock a on clock b; a warp goes on as it ends."""
+        a = np.asarray(time_a_s, np.float64)
+        b = a + self.offset_s + self.drift * (a - self.reference_s)
+        return b if self.warp is None else b + np.interp(a, *self.warp)
+
+    def to_a(self, time_b_s: ArrayLike) -> F64:
+        """Times (...) of clock b on clock a."""
+        b = np.asarray(time_b_s, np.float64)
+        a = self.reference_s + (b - self.reference_s - self.offset_s) / (1 + self.drift)
+        if self.warp is not None:
+            for _ in range(20):  # a warp of 1e-3 makes each step a thousandth of the last
+                a = a - (self.to_b(a) - b) / (1 + self.drift)
+        return a
+
+    def clock_map(self, origin_a_ns: int = 0, origin_b_ns: int = 0) -> ClockMap:
+        """The same for nanoseconds; origins: what the clocks showed at the zero of the seconds. Not for a piecewise delay."""
+        if self.warp is not None:
+            raise AlignmentError("a piecewise delay is no line", hint="use to_b and to_a, or estimate it without piecewise")
+        return ClockMap(
+            origin_b_ns - origin_a_ns + round(self.offset_s * 1e9), self.drift, origin_a_ns + round(self.reference_s * 1e9)
+        )
+
+
+def estimate_delay(
+    time_a_s: ArrayLike,
+    signal_a: ArrayLike,
+    time_b_s: ArrayLike,
+    signal_b: ArrayLike,
+    *,
+    max_lag_s: float,
+    around_s: float = 0.0,
+    drift: bool = False,
+    piecewise: bool = False,
+    min_overlap: float = 0.5,
+    min_correlation: float = 0.7,
+    smoothing_s: float | None = None,
+    max_gap_s: tuple[float, float] | None = None,
+    window_s: float | None = None,
+) -> Delay:
+    """The delay of clock b against clock a from signals (T,) or (T, C) that both saw, NaN = not known.
+
+    Channels are correlated together; levels may differ by channel, one gain is common and positive. max_lag_s, around_s: the
+    offset is sought in around_s ± max_lag_s; for signals that repeat (a pendulum) less than half a period · drift: the clocks run
+    at different rates · piecewise: also a slow warp about the line, through the windows · min_overlap: part of the shorter
+    signal's known samples that has to overlap · smoothing_s: sigma of the filter, one sample of the slower signal if None ·
+    max_gap_s: of a and of b, the longest pause between samples that is bridged, 2.5 samples if None · window_s: None: a twelfth
+    of the take, at least 5 s.
+
+    Raises AlignmentError where a signal is constant or too short, where times do not rise, where too little overlaps, where the
+    best correlation is weak (below min_correlation), where another lag explains nearly as much, where the correlation still rises
+    at the edge of what is allowed, and where a clock jumps.
+    """
+    if not (np.isfinite(max_lag_s) and max_lag_s > 0 and np.isfinite(around_s)):
+        raise AlignmentError(f"lags {around_s} ± {max_lag_s} s", hint="max_lag_s is a number above 0")
+    raw_a, raw_b = known_samples(time_a_s, signal_a, "a"), known_samples(time_b_s, signal_b, "b")
+    if raw_a.values.shape[1] != raw_b.values.shape[1]:
+        raise AlignmentError(
+            f"signal a has {raw_a.values.shape[1]} channels, b {raw_b.values.shape[1]}", hint="give the same channels of both"
+        )
+    sigma = max(raw_a.period_s, raw_b.period_s) if smoothing_s is None else smoothing_s
+    gaps = (_GAP_PERIODS * raw_a.period_s, _GAP_PERIODS * raw_b.period_s) if max_gap_s is None else max_gap_s
+    a, b = smoothed(raw_a, sigma, gaps[0]), smoothed(raw_b, sigma, gaps[1])
+    search = LagSearch(a, b, (around_s - max_lag_s, around_s + max_lag_s), min_overlap, min_correlation)
+    peaks = search.peaks()
+    found = [c for peak in peaks if (c := _candidate(search, peak, window_s, drift=drift))]
+    if not found:
+        raise weak_error(peaks[0].correlation, peaks[0].lag_s, min_correlation)
+    found.sort(key=lambda c: -c[0].correlation)
+    fit, windows = found[0]
+    rivals = [other for other, _ in found[1:] if abs(other.offset_s - fit.offset_s) > 2 * search.step_s]
+    strong = fit.correlation >= min_correlation
+    if strong and rivals and rivals[0].correlation > 0 and _unexplained(rivals[0]) < _CLEAR * _unexplained(fit):
+        raise AlignmentError(
+            f"the delay is ambiguous: {fit.offset_s:.3f} s (r = {fit.correlation:.3f}) or {rivals[0].offset_s:.3f} s "
+            f"(r = {rivals[0].correlation:.3f})",
+            hint="a motion that repeats fits itself a period later: give max_lag_s below half a period, or move irregularly",
+        )
+    _refuse_jumps(windows, search.step_s)  # before the weakness, whose cause a jump can be
+    if not strong:
+        raise weak_error(fit.correlation, fit.offset_s, min_correlation)
+    return Delay(
+        fit.offset_s,
+        (fit.offset_s - fit.offset_half_s, fit.offset_s + fit.offset_half_s),
+        fit.drift,
+        (fit.drift - fit.drift_half, fit.drift + fit.drift_half),
+        fit.reference_s,
+        fit.correlation,
+        rivals[0].correlation if rivals else float("nan"),
+        windows,
+        _warp(fit, windows) if piecewise else None,
+    )
+
+
+def _candidate(search: LagSearch, peak: Peak, window_s: float | None, *, drift: bool) -> tuple[Fit, WindowDelays] | None:
+    """What a peak becomes when it is refined, with the delays of its windows."""
+    low, high = search.overlap(peak.lag_s)
+    windows = search.windows(peak.lag_s, window_s)
+    reference = 0.5 * (low + high)
+    start, slope = peak.lag_s, 0.0
+    if drift and len(windows.time_s) >= 2:
+        slope = robust_slope(windows.time_s, windows.offset_s)
+        start = float(np.median(windows.offset_s - slope * (windows.time_s - reference)))
+    fit = fit_delay(search.a, search.b, start, slope, reference_s=reference, free_drift=drift)
+    return None if fit is None else (fit, windows)
+
+
+def robust_slope(x: F64, y: F64) -> float:
+    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968): a quarter of them may be anything."""
+    i, j = np.triu_indices(len(x), 1)
+    return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
+
+
+def _unexplained(fit: Fit) -> float:
+    return 1 - fit.correlation**2 + _PERFECT
+
+
+def _refuse_jumps(windows: WindowDelays, step_s: float) -> None:
+    """Raises AlignmentError where the delay of the windows steps by what neither drift nor their scatter explains."""
+    time, offset = windows.time_s, _without_outliers(windows.offset_s)
+    if len(time) < 4:
+        return
+    pause = np.diff(time)
+    steps = np.diff(offset)
+    steps = steps - np.median(steps / pause) * pause
+    scatter = 1.4826 * float(np.median(np.abs(steps)))
+    allowed = np.maximum(max(0.5 * step_s, 8 * scatter), windows.half_s[1:] + windows.half_s[:-1])
+    worst = int(np.argmax(np.abs(steps) - allowed))
+    if abs(steps[worst]) > allowed[worst]:
+        raise AlignmentError(
+            f"a clock jumps by {steps[worst] * 1e3:.1f} ms between {time[worst]:.1f} s and {time[worst + 1]:.1f} s of clock a",
+            hint="a device restarted, or samples were lost without a gap in the times: cut the take there and align each part",
+        )
+
+
+def _without_outliers(values: F64) -> F64:
+    """The median of three neighbours, ends as they are: one bad window is no jump, a step stays where it is."""
+    result = values.copy()
+    if len(values) >= 3:
+        result[1:-1] = np.median(np.stack((values[:-2], values[1:-1], values[2:])), axis=0)
+    return result
+
+
+def _warp(fit: Fit, windows: WindowDelays) -> tuple[F64, F64]:
+    if len(windows.time_s) < 3:
+        raise AlignmentError(
+            f"{len(windows.time_s)} windows with motion are too few for a piecewise delay",
+            hint="give a shorter window_s, or estimate a line: drift=True",
+        )
+    line = fit.offset_s + fit.drift * (windows.time_s - fit.reference_s)
+    return windows.time_s, _without_outliers(windows.offset_s - line)
