@@ -36,6 +36,7 @@ from cabinpose.core.recorded import (
     ToFFrame,
 )
 from cabinpose.store.convert.adtfdat_write import IndexedFileWriter
+from cabinpose.store.convert.apart import CrashedError, items_apart
 from cabinpose.store.convert.rows import whole_file
 
 _KINDS: Mapping[str, tuple[type[Any], tuple[tuple[str, int], ...]]] = {
@@ -115,23 +116,33 @@ def read_adtfdat(path: Path) -> Iterator[Stamped]:
     Times and sequence are as they were written; of other files, both times are the file's, and there is no sequence.
     Raises DependencyError without the package `adtf`, RecordingError where the file cannot be read.
     """
-    adtf_file = optional_module("adtf_file", purpose="an ADTF file", hint="pip install adtf (Linux and Windows, 64 bits)")
+    _adtf_file()  # an error of its own where it is missing
     if not path.is_file():
         raise RecordingError(f"{path} does not exist", hint="check the path")
     try:
-        reader = adtf_file.create_reader(str(path))
-        streams: dict[int, _Stream] = {}
-        for stream in reader.streams:
-            streams[stream.stream_id] = found = _Stream(adtf_file, stream)
-            yield found.name, 0, None, None, found.facts
-        while (item := reader.get_next_item()) is not None:
-            if item.type == adtf_file.ItemType.Sample and item.stream_id in streams:
-                found = streams[item.stream_id]
-                message = found.message(item.sample)
-                if message is not None:
-                    yield found.name, *message
-    except (RuntimeError, ValueError, KeyError, IndexError, TypeError, struct.error) as error:
+        yield from items_apart(_read, path)
+    except (CrashedError, RuntimeError) as error:
         raise RecordingError(f"{path} is no whole ADTF file: {error}", hint="copy or record it again") from error
+
+
+def _adtf_file() -> Any:
+    return optional_module("adtf_file", purpose="an ADTF file", hint="pip install adtf (Linux and Windows, 64 bits)")
+
+
+def _read(path: Path) -> Iterator[Stamped]:
+    """As `read_adtfdat`. The package trusts the file: to be called in a process of its own."""
+    adtf_file = _adtf_file()
+    reader = adtf_file.create_reader(str(path))
+    streams: dict[int, _Stream] = {}
+    for stream in reader.streams:
+        streams[stream.stream_id] = found = _Stream(adtf_file, stream)
+        yield found.name, 0, None, None, found.facts
+    while (item := reader.get_next_item()) is not None:
+        if item.type == adtf_file.ItemType.Sample and item.stream_id in streams:
+            found = streams[item.stream_id]
+            message = found.message(item.sample)
+            if message is not None:
+                yield found.name, *message
 
 
 class _Stream:

@@ -21,11 +21,13 @@ from cabinpose.core.errors import MocapError
 from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.optional import optional_module
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
+from cabinpose.store.convert.apart import CrashedError, items_apart
 from cabinpose.store.convert.rows import Row
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 ANGLES, OTHERS = "ANGLES", ("FORCES", "MOMENTS", "POWERS", "SCALARS")
 _BLOCK = 512
+_REFUSALS = (OSError, RuntimeError, ValueError, TypeError, AttributeError, LookupError, MemoryError, OverflowError)
 _FLIP = np.diag([1.0, -1.0, -1.0])  # half a turn about x
 _WORLD_FROM_UP = {
     "+Z": np.eye(3), "-Z": _FLIP, "+Y": ZUP_FROM_YUP, "-Y": _FLIP @ ZUP_FROM_YUP,
@@ -57,14 +59,41 @@ def read_c3d(path: Path, *, subjects: Mapping[str, str] | None = None, start_ns:
     Raises MocapError where the file is no C3D, is damaged or cut off, or has an unknown unit.
     """
     check_size(path)
-    module = ezc3d()
+    ezc3d()  # an error of its own where it is missing
     try:
-        trial = _Trial(module.c3d(str(path)), subjects or {})
+        (content,) = items_apart(_load, path)
+        trial = _Trial(content, subjects or {})
     except _ContentError as error:
         raise MocapError(f"{path} {error}", hint=error.hint) from None
-    except (OSError, RuntimeError, ValueError, TypeError, AttributeError, LookupError, MemoryError) as error:
+    except (CrashedError, *_REFUSALS) as error:
         raise MocapError(f"{path} cannot be read: {error}", hint="export it again; it contradicts itself") from error
     return trial.rows(start_ns)
+
+
+def _load(path: Path) -> Iterator[_Content]:
+    """What the library finds in a file, which it trusts: to be called in a process of its own."""
+    file = ezc3d().c3d(str(path))
+    data, header = file["data"], file["header"]["points"]
+    yield _Content(
+        points=data["points"][:3].transpose(2, 1, 0),
+        residual=data["meta_points"]["residuals"][0].T,
+        analogs=data["analogs"][0].T,
+        rate=float(header["frame_rate"]),
+        first=int(header["first_frame"]),
+        parameters=_plain_parameters(file["parameters"]),
+    )
+
+
+@dataclass(frozen=True)
+class _Content:
+    """points (F, P, 3), residual (F, P), analogs (F * n, C) in the file's units · rate Hz · number of the first frame."""
+
+    points: F64
+    residual: F64
+    analogs: F64
+    rate: float
+    first: int
+    parameters: dict[str, dict[str, Any]]
 
 
 class _ContentError(MocapError):
@@ -74,15 +103,12 @@ class _ContentError(MocapError):
 class _Trial:
     """A file whose parameters have been understood."""
 
-    def __init__(self, file: Any, codes: Mapping[str, str]) -> None:
-        self.points: F64 = file["data"]["points"][:3].transpose(2, 1, 0)  # (F, P, 3)
-        self.residual: F64 = file["data"]["meta_points"]["residuals"][0].T  # (F, P)
-        self.analogs: F64 = file["data"]["analogs"][0].T  # (F * n, C)
-        self.rate = float(file["header"]["points"]["frame_rate"])
-        self.first = int(file["header"]["points"]["first_frame"])
+    def __init__(self, content: _Content, codes: Mapping[str, str]) -> None:
+        self.points, self.residual, self.analogs = content.points, content.residual, content.analogs
+        self.rate, self.first = content.rate, content.first
         if len(self.points) and not (np.isfinite(self.rate) and self.rate > 0):
             raise _ContentError(f"has a frame rate of {self.rate}", hint="set POINT:RATE to the rate of the cameras")
-        parameters = _plain_parameters(file["parameters"])
+        parameters = content.parameters
         point, analog = parameters.get("POINT", {}), parameters.get("ANALOG", {})
         self.scale, self.world = _metres(point), _world(point)
         self.degrees = str((point.get("ANGLE_UNITS") or ["deg"])[0]).strip().lower() != "rad"

@@ -29,6 +29,8 @@ from cabinpose.store.convert.rows import Row, whole_file
 
 _HEADER, _STREAM, _SAMPLES, _OFFSET, _FOOTER = 1, 2, 3, 4, 6
 _AT_ONCE = 1000  # samples a chunk
+_MOST_CHANNELS = 100_000
+_LATEST_S = 4e9  # of a clock: nanoseconds have 64 bits, twice of it still fit
 
 
 @dataclass(frozen=True)
@@ -89,13 +91,13 @@ def read_xdf(path: Path) -> dict[str, XdfStream]:
     try:
         found, header = pyxdf.load_xdf(str(path), synchronize_clocks=False, dejitter_timestamps=False)
         streams = [_stream(each) for each in found]
+        firsts = [float(s.recorder_s(s.stamps_s)[0]) for s in streams if s is not None and len(s.stamps_s)]
     except Exception as error:
         hint = "check the path; record it again with LabRecorder"
         raise RecordingError(f"cannot read {path} as XDF: {error}", hint=hint) from error
     streams = [stream for stream in streams if stream is not None]
     if not streams:
         raise RecordingError(f"{path} holds no stream", hint="record it again, with the streams selected")
-    firsts = [float(stream.recorder_s(stream.stamps_s)[0]) for stream in streams if len(stream.stamps_s)]
     start_ns, zero_s = _begun(header), min(firsts, default=0.0)
     result: dict[str, XdfStream] = {}
     for stream in streams:
@@ -117,7 +119,11 @@ def _stream(found: Mapping[str, Any]) -> Any:
     count = int(info["channel_count"][0])
     if count < 1:
         return None
+    if count > _MOST_CHANNELS or len(values) != len(stamps) or (len(stamps) and np.shape(values)[1:] != (count,)):
+        raise ValueError(f"samples {np.shape(values)} of {count} channels at {len(stamps)} times")
     offsets = np.array([found.get("clock_times", []), found.get("clock_values", [])], dtype=np.float64).T
+    if not all((np.abs(times) < _LATEST_S).all() for times in (stamps, offsets)):  # False for NaN
+        raise ValueError("times that are none")
     return XdfStream(
         name=str(info["name"][0]),
         type=str((info.get("type") or [""])[0] or ""),

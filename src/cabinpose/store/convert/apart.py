@@ -1,0 +1,99 @@
+"""Libraries that may crash on a damaged file, at work in a process of their own.
+
+Compiled readers trust what a file says of itself: a wrong size can end the process, or take all memory. What they find is handed
+over piece by piece; their end is an error like others.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import multiprocessing
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cabinpose.core.errors import CabinposeError
+
+T = TypeVar("T")
+
+_AT_ONCE = 64  # items handed over together
+_SILENCE_S = 600.0  # a library that finds nothing for so long hangs
+_ROOM_BYTES = 4 << 30  # of memory, beyond what this process has
+_PROCESSOR_S = 5
+_SLOWEST_BYTES_PER_S = 250_000  # with the making of messages
+
+
+class CrashedError(Exception):
+    """The process ended without a word, or hung; the message says how."""
+
+
+def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
+    """The items of `make(path)`, made in another process; all of them have to be picklable.
+
+    What that may cost: 4 GB more than this process has, and processor time by the size of the file (Linux).
+
+    After the items before it: raises the CabinposeError that `make` raises, RuntimeError for any other, and CrashedError where
+    the process dies, takes too much, or finds nothing for ten minutes.
+    """
+    alone = threading.active_count() == 1 and sys.platform.startswith("linux")
+    context: Any = multiprocessing.get_context("fork" if alone else "spawn")  # forking is quick, and safe without threads
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_serve, args=(sender, make, path), daemon=True)
+    process.start()
+    sender.close()
+    try:
+        while True:
+            if not receiver.poll(_SILENCE_S):
+                raise CrashedError(f"nothing was found for {_SILENCE_S:.0f} s")
+            try:
+                items, error, ended = receiver.recv()
+            except EOFError:
+                process.join()
+                raise CrashedError(f"the reader's process ended with {process.exitcode}") from None
+            yield from items
+            if error is not None:
+                raise error
+            if ended:
+                return
+    finally:
+        receiver.close()
+        if process.is_alive():
+            process.kill()
+        process.join()
+
+
+def _serve(sender: Connection, make: Callable[..., Iterable[Any]], path: Path) -> None:
+    faulthandler.disable()  # a crash is told by the exit code
+    _limit(path)
+    items: list[Any] = []
+    error: Exception | None = None
+    try:
+        for item in make(path):
+            items.append(item)
+            if len(items) >= _AT_ONCE:
+                sender.send((items, None, False))
+                items = []
+    except CabinposeError as problem:
+        error = problem
+    except Exception as problem:  # noqa: BLE001 - the library's own kinds of errors may not go through a pipe
+        error = RuntimeError(f"{type(problem).__name__}: {problem}")
+    sender.send((items, error, True))
+
+
+def _limit(path: Path) -> None:
+    """Bound this process' memory and processor time."""
+    if not sys.platform.startswith("linux"):
+        return
+    import resource  # noqa: PLC0415 - not there on Windows
+
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    seconds = _PROCESSOR_S + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
+    for kind, wanted in (
+        (resource.RLIMIT_AS, pages * resource.getpagesize() + _ROOM_BYTES),
+        (resource.RLIMIT_CPU, seconds),
+    ):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (wanted if hard < 0 else min(wanted, hard), hard))
