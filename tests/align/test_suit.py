@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.align.suit import HAND_M, joints_of_segments
+from cabinpose.align.suit import HANDS_M, joints_of_segments
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.skeleton import INDEX, MVN_SEGMENTS, RIGS
 
@@ -32,13 +32,13 @@ def test_joints_are_origins_of_their_segments_whatever_their_order():
 def test_hands_lie_outwards_along_the_arms_stretched_to_the_sides():
     position, orientation = _segments()
     joints = joints_of_segments(MVN_SEGMENTS, position, orientation)
-    for hand, wrist, out in (("lhand", "lwrist", HAND_M), ("rhand", "rwrist", -HAND_M)):
-        assert np.allclose(joints[:, INDEX[hand]] - joints[:, INDEX[wrist]], (0, out, 0), atol=1e-12)
+    for hand, wrist, out in (("lhand", "lwrist", HANDS_M[0]), ("rhand", "rwrist", HANDS_M[1])):
+        assert np.allclose(joints[:, INDEX[hand]] - joints[:, INDEX[wrist]], out, atol=1e-12)
     # arms hanging: the left one turns by -90 degrees about the forward axis (+y becomes -z), the right one by +90
     for segment, degrees in (("LeftHand", -90), ("RightHand", 90)):
         turned = Rotation.from_euler("x", degrees, degrees=True).as_quat(scalar_first=True)
         orientation[:, MVN_SEGMENTS.index(segment)] = turned
-    joints = joints_of_segments(MVN_SEGMENTS, position, orientation, hand_m=0.1)
+    joints = joints_of_segments(MVN_SEGMENTS, position, orientation, hands_m=((0, 0.1, 0), (0, -0.1, 0)))
     for hand, wrist in (("lhand", "lwrist"), ("rhand", "rwrist")):
         assert np.allclose(joints[:, INDEX[hand]] - joints[:, INDEX[wrist]], (0, 0, -0.1), atol=1e-12)
 

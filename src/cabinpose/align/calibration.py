@@ -10,7 +10,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from cabinpose.align.suit import HAND_M
+from cabinpose.align.suit import HANDS_M, Triple
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import Matrix, is_rigid
@@ -60,7 +60,8 @@ class Extrinsics(_Model):
     camera_from_world: Rigid
     views: Annotated[int, Field(ge=0)] = 0
     rms_m: Annotated[float | None, Field(description="distance between markers seen by both systems")] = None
-    held_out_m: Annotated[float | None, Field(description="the same on views that were held out")] = None
+    held_out_m: Annotated[float | None, Field(description="the same by markers alone, on views that were held out")] = None
+    held_out_px: Annotated[float | None, Field(description="of corners in the image, on views that were held out")] = None
     marker_rms_m: Annotated[dict[str, float], Field(description="by marker")] = Field(default_factory=dict)
     sd_m: Annotated[float | None, Field(description="standard deviation of the translation")] = None
     sd_rad: Annotated[float | None, Field(description="standard deviation of the rotation")] = None
@@ -85,7 +86,7 @@ class Head(_Model):
     object_from_head: Rigid
     residual_rad: Annotated[float | None, Field(description="rms angle between the two systems' heads")] = None
     offset: Annotated[str, Field(description="measured, or fitted from the turning head")] = "measured"
-    hand_m: Annotated[float, Field(gt=0, description="wrist to finger base, m")] = HAND_M
+    hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
 
     @property
     def matrix(self) -> Matrix:

@@ -13,15 +13,20 @@ from cabinpose.core.skeleton import INDEX, JOINTS, RIGS
 
 F64 = NDArray[np.float64]
 
-HAND_M = 0.085  # wrist to finger base of a man of 1.75 m (a hand's length of 0.19 m, palm 0.45 of it)
+Triple = tuple[float, float, float]
+
+# Wrist to finger base of a man of 1.75 m (a hand's length of 0.19 m, palm 0.45 of it), left and right, in MVN's hand segments,
+# whose pose of identity has the arms stretched out to the sides: left is +y.
+HANDS_M: tuple[Triple, Triple] = ((0.0, 0.085, 0.0), (0.0, -0.085, 0.0))
 
 
-def joints_of_segments(names: Sequence[str], position_m: F64, orientation_wxyz: F64, *, hand_m: float = HAND_M) -> F64:
+def joints_of_segments(
+    names: Sequence[str], position_m: F64, orientation_wxyz: F64, *, hands_m: tuple[Triple, Triple] = HANDS_M
+) -> F64:
     """(T, 20, 3) m: our joints in the suit's world from MVN's segments, (T, S, 3) and (T, S, 4) wxyz with these names.
 
-    A joint is the origin of the segment that `RIGS["mvn"]` names. MVN has no finger base: it lies `hand_m` along the hand, which
-    in the pose of identity (arms stretched out to the sides) points to the left (+y) of the left hand, and to -y of the
-    right. NaN where a segment is. Raises AlignmentError where segments are lacking.
+    A joint is the origin of the segment that `RIGS["mvn"]` names. MVN has no finger base: hands_m says where it is in the
+    left and the right hand segment, m. NaN where a segment is. Raises AlignmentError where segments are lacking.
     """
     rig = RIGS["mvn"]
     lacking = sorted({theirs for theirs in rig.values() if theirs not in names})
@@ -32,10 +37,10 @@ def joints_of_segments(names: Sequence[str], position_m: F64, orientation_wxyz: 
     joints = np.full((len(position_m), len(JOINTS), 3), np.nan)
     for joint, theirs in rig.items():
         joints[:, INDEX[joint]] = position_m[:, list(names).index(theirs)]
-    for side, out in (("l", 1.0), ("r", -1.0)):
+    for side, offset in zip("lr", hands_m, strict=True):
         hand = list(names).index(rig[f"{side}wrist"])
         turned = orientation_wxyz[:, hand]
         known = np.isfinite(turned).all(axis=-1)
-        along = Rotation.from_quat(turned[known], scalar_first=True).apply((0.0, out * hand_m, 0.0))
+        along = Rotation.from_quat(turned[known], scalar_first=True).apply(offset)
         joints[known, INDEX[f"{side}hand"]] = position_m[known, hand] + along
     return joints

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
+from cabinpose.app.cli.align_commands import Align, Calibrate, Lab
 from cabinpose.app.cli.arguments import JsonFlag, ThingArgument
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
@@ -404,6 +405,9 @@ Command = (
     | Annotated[Record, subcommand("record")]
     | Annotated[Recover, subcommand("recover")]
     | Annotated[Forget, subcommand("forget")]
+    | Annotated[Calibrate, subcommand("calibrate")]
+    | Annotated[Align, subcommand("align")]
+    | Annotated[Lab, subcommand("lab")]
     | Annotated[Bench, subcommand("bench")]
 )
 
@@ -411,7 +415,8 @@ RUNNERS = MappingProxyType(
     {
         Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
-        Record: "record", Recover: "recover", Forget: "forget", EvaluateMocap: "evaluate_mocap",
+        Record: "record", Recover: "recover", Forget: "forget", Calibrate: "calibrate", Align: "align", Lab: "lab",
+        EvaluateMocap: "evaluate_mocap",
     }
 )  # fmt: skip
 

@@ -1,0 +1,128 @@
+"""A recording of suit, optical system and camera, aligned: the suit's joints in each frame of the camera."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.align.calibration import Calibration
+from cabinpose.align.chain import joints_in_camera, rigid
+from cabinpose.align.streams import frame_times, on_host, seconds
+from cabinpose.align.suit import joints_of_segments
+from cabinpose.align.time import suit_to_optical
+from cabinpose.core.delay import Delay
+from cabinpose.core.errors import AlignmentError
+from cabinpose.core.resample import resample_positions, resample_rotations
+from cabinpose.core.skeleton import RIGS
+from cabinpose.store.recording import Recording, segment_series
+
+F64 = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+OPTICAL_GAP_S = 0.05  # of the optical system: five of its samples at 100 Hz; a head turns by less than 20 degrees meanwhile
+SUIT_GAP_S = 0.1  # of the suit: six of its samples at 60 Hz
+_DRIFT_FROM_S = 60.0  # on the host's axis no drift is left but the error of its lines, which shorter takes do not tell
+REASONS = ("outside the take of the optical system", "no head object", "outside the take of the suit", "a gap of the suit")
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A take in one time and space, T frames of the camera.
+
+    frame_ns (T,): their stamps, on the host's axis · joints (T, 20, 3) m in the camera frame, NaN in frames that are left out ·
+    reason (T,): why a frame is left out, "" for those that are not · delay: of the suit against the optical system.
+    """
+
+    subject: str
+    frame_ns: Times
+    joints: F64
+    reason: tuple[str, ...]
+    delay: Delay
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(T,) frames that have the joints."""
+        return np.array([not reason for reason in self.reason], np.bool_)
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Frames left out, by reason."""
+        return dict(Counter(reason for reason in self.reason if reason))
+
+
+def align_take(recording: Recording, calibration: Calibration, *, subject: str | None = None, max_lag_s: float = 2.0) -> Aligned:
+    """Put the suit's joints of a take into the camera.
+
+    subject: whose suit (None: the take's only one) · max_lag_s: greatest difference of the suit's stamps to the optical
+    system's, both on the host's axis. The camera is master: its images stay as they are, poses are interpolated to them
+    (rotations by SLERP, positions linearly), never across gaps. The suit is used relative to its head segment only, so that
+    neither its drift in the world nor its heading enters:
+    camera_from_joint = camera_from_world . world_from_object . object_from_head . head_from_joint (thesis, section 4.1.2.6).
+
+    Raises AlignmentError where a stream is lacking, the heads of the two systems do not move alike, or no frame is left.
+    """
+    names = calibration.names
+    code = subject or only_subject(recording)
+    head = calibration.head(code)
+    frame_ns = frame_times(recording, names.tof)
+    suit = segment_series(recording, names.suit, code)
+    optical = segment_series(recording, names.optical, names.head_object)
+    suit_ns, optical_ns = on_host(suit), on_host(optical)
+    origin = int(frame_ns[0])
+    suit_head = RIGS["mvn"]["head"]
+    _, suit_orientation = suit.segment(suit_head)
+    object_position, object_orientation = optical.segment(names.head_segment)
+    since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)
+    long = since[-1] - since[0] > _DRIFT_FROM_S
+    delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
+    at_optical = seconds(frame_ns, origin) + calibration.tof_to_optical.offset_s
+    at_suit = delay.to_a(at_optical)
+
+    world_from_object = rigid(
+        resample_positions(at, object_position, at_optical, max_gap_s=OPTICAL_GAP_S),
+        resample_rotations(at, object_orientation, at_optical, max_gap_s=OPTICAL_GAP_S),
+    )
+    orientation = resample_rotations(since, suit.orientation_wxyz, at_suit, max_gap_s=SUIT_GAP_S)
+    position = resample_positions(since, suit.position_m, at_suit, max_gap_s=SUIT_GAP_S)
+    index = suit.names.index(suit_head)
+    joints = joints_in_camera(
+        calibration.extrinsics.matrix,
+        world_from_object,
+        head.matrix,
+        rigid(position[:, index], orientation[:, index]),
+        joints_of_segments(suit.names, position, orientation, hands_m=head.hands_m),
+    )
+    reason = _reasons(at_optical, at, world_from_object, at_suit, since, joints)
+    aligned = Aligned(code, frame_ns, joints, reason, delay)
+    if not aligned.kept.any():
+        counted = ", ".join(f"{count} {why}" for why, count in aligned.left_out.items())
+        raise AlignmentError(f"{recording.path}: no frame is left: {counted}", hint="look at the take with `cabinpose view`")
+    return aligned
+
+
+def only_subject(recording: Recording) -> str:
+    """The code of the take's only subject. Raises AlignmentError where there are others, whom no suit would label."""
+    codes = [participant.code for participant in recording.take.subjects]
+    if len(codes) != 1:
+        raise AlignmentError(
+            f"{recording.path} names {len(codes)} subjects{': ' + ', '.join(codes) if codes else ''}",
+            hint="a take to align shows one person, in the suit: name them in the rig's `take`, or give --subject",
+        )
+    return codes[0]
+
+
+def _reasons(at_optical: F64, optical: F64, world_from_object: F64, at_suit: F64, suit: F64, joints: F64) -> tuple[str, ...]:
+    """Why each frame is left out, the first that holds of `REASONS`; "" for those that are not."""
+    unmet = np.stack(
+        (
+            (at_optical < optical[0]) | (at_optical > optical[-1]),
+            ~np.isfinite(world_from_object).all(axis=(1, 2)),
+            (at_suit < suit[0]) | (at_suit > suit[-1]),
+            ~np.isfinite(joints).all(axis=(1, 2)),
+        )
+    )
+    first = np.where(unmet.any(axis=0), unmet.argmax(axis=0), len(REASONS))
+    return tuple((*REASONS, "")[index] for index in first)

@@ -1,0 +1,214 @@
+"""From a rig's calibration takes to its calibration: the file that names them, and the steps from one to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.align.board import Board
+from cabinpose.align.boardtake import BoardViews, board_views
+from cabinpose.align.bundle import refine_camera_from_world
+from cabinpose.align.calibration import Calibration, Delay, Extrinsics, Head, Intrinsics, Names, Rigid, rows
+from cabinpose.align.chain import object_from_head
+from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
+from cabinpose.align.head import HeadAlignment, HeadOffset, align_head, head_offset, measured_offset
+from cabinpose.align.intrinsics import IntrinsicsResult, calibrate_from_corners
+from cabinpose.align.pendulum import brightest_blob
+from cabinpose.align.streams import frame_times, on_host, seconds
+from cabinpose.align.suit import HANDS_M, Triple
+from cabinpose.align.time import suit_to_optical, tof_to_optical
+from cabinpose.core.camera import Camera
+from cabinpose.core.delay import Delay as Measured
+from cabinpose.core.errors import AlignmentError
+from cabinpose.core.frames import apply
+from cabinpose.core.resample import resample_positions, resample_rotations
+from cabinpose.core.skeleton import RIGS
+from cabinpose.store.recording import Recording, marker_series, segment_series, tof_frames
+from cabinpose.store.yaml_file import read_mapping, validated
+
+F64 = NDArray[np.float64]
+
+_GAP_S = 0.05
+_PIVOT_SPAN_S = 1.5  # in which the trunk of somebody who sits counts as still
+_GREATEST_LAG_S = 0.5  # on the host's axis: how much the latency of two sources may differ by
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class SubjectSession(_Model):
+    """A subject's part of a session."""
+
+    take: Annotated[Path, Field(description="recording of suit and optical system while the head nods, tilts and turns")]
+    head_offset_m: Annotated[
+        Triple | None,
+        Field(description="from the head object's origin to C1, measured, in the object's axes, m; left out = fitted"),
+    ] = None
+    hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
+
+
+class Session(_Model):
+    """What a rig is calibrated from."""
+
+    names: Annotated[Names, Field(description="what the sources and their subjects are called")] = Field(default_factory=Names)
+    board: Annotated[Board, Field(description="the checkerboard")] = Field(default_factory=Board)
+    intrinsics: Annotated[
+        Literal["checkerboard", "camera"], Field(description="fit the lens to the board, or believe what the camera says")
+    ] = "checkerboard"
+    board_take: Annotated[Path, Field(description="recording of the board, held still here and there before the camera")]
+    pendulum_take: Annotated[Path, Field(description="recording of the swinging marker")]
+    subjects: Annotated[dict[str, SubjectSession], Field(description="by subject code")] = Field(default_factory=dict)
+    vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands in the optical world, if known")] = None
+
+    @classmethod
+    def load(cls, path: Path) -> Session:
+        """The session in a YAML file; relative paths are taken from its folder. Raises AlignmentError."""
+        hint = "docs/alignment.md has a session to start from"
+        session = validated(cls, read_mapping(path, hint=hint, error=AlignmentError), path, hint=hint, error=AlignmentError)
+        base = path.parent
+        subjects = {code: each.model_copy(update={"take": base / each.take}) for code, each in session.subjects.items()}
+        takes = {"board_take": base / session.board_take, "pendulum_take": base / session.pendulum_take}
+        return session.model_copy(update={**takes, "subjects": subjects})
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A calibration and what it was found by: views of the board, both fits of the extrinsics, the delay, each subject's head."""
+
+    calibration: Calibration
+    views: BoardViews
+    lens: IntrinsicsResult | None
+    by_markers: ExtrinsicsResult
+    by_corners: ExtrinsicsResult
+    delay: Measured
+    heads: dict[str, tuple[HeadAlignment, HeadOffset]]
+
+
+def calibrate(session: Session) -> Calibrated:
+    """Calibrate a rig: lens, place of the camera, delay of the camera, head of each subject.
+
+    Raises AlignmentError for a step that its take does not determine.
+    """
+    names = session.names
+    with _opened(session.board_take) as recording:
+        views = board_views(recording, names, session.board)
+        lens, camera = _lens(session, views)
+        by_markers, by_corners = _extrinsics(session, views, camera)
+    with _opened(session.pendulum_take) as recording:
+        delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
+    heads = {}
+    for code, subject in session.subjects.items():
+        with _opened(subject.take) as recording:
+            heads[code] = _head(recording, names, code, subject)
+    calibration = Calibration(
+        names=names,
+        intrinsics=Intrinsics(
+            width=camera.width, height=camera.height, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, dist=camera.dist,
+            source=session.intrinsics,
+            views=sum(view.used for view in lens.views) if lens is not None else 0,
+            rms_px=lens.rms_px if lens is not None else None,
+            held_out_px=lens.held_out_rms_px if lens is not None else None,
+        ),
+        extrinsics=_told(by_markers, by_corners),
+        tof_to_optical=Delay(offset_s=delay.offset_s, interval_s=delay.interval_s, correlation=delay.correlation),
+        heads={
+            code: Head(
+                object_from_head=rows(object_from_head(turn.object_from_head, offset.offset)),
+                residual_rad=turn.rms_rad,
+                offset=offset.method,
+                hands_m=session.subjects[code].hands_m,
+            )
+            for code, (turn, offset) in heads.items()
+        },
+        vehicle_from_world=session.vehicle_from_world,
+    )  # fmt: skip
+    return Calibrated(calibration, views, lens, by_markers, by_corners, delay, heads)
+
+
+def _opened(path: Path) -> Recording:
+    if not path.exists():
+        raise AlignmentError(f"there is no {path}", hint="the session names the recordings, relative to its own folder")
+    return Recording(path)
+
+
+def _lens(session: Session, views: BoardViews) -> tuple[IntrinsicsResult | None, Camera]:
+    """The camera, fitted to the board or as it says of itself."""
+    if session.intrinsics == "camera":
+        return None, views.camera
+    size = (views.camera.width, views.camera.height)
+    found = calibrate_from_corners(views.corners, size, session.board, reasons=views.reasons)
+    return found, found.camera
+
+
+def _extrinsics(session: Session, views: BoardViews, camera: Camera) -> tuple[ExtrinsicsResult, ExtrinsicsResult]:
+    """camera_from_world by the markers alone (the thesis) and by all corners as well."""
+    posed = views.posed(camera, session.board)
+    uv = np.stack(
+        [marker_pixels(image, camera, pose, session.board) for image, pose in zip(posed.images, posed.poses, strict=True)]
+    )
+    points = np.stack([marker_points(camera, each, pose, session.board) for each, pose in zip(uv, posed.poses, strict=True)])
+    start = camera_from_world(points, posed.p_world, names=session.board.marker_names, board=session.board)
+    return start, refine_camera_from_world(camera, session.board, posed.corners, uv, posed.p_world, start)
+
+
+def _told(by_markers: ExtrinsicsResult, by_corners: ExtrinsicsResult) -> Extrinsics:
+    """What the file says of the extrinsics."""
+    deviation = np.sqrt(np.diag(by_corners.covariance))
+    with np.errstate(invalid="ignore"):
+        each = np.sqrt(np.nanmean(np.where(by_corners.used, by_corners.residual_m, np.nan) ** 2, axis=0))
+    return Extrinsics(
+        camera_from_world=rows(by_corners.camera_from_world),
+        views=int(by_corners.used.any(axis=1).sum()),
+        rms_m=by_corners.rms_m,
+        held_out_m=by_markers.held_out_rms_m,
+        held_out_px=by_corners.held_out_rms_px,
+        marker_rms_m={name: float(value) for name, value in zip(by_corners.names, each, strict=True) if np.isfinite(value)},
+        sd_m=float(np.linalg.norm(deviation[3:])),
+        sd_rad=float(np.linalg.norm(deviation[:3])),
+    )
+
+
+def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_world: F64) -> Measured:
+    """The stamps of the optical system less those of the camera, both on the host's axis."""
+    marker = marker_series(recording, names.optical, names.pendulum)
+    times = frame_times(recording, names.tof)
+    origin = int(times[0])
+    seen = np.array([brightest_blob(frame.amplitude) for _, frame in tof_frames(recording, names.tof)])
+    return tof_to_optical(
+        seconds(times, origin),
+        seen,
+        seconds(on_host(marker), origin),
+        marker.marker(names.pendulum),
+        camera,
+        camera_from_world,
+        max_lag_s=_GREATEST_LAG_S,
+    )
+
+
+def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset]:
+    """How the suit's head sits in the optical system's, from a take of the turning head."""
+    rig = RIGS["mvn"]
+    suit = segment_series(recording, names.suit, code)
+    optical = segment_series(recording, names.optical, names.head_object)
+    position, orientation = optical.segment(names.head_segment)
+    origin = int(optical.host_ns[0])
+    at = seconds(on_host(optical), origin)
+    since = seconds(on_host(suit), origin)
+    _, suit_head = suit.segment(rig["head"])
+    delay = suit_to_optical(since, suit_head, at, orientation, max_lag_s=_GREATEST_LAG_S, drift=False)
+    moments = delay.to_a(at)
+    turned = resample_rotations(since, suit_head, moments, max_gap_s=_GAP_S)
+    turn = align_head(turned, orientation)
+    if subject.head_offset_m is not None:
+        return turn, measured_offset(subject.head_offset_m)
+    trunk, _ = suit.segment(rig["chest"])
+    above = resample_positions(since, suit.segment(rig["head"])[0] - trunk, moments, max_gap_s=_GAP_S)
+    pivot = apply(turn.world_from_suit, above)
+    span = max(int(_PIVOT_SPAN_S / float(np.median(np.diff(at)))), 3)
+    return turn, head_offset(position, orientation, p_pivot=pivot, spans=span)

@@ -1,0 +1,44 @@
+"""The times of a recording's sources on one axis: the host's, without the part of the latency that varies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.align.clocks import host_from_device
+from cabinpose.core.errors import AlignmentError, RecordingError
+from cabinpose.store.recording import MarkerSeries, Recording, SegmentSeries
+
+F64 = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+
+def frame_times(recording: Recording, source: str) -> Times:
+    """(T,) stamps of a camera's frames on the host's axis, in the order of the recording.
+
+    Raises RecordingError for a source that was not recorded, AlignmentError where it gave no frame or its clock cannot be told.
+    """
+    if source not in recording.sources:
+        raise RecordingError(
+            f"{recording.path} has no source '{source}'", hint=f"it has: {', '.join(recording.sources) or 'none'}"
+        )
+    places = [place for place, _, _, _ in recording.records([source]) if place.topic == "depth"]
+    if not places:
+        raise AlignmentError(f"{source} gave no frame", hint="look at the take with `cabinpose info`")
+    host = np.array([place.host_ns for place in places], np.int64)
+    device = np.array([place.device_ns for place in places if place.device_ns is not None], np.int64)
+    if len(device) < len(host):
+        return host
+    return host_from_device(device, host, source)(device)
+
+
+def on_host(series: SegmentSeries | MarkerSeries) -> Times:
+    """(T,) stamps of a source's samples on the host's axis."""
+    if not series.device_clock:
+        return series.host_ns
+    return host_from_device(series.device_ns, series.host_ns, series.source)(series.device_ns)
+
+
+def seconds(time_ns: Times, origin_ns: int) -> F64:
+    """(T,) s since the origin: floats, whose digits an epoch would eat."""
+    return (time_ns - origin_ns) / 1e9

@@ -1,0 +1,71 @@
+"""`cabinpose align`: a dataset of recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from typing import Any
+
+from cabinpose.app.cli.align_commands import Align
+from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.extras import require
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.pose import Visibility
+from cabinpose.store.convert import check_new_dataset, import_source
+
+_WARN_FLOATING = 0.05
+
+
+def run(command: Align) -> None:
+    """Align and write, with a progress bar; say what was left out of each take, and how well the joints fit the depth."""
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    from cabinpose.align.calibration import Calibration
+    from cabinpose.align.dataset import TakeReport, align_takes
+
+    if not command.recordings:
+        raise ConfigError("there is nothing to align", hint="name one or more recordings")
+    check_new_dataset(command.out, overwrite=command.overwrite)
+    calibration = Calibration.load(command.calibration)
+    takes = align_takes(
+        command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag, licence=command.licence
+    )
+    with progress(takes.source.manifest.frames, "frames") as report:
+        folder = import_source(takes.source, command.out, overwrite=command.overwrite, report=report)
+    if command.as_json:
+        print_json({"out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]})
+        return
+
+    def told(take: TakeReport) -> list[tuple[str, str]]:
+        low, high = take.suit_delay_interval_ms
+        states = [f"{count} {_words(state)}" for state, count in sorted(take.states.items())]
+        span = f"{take.suit_delay_ms:+.2f} ms ({low:+.2f} to {high:+.2f})"
+        floating = "nothing measured" if math.isnan(take.floating) else f"{100 * take.floating:.1f} % of the joints"
+        return [
+            (take.recording, f"{take.kept} of {take.frames} frames, {take.subject}"),
+            *((f"  {why}", f"{count} frames left out") for why, count in take.left_out.items()),
+            ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, r = {take.correlation:.3f}"),
+            ("  joints", ", ".join(states)),
+            ("  before the surface", floating),
+        ]
+
+    print_rows([row for take in takes.reports for row in told(take)])
+    for take in takes.reports:
+        if take.floating > _WARN_FLOATING:
+            print(
+                f"{take.recording}: {100 * take.floating:.0f} % of the joints lie before the measured surface:"
+                " look at the skeleton on the images before you trust it",
+                file=sys.stderr,
+            )
+    print(f"look at it with: cabinpose view {folder} --out {folder}-view", file=sys.stderr)
+
+
+def _plain(take: Any) -> dict[str, Any]:
+    """A report as plain data, with the share of floating joints."""
+    values = dataclasses.asdict(take)
+    states = {_words(state): count for state, count in sorted(take.states.items())}
+    return values | {"states": states, "floating": take.floating}
+
+
+def _words(state: int) -> str:
+    return Visibility(state).name.lower().replace("_", " ")

@@ -1,0 +1,66 @@
+"""`cabinpose calibrate`: a rig's calibration from its calibration takes."""
+
+from __future__ import annotations
+
+import sys
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cabinpose.app.cli.align_commands import Calibrate
+from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.extras import require
+from cabinpose.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cabinpose.align.session import Calibrated
+
+
+def run(command: Calibrate) -> None:
+    """Calibrate, write the file, and say how far each step can be trusted."""
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    from cabinpose.align.session import Session, calibrate
+
+    if command.out.exists() and not command.overwrite:
+        raise ConfigError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")
+    found = calibrate(Session.load(command.session))
+    found.calibration.save(command.out)
+    if command.as_json:
+        print_json({"out": str(command.out), **found.calibration.model_dump(mode="json", exclude={"names"})})
+        return
+    print_rows(_rows(found, command.out))
+    rejected = [why for why in found.views.reasons if why]
+    if rejected:
+        print(f"{len(rejected)} views without a board, the first: {rejected[0]}", file=sys.stderr)
+    print(f"align a take with: cabinpose align TAKE.mcap --calibration {command.out} --out DATASET", file=sys.stderr)
+
+
+def _rows(found: Calibrated, out: Path) -> list[tuple[str, str]]:
+    lens, place, delay = found.calibration.intrinsics, found.calibration.extrinsics, found.calibration.tof_to_optical
+    rows = [("calibration", str(out))]
+    if found.lens is not None:
+        rows.append(
+            ("lens", f"fx {lens.fx:.2f} px, {lens.views} views, {lens.rms_px:.3f} px, held-out views {lens.held_out_px:.3f} px")
+        )
+    else:
+        rows.append(("lens", f"fx {lens.fx:.2f} px, as the camera says"))
+    by_markers = found.by_markers
+    deviation = f"+-{1000 * (place.sd_m or 0):.2f} mm, +-{degrees(place.sd_rad or 0):.3f} deg"
+    rows += [
+        ("camera's place", f"{place.views} views, {deviation}; held-out views {place.held_out_px or 0:.3f} px"),
+        *((f"  {name}", f"{1000 * value:.2f} mm from the board") for name, value in place.marker_rms_m.items()),
+        ("  by markers alone", f"{1000 * by_markers.rms_m:.2f} mm, held-out views {1000 * by_markers.held_out_rms_m:.2f} mm"),
+        ("camera's delay", _delay(delay.offset_s, delay.interval_s, delay.correlation)),
+    ]
+    for code, (turn, offset) in found.heads.items():
+        turned = "/".join(f"{degrees(angle):.0f}" for angle in turn.turned_rad)
+        rows.append((f"head of {code}", f"{degrees(turn.rms_rad):.2f} deg between the systems, turned by {turned} deg"))
+        rows.append(("  C1 in the head object", f"{', '.join(f'{1000 * x:.0f}' for x in offset.offset)} mm, {offset.method}"))
+    return rows
+
+
+def _delay(offset_s: float, interval_s: tuple[float, float] | None, correlation: float | None) -> str:
+    told = f"{1000 * offset_s:+.2f} ms"
+    if interval_s is not None:
+        told += f" ({1000 * interval_s[0]:+.2f} to {1000 * interval_s[1]:+.2f})"
+    return told if correlation is None else f"{told}, r = {correlation:.4f}"
