@@ -36,7 +36,8 @@ _DISTANCES_M = (0.6, 1.6)
 _TILT_DEG, _TURN_DEG = 38.0, 20.0
 _INCIDENCE_DEG = 55.0  # of the line of sight on the board, at most
 _BORDER_PX = 4.0
-_TRIES = 5000
+_TRIES = 600
+_GOLDEN = (5**0.5 - 1) / 2
 _CELLS = 3  # views are spread over 3 x 3 parts of the image
 
 
@@ -84,8 +85,8 @@ def board_take(
     *,
     views: int = 50,
     board: Board | None = None,
-    hold_s: float = 0.8,
-    move_s: float = 0.8,
+    hold_s: float = 0.6,
+    move_s: float = 0.4,
     start_s: float = 0.0,
     rng: Generator,
 ) -> BoardTake:
@@ -111,11 +112,11 @@ def _pose(rig: Rig, board: Board, view: int, views: int, *, rng: Generator) -> M
     points = np.concatenate((board.marker_centres, board.corners, rim))
     cell = np.array((view % _CELLS, view // _CELLS % _CELLS))
     near, far = _DISTANCES_M
+    distance = near * (far / near) ** ((view * _GOLDEN + rng.uniform() / views) % 1.0)  # spread evenly, in no order
     for attempt in range(_TRIES):
-        ease = attempt / _TRIES  # a large board close by fits the middle alone: other places are given up in the end
+        ease = attempt / _TRIES  # a board close by fits the middle of the image alone: other places are given up in the end
         share = (cell + rng.uniform(size=2)) / _CELLS
-        uv = (1 - ease) * share + ease * rng.uniform(size=2)
-        distance = near * (far / near) ** ((rng.permutation(views)[0] + rng.uniform()) / views)
+        uv = (1 - ease) * share + ease * 0.5
         centre = camera.unproject(uv * (camera.width - 1, camera.height - 1), distance)
         tilt, about = np.radians(_TILT_DEG) * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
         turn = Rotation.from_rotvec((tilt * np.cos(about), tilt * np.sin(about), 0.0))

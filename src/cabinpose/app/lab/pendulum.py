@@ -61,10 +61,11 @@ def swing(
     straight down in the direction `heading` (rad about z from x), with a push aside.
     """
     release = min(by_hand_s, duration_s / 2)
-    places = max(int((release - _HELD_S) / _STEP_S), 2)
+    held = min(_HELD_S, release / 4)
+    places = max(int((release - held) / _STEP_S), 2)
     led = np.radians(rng.uniform(-25.0, 25.0, (places, 2)))
     start = np.radians(amplitude_deg) * np.array((np.cos(heading), np.sin(heading)))
-    times = np.concatenate((np.linspace(0.0, release - _HELD_S, places + 1), (release,)))
+    times = np.concatenate((np.linspace(0.0, release - held, places + 1), (release,)))
     hand = CubicSpline(times, np.concatenate((led, (start, start))), bc_type="clamped")
     along = _direction(hand(release))
     aside = np.cross((0.0, 0.0, 1.0), along)
