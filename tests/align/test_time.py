@@ -112,7 +112,7 @@ def test_gaps_irregular_times_and_outliers_do_not_move_it():
 
 
 def test_the_interval_holds_the_truth_as_often_as_it_says():
-    """95 % of 40 takes, with noise that neighbours share; fewer than 33 would come once in 3000."""
+    """95 % of 40 takes, with noise that neighbours share; fewer than 33 would come once in 1400."""
     time_a, time_b = np.arange(0, 25, 1 / 30), np.arange(-1, 26, 1 / 60)
     held, halves, errors = 0, [], []
     for seed in range(40):
