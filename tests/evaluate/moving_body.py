@@ -60,8 +60,11 @@ def turned(heading_rad: float, shift: tuple[float, float, float], position: np.n
     return world.apply(position.reshape(-1, 3)).reshape(position.shape) + shift, flat.reshape(orientation.shape)
 
 
-# What an optical model of the same body would name its segments: those of both tables of pairs.
-OPTICAL = {p.optical: p.suit for p in (*SEGMENT_PAIRS, *JOINT_PAIRS)}
+# An optical model of the same body: what turns with a segment of its, and what lies where that begins. Not always the same one:
+# its head begins at the neck.
+TURNS = {p.optical: p.suit for p in SEGMENT_PAIRS}
+PLACES = {p.optical: p.suit for p in JOINT_PAIRS}
+OPTICAL = tuple(dict.fromkeys((*TURNS, *PLACES)))
 BEGAN_NS = 1_700_000_000_000_000_000
 
 
@@ -85,9 +88,13 @@ def suit_stream(time_s: np.ndarray, position: np.ndarray, orientation: np.ndarra
 
 
 def optical_stream(time_s: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> list[tuple[float, Message]]:
-    names, columns = tuple(OPTICAL), [MVN_SEGMENTS.index(suit) for suit in OPTICAL.values()]
-    rows = zip(time_s.tolist(), position[:, columns], orientation[:, columns], strict=True)
-    return [(at, SegmentPoses("S01", names, p, q)) for at, p, q in rows]
+    placed, turned = np.full((len(time_s), len(OPTICAL), 3), np.nan), np.full((len(time_s), len(OPTICAL), 4), np.nan)
+    for i, name in enumerate(OPTICAL):
+        if name in PLACES:
+            placed[:, i] = position[:, MVN_SEGMENTS.index(PLACES[name])]
+        if name in TURNS:
+            turned[:, i] = orientation[:, MVN_SEGMENTS.index(TURNS[name])]
+    return [(at, SegmentPoses("S01", OPTICAL, p, q)) for at, p, q in zip(time_s.tolist(), placed, turned, strict=True)]
 
 
 def sensor_stream(time_s: np.ndarray, orientation: np.ndarray) -> list[tuple[float, Message]]:

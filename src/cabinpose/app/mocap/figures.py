@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,18 +107,20 @@ def sfe_sections(
 
 def dse_sections(judgement: Judgement, runs: Sequence[DseRun], measures: Sequence[str]) -> list[Section]:
     """Boxes by plane, and both angles over time."""
-    lines = []
+    body = legend(["suit", "optical", "error"])
     for run in runs:
+        lines = []
         thin = slice(None, None, max(len(run.time_s) // _POINTS, 1))
         for i, name in enumerate(run.names):
             if np.isfinite(run.difference_rad[:, i]).any():
                 both = {"suit": run.suit_rad, "optical": run.optical_rad, "error": run.difference_rad}
                 drawn = {k: (run.time_s[thin].tolist(), np.degrees(v[thin, i]).tolist()) for k, v in both.items()}
-                title = f"{name}, {run.condition}" if len(runs) > 1 else name
-                lines.append(series_chart(f"{title}, °", "s", drawn, height=180))
+                lines.append(series_chart(f"{name}, °", "s", drawn, height=180))
+        title = f"<h3>{escape(run.condition)}</h3>" if len(runs) > 1 else ""
+        body += f'{title}<div class="charts">{"".join(lines)}</div>'
     return [
         ("Error by segment", boxes(judgement, measures), _BOX_NOTE),
-        ("Angle since the first frame", legend(["suit", "optical", "error"]) + f'<div class="charts">{"".join(lines)}</div>', ""),
+        ("Angle since the first frame", body, ""),
     ]
 
 
@@ -181,8 +184,7 @@ def _bone_table(bones: Mapping[str, Sequence[Bone]]) -> str:
     for condition, lengths in bones.items():
         for bone in sorted(lengths, key=lambda b: -b.sd_m)[:10]:
             cells = "".join(f"<td>{1e3 * x:.2f}</td>" for x in (bone.mean_m, bone.sd_m, bone.range_m))
-            rows.append(
-                f"<tr><th>{bone.start} – {bone.end}</th><td class=name>{condition}</td>{cells}<td>{bone.frames}</td></tr>"
-            )
+            name = escape(f"{bone.start} – {bone.end}")
+            rows.append(f"<tr><th>{name}</th><td class=name>{escape(condition)}</td>{cells}<td>{bone.frames}</td></tr>")
     head = "<tr><th></th><th class=name>take</th><th>mean, mm</th><th>σ, mm</th><th>range, mm</th><th>frames</th></tr>"
     return f"<div class=scroll><table>{head}{''.join(rows)}</table></div>" if rows else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -72,7 +73,7 @@ def read_orientations(path: Path, name: str | None, *, source: str | None = None
     if name is None and len(names) == 1:
         name = names[0]
     if name not in names:
-        if name is not None:
+        with suppress(RecordingError):  # then there are no segments either
             motion = read_motion(path, source=source)
             if name in motion.names and motion.orientation_wxyz is not None:
                 return motion.time_s, motion.orientation_wxyz[:, motion.names.index(name)], motion.origin_ns

@@ -10,6 +10,7 @@ from cabinpose.app.mocap.figures import Section
 from cabinpose.app.report.page import document, section
 from cabinpose.evaluate.mocap.result import ALL, Judgement, Summary
 
+_FEW = 3  # measures that have tiles
 _TITLES = {
     "sse": "Static evaluation of a sensor",
     "sfe": "Static evaluation of the full body",
@@ -23,7 +24,7 @@ def page_html(judgement: Judgement, drawn: Sequence[Section], told: str) -> str:
     heading = f"{_TITLES[judgement.kind]} ({judgement.kind.upper()})"
     notes = "".join(f"<p class=note>{escape(note)}</p>" for note in judgement.notes)
     sections = [
-        section("At a glance", _tiles(judgement) + notes, _interval_note(judgement)),
+        section("At a glance", _glance(judgement) + notes, _interval_note(judgement)),
         *(section(title, body, note) for title, body, note in drawn),
         section("All numbers", _table(judgement)),
         section("Settings", _settings(judgement)),
@@ -54,21 +55,33 @@ def interval(low: float, high: float) -> str:
     return f"{number(low)} to {number(high)}" if math.isfinite(low) else ""
 
 
-def _tiles(judgement: Judgement) -> str:
-    overall = [s for s in judgement.summaries if s.name == ALL and s.samples]
+def _glance(judgement: Judgement) -> str:
+    """Medians over all names: tiles of few measures; of many a table with a column a condition, side by side."""
     by_measure: dict[str, list[Summary]] = {}
-    for s in overall:
-        by_measure.setdefault(s.measure, []).append(s)
-    blocks = []
-    for measure, rows in by_measure.items():
-        tiles = "".join(
-            f'<div class="tile"><b>{number(s.median)}<small> {escape(s.unit)}</small></b>'
-            f"<span>median, {escape('all' if s.condition == ALL else s.condition)}</span>"
-            f"<em>{interval(s.median_low, s.median_high)}</em><em>mean {number(s.mean)}, σ {number(s.sd)}</em></div>"
-            for s in rows
+    for s in judgement.summaries:
+        if s.name == ALL and s.samples:
+            by_measure.setdefault(s.measure, []).append(s)
+    if len(by_measure) <= _FEW:
+        return "".join(
+            f"<h3>{escape(m)}</h3><div class=tiles>{''.join(map(_tile, rows))}</div>" for m, rows in by_measure.items()
         )
-        blocks.append(f"<h3>{escape(measure)}</h3><div class=tiles>{tiles}</div>")
-    return "".join(blocks)
+    conditions = list(dict.fromkeys(s.condition for rows in by_measure.values() for s in rows))
+    head = "".join(f"<th>{escape(c)}</th>" for c in conditions)
+    lines = []
+    for measure, rows in by_measure.items():
+        cells = "".join(
+            f"<td>{number(s.median)} {escape(s.unit)}<small>{interval(s.median_low, s.median_high)}</small></td>" for s in rows
+        )
+        lines.append(f"<tr><th>{escape(measure)}</th>{cells}</tr>")
+    return f"<p class=note>Medians.</p><div class=scroll><table><tr><th></th>{head}</tr>{''.join(lines)}</table></div>"
+
+
+def _tile(s: Summary) -> str:
+    return (
+        f'<div class="tile"><b>{number(s.median)}<small> {escape(s.unit)}</small></b>'
+        f"<span>median, {escape('all' if s.condition == ALL else s.condition)}</span>"
+        f"<em>{interval(s.median_low, s.median_high)}</em><em>mean {number(s.mean)}, σ {number(s.sd)}</em></div>"
+    )
 
 
 def _interval_note(judgement: Judgement) -> str:

@@ -13,7 +13,7 @@ from cabinpose.app.report.charts import COLOURS
 F64 = NDArray[np.float64]
 # Axes of a picture (to the right, upwards) in a frame with x forward, y left, z up.
 VIEWS = {"front": ((0, 1, 0), (0, 0, 1)), "side": ((1, 0, 0), (0, 0, 1)), "above": ((0, -1, 0), (1, 0, 0))}
-_HEIGHT, _MARGIN, _TITLE = 270, 14, 20
+_WIDTH, _HEIGHT, _MARGIN, _TITLE = 620, 300, 14, 20  # px
 
 
 def stick_figure(
@@ -51,7 +51,8 @@ def stick_figure(
         for (_, points), colour in zip(placed.items(), COLOURS, strict=False):
             panels += _body(points, limbs, colour)
         x += width
-    picture = f'<svg viewBox="0 0 {x:.0f} {_HEIGHT}" class="chart" role="img">{"".join(panels)}</svg>'
+    left = -max(_WIDTH - x, 0) / 2  # every figure as wide, so that letters are as large
+    picture = f'<svg viewBox="{left:.0f} 0 {max(x, _WIDTH):.0f} {_HEIGHT}" class="chart" role="img">{"".join(panels)}</svg>'
     return f"<figure>{picture}<figcaption>{escape(title)}</figcaption></figure>"
 
 

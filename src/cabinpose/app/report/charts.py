@@ -91,7 +91,7 @@ def series_chart(
     across = _nice_step((x1 - x0) / 6)
     for x in np.arange(np.ceil(x0 / across - 1e-9) * across, x1 + across * 1e-9, across):
         column, base = at(float(x), floor)
-        body += [_line(column, base, column, base + 4, "axis"), _text(column, base + 17, f"{x:g}", "middle")]
+        body += [_line(column, base, column, base + 4, "axis"), _text(column, base + 17, f"{x + 0.0:g}", "middle")]
     body.append(_text((_LEFT + width - _RIGHT) / 2, height - 6, x_label, "middle soft"))
     for name, colour in reversed(list(zip(lines, _cycle(len(lines)), strict=True))):  # the first on top
         points = [at(x, y) if np.isfinite(y) else None for x, y in zip(*lines[name], strict=True)]

@@ -115,7 +115,8 @@ def block_length(run: Errors) -> float:
 def summarise(
     runs: Sequence[Errors], *, rng: np.random.Generator, resamples: int = 1000, block_s: float | None = None
 ) -> tuple[Summary, ...]:
-    """Every measure's numbers: over all conditions and by condition where there are several, over all names and by name.
+    """Every measure's numbers: over all conditions and by condition where there are several, over all names and by name
+    where there are several.
 
     Intervals: blocks of consecutive frames of all runs are drawn with replacement, since neighbouring frames' errors resemble
     each other; no block spans two runs. block_s: their length; None: `block_length` of each run. resamples: 0 = no intervals.
@@ -125,17 +126,24 @@ def summarise(
     result: list[Summary] = []
     for measure in dict.fromkeys(run.measure for run in runs):
         mine = [run for run in runs if run.measure == measure]
+        several = len({name for run in mine for name in run.names}) > 1
         conditions = tuple(dict.fromkeys(run.condition for run in mine))
         for condition in (ALL, *conditions) if len(conditions) > 1 else (ALL,):
             chosen = [run for run in mine if condition in (ALL, run.condition)]
-            result += _summaries(chosen, condition, rng, resamples, block_s)
+            result += _summaries(chosen, condition, rng, resamples, block_s, several=several)
     return tuple(result)
 
 
 def _summaries(
-    runs: Sequence[Errors], condition: str, rng: np.random.Generator, resamples: int, block_s: float | None
+    runs: Sequence[Errors],
+    condition: str,
+    rng: np.random.Generator,
+    resamples: int,
+    block_s: float | None,
+    *,
+    several: bool,
 ) -> Iterable[Summary]:
-    """The numbers of one measure under one condition: over all names, then of each."""
+    """The numbers of one measure under one condition: over all names, then of each where there are several."""
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     label, scale = REPORTED[runs[0].unit]
     values = np.full((sum(len(run.time_s) for run in runs), len(names)), np.nan)
@@ -153,7 +161,7 @@ def _summaries(
     enough = resamples and blocks >= _FEWEST_BLOCKS
     weights = frame_weights(blocks, resamples if enough else 0, rng=rng)
     told = float(np.median(lengths)) if enough else float("nan")
-    for name, column in [(ALL, slice(None)), *((name, slice(i, i + 1)) for i, name in enumerate(names))]:
+    for name, column in [(ALL, slice(None)), *((name, slice(i, i + 1)) for i, name in enumerate(names) if several)]:
         yield _summary(runs[0].measure, label, condition, name, values[:, column], block, weights, told)
 
 

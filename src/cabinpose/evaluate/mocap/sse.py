@@ -44,8 +44,8 @@ class SseRun:
         """Errors about the axis (eq. 3.1) and the tilt off it."""
         about = np.abs(self.turn_rad - self.reference_rad)[:, None]
         return (
-            Errors(ON, "rad", self.axis, (self.axis,), self.time_s, about),
-            Errors(OFF, "rad", self.axis, (self.axis,), self.time_s, self.tilt_rad[:, None]),
+            Errors(ON, "rad", self.axis, ("sensor",), self.time_s, about),
+            Errors(OFF, "rad", self.axis, ("sensor",), self.time_s, self.tilt_rad[:, None]),
         )
 
 
