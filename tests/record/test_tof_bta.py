@@ -63,7 +63,8 @@ class Library:
                 serial=given.serial_number, file=given.bltstream_file, udp=given.udp_control_port,
             )
         )  # fmt: skip
-        self.callback = given.frame_arrived_ex
+        # A copy of the pointer: the configuration is the caller's, who frees it.
+        self.callback = bta.FrameArrived(ctypes.cast(given.frame_arrived_ex, ctypes.c_void_p).value)
         handle[0] = 0x1234
         return 0
 

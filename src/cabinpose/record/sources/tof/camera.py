@@ -182,8 +182,9 @@ class CameraSource(ABC):
         messages: tuple[Message, ...] = ()
         self._counts.received += 1
         try:
-            messages = (self._decode(arrival.payload),)
-        except MalformedFrameError:
+            with np.errstate(invalid="ignore", over="ignore"):  # infinities of a camera are no fault of ours to warn of
+                messages = (_fitting(self._decode(arrival.payload)),)
+        except (ValueError, TypeError, OverflowError):  # MalformedFrameError, and what numpy says of values that are none
             self._counts.malformed += 1
         return Sample(arrival.sequence, arrival.host_ns, arrival.device_ns, b"", messages)
 
@@ -203,6 +204,14 @@ class CameraSource(ABC):
         except RecordingError:
             return
         self._counts.restarts += 1
+
+
+def _fitting(frame: ToFFrame) -> ToFFrame:
+    """The frame, whose images have one size. Raises MalformedFrameError."""
+    shapes = {image.shape for image in (frame.depth, frame.amplitude, frame.confidence)} - {(0, 0)}
+    if len(shapes) > 1:
+        raise MalformedFrameError(f"images of sizes {sorted(shapes)}")
+    return frame
 
 
 def depth_image(z_m: ArrayLike, valid: ArrayLike, unit_m: float) -> NDArray[np.uint16]:

@@ -193,7 +193,10 @@ class GenicamSource(CameraSource):
         for component in list(buffer.payload.components)[:_MOST_COMPONENTS] if whole else []:
             if component is None or component.data is None:  # a format that harvesters does not know
                 continue
-            width, height = int(component.width), int(component.height)
+            try:
+                width, height = int(component.width), int(component.height)
+            except (TypeError, ValueError, OverflowError):  # whatever a producer says: found to fit no image
+                width = height = 0
             images.append(_Image(str(component.data_format), width, height, np.array(component.data)))
         return _Buffer(_quantity(buffer, "frame_id"), _quantity(buffer, "timestamp_ns"), tuple(images))
 

@@ -25,7 +25,6 @@ from cabinpose.core.recorded import ToFFrame
 from cabinpose.record.sources.tof.camera import (
     CameraSettings,
     CameraSource,
-    MalformedFrameError,
     depth_image,
     rays_of_points,
     shaped,
@@ -125,7 +124,7 @@ class RoyaleSource(CameraSource):
     def _arrived(self, data: Any) -> None:
         try:
             payload = _copied(data)
-        except (MalformedFrameError, RuntimeError, ValueError, IndexError, TypeError, AttributeError):
+        except (RuntimeError, ValueError, IndexError, TypeError, AttributeError, OverflowError):  # MalformedFrameError among them
             self._counts.malformed += 1
             return
         self._deliver(payload)
@@ -176,7 +175,7 @@ class RoyaleSource(CameraSource):
             depth=depth_image(points[..., 2], valid, unit),
             depth_unit_m=unit,
             amplitude=shaped(payload.amplitude, width, height).astype(np.uint16),
-            confidence=np.rint(np.clip(confidence, 0, 1) * 255).astype(np.uint8),
+            confidence=np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255).astype(np.uint8),
             camera_k=camera.k,
             camera_dist=lens_dist if on_lens else np.zeros(5),
             amplitude_dist=lens_dist,
@@ -223,7 +222,8 @@ def _copied(data: Any) -> _Points:
     coordinates = getattr(data, "coordinates", None)
     if coordinates is not None:
         values = np.array(shaped(np.asarray(coordinates, dtype=np.float32), width, height, 4)).reshape(-1, 4)
-        amplitude = np.array(data.amplitudes, dtype=np.uint16).ravel()
+        with np.errstate(invalid="ignore", over="ignore"):
+            amplitude = np.array(data.amplitudes, dtype=np.uint16).ravel()
         return _Points(width, height, values[:, :3], values[:, 3], amplitude, int(data.timeStamp))
     values = np.array(shaped(_old_points(data), width, height, 6)).reshape(-1, 6)
     grey = np.clip(np.nan_to_num(values[:, 4]), 0, 65535).astype(np.uint16)
