@@ -130,10 +130,10 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parent))
     from tempfile import TemporaryDirectory
 
-    from test_fuzz import SUFFIX, originals, reader
+    from test_fuzz import ending, originals, reader
 
     name, many = sys.argv[1], int(sys.argv[2])
     with TemporaryDirectory() as place:
         for part, content in originals(name, Path(place)).items():
-            done = survive(reader(name), content, Path(place) / part, SUFFIX.get(name, f".{name}"), count=many, seed=1)
+            done = survive(reader(name), content, Path(place) / part, ending(name, part), count=many, seed=1)
             sys.stdout.write(f"{name} {part}: {done}\n")

@@ -214,8 +214,8 @@ class _Hierarchy:
 
     def _channels(self, name: str) -> tuple[str, ...]:
         token = self._take()
-        if not token.isdigit():
-            raise self._error(f"joint {name}: '{token}' is no number of channels", "as in 'CHANNELS 3 Zrotation ...'")
+        if not re.fullmatch(r"[0-9]{1,2}", token):
+            raise self._error(f"joint {name}: '{token[:20]}' is no number of channels", "as in 'CHANNELS 3 Zrotation ...'")
         channels = tuple(self._take() for _ in range(int(token)))
         for channel in channels:
             if channel not in _CHANNELS:
@@ -251,7 +251,7 @@ class _Hierarchy:
 
 def _read_motion(name: str, text: str, channels: int) -> tuple[NDArray[np.float64], float]:
     """The (F, C) channel values and the seconds between frames of a MOTION section."""
-    header = re.match(r"\s*Frames:\s*(\d+)\s+Frame Time:\s*(\S+)[^\S\n]*(?:\n|$)", text)
+    header = re.match(r"\s*Frames:\s*([0-9]{1,12})\s+Frame Time:\s*(\S+)[^\S\n]*(?:\n|$)", text)
     if header is None:
         raise MocapError(f"{name}: no 'Frames:' and 'Frame Time:' after MOTION", hint="the file is truncated or damaged")
     frames = int(header[1])
