@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
+from cabinpose.align.corners import find_corners
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, transform
 
 MARGIN_M = 0.04  # of the panel, beyond squares and markers
 WHITE, BLACK, PANEL, WALL, MARKER = 0.85, 0.06, 0.80, 8.0, 14.0
 FULL_SCALE = 4095.0
+
+CAMERA = Camera(352, 287, 173.646, 173.646, 175.5, 143.0, (-0.133684, 0.02, 0.0, 0.0, 0.0))  # a Pico Monstar's lens
+BOARD = Board()
 
 
 def render_board(
@@ -62,14 +68,17 @@ def render_board(
 def _fine_rays(camera: Camera, low: np.ndarray, high: np.ndarray, factor: int) -> np.ndarray:
     """Ideal (x/z, y/z) of factor^2 rays a pixel: within a pixel the lens is quadratic, to some 1e-8."""
     u, v = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-    at = (np.arange(factor) + 0.5) / factor - 0.5
-    lagrange = np.stack((2 * at * (at - 0.5), 1 - 4 * at**2, 2 * at * (at + 0.5)))  # (3, factor), nodes -0.5, 0, 0.5
+    # A sheared grid: a plain one would round an edge along the pixels to 1/factor, this one rounds to 1/factor^2.
+    a, b = np.meshgrid(np.arange(factor), np.arange(factor), indexing="ij")
+    at_v, at_u = (a + (b + 0.5) / factor) / factor - 0.5, (b + (a + 0.5) / factor) / factor - 0.5
+    nodes = (-0.5, 0.0, 0.5)
+    by_v, by_u = (np.stack((2 * x * (x - 0.5), 1 - 4 * x**2, 2 * x * (x + 0.5))) for x in (at_v, at_u))  # Lagrange's
     rows, columns = u.shape
     fine = np.zeros((rows, factor, columns, factor, 2))
-    for a, dv in enumerate((-0.5, 0.0, 0.5)):
-        for b, du in enumerate((-0.5, 0.0, 0.5)):
+    for m, dv in enumerate(nodes):
+        for n, du in enumerate(nodes):
             xy = np.stack((u + du - camera.cx, v + dv - camera.cy), axis=-1) / (camera.fx, camera.fy)
-            weight = (lagrange[a][:, None] * lagrange[b])[None, :, None, :, None]
+            weight = (by_v[m] * by_u[n])[None, :, None, :, None]
             fine += camera.undistort(xy, iterations=5)[:, None, :, None, :] * weight
     return fine.reshape(rows * factor, columns * factor, 2)
 
@@ -95,3 +104,26 @@ def poses(
         turn = Rotation.from_rotvec(tilt) * Rotation.from_euler("z", rng.uniform(-25, 25), degrees=True)
         result.append(transform(turn, at - turn.apply(middle)))
     return result
+
+
+POSES = poses(BOARD, 10, seed=3)
+
+
+@cache
+def picture(k: int) -> np.ndarray:
+    """CAMERA's amplitude of BOARD in POSES[k], noise-free, through a lens that blurs a little; not to be written to."""
+    image = render_board(CAMERA, BOARD, POSES[k], factor=5, blur_px=0.4)
+    image.flags.writeable = False
+    return image
+
+
+@cache
+def photograph(k: int) -> np.ndarray:
+    """`picture` with a sensor's noise."""
+    return noisy(picture(k), np.random.default_rng(k))
+
+
+@cache
+def corners_seen(k: int, noise: bool) -> np.ndarray:
+    """(N, 2) corners found in `photograph` or `picture`."""
+    return find_corners(photograph(k) if noise else picture(k), BOARD).uv

@@ -165,7 +165,7 @@ def test_pivot_of_an_exact_rotation_is_found():
 def test_pivot_is_found_while_the_trunk_sways_span_by_span():
     rng = np.random.default_rng(5)
     turn = _head(count=800)
-    sway = np.cumsum(rng.normal(size=(800, 3)) * 0.0005, axis=0)
+    sway = 0.05 * np.sin(np.linspace(0, 5, 800)[:, None] + (0.0, 1.0, 2.0))
     p = sway - turn.apply(C) + rng.normal(size=(800, 3)) * 0.0005
     whole, short = head_offset(p, _wxyz(turn)), head_offset(p, _wxyz(turn), spans=80)
     assert np.linalg.norm(short.offset - C) < 0.006

@@ -160,7 +160,8 @@ def _refine(image: F64, grid: F64) -> tuple[F64, float, float]:
     """Corners (rows, columns, 2) by least squares on the amplitudes around each; the blur (px) and the contrast they share.
 
     Model: a(u, v) = m + c * E(d1) * E(d2), m and c linear in (u, v), d1 and d2 the distances from two lines through the corner,
-    E(d) = erf(d / sqrt(2) sigma). Levenberg-Marquardt on all corners at once, (du, dv, two angles, m, c) each, sigma in common.
+    E(d) a step blurred by sigma and by the pixel. Levenberg-Marquardt on all corners at once, (du, dv, two angles, m, c) each,
+    sigma in common.
     """
     rows, columns = grid.shape[:2]
     start = grid.reshape(-1, 2)
@@ -190,12 +191,12 @@ def _refine(image: F64, grid: F64) -> tuple[F64, float, float]:
     # Normals of the two edges: the distance from the line along x grows with y of the board, and the other way round.
     first, second = np.arctan2(along[:, 0], -along[:, 1]), np.arctan2(-down[:, 0], down[:, 1])
     geometry = np.column_stack((np.zeros((len(start), 2)), first, second))
-    sigma, damping = 0.5, 1e-3
+    sigma, damping = 0.4, 1e-3
     levels = _levels(value, weight, x, y, geometry, sigma)
     cost = _residual(value, weight, x, y, geometry, levels, sigma)[1]
     for _ in range(_ROUNDS):
         step, shared = _step(value, weight, x, y, geometry, levels, sigma, damping)
-        tried = (geometry + np.clip(step[:, :4], -0.5, 0.5), levels + step[:, 4:], float(np.clip(sigma + shared, 0.15, 3.0)))
+        tried = (geometry + np.clip(step[:, :4], -0.5, 0.5), levels + step[:, 4:], float(np.clip(sigma + shared, 0.05, 3.0)))
         after = _residual(value, weight, x, y, *tried)[1]
         if after.sum() < cost.sum():
             moved = np.abs(tried[0][:, :2] - geometry[:, :2]).max()
@@ -211,18 +212,25 @@ def _refine(image: F64, grid: F64) -> tuple[F64, float, float]:
 
 
 def _edges(x: F64, y: F64, geometry: F64, sigma: float) -> tuple[F64, F64, F64, F64, F64, F64]:
-    """Distances d1, d2 (N, P) from both lines, E(d1), E(d2) and their derivatives by the distance."""
+    """(N, P) E(d1) and its derivatives by d1 and by sigma, and the same of d2, the distances from both lines."""
     a, b = x - geometry[:, 0:1], y - geometry[:, 1:2]
     d1 = np.cos(geometry[:, 2:3]) * a + np.sin(geometry[:, 2:3]) * b
     d2 = np.cos(geometry[:, 3:4]) * a + np.sin(geometry[:, 3:4]) * b
-    slope = np.sqrt(2 / np.pi) / sigma
-    e1, e2 = erf(d1 / (np.sqrt(2) * sigma)), erf(d2 / (np.sqrt(2) * sigma))
-    return d1, d2, e1, e2, slope * np.exp(-0.5 * (d1 / sigma) ** 2), slope * np.exp(-0.5 * (d2 / sigma) ** 2)
+    return *_edge(d1, sigma), *_edge(d2, sigma)
+
+
+def _edge(d: F64, sigma: float) -> tuple[F64, F64, F64]:
+    """E(d), and its derivatives by d and by sigma: a step from -1 to 1, blurred by sigma, averaged over a pixel's width."""
+    far, near = d + 0.5, d - 0.5
+    erf_far, erf_near = erf(far / (np.sqrt(2) * sigma)), erf(near / (np.sqrt(2) * sigma))
+    bell_far, bell_near = (np.sqrt(2 / np.pi) * np.exp(-0.5 * (x / sigma) ** 2) for x in (far, near))
+    value = far * erf_far - near * erf_near + sigma * (bell_far - bell_near)
+    return value, erf_far - erf_near, bell_far - bell_near
 
 
 def _residual(value: F64, weight: F64, x: F64, y: F64, geometry: F64, levels: F64, sigma: float) -> tuple[F64, F64]:
     """(N, P) image less model, and its sum of squares (N,)."""
-    _, _, e1, e2, _, _ = _edges(x, y, geometry, sigma)
+    e1, _, _, e2, _, _ = _edges(x, y, geometry, sigma)
     m, c, p = levels[:, :3, None], levels[:, 3:, None], e1 * e2
     r = value - (m[:, 0] + m[:, 1] * x + m[:, 2] * y + (c[:, 0] + c[:, 1] * x + c[:, 2] * y) * p)
     return r, np.sum(weight * r**2, axis=1)
@@ -230,7 +238,7 @@ def _residual(value: F64, weight: F64, x: F64, y: F64, geometry: F64, levels: F6
 
 def _levels(value: F64, weight: F64, x: F64, y: F64, geometry: F64, sigma: float) -> F64:
     """(N, 6) m and c of given edges: a linear problem each."""
-    _, _, e1, e2, _, _ = _edges(x, y, geometry, sigma)
+    e1, _, _, e2, _, _ = _edges(x, y, geometry, sigma)
     p = e1 * e2
     columns = np.stack((np.ones_like(x), x, y, p, x * p, y * p), axis=-1)
     normal = np.einsum("npa,np,npb->nab", columns, weight, columns)
@@ -239,7 +247,7 @@ def _levels(value: F64, weight: F64, x: F64, y: F64, geometry: F64, sigma: float
 
 def _step(value: F64, weight: F64, x: F64, y: F64, geometry: F64, levels: F64, sigma: float, damping: float) -> tuple[F64, float]:
     """One Levenberg-Marquardt step: (N, 10) of the corners' own numbers, and that of sigma, by the Schur complement."""
-    d1, d2, e1, e2, f1, f2 = _edges(x, y, geometry, sigma)
+    e1, f1, s1, e2, f2, s2 = _edges(x, y, geometry, sigma)
     r, _ = _residual(value, weight, x, y, geometry, levels, sigma)
     p = e1 * e2
     c = levels[:, 3:4] + levels[:, 4:5] * x + levels[:, 5:6] * y
@@ -256,7 +264,7 @@ def _step(value: F64, weight: F64, x: F64, y: F64, geometry: F64, levels: F64, s
         ),
         axis=-1,
     )  # fmt: skip
-    shared = -(by_d1 * d1 + by_d2 * d2) / sigma
+    shared = c * (s1 * e2 + e1 * s2)
     normal = np.einsum("npa,np,npb->nab", own, weight, own)
     diagonal = np.einsum("naa->na", normal)
     normal = normal + np.einsum("na,ab->nab", damping * diagonal + 1e-12, np.eye(10))
