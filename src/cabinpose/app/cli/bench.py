@@ -1,4 +1,4 @@
-"""`cabinpose bench`: the figures of generation, of the detectors and of recording on this machine."""
+"""`cabinpose bench`: the figures of generation, of the detectors, of recording and of ground truth on this machine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cabinpose.app.bench import run_bench, run_detect_bench
-from cabinpose.app.cli.commands import Bench, BenchDetect, BenchRecord, BenchSynth
+from cabinpose.app.cli.commands import Bench, BenchDetect, BenchLab, BenchRecord, BenchSynth
 from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
 
@@ -21,12 +21,16 @@ def run(command: Bench) -> None:
         result = _synth(action)
     elif isinstance(action, BenchRecord):
         result = _record(action)
+    elif isinstance(action, BenchLab):
+        result = _lab(action)
     else:
         result = _detect(action)
     if action.as_json:
         print_json(result)
     elif isinstance(action, (BenchSynth, BenchRecord)):
         print_rows(_rows(result))
+    elif isinstance(action, BenchLab):
+        _print_budget(result)
     else:
         _print_detectors(result)
 
@@ -61,6 +65,13 @@ def _record(command: BenchRecord) -> dict[str, Any]:
     return run_record_bench(seconds=command.seconds, rate_mb=command.rate_mb, folder=command.folder, say=_say)
 
 
+def _lab(command: BenchLab) -> dict[str, Any]:
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    from cabinpose.app.bench.lab import run_lab_bench
+
+    return run_lab_bench(errors=command.errors, views=command.views, seconds=command.seconds, seed=command.seed, say=_say)
+
+
 def _say(words: str) -> None:
     print(words, file=sys.stderr)
 
@@ -71,6 +82,21 @@ def _rows(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]
             yield from _rows(value, f"{path}{name}.")
         else:
             yield f"{path}{name}", str(value)
+
+
+def _print_budget(result: Mapping[str, Any]) -> None:
+    """A line for each error that was switched on."""
+    head = ("error", "camera mm", "deg", "delay ms", "head deg", "suit ms", "joints cm", "median cm", "px")
+    rows = [
+        (
+            name,
+            *(f"{s[key]:.3f}" for key in ("camera_mm", "camera_deg", "tof_delay_ms", "head_deg")),
+            *(f"{s['joints'][key]:.3f}" for key in ("suit_delay_ms", "mean_cm", "median_cm", "mean_px")),
+        )
+        for name, s in result["sessions"].items()
+    ]
+    print_table([head, *rows])
+    print(f"root of the sum of squares of each alone: {result['budget_cm']['root_of_squares']:.3f} cm")
 
 
 def _print_detectors(result: Mapping[str, Any]) -> None:

@@ -282,6 +282,21 @@ class BenchRecord:
 
 
 @dataclass(frozen=True)
+class BenchLab:
+    """Measure ground truth: a virtual rig's errors, all together and each alone, in its calibration and in the joints."""
+
+    errors: tuple[str, ...] = ()
+    """Errors to look at alone; default: all that the rig has."""
+    views: int = 40
+    """Poses of the checkerboard."""
+    seconds: float = 20.0
+    """Length of the driver's take."""
+    seed: int = 0
+    """Seed of what is drawn, the same for every error."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure what the package promises on this machine."""
 
@@ -289,6 +304,7 @@ class Bench:
         Annotated[BenchSynth, subcommand("synth")]
         | Annotated[BenchDetect, subcommand("detect")]
         | Annotated[BenchRecord, subcommand("record")]
+        | Annotated[BenchLab, subcommand("lab")]
     )
 
 

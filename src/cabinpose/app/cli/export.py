@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cabinpose.app.cli.exchange_commands import Export
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.cli.recording_exchange import export_recording
@@ -16,6 +14,7 @@ from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import FORMATS, RECORDING_EXPORTS, export_dataset
 from cabinpose.store.split import split_dataset
+from cabinpose.store.yaml_file import read_mapping
 
 
 def run(command: Export) -> None:
@@ -24,7 +23,7 @@ def run(command: Export) -> None:
         _export_model(command, command.onnx)
         return
     if command.dataset is None or command.format is None:
-        raise ConfigError("there is nothing to export", hint="give DATASET and --format, or --onnx CHECKPOINT")
+        raise ConfigError("there is nothing to export", hint="give DATASET or RECORDING and --format, or --onnx CHECKPOINT")
     if export_recording(command, command.dataset, command.format):
         return
     if command.format not in FORMATS:
@@ -59,12 +58,4 @@ def _export_model(command: Export, checkpoint: Path) -> None:
 
 
 def _card(path: Path | None) -> dict[str, Any]:
-    if path is None:
-        return {}
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read the card {path}: {error}", hint="give a YAML file with --card") from error
-    if not isinstance(data, dict):
-        raise ConfigError(f"the card {path} is no mapping", hint="write `key: value` lines")
-    return data
+    return {} if path is None else read_mapping(path, hint="give a YAML file of `key: value` lines with --card")

@@ -44,7 +44,7 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
     s = summary
     whole = "" if s.parts == s.planned_parts else f" of {s.planned_frames} planned: go on with --resume"
     joints = sum(s.visibility.values())
-    return [
+    rows = [
         ("dataset", s.folder),
         ("made by", f"{s.generator}, seed {s.seed}, licence {s.licence}"),
         ("frames", f"{s.frames} in {s.parts} of {s.planned_parts} parts{whole}"),
@@ -59,8 +59,11 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("subjects", _list(s.by_subject, most=12)),
         ("actions", _list(s.by_action, most=12)),
         ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / max(joints, 1):.1f} %" for name, n in s.visibility.items())),
-        ("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {_list(s.rejections) or 'none'}"),
     ]
+    if s.proposals:  # poses were drawn
+        rejected = _list(s.rejections) or "none"
+        rows.append(("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {rejected}"))
+    return rows
 
 
 def _valid(share: float) -> str:

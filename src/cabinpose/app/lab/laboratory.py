@@ -15,7 +15,6 @@ from cabinpose.app.lab.rig import Rig
 from cabinpose.app.lab.takes import CODE, Truth, dress_up, truth_path, write_action_take, write_head_take, write_motion_take
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert
-from cabinpose.scene.sensor import sensor_by_name
 from cabinpose.store.yaml_file import read_mapping, validated
 
 SESSION, RIG = "session.yaml", "rig.yaml"
@@ -33,9 +32,6 @@ class Plan(BaseModel):
     pendulum_s: float = Field(25.0, gt=5, description="length of the pendulum take")
     seconds: float = Field(20.0, gt=1, description="length of the take of the driver")
     rate_hz: float | None = Field(None, gt=0, description="frames per second in it; left out: the rig's")
-    take_sensor: str | None = Field(
-        None, description="camera of that take in place of the rig's: to save time where no image is looked at"
-    )
     exercises: bool = Field(True, description="movements in each anatomical plane outside the car as well")
     car: str = Field("sedan", description="a preset car")
     subject: str = Field("S01", description="one of the package's people")
@@ -68,8 +64,7 @@ def record_session(folder: Path, rig: Rig, plan: Plan, report: Callable[[int], N
     if plan.exercises:
         write_motion_take(folder / EXERCISES, rig, actor, rng=drawn(6))
     report(4)
-    sensor = sensor_by_name(plan.take_sensor) if plan.take_sensor is not None else None
-    truth = write_action_take(folder / ACTION, rig, actor, plan.seconds, rate_hz=plan.rate_hz, sensor=sensor, rng=drawn(7))
+    truth = write_action_take(folder / ACTION, rig, actor, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(7))
     _write_session(folder, board, truth)
     report(5)
     return truth

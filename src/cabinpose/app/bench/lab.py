@@ -1,0 +1,81 @@
+"""The figures of `cabinpose bench lab`: what a rig's errors do to calibration and joints, all together and each alone."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cabinpose.align.project import align_take
+from cabinpose.align.session import Session, calibrate
+from cabinpose.app.lab.laboratory import ACTION, SESSION, Plan, record_session
+from cabinpose.app.lab.rig import ERRORS, Rig
+from cabinpose.app.lab.score import calibration_error, joint_error
+from cabinpose.app.lab.takes import CODE
+from cabinpose.store.recording import Recording
+
+EXACT, ALL = "none", "all"
+_TAKE_HZ = 5.0  # of the camera: the joints need the stamps of its frames, not their images
+_RARE = ("optical_swaps",)  # what no rig has always: not among "all"
+
+
+def run_lab_bench(
+    *,
+    errors: tuple[str, ...] = (),
+    views: int = 40,
+    pendulum_s: float = 20.0,
+    seconds: float = 20.0,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Record, calibrate and align a session without an error, with all of a rig's errors, and with each alone.
+
+    errors: to look at in place of all of `lab.rig.ERRORS` · views, pendulum_s, seconds: of the takes · seed: of what is drawn,
+    the same in every session. Values are found less true: of the calibration as `lab.score.CalibrationError` has them, of the
+    joints mean and median distance (cm, px), the mean of each joint (cm), and the suit's delay (ms). `budget_cm`: the mean
+    distance that each error alone adds, and the root of the sum of their squares, to be held against that of all together.
+    """
+    rig = Rig()
+    rigs = {EXACT: rig.noise_free(), ALL: rig}
+    rigs |= {name: rig.only(name) for name in errors or [name for name in ERRORS if name not in _RARE]}
+    plan = Plan(
+        views=views,
+        pendulum_s=pendulum_s,
+        seconds=seconds,
+        rate_hz=_TAKE_HZ,
+        exercises=False,
+        seed=seed,
+    )
+    sessions: dict[str, dict[str, Any]] = {}
+    for name, each in rigs.items():
+        with tempfile.TemporaryDirectory(prefix="cabinpose-lab-") as folder:
+            sessions[name] = _session(Path(folder) / "session", each, plan)
+        say(f"{name}: joints {sessions[name]['joints']['mean_cm']:.2f} cm, camera {sessions[name]['camera_mm']:.2f} mm")
+    alone = {name: s["joints"]["mean_cm"] for name, s in sessions.items() if name not in (EXACT, ALL)}
+    root = float(np.sqrt(sum(value**2 for value in alone.values())))
+    budget = {**alone, "root_of_squares": root, ALL: sessions[ALL]["joints"]["mean_cm"]}
+    return {"plan": plan.model_dump(mode="json"), "budget_cm": budget, "sessions": sessions}
+
+
+def _session(folder: Path, rig: Rig, plan: Plan) -> dict[str, Any]:
+    truth = record_session(folder, rig, plan)
+    found = calibrate(Session.load(folder / SESSION))
+    with Recording(folder / ACTION) as recording:
+        aligned = align_take(recording, found.calibration)
+    joints = joint_error(aligned, rig, truth)
+    return {
+        **asdict(calibration_error(found.calibration, rig, truth, CODE)),
+        "joints": {
+            "frames": int(aligned.kept.sum()),
+            "left_out": aligned.left_out,
+            "mean_cm": joints.mean_cm,
+            "median_cm": joints.median_cm,
+            "mean_px": float(np.nanmean(joints.error_px)),
+            "suit_delay_ms": joints.suit_delay_ms,
+            "by_joint_cm": joints.by_joint(),
+        },
+    }
