@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -217,6 +219,23 @@ def test_markers_are_the_brightest_and_lie_on_the_board() -> None:
     away = np.linalg.norm(np.array(found)[:, None] - expected, axis=-1)
     assert sorted(away.argmin(axis=1)) == [0, 1, 2, 3]
     assert away.min(axis=1).max() < 0.15
+
+
+def test_the_operator_covers_neither_corners_nor_markers() -> None:
+    rig, board = Rig.exact(), Board()
+    world_from_camera = invert(rig.camera_from_world)
+    for turn in ((0.6, 0.0, 0.3), (-0.6, 0.2, 0.0), (0.2, 0.6, -0.3), (0.0, -0.6, 0.2)):
+        pose = camera_from_board(1.3, turn, board, (-0.1, 0.35))
+        scene = board_scene(rig, board, world_from_camera @ pose)
+        assert len(scene.capsules) >= 4, "there is somebody"
+        alone = replace(scene, capsules=scene.capsules[:0])
+        seen, free = (light(cast(s.seen_from(rig.camera_from_world), SENSOR)) for s in (scene, alone))
+        assert (seen != free).sum() > 500
+        points = np.concatenate((board.corners, board.marker_centres))
+        u, v = np.rint(CAMERA.project(apply(pose, points))).astype(int).T
+        for du in (-1, 0, 1):
+            for dv in (-1, 0, 1):
+                assert (seen[v + dv, u + du] == free[v + dv, u + du]).all()
 
 
 def test_a_marker_close_by_saturates() -> None:

@@ -36,6 +36,7 @@ _DISTANCES_M = (0.6, 1.6)
 _TILT_DEG, _TURN_DEG = 38.0, 20.0
 _INCIDENCE_DEG = 55.0  # of the line of sight on the board, at most
 _BORDER_PX = 4.0
+_SQUARE_PX = 5.0  # side of the smallest square in the image
 _TRIES = 600
 _GOLDEN = (5**0.5 - 1) / 2
 _CELLS = 3  # views are spread over 3 x 3 parts of the image
@@ -123,7 +124,7 @@ def _pose(rig: Rig, board: Board, view: int, views: int, *, rng: Generator) -> M
         turn = turn * Rotation.from_rotvec((0.0, 0.0, np.radians(_TURN_DEG) * rng.uniform(-1, 1)))
         pose = transform(turn)
         pose[:3, 3] = centre - turn.apply((*_centre(board), 0.0))
-        if _in_view(sensor.field_radius_px, camera, apply(pose, points)) and _faces(pose, centre):
+        if _in_view(sensor.field_radius_px, camera, apply(pose, points)) and _is_legible(camera, pose, board, centre):
             return pose
     raise SceneError(
         f"the board does not fit the image of {rig.sensor} at {near} to {far} m",
@@ -140,10 +141,12 @@ def _in_view(field_px: float | None, camera: Camera, p_camera: F64) -> bool:
     return field_px is None or bool((np.hypot(*(uv - (camera.cx, camera.cy)).T) < field_px - _BORDER_PX).all())
 
 
-def _faces(camera_from_board: Matrix, centre: F64) -> bool:
-    """Whether the camera does not see the board at too grazing an angle."""
+def _is_legible(camera: Camera, camera_from_board: Matrix, board: Board, centre: F64) -> bool:
+    """Whether the camera sees the board at no grazing angle, and its squares large enough to tell their corners apart."""
     cosine = camera_from_board[:3, 2] @ centre / np.linalg.norm(centre)
-    return bool(cosine > np.cos(np.radians(_INCIDENCE_DEG)))
+    uv = camera.project(apply(camera_from_board, board.corners)).reshape(board.rows, board.columns, 2)
+    side = min(np.linalg.norm(np.diff(uv, axis=axis), axis=-1).min() for axis in (0, 1))
+    return bool(cosine > np.cos(np.radians(_INCIDENCE_DEG)) and side > _SQUARE_PX)
 
 
 def write_board_take(path: Path, rig: Rig, truth: BoardTake, *, frames_per_view: int = 1, rng: Generator) -> None:

@@ -26,6 +26,7 @@ PENDULUM_RADIUS_M = 0.0125
 _WALL_M = 2.4  # from the camera, along its horizontal forward direction
 _WALL_REFLECTANCE, _FLOOR_REFLECTANCE, _CLOTHES, _SKIN, _STRING, _BEAM = 0.6, 0.2, 0.5, 0.58, 0.35, 0.3
 _STRING_RADIUS_M, _BEAM_RADIUS_M = 0.0008, 0.02
+_CLEAR_M = 0.04  # between a limb of the operator and what has to be seen
 _MARGIN_M = 0.045  # of the board's plate, around corners and markers
 
 
@@ -53,10 +54,13 @@ def board_scene(rig: Rig, board: Board, world_from_board: Matrix) -> Scene:
     x0, y0, x1, y1 = plate_size(board)
     side = board.square_m
     spheres = apply(world_from_board, board.marker_centres)
+    seen = np.concatenate((spheres, apply(world_from_board, board.corners)))
+    eye = invert(rig.camera_from_world)[:3, 3]
+    limbs = _operator(world_from_board, (x0, y0, x1, y1))
     plate = Plate(world_from_board, (x0, y0, x1, y1), (-side, -side, board.columns + 1, board.rows + 1, side))
     return Scene(
         room(rig),
-        _operator(world_from_board, (x0, y0, x1, y1)),
+        limbs[[not _hides(limb, seen, eye) for limb in limbs]],
         np.column_stack((spheres, np.tile((board.marker_radius_m, MARKER_REFLECTANCE), (len(spheres), 1)))),
         plate,
     )
@@ -81,6 +85,15 @@ def _operator(world_from_board: Matrix, size: tuple[float, float, float, float])
             (elbow, hand, 0.035, _SKIN),
         ]
     return np.array([(*a, *b, radius, reflectance) for a, b, radius, reflectance in bodies])
+
+
+def _hides(limb: F64, points: F64, eye: F64) -> bool:
+    """Whether a capsule (8,) comes near the line of sight to one of the points (N, 3): the operator holds it elsewhere then."""
+    along = limb[:3] + np.linspace(0, 1, 16)[:, None] * (limb[3:6] - limb[:3])
+    sight = points - eye
+    share = (along - eye) @ sight.T / (sight**2).sum(axis=-1)  # (16, N), 1 = as far as the point
+    beside = np.linalg.norm(along[:, None] - eye - share[..., None] * sight, axis=-1)
+    return bool(((beside < limb[6] + _CLEAR_M) & (share < 1.0)).any())
 
 
 def pendulum_scene(rig: Rig, pivot: ArrayLike, marker: ArrayLike) -> Scene:
