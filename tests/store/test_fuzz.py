@@ -26,8 +26,8 @@ from cabinpose.store.convert.trc import write_trc
 from cabinpose.store.convert.xdf import XdfStream, write_xdf
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a crash is looked for in a process of its own")
-FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60}  # those that read slowly
-MANY = {"azure-mkv": 300, "adtfdat": 500, "c3d": 300}
+FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60, "xdf": 60}  # those that read slowly
+MANY = {"azure-mkv": 300, "adtfdat": 500, "c3d": 300, "xdf": 300}
 NEEDS = {"adtfdat": "adtf_file", "xdf": "pyxdf", "c3d": "ezc3d", "azure-mkv": "av"}
 
 

@@ -25,6 +25,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.optional import optional_module
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Channels, Facts, Message
+from cabinpose.store.convert.apart import items_apart
 from cabinpose.store.convert.rows import Row, whole_file
 
 _HEADER, _STREAM, _SAMPLES, _OFFSET, _FOOTER = 1, 2, 3, 4, 6
@@ -87,9 +88,9 @@ def read_xdf(path: Path) -> dict[str, XdfStream]:
     Raises DependencyError without `pyxdf`, RecordingError where the file is none, or holds no stream; of a damaged one, what
     `pyxdf` finds.
     """
-    pyxdf = optional_module("pyxdf", purpose="an XDF file", hint="pip install pyxdf")
+    _pyxdf()  # an error of its own where it is missing
     try:
-        found, header = pyxdf.load_xdf(str(path), synchronize_clocks=False, dejitter_timestamps=False)
+        ((found, header),) = items_apart(_load, path)
         streams = [_stream(each) for each in found]
         firsts = [float(s.recorder_s(s.stamps_s)[0]) for s in streams if s is not None and len(s.stamps_s)]
     except Exception as error:
@@ -108,6 +109,15 @@ def read_xdf(path: Path) -> dict[str, XdfStream]:
         values = {**stream.__dict__, "name": name, "start_ns": start_ns, "zero_s": zero_s}
         result[name] = XdfStream(**values)
     return result
+
+
+def _pyxdf() -> Any:
+    return optional_module("pyxdf", purpose="an XDF file", hint="pip install pyxdf")
+
+
+def _load(path: Path) -> Iterator[tuple[Any, Any]]:
+    """What the package finds. It believes a file's counts of channels and samples: to be called in a process of its own."""
+    yield _pyxdf().load_xdf(str(path), synchronize_clocks=False, dejitter_timestamps=False)
 
 
 def _stream(found: Mapping[str, Any]) -> Any:
