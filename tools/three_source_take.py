@@ -197,7 +197,8 @@ def account(sent: Sent, found: list[tuple[Any, int, int]], counts: Mapping[str, 
     missing = outside = foreign = 0
     for stream, every in sent.streams.items():
         here = numbers.get(stream, set())
-        inside = {n for n in every if here and min(here) <= n <= max(here)}
+        first, last = min(here, default=1), max(here, default=0)
+        inside = {n for n in every if first <= n <= last}
         missing += len(inside - here)
         outside += len(every - inside)
         foreign += len(here - every)

@@ -323,8 +323,8 @@ class ViconEmulator:
         if self._content.dropped(number):
             now_ns = self._clock.now_ns()
             streaming = [each.number for each in self._clients.values() if each.streaming and each.wanted is not None]
-            for client in streaming:
-                self._note(Sent(client, number, "dropped", captured_ns, now_ns))
+            for addressee in streaming:
+                self._note(Sent(addressee, number, "dropped", captured_ns, now_ns))
             return
         self._newest = (number, captured_ns)
         for client in list(self._clients.values()):
