@@ -85,6 +85,9 @@ class Head(_Model):
 
     object_from_head: Rigid
     residual_rad: Annotated[float | None, Field(description="rms angle between the two systems' heads")] = None
+    suit_to_optical: Annotated[
+        Delay | None, Field(description="stamps of the optical system less the suit's, in the head take")
+    ] = None
     offset: Annotated[str, Field(description="measured, or fitted from the turning head")] = "measured"
     hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.align.calibration import Calibration
+from cabinpose.align.calibration import Delay as Known
 from cabinpose.align.chain import joints_in_camera, rigid
 from cabinpose.align.streams import frame_times, on_host, seconds
 from cabinpose.align.suit import joints_of_segments
@@ -78,6 +79,7 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)
     long = since[-1] - since[0] > _DRIFT_FROM_S
     delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
+    delay = with_known(delay, head.suit_to_optical)
     at_optical = seconds(frame_ns, origin) + calibration.tof_to_optical.offset_s
     at_suit = delay.to_a(at_optical)
 
@@ -101,6 +103,25 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
         counted = ", ".join(f"{count} {why}" for why, count in aligned.left_out.items())
         raise AlignmentError(f"{recording.path}: no frame is left: {counted}", hint="look at the take with `cabinpose view`")
     return aligned
+
+
+def with_known(measured: Delay, known: Known | None) -> Delay:
+    """A take's delay, made sharper by that of the head take where the two agree.
+
+    What is measured on the host's axis is the difference of two latencies' floors, which stays as long as the rig does; a head
+    take has more motion than a drive. The mean is weighted by the squares of the intervals' inverse widths. A delay with a drift
+    of its own, or one that contradicts the known one (beyond the root of the sum of the squares of their half widths), stands
+    alone.
+    """
+    if known is None or known.interval_s is None or measured.drift != 0.0:
+        return measured
+    here, there = (0.5 * (high - low) for low, high in (measured.interval_s, known.interval_s))
+    if abs(measured.offset_s - known.offset_s) > np.hypot(here, there):
+        return measured
+    share = there**2 / max(here**2 + there**2, 1e-30)
+    offset = share * measured.offset_s + (1 - share) * known.offset_s
+    half = np.sqrt(share) * here
+    return replace(measured, offset_s=float(offset), interval_s=(float(offset - half), float(offset + half)))
 
 
 def only_subject(recording: Recording) -> str:

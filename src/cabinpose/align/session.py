@@ -87,7 +87,7 @@ class Calibrated:
     by_markers: ExtrinsicsResult
     by_corners: ExtrinsicsResult
     delay: Measured
-    heads: dict[str, tuple[HeadAlignment, HeadOffset]]
+    heads: dict[str, tuple[HeadAlignment, HeadOffset, Measured]]
 
 
 def calibrate(session: Session) -> Calibrated:
@@ -116,15 +116,16 @@ def calibrate(session: Session) -> Calibrated:
             held_out_px=lens.held_out_rms_px if lens is not None else None,
         ),
         extrinsics=_told(by_markers, by_corners),
-        tof_to_optical=Delay(offset_s=delay.offset_s, interval_s=delay.interval_s, correlation=delay.correlation),
+        tof_to_optical=_plain(delay),
         heads={
             code: Head(
                 object_from_head=rows(object_from_head(turn.object_from_head, offset.offset)),
                 residual_rad=turn.rms_rad,
+                suit_to_optical=_plain(late),
                 offset=offset.method,
                 hands_m=session.subjects[code].hands_m,
             )
-            for code, (turn, offset) in heads.items()
+            for code, (turn, offset, late) in heads.items()
         },
         vehicle_from_world=session.vehicle_from_world,
     )  # fmt: skip
@@ -191,8 +192,8 @@ def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_wo
     )
 
 
-def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset]:
-    """How the suit's head sits in the optical system's, from a take of the turning head."""
+def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset, Measured]:
+    """How the suit's head sits in the optical system's, and the delay between them, from a take of the turning head."""
     rig = RIGS["mvn"]
     suit = segment_series(recording, names.suit, code)
     optical = segment_series(recording, names.optical, names.head_object)
@@ -206,9 +207,13 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     turned = resample_rotations(since, suit_head, moments, max_gap_s=_GAP_S)
     turn = align_head(turned, orientation)
     if subject.head_offset_m is not None:
-        return turn, measured_offset(subject.head_offset_m)
+        return turn, measured_offset(subject.head_offset_m), delay
     trunk, _ = suit.segment(rig["chest"])
     above = resample_positions(since, suit.segment(rig["head"])[0] - trunk, moments, max_gap_s=_GAP_S)
     pivot = apply(turn.world_from_suit, above)
     span = max(int(_PIVOT_SPAN_S / float(np.median(np.diff(at)))), 3)
-    return turn, head_offset(position, orientation, p_pivot=pivot, spans=span)
+    return turn, head_offset(position, orientation, p_pivot=pivot, spans=span), delay
+
+
+def _plain(delay: Measured) -> Delay:
+    return Delay(offset_s=delay.offset_s, interval_s=delay.interval_s, correlation=delay.correlation)

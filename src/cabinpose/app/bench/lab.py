@@ -12,10 +12,9 @@ import numpy as np
 
 from cabinpose.align.project import align_take
 from cabinpose.align.session import Session, calibrate
-from cabinpose.app.lab.laboratory import ACTION, SESSION, Plan, record_session
+from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, record_session
 from cabinpose.app.lab.rig import ERRORS, Rig
 from cabinpose.app.lab.score import calibration_error, joint_error
-from cabinpose.app.lab.takes import CODE
 from cabinpose.store.recording import Recording
 
 EXACT, ALL = "none", "all"
@@ -62,13 +61,13 @@ def run_lab_bench(
 
 
 def _session(folder: Path, rig: Rig, plan: Plan) -> dict[str, Any]:
-    truth = record_session(folder, rig, plan)
+    ((subject, truth),) = record_session(folder, rig, plan).items()
     found = calibrate(Session.load(folder / SESSION))
-    with Recording(folder / ACTION) as recording:
+    with Recording(folder / drive_take(subject)) as recording:
         aligned = align_take(recording, found.calibration)
     joints = joint_error(aligned, rig, truth)
     return {
-        **asdict(calibration_error(found.calibration, rig, truth, CODE)),
+        **asdict(calibration_error(found.calibration, rig, truth, subject)),
         "joints": {
             "frames": int(aligned.kept.sum()),
             "left_out": aligned.left_out,

@@ -72,8 +72,8 @@ class Lab:
     """Poses of the checkerboard."""
     car: str = "sedan"
     """A preset car."""
-    subject: str = "S01"
-    """One of the package's people."""
+    subjects: tuple[str, ...] = ("S01",)
+    """Of the package's people, one after the other."""
     exercises: bool = True
     """Record movements in each anatomical plane outside the car as well, for `evaluate-mocap`."""
     seed: int = 0

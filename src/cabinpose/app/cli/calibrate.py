@@ -52,9 +52,10 @@ def _rows(found: Calibrated, out: Path) -> list[tuple[str, str]]:
         ("  by markers alone", f"{1000 * by_markers.rms_m:.2f} mm, held-out views {1000 * by_markers.held_out_rms_m:.2f} mm"),
         ("camera's delay", _delay(delay.offset_s, delay.interval_s, delay.correlation)),
     ]
-    for code, (turn, offset) in found.heads.items():
+    for code, (turn, offset, late) in found.heads.items():
         turned = "/".join(f"{degrees(angle):.0f}" for angle in turn.turned_rad)
         rows.append((f"head of {code}", f"{degrees(turn.rms_rad):.2f} deg between the systems, turned by {turned} deg"))
+        rows.append(("  suit's delay", _delay(late.offset_s, late.interval_s, late.correlation)))
         rows.append(("  C1 in the head object", f"{', '.join(f'{1000 * x:.0f}' for x in offset.offset)} mm, {offset.method}"))
     return rows
 

@@ -12,7 +12,7 @@ from cabinpose.app.extras import require
 def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
-    from cabinpose.app.lab.laboratory import ACTION, EXERCISES, SESSION, STEPS, Plan, load_rig, record_session
+    from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import Rig
 
     rig = load_rig(command.rig) if command.rig is not None else Rig()
@@ -23,21 +23,20 @@ def run(command: Lab) -> None:
         seconds=command.seconds,
         rate_hz=command.rate,
         car=command.car,
-        subject=command.subject,
+        subjects=command.subjects,
         exercises=command.exercises,
         seed=command.seed,
     )
-    with progress(STEPS, "takes") as report:
-        truth = record_session(command.out, rig, plan, report)
+    with progress(plan.steps, "takes") as report:
+        truths = record_session(command.out, rig, plan, report)
+    out, frames = command.out, sum(len(truth.tof_ns) for truth in truths.values())
     if command.as_json:
-        print_json({"out": str(command.out), "frames": len(truth.tof_ns), "session": str(command.out / SESSION)})
+        print_json({"out": str(out), "frames": frames, "session": str(out / SESSION), "takes": [drive_take(s) for s in truths]})
         return
-    out = command.out
-    print(f"{out}: calibration takes and {len(truth.tof_ns)} frames of a driver, with their truth")
-    print(f"calibrate with: cabinpose calibrate {out / SESSION} --out {out / 'calibration.yaml'}", file=sys.stderr)
-    print(
-        f"align with: cabinpose align {out / ACTION} --calibration {out / 'calibration.yaml'} --out {out / 'dataset'}",
-        file=sys.stderr,
-    )
+    calibration, takes = out / "calibration.yaml", " ".join(str(out / drive_take(subject)) for subject in truths)
+    print(f"{out}: calibration takes and {frames} frames of {', '.join(truths)} at the wheel, with their truth")
+    print(f"calibrate with: cabinpose calibrate {out / SESSION} --out {calibration}", file=sys.stderr)
+    print(f"align with: cabinpose align {takes} --calibration {calibration} --out {out / 'dataset'}", file=sys.stderr)
     if command.exercises:
-        print(f"judge the suit with: cabinpose evaluate-mocap dfe {out / EXERCISES} --out {out / 'dfe'}", file=sys.stderr)
+        exercises = out / exercise_take(command.subjects[0])
+        print(f"judge the suit with: cabinpose evaluate-mocap dfe {exercises} --out {out / 'dfe'}", file=sys.stderr)

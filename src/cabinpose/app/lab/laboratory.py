@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.align.board import Board
 from cabinpose.app.lab.calibration import board_take, pendulum_take, write_board_take, write_pendulum_take
 from cabinpose.app.lab.rig import Rig
-from cabinpose.app.lab.takes import CODE, Truth, dress_up, truth_path, write_action_take, write_head_take, write_motion_take
+from cabinpose.app.lab.takes import Truth, dress_up, truth_path, write_action_take, write_head_take, write_motion_take
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert
 from cabinpose.store.yaml_file import read_mapping, validated
 
 SESSION, RIG = "session.yaml", "rig.yaml"
-BOARD, PENDULUM, HEAD, ACTION, EXERCISES = "board.mcap", "pendulum.mcap", "head.mcap", "take.mcap", "exercises.mcap"
-STEPS = 5  # takes of a session, and the files that name them
+BOARD, PENDULUM = "board.mcap", "pendulum.mcap"
+_RIG_TAKES, _PERSON_TAKES = 2, 3
 
 
 class Plan(BaseModel):
@@ -34,60 +36,93 @@ class Plan(BaseModel):
     rate_hz: float | None = Field(None, gt=0, description="frames per second in it; left out: the rig's")
     exercises: bool = Field(True, description="movements in each anatomical plane outside the car as well")
     car: str = Field("sedan", description="a preset car")
-    subject: str = Field("S01", description="one of the package's people")
+    subjects: tuple[str, ...] = Field(("S01",), min_length=1, description="of the package's people, one after the other")
     seed: int = Field(0, ge=0, description="of everything that is drawn")
 
+    @property
+    def steps(self) -> int:
+        """Takes of the session."""
+        return _RIG_TAKES + _PERSON_TAKES * len(self.subjects)
 
-def record_session(folder: Path, rig: Rig, plan: Plan, report: Callable[[int], None] = lambda _: None) -> Truth:
-    """Record a session into a new folder and return the truth of the driver's take, which lies beside it as well.
 
-    report: called with the number of `STEPS` done. Same rig and plan, same recordings. Raises ConfigError where the folder
+def head_take(subject: str) -> str:
+    """Name of the recording of a subject's turning head."""
+    return f"head-{subject}.mcap"
+
+
+def drive_take(subject: str) -> str:
+    """Name of the recording of a subject who drives."""
+    return f"drive-{subject}.mcap"
+
+
+def exercise_take(subject: str) -> str:
+    """Name of the recording of a subject's movements outside the car."""
+    return f"exercises-{subject}.mcap"
+
+
+def record_session(folder: Path, rig: Rig, plan: Plan, report: Callable[[int], None] = lambda _: None) -> dict[str, Truth]:
+    """Record a session into a new folder and return the truth of each subject's drive, which lies beside it as well.
+
+    report: called with the number of `plan.steps` done. Same rig and plan, same recordings. Raises ConfigError where the folder
     is not empty.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError(f"{folder} is not empty", hint="give a new or empty folder with --out")
     folder.mkdir(parents=True, exist_ok=True)
 
-    def drawn(take: int) -> np.random.Generator:
-        return np.random.Generator(np.random.Philox(key=(plan.seed, take)))
+    def drawn(*take: int) -> np.random.Generator:
+        return np.random.Generator(np.random.Philox(np.random.SeedSequence((plan.seed, *take))))
 
-    (folder / RIG).write_text(yaml.safe_dump(rig.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120))
+    _write_yaml(folder / RIG, rig.model_dump(mode="json"))
     board = Board()
     shown = board_take(rig, views=plan.views, board=board, rng=drawn(0))
     write_board_take(folder / BOARD, rig, shown, frames_per_view=plan.frames_per_view, rng=drawn(1))
     report(1)
     write_pendulum_take(folder / PENDULUM, rig, pendulum_take(rig, duration_s=plan.pendulum_s, rng=drawn(2)), rng=drawn(3))
-    report(2)
-    actor = dress_up(plan.car, plan.subject, rng=drawn(4))
-    write_head_take(folder / HEAD, rig, actor, rng=drawn(5))
-    report(3)
-    if plan.exercises:
-        write_motion_take(folder / EXERCISES, rig, actor, rng=drawn(6))
-    report(4)
-    truth = write_action_take(folder / ACTION, rig, actor, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(7))
-    _write_session(folder, board, truth)
-    report(5)
-    return truth
+    report(_RIG_TAKES)
+    truths: dict[str, Truth] = {}
+    for number, subject in enumerate(plan.subjects):
+        done = _RIG_TAKES + _PERSON_TAKES * number
+        actor = dress_up(plan.car, subject, code=subject, rng=drawn(4, number))
+        write_head_take(folder / head_take(subject), rig, actor, rng=drawn(5, number))
+        report(done + 1)
+        if plan.exercises:
+            write_motion_take(folder / exercise_take(subject), rig, actor, rng=drawn(6, number))
+        report(done + 2)
+        path = folder / drive_take(subject)
+        truths[subject] = write_action_take(path, rig, actor, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(7, number))
+        report(done + 3)
+    _write_session(folder, board, truths)
+    return truths
 
 
-def _write_session(folder: Path, board: Board, truth: Truth) -> None:
+def _write_session(folder: Path, board: Board, truths: Mapping[str, Truth]) -> None:
     """The session as a user would write it: what can be measured with a ruler is given, everything else is to be found."""
+
+    def measured(p: NDArray[np.float64]) -> list[float]:
+        return [round(float(x), 9) for x in p]
+
     session = {
         "board": board.model_dump(mode="json"),
         "intrinsics": "checkerboard",
         "board_take": BOARD,
         "pendulum_take": PENDULUM,
         "subjects": {
-            CODE: {
-                "take": HEAD,
-                "head_offset_m": [round(float(x), 9) for x in truth.object_from_head[:3, 3]],
-                "hands_m": [[round(float(x), 9) for x in hand] for hand in truth.hands],
+            code: {
+                "take": head_take(code),
+                "head_offset_m": measured(truth.object_from_head[:3, 3]),
+                "hands_m": [measured(hand) for hand in truth.hands],
             }
+            for code, truth in truths.items()
         },
-        "vehicle_from_world": [[float(x) for x in row] for row in invert(truth.world_from_scene)],
+        # the car stands where the first drive has it, and stays there
+        "vehicle_from_world": invert(next(iter(truths.values())).world_from_scene).tolist(),
     }
-    text = yaml.safe_dump(session, sort_keys=False, default_flow_style=None, width=120)
-    (folder / SESSION).write_text(text, encoding="utf-8")
+    _write_yaml(folder / SESSION, session)
+
+
+def _write_yaml(path: Path, data: dict[str, Any]) -> None:
+    path.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
 def load_rig(path: Path) -> Rig:
@@ -96,11 +131,9 @@ def load_rig(path: Path) -> Rig:
     return validated(Rig, read_mapping(path, hint=hint), path, hint=hint)
 
 
-def load_truth(folder: Path) -> Truth:
-    """The truth of the driver's take of a session. Raises ConfigError where there is none."""
-    path = truth_path(folder / ACTION)
+def load_truth(folder: Path, subject: str) -> Truth:
+    """The truth of a subject's drive in a session. Raises ConfigError where there is none."""
+    path = truth_path(folder / drive_take(subject))
     if not path.exists():
-        raise ConfigError(
-            f"{folder} holds no session of the laboratory: {path.name} is missing", hint="make one with `cabinpose lab`"
-        )
+        raise ConfigError(f"{folder} holds no {path.name}", hint="`cabinpose lab` makes sessions of the laboratory")
     return Truth.load(path)

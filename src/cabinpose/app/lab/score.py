@@ -36,7 +36,9 @@ class CalibrationError:
 
 @dataclass(frozen=True)
 class JointError:
-    """Distances of aligned joints (F, 20) m from the true ones, and in the image (F, 20) px; suit_delay_ms: found less true."""
+    """Distances of aligned joints (F, 20) from the true ones, m, and px where these are in the image, else NaN; suit_delay_ms:
+    found less true.
+    """
 
     error_m: F64
     error_px: F64
@@ -88,9 +90,11 @@ def joint_error(aligned: Aligned, rig: Rig, truth: Truth) -> JointError:
     reference = aligned.delay.reference_s
     # of the suit's stamps to the optical system's, where the estimate's own drift does not count
     found = float(aligned.delay.to_b(reference) - reference)
+    uv = camera.project(true)
+    apart = np.linalg.norm(camera.project(aligned.joints[kept]) - uv, axis=2)
     return JointError(
         error_m=np.linalg.norm(aligned.joints[kept] - true, axis=2),
-        error_px=np.linalg.norm(camera.project(aligned.joints[kept]) - camera.project(true), axis=2),
+        error_px=np.where(camera.contains(uv), apart, np.nan),
         suit_delay_ms=1000 * (found - (rig.optical.latency_s - rig.suit.latency_s)),
     )
 
