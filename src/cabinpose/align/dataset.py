@@ -153,7 +153,7 @@ def _frames_of(
             frame["joints_3d"][place] = joints
             frame["joints_2d"][place] = camera.project(joints)
             frame["visibility"][place] = states
-            frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist)
+            frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist, np.float64)
             frame["vehicle_from_camera"] = vehicle_from_camera
             frame["sync_ns"] = aligned.frame_ns[index]
             frame["sequence"], frame["car"], frame["pov"] = fixed["sequence"], fixed["car"], POV

@@ -1,0 +1,181 @@
+"""A take aligned: joints where the formulas say, frames left out for the reason that holds, a dataset of the standard."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cabinpose.align.calibration import Calibration, Delay, Head, Intrinsics, rows
+from cabinpose.align.dataset import align_takes
+from cabinpose.align.project import REASONS, align_take, with_known
+from cabinpose.core.errors import AlignmentError, RecordingError
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import INDEX
+from cabinpose.store import open_dataset
+from cabinpose.store.convert import import_source
+from cabinpose.store.recording import Recording
+
+sys.path.insert(0, str(Path(__file__).parent))
+import rig_takes
+from rig_takes import Made, calibration, joints_in_camera
+
+
+def aligned(path: Path, **how):
+    with Recording(path) as recording:
+        return align_take(recording, calibration(), **how)
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    path = tmp_path_factory.mktemp("takes") / "take.mcap"
+    return path, Made(jitter_s=0.0).write(path)
+
+
+def test_joints_are_where_the_formulas_say_whatever_the_clocks(take) -> None:
+    path, time = take
+    found = aligned(path)
+    inside = found.kept
+    assert inside.sum() >= len(time) - 2  # ends of the other sources' takes
+    error = np.linalg.norm(found.joints[inside] - joints_in_camera(time[inside]), axis=2)
+    assert error.max() < 2e-4  # lines between samples of 60 Hz
+    assert found.delay.offset_s == pytest.approx(rig_takes.LATENCY_S["optical"] - rig_takes.LATENCY_S["suit"], abs=1e-4)
+
+
+def test_late_arrivals_cost_little(tmp_path: Path) -> None:
+    path = tmp_path / "late.mcap"
+    time = Made(jitter_s=0.004).write(path)
+    found = aligned(path)
+    error = np.linalg.norm(found.joints[found.kept] - joints_in_camera(time[found.kept]), axis=2)
+    assert np.median(error) < 1e-3
+    assert found.delay.offset_s == pytest.approx(-0.015, abs=1e-3)
+
+
+def test_a_calibration_that_is_wrong_is_wrong_here_too(take) -> None:
+    """The check above would see a transform or a delay that is off."""
+    path, time = take
+    turned = rig_takes.OBJECT_FROM_HEAD.copy()
+    turned[:3, 3] += (0.0, 0.02, 0.0)
+    for change in (
+        {"heads": {"S07": Head(object_from_head=rows(turned))}},
+        {"tof_to_optical": Delay(offset_s=0.03)},
+    ):
+        with Recording(path) as recording:
+            found = align_take(recording, calibration(**change))
+        error = np.linalg.norm(found.joints[found.kept] - joints_in_camera(time[found.kept]), axis=2)
+        assert error[:, INDEX["head"]].max() > 2e-3
+
+
+def test_frames_are_left_out_for_the_reason_that_holds(tmp_path: Path) -> None:
+    path = tmp_path / "gaps.mcap"
+    time = Made(jitter_s=0.0, optical_gap=(4.0, 5.0), suit_until_s=12.0).write(path)
+    found = aligned(path)
+    reason = np.array(found.reason)
+    assert (reason[(time > 4.05) & (time < 4.95)] == REASONS[1]).all()
+    assert (reason[time > 12.05] == REASONS[2]).all()
+    assert not found.kept[(time > 4.01) & (time < 4.99)].any()
+    assert found.kept[(time > 0.1) & (time < 3.95)].all()
+    assert np.isnan(found.joints[reason == REASONS[1]]).all()
+    assert sum(found.left_out.values()) + found.kept.sum() == len(time)
+
+
+def test_what_cannot_be_aligned_is_refused(tmp_path: Path, take) -> None:
+    def refused(made: Made, says: str, kind: type[Exception] = AlignmentError, **how) -> None:
+        path = tmp_path / f"{abs(hash(says))}.mcap"
+        made.write(path)
+        with pytest.raises(kind, match=says) as caught:
+            aligned(path, **how)
+        assert getattr(caught.value, "hint", "")
+
+    refused(Made(seconds=6, sources=("tof", "optical")), "no source 'suit'", RecordingError)
+    refused(Made(seconds=6, sources=("optical", "suit")), "no source 'tof'", RecordingError)
+    refused(Made(seconds=6, codes=()), "names 0 subjects")
+    refused(Made(seconds=6, codes=("S07", "S08")), "names 2 subjects: S07, S08")
+    refused(Made(seconds=6, codes=("S09",)), "knows no subject S09")
+    refused(Made(seconds=6, suit_still=True), "constant|does not move|no motion|weak|still")
+    refused(Made(seconds=6, optical_gap=(-1, 99)), "optical|b has|b is|not known|known samples")
+    with pytest.raises(RecordingError, match="of 'S01'"), Recording(take[0]) as recording:
+        align_take(recording, calibration(heads={"S01": Head(object_from_head=rows(np.eye(4)))}), subject="S01")
+
+
+def test_a_known_delay_sharpens_a_wide_one_and_leaves_a_contradiction_alone(take) -> None:
+    measured = aligned(take[0]).delay
+    half = 0.5 * (measured.interval_s[1] - measured.interval_s[0])
+    same = Delay(
+        offset_s=measured.offset_s + 0.5 * half, interval_s=(measured.offset_s - 0.5 * half, measured.offset_s + 1.5 * half)
+    )
+    joined = with_known(measured, same)
+    assert joined.offset_s == pytest.approx(measured.offset_s + 0.25 * half)
+    assert joined.interval_s[1] - joined.interval_s[0] == pytest.approx(np.sqrt(2) * half)
+    other = Delay(offset_s=measured.offset_s + 1.0, interval_s=(measured.offset_s + 0.999, measured.offset_s + 1.001))
+    assert with_known(measured, other) is measured
+    assert with_known(measured, None) is measured
+
+
+def test_takes_become_a_dataset_of_the_standard(tmp_path: Path, take) -> None:
+    path, time = take
+    other = tmp_path / "other.mcap"
+    Made(seconds=6, seed=8, depth_m=0.5).write(other)
+    takes = align_takes([path, other], calibration(vehicle_from_world=rows(np.eye(4))))
+    seen: list[int] = []
+    folder = import_source(takes.source, tmp_path / "dataset", report=seen.append)
+    data = open_dataset(folder)
+    first, second = takes.reports
+    assert data.sizes["frame"] == first.kept + second.kept == seen[-1]
+    assert np.unique(data["sequence"].values).tolist() == [0, 1]
+    driver = list(data["person"].values).index("driver")
+    there = data["subject"].values != ""
+    assert there[:, driver].all()
+    assert there.sum() == data.sizes["frame"]
+    assert set(data["action"].values[:, driver]) == {"reach"}
+    found = data["joints_3d"].values[: first.kept, driver]
+    kept = aligned(path).kept
+    assert np.linalg.norm(found - joints_in_camera(time[kept]), axis=2).max() < 2e-4
+    uv = rig_takes.CAMERA.project(joints_in_camera(time[kept]))
+    assert np.allclose(data["joints_2d"].values[: first.kept, driver], uv, atol=0.05)
+    assert np.allclose(data["vehicle_from_camera"].values[0] @ rig_takes.CAMERA_FROM_WORLD, np.eye(4), atol=1e-9)
+    assert np.diff(data["sync_ns"].values[: first.kept]).min() > 0
+    # nothing was measured in the first take, a wall at 0.5 m hides everybody in the second
+    states = data["visibility"].values[:, driver]
+    assert set(np.unique(states[: first.kept])) <= {Visibility.OUTSIDE_IMAGE, Visibility.VISIBLE}
+    assert (states[first.kept :, INDEX["lwrist"]] == Visibility.OCCLUDED).any()
+    assert first.joints_measured == 0
+    assert np.isnan(first.floating)
+    assert second.joints_measured > 0
+
+
+def test_a_seat_that_is_not_named_and_another_cameras_size_are_refused(tmp_path: Path, take) -> None:
+    path = tmp_path / "take.mcap"
+    Made(seconds=6, seat=None).write(path)
+    with pytest.raises(AlignmentError, match="does not say where S07 sits in the sedan"):
+        align_takes([path], calibration())
+    Made(seconds=6, seat=None, car="").write(tmp_path / "room.mcap")
+    assert align_takes([tmp_path / "room.mcap"], calibration()).source.manifest.persons == ("standing",)
+    lens = Intrinsics(width=32, height=24, fx=20, fy=20, cx=15.5, cy=11.5)
+    takes = align_takes([take[0]], calibration(intrinsics=lens))
+    with pytest.raises(AlignmentError, match="64x48 pixels, the calibration is of 32x24"):
+        import_source(takes.source, tmp_path / "dataset")
+    assert not (tmp_path / "dataset").exists()
+
+
+def test_the_file_of_a_calibration_comes_back_and_what_is_wrong_in_it_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration().save(path)
+    assert Calibration.load(path) == calibration()
+    text = path.read_text()
+    for wrong, says in (
+        (text.replace("fx: 40.0", "fx: -40.0"), "intrinsics.fx"),
+        (text.replace("version: 1", "version: 2"), "version"),
+        (text + "focus: 3\n", "focus"),
+        ("- 1\n", "no mapping"),
+        ("a: [", "not YAML"),
+    ):
+        path.write_text(wrong)
+        with pytest.raises(AlignmentError, match=says) as caught:
+            Calibration.load(path)
+        assert caught.value.hint
+    mirrored = rig_takes.CAMERA_FROM_WORLD @ np.diag((-1.0, 1.0, 1.0, 1.0))
+    with pytest.raises(ValueError, match="right-handed"):
+        calibration(extrinsics={"camera_from_world": rows(mirrored)})
