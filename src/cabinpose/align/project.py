@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cabinpose.align.calibration import Calibration
 from cabinpose.align.calibration import Delay as Known
 from cabinpose.align.chain import joints_in_camera, rigid
-from cabinpose.align.streams import frame_times, on_host, seconds
+from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import joints_of_segments
 from cabinpose.align.time import suit_to_optical
 from cabinpose.core.delay import Delay
@@ -78,7 +78,8 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     object_position, object_orientation = optical.segment(names.head_segment)
     since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)
     long = since[-1] - since[0] > _DRIFT_FROM_S
-    delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
+    with naming(recording, "the suit's head (a) against the optical one (b)"):
+        delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
     delay = with_known(delay, head.suit_to_optical)
     at_optical = seconds(frame_ns, origin) + calibration.tof_to_optical.offset_s
     at_suit = delay.to_a(at_optical)

@@ -19,7 +19,7 @@ from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, mark
 from cabinpose.align.head import HeadAlignment, HeadOffset, align_head, head_offset, measured_offset
 from cabinpose.align.intrinsics import IntrinsicsResult, calibrate_from_corners
 from cabinpose.align.pendulum import brightest_blob
-from cabinpose.align.streams import frame_times, on_host, seconds
+from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, Triple
 from cabinpose.align.time import suit_to_optical, tof_to_optical
 from cabinpose.core.camera import Camera
@@ -98,14 +98,18 @@ def calibrate(session: Session) -> Calibrated:
     names = session.names
     with _opened(session.board_take) as recording:
         views = board_views(recording, names, session.board)
-        lens, camera = _lens(session, views)
-        by_markers, by_corners = _extrinsics(session, views, camera)
+        with naming(recording, "the lens"):
+            lens, camera = _lens(session, views)
+        with naming(recording, "the camera's place"):
+            by_markers, by_corners = _extrinsics(session, views, camera)
     with _opened(session.pendulum_take) as recording:
-        delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
+        with naming(recording, "the marker in the image (a) against the optical one (b)"):
+            delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
     heads = {}
     for code, subject in session.subjects.items():
         with _opened(subject.take) as recording:
-            heads[code] = _head(recording, names, code, subject)
+            with naming(recording, f"the head of {code} in the suit (a) against the optical one (b)"):
+                heads[code] = _head(recording, names, code, subject)
     calibration = Calibration(
         names=names,
         intrinsics=Intrinsics(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +40,15 @@ def on_host(series: SegmentSeries | MarkerSeries) -> Times:
     if not series.device_clock:
         return series.host_ns
     return host_from_device(series.device_ns, series.host_ns, series.source)(series.device_ns)
+
+
+@contextmanager
+def naming(recording: Recording, step: str) -> Iterator[None]:
+    """Put the recording's name and the step before what an AlignmentError within the block says."""
+    try:
+        yield
+    except AlignmentError as error:
+        raise AlignmentError(f"{recording.path}: {step}: {error}", hint=error.hint) from error
 
 
 def seconds(time_ns: Times, origin_ns: int) -> F64:

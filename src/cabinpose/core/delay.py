@@ -114,6 +114,11 @@ def estimate_delay(
     search = LagSearch(a, b, (around_s - max_lag_s, around_s + max_lag_s), min_overlap, min_correlation)
     peaks = search.peaks()
     found = [c for peak in peaks if (c := _candidate(search, peak, window_s, drift=drift))]
+    if not found and peaks[0].correlation >= min_correlation:
+        raise AlignmentError(
+            f"the signals are alike (r = {peaks[0].correlation:.3f}), but too short or too still to tell the delay's interval",
+            hint="record at least 6 s with motion in all of them",
+        )
     if not found:
         raise weak_error(peaks[0].correlation, peaks[0].lag_s, min_correlation)
     found.sort(key=lambda c: -c[0].correlation)
