@@ -116,7 +116,9 @@ def _sfe_run(command: EvaluateSfe, motion: Motion, condition: str) -> SfeRun:
     if command.first is not None and command.last is not None:
         first, last = Window("first", *command.first), Window("last", *command.last)
     else:
-        first, last = find_poses(motion.time_s, motion.position_m, motion.names, any_pose=command.any_pose)
+        first, last = find_poses(
+            motion.time_s, motion.position_m, motion.names, limit_m_s=command.still_m_s, any_pose=command.any_pose
+        )
     if command.fit == "pelvis" and motion.orientation_wxyz is None:
         raise AlignmentError(
             f"{motion.path.name} holds markers, which have no pelvis", hint="--fit body lays whole bodies on each other"

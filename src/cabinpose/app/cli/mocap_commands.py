@@ -66,6 +66,8 @@ class EvaluateSfe(MocapReport):
     """Seconds from and to, of the first pose; default: where the person stands still in an N-pose for the first time."""
     last: tuple[float, float] | None = None
     """Seconds from and to, of the last pose; default: the last time."""
+    still_m_s: float = 0.05
+    """Metres a second under which every segment stands still."""
     any_pose: bool = False
     """Take whatever pose the person is still in, not only an N-pose."""
     fit: Literal["pelvis", "body"] = "pelvis"
@@ -97,7 +99,7 @@ class _AgainstOptical(MocapReport):
     max_gap_s: float = 0.1
     """Longest pause of a stream that is interpolated over."""
     delay_ms: float | None = None
-    """By how much the suit's stamps are late against the optical system's; default: from how both see the head turn."""
+    """By how much the suit's stamps are late against the optical system's; default: from how both see the segments turn."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ from cabinpose.evaluate.mocap.stillness import Window
 
 F64 = NDArray[np.float64]
 MAX_LAG_S = 2.0
+_SMOOTHING_S = 0.1  # sigma: a model's segments are noisy, and the same filter on both delays neither
+_MOSTLY = 0.5  # part of the samples in which a segment has to be known
 _JOINTS_NEEDED = 3
 
 
@@ -99,17 +101,24 @@ def _streams(path: Path, setup: Setup) -> tuple[Motion, Motion, list[str]]:
 
 
 def _delay(path: Path, suit: Motion, optical: Motion, setup: Setup) -> tuple[float, str]:
-    """By how much the suit's stamps are late, by the angular speed of the head, or of the first segment that both have."""
+    """By how much the suit's stamps are late: from the angular speeds of all segments that both systems see, together."""
     pairs, _ = _pairs(SEGMENT_PAIRS, suit, optical, setup, least=1)
-    pair = pairs[0]  # the head, where both have it
-    signals = []
-    for motion, name in ((optical, pair.optical), (suit, pair.suit)):
-        if motion.orientation_wxyz is None:
-            raise AlignmentError(f"{path.name}: no delay can be told from markers alone", hint="give it with --delay-ms")
-        turned = motion.orientation_wxyz[:, motion.names.index(name)]
-        signals += [motion.time_s, angular_speed(motion.time_s, turned)]
+    if suit.orientation_wxyz is None or optical.orientation_wxyz is None:
+        raise AlignmentError(f"{path.name}: no delay can be told from markers alone", hint="give it with --delay-ms")
+    turned = [
+        [motion.orientation_wxyz[:, motion.names.index(name)] for name in names]
+        for motion, names in ((optical, [p.optical for p in pairs]), (suit, [p.suit for p in pairs]))
+        if motion.orientation_wxyz is not None
+    ]
+    seen = [i for i in range(len(pairs)) if all(np.isfinite(q[i]).all(axis=1).mean() > _MOSTLY for q in turned)]
+    if not seen:
+        raise AlignmentError(f"{path.name}: no segment is seen by both most of the time", hint="give the delay with --delay-ms")
+    speeds = [
+        np.stack([angular_speed(motion.time_s, q[i]) for i in seen], axis=1)
+        for motion, q in zip((optical, suit), turned, strict=True)
+    ]
     try:
-        found = estimate_delay(*signals, max_lag_s=MAX_LAG_S)
+        found = estimate_delay(optical.time_s, speeds[0], suit.time_s, speeds[1], max_lag_s=MAX_LAG_S, smoothing_s=_SMOOTHING_S)
     except AlignmentError as error:
         raise AlignmentError(
             f"{path.name}: {error}", hint=f"{error.hint or 'both must see it turn'}; or give --delay-ms"
@@ -117,7 +126,7 @@ def _delay(path: Path, suit: Motion, optical: Motion, setup: Setup) -> tuple[flo
     low, high = (1e3 * x for x in found.interval_s)
     return found.offset_s, (
         f"{path.name}: suit {1e3 * found.offset_s:+.1f} ms after the optical system ({low:+.1f} to {high:+.1f}), "
-        f"r = {found.correlation:.3f}, from the turning of the {pair.name}"
+        f"r = {found.correlation:.3f}, from the turning of {len(seen)} segments"
     )
 
 

@@ -65,13 +65,14 @@ def find_poses(
     *,
     least_s: float = 1.0,
     limit_m_s: float = 0.05,
-    over_s: float = 0.2,
+    over_s: float = 0.5,
     any_pose: bool = False,
 ) -> tuple[Window, Window]:
     """The first and the last window in which the person stands still in an N-pose; positions (T, N, 3), z up.
 
-    Still: no segment moves faster than `limit_m_s` for `least_s`. N-pose: trunk, hanging arms and straight legs within 35° of the
-    vertical, so that somebody sitting still is not taken for it; any_pose skips that. Raises AlignmentError unless there are two.
+    Still: for `least_s` no segment moves faster than `limit_m_s`, as measured over `over_s`. N-pose: trunk, hanging arms and
+    straight legs within 35° of the vertical, so that somebody sitting still is not taken for it; any_pose skips that. Raises
+    AlignmentError unless there are two.
     """
     time, position = np.asarray(time_s, np.float64), np.asarray(position_m, np.float64)
     speed = moving_speed(time, position, over_s=over_s)
