@@ -102,14 +102,14 @@ def calibrate(session: Session) -> Calibrated:
             lens, camera = _lens(session, views)
         with naming(recording, "the camera's place"):
             by_markers, by_corners = _extrinsics(session, views, camera)
-    with _opened(session.pendulum_take) as recording:
-        with naming(recording, "the marker in the image (a) against the optical one (b)"):
-            delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
+    step = "the marker in the image (a) against the optical one (b)"
+    with _opened(session.pendulum_take) as recording, naming(recording, step):
+        delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
     heads = {}
     for code, subject in session.subjects.items():
-        with _opened(subject.take) as recording:
-            with naming(recording, f"the head of {code} in the suit (a) against the optical one (b)"):
-                heads[code] = _head(recording, names, code, subject)
+        step = f"the head of {code} in the suit (a) against the optical one (b)"
+        with _opened(subject.take) as recording, naming(recording, step):
+            heads[code] = _head(recording, names, code, subject)
     calibration = Calibration(
         names=names,
         intrinsics=Intrinsics(

@@ -111,7 +111,7 @@ def correlogram(a: F64, b: F64, least: float, shifts: NDArray[np.int64], energy:
     power. NaN where fewer than `least` rows overlap, or where the rows of a or of b that do have less than `energy`, the sum of
     their squares about their mean.
     """
-    known_a, known_b = (np.isfinite(x).all(axis=1) for x in (a, b))
+    known_a, known_b = (np.asarray(np.isfinite(x).all(axis=1)) for x in (a, b))
     a, b = np.where(known_a[:, None], a, 0.0), np.where(known_b[:, None], b, 0.0)
     size = next_fast_len(len(a) + len(b) - 1, real=True)
 
@@ -121,7 +121,7 @@ def correlogram(a: F64, b: F64, least: float, shifts: NDArray[np.int64], energy:
     def sums(of_a: NDArray[np.complex128], of_b: NDArray[np.complex128]) -> F64:
         return irfft(np.conj(of_a) * of_b, size, axis=0)[shifts]  # negative shifts lie at the end, as numpy counts
 
-    ma, mb = spectra(known_a[:, None].astype(np.float64)), spectra(known_b[:, None].astype(np.float64))
+    ma, mb = (spectra(known[:, None].astype(np.float64)) for known in (known_a, known_b))
     fa, fb = spectra(a), spectra(b)
     count = np.rint(sums(ma, mb))
     n = np.maximum(count, 1.0)
