@@ -15,6 +15,7 @@ from cabinpose.align.board import Board
 from cabinpose.align.bundle import refine_camera_from_world
 from cabinpose.align.extrinsics import (
     ExtrinsicsResult,
+    _outline_middle,
     board_pose,
     camera_from_world,
     check_labels,
@@ -87,6 +88,16 @@ def test_markers_in_the_image_are_found_to_a_fraction_of_a_pixel():
     assert np.isfinite(away).all()
     assert np.sqrt(np.mean(np.sum(away**2, axis=-1))) < 0.15  # a saturated disc of 2 px
     assert np.abs(away.mean(axis=(0, 1))).max() < 0.05
+
+
+def test_middle_of_a_large_spheres_outline_is_that_of_its_rays():
+    centre, radius = np.array((0.5, -0.3, 0.9)), 0.08
+    ray = np.concatenate((CAMERA.scaled(2).rays, np.ones((2 * 287, 2 * 352, 1))), axis=-1)
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    v, u = np.nonzero(np.linalg.norm(np.cross(ray, centre), axis=-1) < radius)
+    middle = (np.array((u.mean(), v.mean())) + 0.5) / 2 - 0.5
+    assert np.abs(_outline_middle(CAMERA, centre, radius) - middle).max() < 0.03
+    assert np.linalg.norm(CAMERA.project(centre) - middle) > 0.3
 
 
 def test_a_marker_that_does_not_shine_is_missing():

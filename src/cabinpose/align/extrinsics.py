@@ -303,7 +303,6 @@ def _outline_middle(camera: Camera, centre: F64, radius: float) -> F64:
     rim = to * (1 - sine**2) + sine * np.sqrt(1 - sine**2) * (np.cos(turn) * side[0] + np.sin(turn) * side[1])
     p = camera.project(rim)
     q = np.roll(p, -1, axis=0)
-    area = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     origin = p.mean(axis=0)
     p, q = p - origin, q - origin
     area = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]

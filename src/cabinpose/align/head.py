@@ -84,7 +84,7 @@ def align_head(
     `icp`: Gonçalves (2020), eq. 4.11. In both systems the turn since the first moment carries P = (0, 0, 1), and the two clouds
     are laid on each other by iterative closest points without use of their pairing, from starts all around P; the best is
     taken. It assumes that both frames have the same z axis, since P is the same in both; where the object's is tilted by an
-    angle, the result is wrong by up to that. Clouds that look alike after half a turn (a head that only nods) have two
+    angle, the result is wrong by at least about that. Clouds that look alike after half a turn (a head that only nods) have two
     solutions. Taken without the first moment's orientation, as the equation stands, it would find X, which is Y only where both
     heads begin with the world's axes.
 
