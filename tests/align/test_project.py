@@ -11,7 +11,7 @@ import pytest
 from cabinpose.align.calibration import Calibration, Delay, Head, Intrinsics, rows
 from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take, with_known
-from cabinpose.core.errors import AlignmentError, RecordingError
+from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX
 from cabinpose.store import open_dataset
@@ -112,6 +112,20 @@ def test_a_known_delay_sharpens_a_wide_one_and_leaves_a_contradiction_alone(take
     other = Delay(offset_s=measured.offset_s + 1.0, interval_s=(measured.offset_s + 0.999, measured.offset_s + 1.001))
     assert with_known(measured, other) is measured
     assert with_known(measured, None) is measured
+
+
+def test_a_take_too_short_for_a_delay_of_its_own_takes_the_known_one(tmp_path: Path) -> None:
+    path = tmp_path / "short.mcap"
+    time = Made(seconds=3, jitter_s=0.0).write(path)
+    with pytest.raises(UndeterminedError, match=r"short\.mcap: the suit's head.*too short"):
+        aligned(path)
+    known = Delay(offset_s=-0.015, interval_s=(-0.016, -0.014))
+    head = Head(object_from_head=rows(rig_takes.OBJECT_FROM_HEAD), suit_to_optical=known)
+    with Recording(path) as recording:
+        found = align_take(recording, calibration(heads={"S07": head}))
+    error = np.linalg.norm(found.joints[found.kept] - joints_in_camera(time[found.kept]), axis=2)
+    assert error.max() < 2e-4
+    assert found.delay.offset_s == -0.015
 
 
 def test_takes_become_a_dataset_of_the_standard(tmp_path: Path, take) -> None:

@@ -15,7 +15,8 @@ from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import joints_of_segments
 from cabinpose.align.time import suit_to_optical
 from cabinpose.core.delay import Delay
-from cabinpose.core.errors import AlignmentError
+from cabinpose.core.errors import AlignmentError, UndeterminedError
+from cabinpose.core.lags import WindowDelays
 from cabinpose.core.resample import resample_positions, resample_rotations
 from cabinpose.core.skeleton import RIGS
 from cabinpose.store.recording import Recording, segment_series
@@ -79,8 +80,13 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)
     long = since[-1] - since[0] > _DRIFT_FROM_S
     with naming(recording, "the suit's head (a) against the optical one (b)"):
-        delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
-    delay = with_known(delay, head.suit_to_optical)
+        try:
+            delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
+            delay = with_known(delay, head.suit_to_optical)
+        except UndeterminedError:  # a few seconds, or a head that hardly turns: the head take may know
+            if head.suit_to_optical is None or head.suit_to_optical.interval_s is None:
+                raise
+            delay = _as_known(head.suit_to_optical.offset_s, head.suit_to_optical.interval_s, float(since[0]))
     at_optical = seconds(frame_ns, origin) + calibration.tof_to_optical.offset_s
     at_suit = delay.to_a(at_optical)
 
@@ -123,6 +129,13 @@ def with_known(measured: Delay, known: Known | None) -> Delay:
     offset = share * measured.offset_s + (1 - share) * known.offset_s
     half = np.sqrt(share) * here
     return replace(measured, offset_s=float(offset), interval_s=(float(offset - half), float(offset + half)))
+
+
+def _as_known(offset_s: float, interval_s: tuple[float, float], reference_s: float) -> Delay:
+    """The delay of the head take, as one of this take."""
+    nothing = np.zeros(0)
+    windows = WindowDelays(nothing, nothing, nothing, nothing)
+    return Delay(offset_s, interval_s, 0.0, (0.0, 0.0), reference_s, np.nan, np.nan, windows)
 
 
 def only_subject(recording: Recording) -> str:

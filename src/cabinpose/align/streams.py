@@ -48,7 +48,7 @@ def naming(recording: Recording, step: str) -> Iterator[None]:
     try:
         yield
     except AlignmentError as error:
-        raise AlignmentError(f"{recording.path}: {step}: {error}", hint=error.hint) from error
+        raise type(error)(f"{recording.path}: {step}: {error}", hint=error.hint) from error
 
 
 def seconds(time_ns: Times, origin_ns: int) -> F64:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cabinpose.core.clock import ClockMap
 from cabinpose.core.correlation import known_samples, smoothed
-from cabinpose.core.errors import AlignmentError
+from cabinpose.core.errors import AlignmentError, UndeterminedError
 from cabinpose.core.fitting import Fit, fit_delay
 from cabinpose.core.lags import LagSearch, Peak, WindowDelays, weak_error
 
@@ -115,7 +115,7 @@ def estimate_delay(
     peaks = search.peaks()
     found = [c for peak in peaks if (c := _candidate(search, peak, window_s, drift=drift))]
     if not found and peaks[0].correlation >= min_correlation:
-        raise AlignmentError(
+        raise UndeterminedError(
             f"the signals are alike (r = {peaks[0].correlation:.3f}), but too short or too still to tell the delay's interval",
             hint="record at least 6 s with motion in all of them",
         )

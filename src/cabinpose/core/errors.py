@@ -61,6 +61,10 @@ class AlignmentError(CabinposeError):
     """Data do not determine what is asked of them: a delay, a calibration or a transform."""
 
 
+class UndeterminedError(AlignmentError):
+    """Data that agree with each other say too little for a number of their own; another source of it may do."""
+
+
 class DependencyError(CabinposeError):
     """An optional dependency (an extra) is needed and not installed."""
 

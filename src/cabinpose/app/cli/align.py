@@ -36,20 +36,21 @@ def run(command: Align) -> None:
         print_json({"out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]})
         return
 
-    def told(take: TakeReport) -> list[tuple[str, str]]:
+    def rows_of(take: TakeReport) -> list[tuple[str, str]]:
         low, high = take.suit_delay_interval_ms
         states = [f"{count} {_words(state)}" for state, count in sorted(take.states.items())]
+        told = "as in the head take" if math.isnan(take.correlation) else f"r = {take.correlation:.3f}"
         span = f"{take.suit_delay_ms:+.2f} ms ({low:+.2f} to {high:+.2f})"
         floating = "nothing measured" if math.isnan(take.floating) else f"{100 * take.floating:.1f} % of the joints"
         return [
             (take.recording, f"{take.kept} of {take.frames} frames, {take.subject}"),
             *((f"  {why}", f"{count} frames left out") for why, count in take.left_out.items()),
-            ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, r = {take.correlation:.3f}"),
+            ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, {told}"),
             ("  joints", ", ".join(states)),
             ("  before the surface", floating),
         ]
 
-    print_rows([row for take in takes.reports for row in told(take)])
+    print_rows([row for take in takes.reports for row in rows_of(take)])
     for take in takes.reports:
         if take.floating > _WARN_FLOATING:
             print(

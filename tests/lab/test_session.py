@@ -1,0 +1,97 @@
+"""A session of the laboratory, calibrated and aligned: without errors nothing is left but the pixels' share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cabinpose.align.project import align_take
+from cabinpose.align.session import Calibrated, Session, calibrate
+from cabinpose.app.cli import main
+from cabinpose.app.lab.laboratory import RIG, SESSION, Plan, drive_take, load_rig, load_truth, record_session
+from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.score import calibration_error, joint_error
+from cabinpose.core.errors import AlignmentError, ConfigError
+from cabinpose.core.frames import invert
+from cabinpose.store.recording import Recording
+
+pytestmark = pytest.mark.slow
+PLAN = Plan(views=12, frames_per_view=1, pendulum_s=8, seconds=6.5, rate_hz=2, exercises=False, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("lab") / "session"
+    record_session(made, Rig().noise_free(), PLAN)
+    return made
+
+
+@pytest.fixture(scope="module")
+def calibrated(folder: Path) -> Calibrated:
+    return calibrate(Session.load(folder / SESSION))
+
+
+def test_rendered_images_without_noise_give_the_calibration(folder: Path, calibrated: Calibrated) -> None:
+    rig, truth = load_rig(folder / RIG), load_truth(folder, "S01")
+    assert rig == Rig().noise_free()
+    error = calibration_error(calibrated.calibration, rig, truth, "S01")
+    assert error.camera_mm < 1.0  # of 12 views; with 40, `bench lab` has 0.3
+    assert error.camera_deg < 0.05
+    assert abs(error.tof_delay_ms) < 0.5
+    assert abs(error.focal_percent) < 0.2
+    assert error.head_deg < 1e-4
+    assert error.head_mm < 1e-3
+    assert calibrated.by_corners.method == "corners"
+
+
+def test_the_joints_follow(folder: Path, calibrated: Calibrated) -> None:
+    rig, truth = load_rig(folder / RIG), load_truth(folder, "S01")
+    with Recording(folder / drive_take("S01")) as recording:
+        aligned = align_take(recording, calibrated.calibration)
+    error = joint_error(aligned, rig, truth)
+    assert aligned.kept.all()
+    assert abs(error.suit_delay_ms) < 0.1
+    assert error.mean_cm < 0.15
+    assert error.error_m.max() < 0.003
+    assert np.nanmax(error.error_px) < 1.0
+    # the yardstick sees what is wrong
+    off = truth.camera_from_world.copy()
+    off[:3, 3] += 0.01
+    wrong = aligned.joints + 0.01
+    assert joint_error(type(aligned)(**{**vars(aligned), "joints": wrong}), rig, truth).mean_cm > 1.5
+    assert np.linalg.norm((invert(off) - invert(truth.camera_from_world))[:3, 3]) > 0.01
+
+
+def test_a_truth_of_another_take_is_refused(folder: Path, calibrated: Calibrated) -> None:
+    rig, truth = load_rig(folder / RIG), load_truth(folder, "S01")
+    with Recording(folder / drive_take("S01")) as recording:
+        aligned = align_take(recording, calibrated.calibration)
+    late = type(truth)(**{**vars(truth), "tof_ns": truth.tof_ns + 10**10})
+    with pytest.raises(AlignmentError, match="not the one that the truth is of"):
+        joint_error(aligned, rig, late)
+    with pytest.raises(ConfigError, match=r"holds no drive-S02\.truth\.npz"):
+        load_truth(folder, "S02")
+
+
+def test_the_commands_do_the_same(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    calibration, dataset = tmp_path / "calibration.yaml", tmp_path / "dataset"
+    assert main(["calibrate", str(folder / SESSION), "--out", str(calibration)]) == 0
+    assert "camera's place" in capsys.readouterr().out
+    assert yaml.safe_load(calibration.read_text())["intrinsics"]["source"] == "checkerboard"
+    take = str(folder / drive_take("S01"))
+    assert main(["align", take, "--calibration", str(calibration), "--out", str(dataset)]) == 0
+    assert "13 of 13 frames, S01" in capsys.readouterr().out
+    for again in (
+        ["calibrate", str(folder / SESSION), "--out", str(calibration)],
+        ["align", take, "--calibration", str(calibration), "--out", str(dataset)],
+        ["align", take, "--calibration", str(folder / SESSION), "--out", str(tmp_path / "other")],
+        ["align", str(folder / "board.mcap"), "--calibration", str(calibration), "--out", str(tmp_path / "other")],
+        ["lab", "--out", str(folder)],
+        ["lab", "--out", str(tmp_path / "lab"), "--only", "gravity"],
+    ):
+        assert main(again) == 2, again
+        assert "hint: " in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
