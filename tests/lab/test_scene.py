@@ -6,7 +6,7 @@ import pytest
 from cabinpose.app.lab.exercises import exercises
 from cabinpose.app.lab.motion import Motion
 from cabinpose.app.lab.rig import Rig
-from cabinpose.app.lab.scene import DEPTH_UNIT_M, Stagehand, message_of, noise_of, world_from_room, world_from_vehicle
+from cabinpose.app.lab.scene import DEPTH_UNIT_M, Stagehand, message_of, world_from_room, world_from_vehicle
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, is_rigid
 from cabinpose.core.pose import Visibility
@@ -70,9 +70,9 @@ def test_noise_is_switched_by_the_rig(driving: Motion) -> None:
     noisy = depth(real, 1)
     assert np.array_equal(noisy, depth(real, 1), equal_nan=True)
     assert 1e-4 < np.nanmedian(np.abs(noisy - depth(real, 2))) < 0.1
-    assert noise_of(exact).wiggling == 0.0
-    assert not noise_of(exact).shot_noise
-    assert noise_of(real.only("sensor_systematic")).ambient > 0
+    assert exact.noise.wiggling == 0.0
+    assert not exact.noise.shot_noise
+    assert real.only("sensor_systematic").noise.ambient > 0
 
 
 def test_somebody_standing_in_a_room_is_seen_too(driving: Motion) -> None:

@@ -15,7 +15,7 @@ from cabinpose.core.frames import Matrix, invert, transform
 from cabinpose.core.recorded import ToFFrame
 from cabinpose.scene.cabin import belt_surface
 from cabinpose.scene.room import Room
-from cabinpose.scene.sensor import PhysicalNoise, Sensor
+from cabinpose.scene.sensor import Sensor
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.config import Camera as CameraConfig
 from cabinpose.synth.sample import STANDING_SLOT, Scene, ScenePerson, person_slots
@@ -23,14 +23,6 @@ from cabinpose.synth.write import FrameMaker
 
 DEPTH_UNIT_M = 1e-4
 VIEW = "driver"
-
-
-def noise_of(rig: Rig) -> PhysicalNoise:
-    """The generator's noise model with a rig's two switches; reflectance, incidence and mixed pixels are what a camera sees."""
-    model = PhysicalNoise(shot_noise=rig.sensor_noise, read_noise=rig.sensor_noise)
-    if rig.sensor_systematic:
-        return model
-    return model.model_copy(update={"full_well": False, "wiggling": 0.0, "stray_light": 0.0, "ambient": 0.0, "daylight": 0.0})
 
 
 def world_from_vehicle(rig: Rig, motion: Motion, view: str = VIEW) -> Matrix:
@@ -70,7 +62,7 @@ class Stagehand:
         self._sensor = sensor or rig.tof_sensor
         self._scene_from_camera = invert(world_from_scene) @ invert(rig.camera_from_world)
         scene = CabinScene() if motion.cabin is not None else RoomScene()
-        self._config = SynthConfig(scene=scene, camera=CameraConfig(sensor=self._sensor), noise=noise_of(rig))
+        self._config = SynthConfig(scene=scene, camera=CameraConfig(sensor=self._sensor), noise=rig.noise)
         self._maker = FrameMaker(self._config, 0)
         self._slot = SLOT if motion.cabin is not None else STANDING_SLOT
         self._row = person_slots(self._config).index(self._slot)
