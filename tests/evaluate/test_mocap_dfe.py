@@ -85,6 +85,16 @@ def test_a_constant_difference_of_the_models_drops_out_of_the_displacement() -> 
     assert run.position_error_m(RAW).mean() > 0.02
 
 
+def test_displacement_counts_from_the_first_frame_that_both_know() -> None:
+    optical = body()
+    suit = optical + 0.03 * TIME[:, None, None] * np.array((0.0, 0.6, 0.8))  # drifts by 30 mm/s
+    knee = NAMES.index("lknee")
+    suit[:4, knee] = np.nan
+    error = dfe_run(TIME, suit, optical, NAMES).displacement_error_m(RAW)
+    np.testing.assert_allclose(error[:, NAMES.index("head")], 0.03 * TIME, atol=1e-12)
+    np.testing.assert_allclose(error[4:, knee], 0.03 * (TIME[4:] - TIME[4]), atol=1e-12)
+
+
 def test_icp_that_pairs_wrongly_tells_so() -> None:
     optical = body(0.1)
     suit = optical.copy()

@@ -73,6 +73,8 @@ def test_planes_are_told_apart_and_the_first_known_frame_counts() -> None:
     runs = [dse_run(TIME, said, truth, MVN_SEGMENTS, condition=plane) for plane in ("coronal", "sagittal")]
     assert np.isnan(runs[0].difference_rad[:7, 3]).all()
     assert runs[0].suit_rad[7, 3] == 0
+    assert runs[0].optical_rad[7, 3] == 0
+    assert np.nanmax(runs[0].difference_rad) < 1e-12
     result = dse(runs, rng=np.random.default_rng(0), resamples=0)
     assert {s.condition for s in result.summaries} == {"All", "coronal", "sagittal"}
     assert result.summary(GEODESIC, "sagittal", MVN_SEGMENTS[3]).samples == len(TIME) - 7
