@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.align.corners import find_corners
+from cabinpose.align.corners import _ordered, find_corners
 from cabinpose.align.intrinsics import calibrate_camera, calibrate_from_corners
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply, transform
@@ -44,6 +44,19 @@ def test_first_corner_is_the_one_at_the_black_square_however_the_board_is_turned
     pose = transform(turn, np.array((0.0, 0.0, 0.95)) - turn.apply(np.append(BOARD.corners.mean(axis=0)[:2], 0.0)))
     found = find_corners(render_board(CAMERA, BOARD, pose, factor=4), BOARD)
     assert np.abs(found.uv - CAMERA.project(apply(pose, BOARD.corners))).max() < 0.1
+
+
+@pytest.mark.parametrize("wrong", [np.s_[::-1, ::-1], np.s_[:, ::-1], np.s_[::-1]])
+def test_corners_found_in_another_order_are_put_right(wrong):
+    truth = _truth(0).reshape(BOARD.rows, BOARD.columns, 2)
+    assert (_ordered(picture(0), truth[wrong], BOARD) == truth).all()
+
+
+@pytest.mark.parametrize("taken", [np.s_[:, :7], np.s_[:, 2:], np.s_[:4], np.s_[2:]])
+def test_a_part_of_a_larger_board_is_no_board(taken):
+    part = _truth(0).reshape(BOARD.rows, BOARD.columns, 2)[taken]
+    with pytest.raises(AlignmentError, match="has more than"):
+        _ordered(picture(0), part, Board(columns=part.shape[1], rows=part.shape[0]))
 
 
 def test_refinement_beats_opencv_on_the_samepicture():

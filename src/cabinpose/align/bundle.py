@@ -9,6 +9,7 @@ markers as seen by both.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,9 +42,9 @@ def refine_camera_from_world(
     """camera_from_world that fits corners (V, N, 2) px, markers in the image (V, M, 2) px and in the world (V, M, 3) m best.
 
     NaN = not seen; a view counts where its corners and at least three markers in the world are known; pairs that `start` left
-    out stay out. Minimised: the corners' and markers' distances in the image over sigma_px and the optical markers' distances
-    from the board over sigma_m, Huber's loss, over camera_from_world and a pose of the board per view. The sigmas are found
-    from the residuals, `rounds` times. lens: fit the camera's intrinsics along with it, starting from `camera`; the optical
+    out stay out. Minimised: Huber's loss of the distances of corners and of markers in the image, and of the optical markers from
+    the board, each over its own noise, over camera_from_world and a pose of the board per view. The three noises are found from
+    the residuals, `rounds` times. lens: fit the camera's intrinsics along with it, starting from `camera`; the optical
     system's lengths decide on focal length and principal point what the boards' own perspective leaves open, but its errors of
     scale go into them as well. Raises AlignmentError where fewer than three views are left.
     """
@@ -57,11 +58,11 @@ def refine_camera_from_world(
         )
     problem = _Problem(board, uv[good], mark[good], world[good])
     state = _State(start.camera_from_world, boards[good], camera, lens)
-    sigma_px, sigma_m = 0.1, 0.0005
+    noise = _Noise(0.1, 0.2, 0.0005)
     for _ in range(rounds):
-        state, normal, cost = _solve(problem, state, sigma_px, sigma_m)
-        sigma_px, sigma_m = _sigmas(problem, state, sigma_px, sigma_m)
-    state, normal, cost = _solve(problem, state, sigma_px, sigma_m)
+        state, normal, cost = _solve(problem, state, noise)
+        noise = _noise(problem, state, noise)
+    state, normal, cost = _solve(problem, state, noise)
     residual = np.full(start.residual_m.shape, np.nan)
     pixel, place = _residuals(problem, state)
     residual[good] = np.linalg.norm(place, axis=-1)
@@ -71,10 +72,9 @@ def refine_camera_from_world(
         rest = np.setdiff1d(np.arange(len(problem.world)), group)
         if len(rest) < 3:
             continue
-        other, _, _ = _solve(problem.taken(rest), replace(state, boards=state.boards[rest]), sigma_px, sigma_m)
+        other, _, _ = _solve(problem.taken(rest), replace(state, boards=state.boards[rest]), noise)
         blind = replace(other, boards=boards[good][group])
         out_px.append(_residuals(problem.taken(group), blind)[0][:, : uv.shape[1]])
-    seen = np.isfinite(pixel).all(axis=-1)
     rms = np.sqrt(np.nanmean(np.sum(place**2, axis=-1)))
     return replace(
         start,
@@ -85,12 +85,24 @@ def refine_camera_from_world(
         held_out_rms_m=float("nan"),
         covariance=np.asarray(np.linalg.inv(normal)[:6, :6] * cost, np.float64),
         method="corners",
-        rms_px=float(np.sqrt(np.mean(np.sum(pixel[seen] ** 2, axis=-1)))),
+        rms_px=float(np.sqrt(np.mean(np.sum(pixel[:, : uv.shape[1]] ** 2, axis=-1)))),
         held_out_rms_px=float(np.sqrt(np.mean(np.sum(np.concatenate(out_px) ** 2, axis=-1)))) if out_px else float("nan"),
-        sigma_px=sigma_px,
-        sigma_m=sigma_m,
+        sigma_px=noise.corner_px,
+        sigma_m=noise.place_m,
         camera=state.camera,
     )
+
+
+class _Noise(NamedTuple):
+    """Standard deviations of one coordinate."""
+
+    corner_px: float
+    mark_px: float  # a saturated disc of few pixels, several times less certain than a corner
+    place_m: float  # of the optical system's markers, with how well they sit on the board
+
+    def pixels(self, problem: _Problem) -> F64:
+        """(N + M,) for corners and markers in the image."""
+        return np.repeat((self.corner_px, self.mark_px), (problem.uv.shape[1], problem.mark.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -135,34 +147,34 @@ def _residuals(problem: _Problem, state: _State) -> tuple[F64, F64]:
     return problem.pixels - predicted, problem.world - places[:, len(problem.board.corners) :]
 
 
-def _huber(length: F64, sigma: float) -> F64:
+def _huber(length: F64, sigma: F64 | float) -> F64:
     """Weights of Huber's loss; 0 for what is missing."""
     scaled = np.where(np.isfinite(length), length, np.inf) / sigma
     return np.where(scaled <= _HUBER, 1.0, _HUBER / np.maximum(scaled, _HUBER))
 
 
-def _cost(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> float:
+def _cost(problem: _Problem, state: _State, noise: _Noise) -> float:
     pixel, place = _residuals(problem, state)
     total = 0.0
-    for residual, sigma in ((pixel, sigma_px), (place, sigma_m)):
+    for residual, sigma in ((pixel, noise.pixels(problem)), (place, noise.place_m)):
         scaled = np.linalg.norm(residual, axis=-1) / sigma
         loss = np.where(scaled <= _HUBER, 0.5 * scaled**2, _HUBER * (scaled - 0.5 * _HUBER))
         total += float(np.nansum(loss))
     return total
 
 
-def _solve(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> tuple[_State, F64, float]:
+def _solve(problem: _Problem, state: _State, noise: _Noise) -> tuple[_State, F64, float]:
     """Levenberg-Marquardt; the state, the information on camera_from_world (and the lens), and the cost per degree of freedom."""
-    damping, cost = 1e-6, _cost(problem, state, sigma_px, sigma_m)
+    damping, cost = 1e-6, _cost(problem, state, noise)
     size = 15 if state.lens else 6
     reduced = np.eye(size)
     for _ in range(_ROUNDS):
-        head, rest, both, pull_head, pull_rest = _normal(problem, state, sigma_px, sigma_m)
+        head, rest, both, pull_head, pull_rest = _normal(problem, state, noise)
         reduced, _ = _schur(head, rest, both, pull_head, pull_rest)
         damp = 1 + damping
         step, per_view = _step(head * _damped(size, damp), rest * _damped(6, damp), both, pull_head, pull_rest)
         tried = _moved(state, step, per_view)
-        after = _cost(problem, tried, sigma_px, sigma_m)
+        after = _cost(problem, tried, noise)
         if after <= cost:
             small = max(np.abs(step[:6]).max(), np.abs(per_view).max()) < 1e-10 or cost - after < 1e-9 * cost
             state, cost, damping = tried, after, max(damping / 10, 1e-12)
@@ -181,13 +193,14 @@ def _damped(size: int, factor: float) -> F64:
     return np.ones((size, size)) + (factor - 1) * np.eye(size)
 
 
-def _normal(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> tuple[F64, F64, F64, F64, F64]:
+def _normal(problem: _Problem, state: _State, noise: _Noise) -> tuple[F64, F64, F64, F64, F64]:
     """Normal equations of small motions: exp(x) camera_from_world, exp(y) world_from_board per view."""
     places = _places(problem, state)
     p_camera = apply(state.camera_from_world, places)
     by_point = _derivative(state.camera, p_camera)  # (V, K, 2, 3)
     pixel, place = _residuals(problem, state)
-    weight = _huber(np.linalg.norm(pixel, axis=-1), sigma_px) / sigma_px**2
+    sigma = noise.pixels(problem)
+    weight = _huber(np.linalg.norm(pixel, axis=-1), sigma) / sigma**2
     pixel = np.where(weight[..., None] > 0, np.nan_to_num(pixel), 0.0)
     head_j = np.concatenate((-by_point @ skew(p_camera), by_point), axis=-1)  # (V, K, 2, 6)
     if state.lens:
@@ -200,7 +213,7 @@ def _normal(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -
     pull_head = np.einsum("vkia,vk,vki->a", head_j, weight, pixel)
     pull_rest = np.einsum("vkia,vk,vki->va", view_j, weight, pixel)
     marks = places[:, len(problem.board.corners) :]
-    weight = _huber(np.linalg.norm(place, axis=-1), sigma_m) / sigma_m**2
+    weight = _huber(np.linalg.norm(place, axis=-1), noise.place_m) / noise.place_m**2
     place = np.where(weight[..., None] > 0, np.nan_to_num(place), 0.0)
     mark_j = np.concatenate((-skew(marks), np.broadcast_to(np.eye(3), (*marks.shape, 3))), axis=-1)
     rest = rest + np.einsum("vkia,vk,vkib->vab", mark_j, weight, mark_j)
@@ -260,22 +273,28 @@ def _nudge(x: F64) -> Matrix:
     return result
 
 
-def _sigmas(problem: _Problem, state: _State, sigma_px: float, sigma_m: float) -> tuple[float, float]:
-    """The noise of image (px a coordinate) and optical system (m a coordinate) that the residuals show.
+def _noise(problem: _Problem, state: _State, before: _Noise) -> _Noise:
+    """The noise that the residuals show: Huber's sums over what the fit left free.
 
-    A robust scale times what the fit took away: each view's six numbers are shared out by how much each kind says of them.
+    Each view's six numbers are shared out between corners and optical markers by how much each says of them; the markers in the
+    image, few and less certain than corners, take next to none.
     """
     pixel, place = _residuals(problem, state)
-    _, rest, _, _, _ = _normal(problem, state, sigma_px, sigma_m)
-    marks = _places(problem, state)[:, len(problem.board.corners) :]
+    _, rest, _, _, _ = _normal(problem, state, before)
+    count = len(problem.board.corners)
+    marks = _places(problem, state)[:, count:]
     jacobian = np.concatenate((-skew(marks), np.broadcast_to(np.eye(3), (*marks.shape, 3))), axis=-1)
     seen = np.isfinite(place).all(axis=-1)
-    mine = np.einsum("vkia,vk,vkib->vab", jacobian, seen / sigma_m**2, jacobian)
+    mine = np.einsum("vkia,vk,vkib->vab", jacobian, seen / before.place_m**2, jacobian)
     taken = float(np.einsum("vab,vba->", mine, np.linalg.inv(rest)))
-    free_m = max(3.0 * seen.sum() - taken, 1.0)
-    free_px = max(float(np.isfinite(pixel).sum()) - (6 * len(rest) - taken) - 6, 1.0)
+    corner, mark = pixel[:, :count], pixel[:, count:]
     out = []
-    for residual, sigma, free in ((pixel, sigma_px, free_px), (place, sigma_m, free_m)):
+    for residual, sigma, used, least in (
+        (corner, before.corner_px, 6 * len(rest) - taken + (15 if state.lens else 6), _LEAST_PX),
+        (mark, before.mark_px, 0.0, _LEAST_PX),
+        (place, before.place_m, taken, _LEAST_M),
+    ):
         weight = _huber(np.linalg.norm(residual, axis=-1), sigma)
-        out.append(float(np.sqrt(np.nansum(weight * np.sum(residual**2, axis=-1)) / free)))
-    return max(out[0], _LEAST_PX), max(out[1], _LEAST_M)
+        free = max(float(np.isfinite(residual).sum()) - used, 1.0)
+        out.append(max(float(np.sqrt(np.nansum(weight * np.sum(residual**2, axis=-1)) / free)), least))
+    return _Noise(*out)

@@ -42,11 +42,9 @@ def joints_in_camera(
             raise AlignmentError(
                 f"{name} is {np.shape(matrix)}, not {shape}", hint="resample all streams to the camera's frames first"
             )
+    # One NaN in a pose spreads through the products to the whole of its moment.
     camera_from_suit = camera_from_world @ world_from_object @ object_from_head @ invert(world_from_head)
     result = joints @ np.swapaxes(camera_from_suit[:, :3, :3], -1, -2) + camera_from_suit[:, None, :3, 3]
-    # invert() and products keep NaN where it stands, and a pose is one thing: half of it is none.
-    known = np.isfinite(world_from_object).all(axis=(1, 2)) & np.isfinite(world_from_head).all(axis=(1, 2))
-    result[~known] = np.nan
     return np.asarray(result)
 
 

@@ -53,7 +53,7 @@ class ExtrinsicsResult:
     (V, M) the pairs that the fit kept · rms_m: over the used ones · held_out_rms_m: over used pairs of views that their fit has
     not seen · covariance: (6, 6) of a small rotation vector (rad) and translation (m) in the camera frame, with p_camera =
     exp(rotation) (camera_from_world p_world) + translation, from the scatter between views · names: of the markers · method:
-    `markers` or `corners` · rms_px, held_out_rms_px: of corners and markers in the image, by `corners` only · sigma_px,
+    `markers` or `corners` · rms_px, held_out_rms_px: of corners in the image, by `corners` only · sigma_px,
     sigma_m: what the fit took for the noise of image and optical system · camera: the intrinsics fitted along with it, by
     `corners`.
     """
