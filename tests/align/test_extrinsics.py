@@ -22,6 +22,7 @@ from cabinpose.align.extrinsics import (
     marker_pixels,
     marker_points,
 )
+from cabinpose.align.intrinsics import calibrate_from_corners
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply, invert, look_at, transform
@@ -135,6 +136,18 @@ def test_camera_comes_back_from_images(noise, limit_mm, limit_deg):
     assert mm < limit_mm
     assert deg < limit_deg
     assert fit.held_out_rms_px < 0.1
+
+
+@pytest.mark.parametrize(("noise", "limit_mm", "limit_deg"), [(False, 0.5, 0.05), (True, 1.0, 0.1)])
+def test_camera_and_lens_come_back_from_images(noise, limit_mm, limit_deg):
+    """Nothing is known of the lens to begin with."""
+    corners, markers = _seen(noise)
+    world = P_WORLD + noise * np.random.default_rng(2).normal(size=P_WORLD.shape) * 3e-4
+    camera = calibrate_from_corners(list(corners), (CAMERA.width, CAMERA.height), BOARD).camera
+    start = camera_from_world(_points(corners, markers, camera), world, board=BOARD)
+    mm, deg = _away(refine_camera_from_world(camera, BOARD, corners, markers, world, start, lens=True))
+    assert mm < limit_mm
+    assert deg < limit_deg
 
 
 def test_all_corners_do_better_than_markers_on_average():
