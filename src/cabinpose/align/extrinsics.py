@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from cabinpose.align.board import Board
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, apply, invert, transform
+from cabinpose.core.frames import Matrix, apply, transform
 from cabinpose.core.register import kabsch
 
 F64 = NDArray[np.float64]
@@ -401,8 +401,3 @@ def world_from_boards(p_world: F64, board: Board) -> F64:
         if seen.sum() >= 3:
             result[k] = kabsch(points[seen], board.marker_centres[seen])
     return result
-
-
-def camera_centre(result: ExtrinsicsResult) -> F64:
-    """(3,) where the camera is in the world, m."""
-    return np.asarray(invert(result.camera_from_world)[:3, 3])
