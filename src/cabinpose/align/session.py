@@ -34,6 +34,7 @@ from cabinpose.store.yaml_file import read_mapping, validated
 F64 = NDArray[np.float64]
 
 _GAP_S = 0.05
+_HEADING_SPAN_S = 1.0  # in which the suit's heading counts as still
 _PIVOT_SPAN_S = 1.5  # in which the trunk of somebody who sits counts as still
 _GREATEST_LAG_S = 0.5  # on the host's axis: how much the latency of two sources may differ by
 
@@ -102,6 +103,7 @@ def calibrate(session: Session) -> Calibrated:
             lens, camera = _lens(session, views)
         with naming(recording, "the camera's place"):
             by_markers, by_corners = _extrinsics(session, views, camera)
+            camera = by_corners.camera or camera
     step = "the marker in the image (a) against the optical one (b)"
     with _opened(session.pendulum_take) as recording, naming(recording, step):
         delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
@@ -152,14 +154,15 @@ def _lens(session: Session, views: BoardViews) -> tuple[IntrinsicsResult | None,
 
 
 def _extrinsics(session: Session, views: BoardViews, camera: Camera) -> tuple[ExtrinsicsResult, ExtrinsicsResult]:
-    """camera_from_world by the markers alone (the thesis) and by all corners as well."""
+    """camera_from_world by the markers alone (the thesis) and by all corners as well, then with the lens where it is fitted."""
     posed = views.posed(camera, session.board)
     uv = np.stack(
         [marker_pixels(image, camera, pose, session.board) for image, pose in zip(posed.images, posed.poses, strict=True)]
     )
     points = np.stack([marker_points(camera, each, pose, session.board) for each, pose in zip(uv, posed.poses, strict=True)])
     start = camera_from_world(points, posed.p_world, names=session.board.marker_names, board=session.board)
-    return start, refine_camera_from_world(camera, session.board, posed.corners, uv, posed.p_world, start)
+    free = session.intrinsics == "checkerboard"
+    return start, refine_camera_from_world(camera, session.board, posed.corners, uv, posed.p_world, start, lens=free)
 
 
 def _told(by_markers: ExtrinsicsResult, by_corners: ExtrinsicsResult) -> Extrinsics:
@@ -209,13 +212,14 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     delay = suit_to_optical(since, suit_head, at, orientation, max_lag_s=_GREATEST_LAG_S, drift=False)
     moments = delay.to_a(at)
     turned = resample_rotations(since, suit_head, moments, max_gap_s=_GAP_S)
-    turn = align_head(turned, orientation)
+    period = float(np.median(np.diff(at)))
+    turn = align_head(turned, orientation, span=max(int(_HEADING_SPAN_S / period), 3))
     if subject.head_offset_m is not None:
         return turn, measured_offset(subject.head_offset_m), delay
     trunk, _ = suit.segment(rig["chest"])
     above = resample_positions(since, suit.segment(rig["head"])[0] - trunk, moments, max_gap_s=_GAP_S)
     pivot = apply(turn.world_from_suit, above)
-    span = max(int(_PIVOT_SPAN_S / float(np.median(np.diff(at)))), 3)
+    span = max(int(_PIVOT_SPAN_S / period), 3)
     return turn, head_offset(position, orientation, p_pivot=pivot, spans=span), delay
 
 
