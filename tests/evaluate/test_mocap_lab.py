@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.rig import Rig
 from cabinpose.app.lab.takes import Truth, dress_up, write_motion_take
-from cabinpose.app.mocap.compare import Setup, dse_runs
+from cabinpose.app.mocap.compare import Setup, dfe_runs, dse_runs
 from cabinpose.app.mocap.inputs import read_motion
-from cabinpose.core.resample import resample_rotations
+from cabinpose.core.resample import resample_positions, resample_rotations
 from cabinpose.core.rotations import angle, since_first
 from cabinpose.core.skeleton import MVN_SEGMENTS
-from cabinpose.evaluate.mocap.pairs import SEGMENT_PAIRS
+from cabinpose.evaluate.mocap.dfe import KABSCH
+from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
 from cabinpose.evaluate.mocap.sfe import find_poses, sfe_run
 
 pytest.importorskip("mcap")
@@ -60,6 +62,29 @@ def test_sfe_finds_where_the_suit_left_the_joints(take: tuple[Path, Truth]) -> N
     true = sfe_run(true_s, position, turned, MVN_SEGMENTS, first=first, last=last)
     assert np.median(true.error_m) < 0.002  # the person repeats the pose
     assert 0.001 < np.median(run.error_m) < 0.02
+
+
+def test_dfe_finds_where_the_suit_puts_the_joints(take: tuple[Path, Truth]) -> None:
+    """Held against the true segments in place of the optical model, body laid on body by scipy."""
+    path, truth = take
+    (run,), _ = dfe_runs(path, "", Setup(rate_hz=10.0))
+    suit = read_motion(path, source="suit")
+    joints = {p.name: p.suit for p in JOINT_PAIRS if p.name in run.names}
+    columns = [MVN_SEGMENTS.index(segment) for segment in joints.values()]
+    true = truth.suit_position[::6, columns]
+    true_s = ((truth.suit_ns - truth.suit_ns[0]) / 1e9)[::6]
+    at = [suit.names.index(segment) for segment in joints.values()]
+    said = resample_positions(suit.time_s, suit.position_m[:, at], true_s, max_gap_s=0.1)
+    error = []
+    for a, b in zip(said[1:-1], true[1:-1], strict=True):
+        turn, _ = Rotation.align_vectors(a - a.mean(axis=0), b - b.mean(axis=0))
+        error.append(np.linalg.norm(a - a.mean(axis=0) - turn.apply(b - b.mean(axis=0)), axis=1))
+    expected = np.median(error, axis=0)
+    found = np.nanmedian(run.position_error_m(KABSCH), axis=0)
+    assert np.median(expected) > 0.008  # there is something to find
+    # the optical model's head and chest are other points of the body than the suit's
+    same = [n for n, name in enumerate(run.names) if name not in ("head", "neck", "chest", "hip")]
+    np.testing.assert_allclose(found[same], expected[same], atol=0.003)
 
 
 def test_the_commands_read_it(take: tuple[Path, Truth], run: Callable[..., Any]) -> None:
