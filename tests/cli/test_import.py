@@ -133,7 +133,8 @@ def test_depth_without_segmentation_or_extrinsics(run: Run, tmp_path: Path) -> N
     assert run("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", data).code == 0
     assert np.isnan(open_dataset(data).vehicle_from_camera.values).all()
     code, _, err = run("view", data, "--out", tmp_path / "view", "--frames", "1", "--rows", "1")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert [line for line in err.splitlines() if "frames, " not in line] == []  # on a slow machine progress is told
     import cv2
 
     sheet = cv2.imread(str(tmp_path / "view" / "contact_sheet.png"))
