@@ -162,7 +162,7 @@ def test_export(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     assert "hint: --overwrite" in err
     code, _, err = run("export", "--format", "coc", "--out", tmp_path / "x", dataset_folder)
     assert code == 2
-    assert "hint: known: coco, itop, ntu, ply, png-json" in err
+    assert "hint: known: adtfdat, bvh, c3d, coco, csv, itop, mvnx, ntu, ply, png-json, sto, trc, xdf" in err
 
 
 def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> None:

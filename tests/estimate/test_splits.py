@@ -81,7 +81,7 @@ def test_a_configuration_is_read_and_its_method_may_come_from_outside(tmp_path: 
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("epochs: 0", "epochs"), ("- 1", "no mapping"), ("a: [", "cannot read"), ("augment: {flip: 2}", "augment.flip")],
+    [("epochs: 0", "epochs"), ("- 1", "no mapping"), ("a: [", "is not YAML"), ("augment: {flip: 2}", "augment.flip")],
 )
 def test_a_configuration_that_is_wrong_is_refused(text: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / "run.yaml"

@@ -42,7 +42,7 @@ def test_rendered_images_without_noise_give_the_calibration(folder: Path, calibr
     assert error.camera_deg < 0.05
     assert abs(error.tof_delay_ms) < 0.5
     assert abs(error.focal_percent) < 0.2
-    assert error.head_deg < 1e-4
+    assert error.head_deg < 1e-3
     assert error.head_mm < 1e-3
     assert calibrated.by_corners.method == "corners"
 

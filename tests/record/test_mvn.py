@@ -240,9 +240,9 @@ def test_the_check_before_a_take() -> None:
     assert f"nothing arrives on 127.0.0.1:{port}" in silent
     emulator = MvnEmulator(MvnEmulatorSettings(port=port, rate_hz=100), MOTION)
     emulator.start()
-    assert source.check() == []
+    assert any(source.check() == [] for _ in range(10))  # a busy machine may let the first pass in silence
     source.open()
-    assert source.read(1.0)
+    assert source.read(10.0)
     assert source.check() == []
     emulator.stop()
     source.buffer_granted = 10

@@ -34,10 +34,15 @@ def digest(data: bytes | memoryview) -> str:
 
 
 def made(
-    path: Path, compression: str = "none", chunk_bytes: int = 4000, samples: Sequence[tuple[str, Sample]] = SAMPLES
+    path: Path,
+    compression: str = "none",
+    chunk_bytes: int = 4000,
+    samples: Sequence[tuple[str, Sample]] = SAMPLES,
+    definitions_s: float = 10.0,
 ) -> bytes:
     """A small file of several chunks."""
-    with RecordingWriter(path, TAKE, rig=RIG, compression=compression, chunk_bytes=chunk_bytes, sync_s=0) as writer:
+    how = {"compression": compression, "chunk_bytes": chunk_bytes, "definitions_s": definitions_s}
+    with RecordingWriter(path, TAKE, rig=RIG, sync_s=0, **how) as writer:
         for source, sample in samples:
             writer.write(source, sample)
     return path.read_bytes()
@@ -271,10 +276,9 @@ def test_recovered_files_keep_what_stands_beside_the_messages(tmp_path: Path) ->
     assert names == ["cabinpose.take", "cabinpose.recovered"]
 
 
-def test_definitions_are_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_definitions_are_repeated(tmp_path: Path) -> None:
     """Without the chunk in which a channel was first named, a truncated file is still read."""
-    monkeypatch.setattr("cabinpose.store.recording.container.DEFINITIONS_S", 0.0)
-    data = made(tmp_path / "a.mcap")
+    data = made(tmp_path / "a.mcap", definitions_s=0.0)
     truth = lines(tmp_path / "a.mcap")
     (summary,) = struct.unpack_from("<Q", data, len(data) - 28)
     changed = bytearray(data[:summary])

@@ -4,29 +4,13 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from apart_subject import lines
 
 from cabinpose.core.errors import MocapError
 from cabinpose.store.convert.apart import CrashedError, items_apart
-
-
-def lines(path: Path) -> Iterator[tuple[int, str]]:
-    for line in path.read_text().splitlines():
-        if line == "crash":
-            os.abort()
-        if line == "spin":
-            while True:
-                pass
-        if line == "swell":
-            _ = bytearray(1 << 36)
-        if line == "refuse":
-            raise MocapError("refused", hint="mend it")
-        if line == "fail":
-            raise KeyError("a defect")
-        yield os.getpid(), line
 
 
 def made(path: Path, *words: str) -> Path:

@@ -22,7 +22,7 @@ T = TypeVar("T")
 _AT_ONCE = 64  # items handed over together
 _SILENCE_S = 600.0  # a library that finds nothing for so long hangs
 _ROOM_BYTES = 4 << 30  # of memory, beyond what this process has
-_PROCESSOR_S = 5
+_PROCESSOR_S = 10
 _SLOWEST_BYTES_PER_S = 250_000  # with the making of messages
 
 
@@ -90,7 +90,8 @@ def _limit(path: Path) -> None:
     import resource  # noqa: PLC0415 - not there on Windows
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    seconds = _PROCESSOR_S + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
+    used = resource.getrusage(resource.RUSAGE_SELF)  # what importing took, in a process that did not begin as a copy
+    seconds = int(used.ru_utime + used.ru_stime) + _PROCESSOR_S + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
     for kind, wanted in (
         (resource.RLIMIT_AS, pages * resource.getpagesize() + _ROOM_BYTES),
         (resource.RLIMIT_CPU, seconds),
