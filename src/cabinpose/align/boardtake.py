@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cabinpose.align.board import Board
 from cabinpose.align.calibration import Names
-from cabinpose.align.corners import find_corners
+from cabinpose.align.corners import corners_or_reason
 from cabinpose.align.extrinsics import board_pose
 from cabinpose.align.streams import frame_times, on_host
 from cabinpose.core.camera import Camera
@@ -111,18 +111,10 @@ def board_views(recording: Recording, names: Names, board: Board) -> BoardViews:
     assert camera is not None
     means = tuple(image / count for image, count in zip(images, counts, strict=True))
     p_world = np.stack([_mean(np.stack(hold)) for hold in holds])
-    found = [_corners(image, board) for image in means]
+    found = [corners_or_reason(image, board) for image in means]
     return BoardViews(
         camera, means, tuple(c for c, _ in found), tuple(why for _, why in found), p_world, len(stamps), int((~still).sum())
     )
-
-
-def _corners(image: F64, board: Board) -> tuple[F64 | None, str]:
-    """The corners in an image, or why there are none."""
-    try:
-        return find_corners(image, board).uv, ""
-    except AlignmentError as error:
-        return None, str(error)
 
 
 def _places(markers: MarkerSeries, optical_ns: NDArray[np.int64], stamps: NDArray[np.int64], board: Board) -> F64:

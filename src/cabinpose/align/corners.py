@@ -72,6 +72,14 @@ def find_corners(amplitude: ArrayLike, board: Board, *, min_side_px: float = 4.5
     return Corners(uv.reshape(-1, 2), side, blur, contrast)
 
 
+def corners_or_reason(amplitude: ArrayLike, board: Board) -> tuple[F64 | None, str]:
+    """The corners (N, 2) px in an image as `find_corners` has them, and ""; or None, and why there are none."""
+    try:
+        return find_corners(amplitude, board).uv, ""
+    except AlignmentError as error:
+        return None, str(error)
+
+
 def local_contrast(amplitude: ArrayLike, window: int = 25) -> NDArray[np.uint8]:
     """An amplitude image (H, W) as 8 bit, each pixel between the darkest and the brightest of its neighbourhood, in logs."""
     log = np.log(np.maximum(np.asarray(amplitude, np.float64), 1.0)).astype(np.float32)

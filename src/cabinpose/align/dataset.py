@@ -17,14 +17,13 @@ from cabinpose.align.project import Aligned, align_take
 from cabinpose.align.visibility import visibility
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import invert
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.recorded import ToFFrame
 from cabinpose.store.convert.source import UNKNOWN, BlankFrame, Source
 from cabinpose.store.recording import Recording, Take, tof_frames
 from cabinpose.store.schema import DEPTH_SCALE_M, Manifest
 
 POV = "tof"
-STANDING_SLOT = "standing"  # the place of somebody who is in no car, as in generated rooms
 FLOATING_M = 0.02  # a joint farther before the surface is not inside the body that it belongs to
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.align.corners import find_corners
+from cabinpose.align.corners import corners_or_reason
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import Matrix, apply, transform
@@ -98,18 +98,11 @@ def calibrate_camera(
         raise AlignmentError(
             f"images (N, height, width) of one size are needed, not {sorted(shapes)}", hint="one camera at a time"
         )
-    found: list[F64 | None] = []
-    reasons: list[str] = []
-    for image in stack:
-        try:
-            found.append(find_corners(image, board).uv)
-            reasons.append("")
-        except AlignmentError as error:
-            found.append(None)
-            reasons.append(str(error))
+    found = [corners_or_reason(image, board) for image in stack]
     height, width = stack[0].shape
     return calibrate_from_corners(
-        found, (width, height), board, reasons=reasons, holdout=holdout, min_views=min_views, min_tilt_deg=min_tilt_deg,
+        [uv for uv, _ in found], (width, height), board, reasons=[why for _, why in found],
+        holdout=holdout, min_views=min_views, min_tilt_deg=min_tilt_deg,
         max_oblique_deg=max_oblique_deg, max_focal_std=max_focal_std,
     )  # fmt: skip
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 OCCUPANT_SLOTS: tuple[str, ...] = ("driver", "front_passenger", "rear_left", "rear_center", "rear_right")
 
+STANDING_SLOT = "standing"  # the place of somebody who is in no car
+
 
 class Visibility(IntEnum):
     """State of a joint in an image."""

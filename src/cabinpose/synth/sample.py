@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import ConfigError, SceneError, unknown_name
 from cabinpose.core.frames import Matrix, transform
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Outfit, Person, Phenotype, PosedBody
 from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, build_cabin, load_cabin
@@ -39,7 +39,6 @@ from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.validate import Seated, Validator
 
-STANDING_SLOT = "standing"
 DriveSide = Literal["left", "right"]
 # Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
 _PEOPLE_STREAM = 2**64 - 1

@@ -12,13 +12,14 @@ from cabinpose.app.lab.motion import SLOT, Motion
 from cabinpose.app.lab.rig import Rig
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix, invert, transform
+from cabinpose.core.pose import STANDING_SLOT
 from cabinpose.core.recorded import ToFFrame
 from cabinpose.scene.cabin import belt_surface
 from cabinpose.scene.room import Room
 from cabinpose.scene.sensor import Sensor
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.config import Camera as CameraConfig
-from cabinpose.synth.sample import STANDING_SLOT, Scene, ScenePerson, person_slots
+from cabinpose.synth.sample import Scene, ScenePerson, person_slots
 from cabinpose.synth.write import FrameMaker
 
 DEPTH_UNIT_M = 1e-4
