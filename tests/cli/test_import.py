@@ -171,7 +171,7 @@ def test_training_takes_an_import(run: Run, tmp_path: Path) -> None:
     f = 1 / 0.0035 / 2
     view = InputView(160, 120, f)
     spec = FrameSpec(view, ("standing",), "itop", ("head", "rhand"), amplitude=False)
-    training, validation = stored_frames(open_dataset(data), spec, None, "train", "validate")
+    training, validation = stored_frames({"itop": open_dataset(data)}, spec, None, "train", "validate")
     assert (len(training), len(validation)) == (2, 1)
     kept = training[0]
     assert (kept.depth == 20000).mean() > 0.9

@@ -38,8 +38,8 @@ def dataset(frames: int = 8) -> xr.Dataset:
         "depth": ("frame", "y", "x"), "amplitude": ("frame", "y", "x"), "labels": ("frame", "y", "x"),
         "joints_3d": ("frame", "person", "joint", "xyz"), "joints_2d": ("frame", "person", "joint", "uv"),
         "visibility": ("frame", "person", "joint"), "camera_k": ("frame", "k_row", "k_column"),
-        "camera_dist": ("frame", "dist_coefficient"), "subject": ("frame", "person"),
+        "camera_dist": ("frame", "dist_coefficient"), "subject": ("frame", "person"), "seed": ("frame",),
     }  # fmt: skip
     variables = {name: (d, np.stack([np.asarray(f[name]) for f in made])) for name, d in dims.items()}
     coordinates = {"frame": np.arange(frames), "person": list(PERSONS), "joint": list(JOINTS)}
-    return xr.Dataset(variables, coordinates).set_coords("subject")
+    return xr.Dataset(variables, coordinates).set_coords(["subject", "seed"])

@@ -42,6 +42,21 @@ def test_train_and_export(method: str, data: Path, tmp_path: Path, capsys: pytes
     assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["difference"] <= 1e-4
 
 
+def test_a_run_learns_from_several_datasets(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    more = sphere_people.manifest(frames=6, frames_per_part=6, width=small.SIZE[0], height=small.SIZE[1], seed=8)
+    other = sphere_people.write(tmp_path / "more", more)
+    config = tmp_path / "run.yaml"
+    config.write_text(yaml.safe_dump({"settings": json.loads(json.dumps(small.TINY["compact"])), "epochs": 1, "batch": 4}))
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
+    arguments = ["train", "--config", str(config), "--out", str(tmp_path / "run"), "--devices", "1", "--splits", str(splits)]
+    assert run(*arguments, "--data", str(data), str(other)) == 0
+    assert (tmp_path / "run" / "best.ckpt").exists()
+    capsys.readouterr()
+    assert run(*arguments, "--data", str(other), str(other)) == 2
+    assert "--data names a dataset twice" in capsys.readouterr().err
+
+
 def test_a_run_needs_one_source_of_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("train", "--out", str(tmp_path)) == 2
     assert "hint: give one of --data and --synth" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.store import open_dataset
-from cabinpose.store.split import frame_mask, parse_splits, read_splits, split_dataset, write_splits
+from cabinpose.store.split import frame_mask, parse_splits, read_splits, split_dataset, split_datasets, write_splits
 
 
 def test_selection_by_car_and_view(dataset_folder: Path) -> None:
@@ -70,6 +70,25 @@ def test_unknown_value_and_empty_split(dataset_folder: Path, tmp_path: Path) -> 
         split_dataset(dataset, {"a": {"car": ("coupe",), "pov": ("driver",)}})
     with pytest.raises(DatasetError, match="cannot read the splits"):
         read_splits(tmp_path / "absent.yaml")
+
+
+def named(*frames: tuple[str, ...]) -> xr.Dataset:
+    return xr.Dataset({"subject": (("frame", "person"), np.array(frames))}, {"frame": np.arange(len(frames))})
+
+
+def test_splits_of_several_datasets() -> None:
+    """A value may be missing in some of the datasets; a longer one than a dataset's names is not cut to one of them."""
+    datasets = [named(("A", ""), ("B", "A"), ("C", "")), named(("B", ""), ("Anna", "B"))]
+    parts = split_datasets(datasets, {"mine": {"subject": ("A", "B")}, "theirs": {"subject": ("Anna", "C", "B")}})
+    assert [part.frame.values.tolist() for part in parts["mine"]] == [[0, 1], [0]]
+    assert [part.frame.values.tolist() for part in parts["theirs"]] == [[2], [0, 1]]
+    parts = split_datasets(datasets, {"hers": {"subject": ("Anna", "B")}})
+    assert [part.frame.values.tolist() for part in parts["hers"]] == [[], [0, 1]]
+    with pytest.raises(DatasetError, match="the datasets have no subject 'D'") as error:
+        split_datasets(datasets, {"a": {"subject": ("A", "D")}})
+    assert error.value.hint == "they have: A, Anna, B, C"
+    with pytest.raises(DatasetError, match="no frame belongs to split 'a'"):
+        split_datasets(datasets, {"a": {"subject": ("Anna",)}})
 
 
 values = st.lists(st.sampled_from(["sedan", "van", "coupe"]), min_size=1, max_size=3, unique=True)

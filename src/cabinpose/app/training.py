@@ -1,7 +1,10 @@
-"""From a dataset (or a scene configuration) to the training and validation frames of a run."""
+"""From datasets (or a scene configuration) to the training and validation frames of a run."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,9 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.estimate.data import FrameSpec, GeneratedFrames, StoredFrames
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
 from cabinpose.estimate.training import TrainConfig
-from cabinpose.store.split import read_named_splits, split_dataset
+from cabinpose.store.split import read_named_splits, split_datasets
 from cabinpose.store.yaml_file import read_mapping, validated
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import person_slots, preflight
@@ -19,6 +22,7 @@ from cabinpose.synth.write import FrameMaker
 
 _HELD_OUT = 0.15  # share of the subjects that validate where no splits are given
 _NAMES = 5  # of subjects in a message
+_OF_A_CROWD = re.compile(r"R\d{4,}")  # the names that `synth.sample.subject_names` gives
 
 
 def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
@@ -32,39 +36,62 @@ def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
     return validated(TrainConfig, data, path, hint=hint)
 
 
-def training_split(dataset: xr.Dataset, splits: Path | None, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Frames to learn from and frames to validate on; nobody is in both.
+def training_split(
+    datasets: Mapping[str, xr.Dataset], splits: Path | None, train: str, validate: str
+) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]]:
+    """Frames to learn from and frames to validate on, by the name of the dataset that they are of; nobody is in both.
 
-    Without a file of splits, some of the subjects are held out: those last in the order of names, and every frame that
-    shows one of them. Raises DatasetError where one side is empty, or the sides share people.
+    Without a file of splits, some of the subjects of each dataset are held out: those last in the order of names, and every
+    frame that shows one of them. With one, a dataset may be on one side alone. Raises DatasetError where a dataset is on no
+    side, a side is empty, or the sides share people, whichever datasets these are in.
     """
     if splits is not None:
-        chosen = split_dataset(dataset, read_named_splits(splits, (train, validate)))
-        sides = chosen[train], chosen[validate]
+        parts = split_datasets(list(datasets.values()), read_named_splits(splits, (train, validate)))
+        pairs = list(zip(parts[train], parts[validate], strict=True))
     else:
-        subjects = sorted(people_of(dataset))
-        count = max(1, round(_HELD_OUT * len(subjects)))
-        if len(subjects) < 2:
+        pairs = []
+        for name, dataset in datasets.items():
+            with _said_of(name):
+                pairs.append(_held_out(dataset, train, validate))
+    sides: tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]] = {}, {}
+    for name, pair in zip(datasets, pairs, strict=True):
+        for side, part in zip(sides, pair, strict=True):
+            if part.sizes["frame"]:
+                side[name] = part
+        if all(name not in side for side in sides):
             raise DatasetError(
-                f"{len(subjects)} subject cannot be split into training and validation",
-                hint="generate more people, or name the splits with --splits",
+                f"{name}: no frame belongs to '{train}' or '{validate}'",
+                hint="leave it out of --data, or mend the file of --splits",
             )
-        held = np.isin(dataset["subject"].values, subjects[-count:])
-        there = dataset["subject"].values != ""
-        only_held = (held | ~there).all(axis=1) & there.any(axis=1)
-        sides = dataset.isel(frame=np.flatnonzero(~held.any(axis=1))), dataset.isel(frame=np.flatnonzero(only_held))
+    learnt, judged = (set().union(*map(individuals, side.values())) for side in sides)
+    shared = sorted({name for name, _ in learnt & judged})
+    if shared:
+        more = f" and {len(shared) - _NAMES} more" if len(shared) > _NAMES else ""
+        raise DatasetError(
+            f"'{train}' and '{validate}' share {', '.join(shared[:_NAMES])}{more}: a model would be judged on people it has seen",
+            hint="split by subject" if len(datasets) == 1 else "name the same people of every dataset with --splits, by subject",
+        )
+    return sides
+
+
+def _held_out(dataset: xr.Dataset, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:
+    """The sides of one dataset, by its own subjects; DatasetError where one of them is empty."""
+    subjects = sorted(people_of(dataset))
+    count = max(1, round(_HELD_OUT * len(subjects)))
+    if len(subjects) < 2:
+        raise DatasetError(
+            f"{len(subjects)} subject cannot be split into training and validation",
+            hint="generate more people, or name the splits with --splits",
+        )
+    held = np.isin(dataset["subject"].values, subjects[-count:])
+    there = dataset["subject"].values != ""
+    only_held = (held | ~there).all(axis=1) & there.any(axis=1)
+    sides = dataset.isel(frame=np.flatnonzero(~held.any(axis=1))), dataset.isel(frame=np.flatnonzero(only_held))
     for name, side in zip((train, validate), sides, strict=True):
         if not side.sizes["frame"]:
             raise DatasetError(
                 f"there is no frame in '{name}'", hint="`cabinpose info` counts frames by subject; name splits with --splits"
             )
-    shared = sorted(people_of(sides[0]) & people_of(sides[1]))
-    if shared:
-        more = f" and {len(shared) - _NAMES} more" if len(shared) > _NAMES else ""
-        raise DatasetError(
-            f"'{train}' and '{validate}' share {', '.join(shared[:_NAMES])}{more}: a model would be judged on people it has seen",
-            hint="split by subject",
-        )
     return sides
 
 
@@ -73,12 +100,46 @@ def people_of(dataset: xr.Dataset) -> set[str]:
     return {str(name) for name in np.unique(dataset["subject"].values.astype(str)) if name}
 
 
+def individuals(dataset: xr.Dataset) -> set[tuple[str, int | None]]:
+    """Who appears in a dataset, such that equal ones are the same people whichever dataset they are in.
+
+    Those of a crowd drawn at random are numbered anew with every seed, so that the frames' seed tells them apart; anybody
+    else is known by name, with None.
+    """
+    names = dataset["subject"].values.astype(str)
+    seeds = np.broadcast_to(dataset["seed"].values[:, None], names.shape)
+    pairs = set(zip(names.ravel().tolist(), seeds.ravel().tolist(), strict=True))
+    return {(name, int(seed) if _OF_A_CROWD.fullmatch(name) else None) for name, seed in pairs if name}
+
+
 def stored_frames(
-    dataset: xr.Dataset, spec: FrameSpec, splits: Path | None, train: str, validate: str
-) -> tuple[StoredFrames, StoredFrames]:
-    """Training and validation frames of a dataset."""
-    sides = training_split(dataset, splits, train, validate)
-    return StoredFrames(sides[0], spec), StoredFrames(sides[1], spec)
+    datasets: Mapping[str, xr.Dataset], spec: FrameSpec, splits: Path | None, train: str, validate: str
+) -> tuple[Frames, Frames]:
+    """Training and validation frames of datasets by their names, one dataset after the other.
+
+    Frames are kept in memory all together or not at all. Raises DatasetError as `training_split` and `StoredFrames` do.
+    """
+    sides = training_split(datasets, splits, train, validate)
+    keep = fits_memory(sum(part.sizes["frame"] for side in sides for part in side.values()), spec)
+    training, validation = (_joined(side, spec, keep=keep) for side in sides)
+    return training, validation
+
+
+def _joined(side: Mapping[str, xr.Dataset], spec: FrameSpec, *, keep: bool) -> Frames:
+    frames = []
+    for name, part in side.items():
+        with _said_of(name):
+            frames.append(StoredFrames(part, spec, keep=keep))
+    return joined(frames)
+
+
+@contextmanager
+def _said_of(name: str) -> Iterator[None]:
+    """What is wrong with a dataset is said with its name."""
+    try:
+        yield
+    except DatasetError as error:
+        raise DatasetError(f"{name}: {error}", hint=error.hint) from error
 
 
 def generated_frames(config: SynthConfig, spec: FrameSpec, frames: int, seed: int) -> tuple[GeneratedFrames, GeneratedFrames]:

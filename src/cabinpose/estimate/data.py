@@ -14,7 +14,7 @@ import psutil
 import torch
 import xarray as xr
 from numpy.typing import NDArray
-from torch.utils.data import Dataset, IterableDataset
+from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
@@ -72,17 +72,15 @@ class StoredFrames(Dataset[Kept]):
     """The frames of a dataset folder, or of a selection of it."""
 
     def __init__(self, dataset: xr.Dataset, spec: FrameSpec, *, keep: bool | None = None) -> None:
-        """`keep` frames in memory once they were read; by default where they fill less than half of what is free.
+        """`keep` frames in memory once they were read; by default where `fits_memory` says so of this dataset alone.
 
         Raises DatasetError for a dataset without frames, of another skeleton, or without one of the places or images.
         """
         self.spec = spec
         self._dataset = dataset
         self._rows = slot_rows(dataset, spec)
-        count = dataset.sizes["frame"]
-        need = count * spec.view.width * spec.view.height * sum(1 if name == "labels" else 2 for name in spec.images)
         if keep is None:
-            keep = need < 0.5 * psutil.virtual_memory().available
+            keep = fits_memory(dataset.sizes["frame"], spec)
         self._kept: dict[int, Kept] | None = {} if keep else None
 
     def __len__(self) -> int:
@@ -97,6 +95,17 @@ class StoredFrames(Dataset[Kept]):
         if self._kept is not None:
             self._kept[index] = kept
         return kept
+
+
+def joined(frames: Sequence[Frames]) -> Frames:
+    """Several datasets' frames as one, in their order."""
+    return ConcatDataset(frames)
+
+
+def fits_memory(frames: int, spec: FrameSpec) -> bool:
+    """Whether that many frames, as they are kept, fill less than half of the memory that is free."""
+    bytes_per_pixel = sum(1 if name == "labels" else 2 for name in spec.images)
+    return frames * spec.view.width * spec.view.height * bytes_per_pixel < 0.5 * psutil.virtual_memory().available
 
 
 class GeneratedFrames(IterableDataset[Kept]):

@@ -88,16 +88,30 @@ def write_splits(path: Path | str, splits: Splits) -> None:
 
 def frame_mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
     """(frame,) whether each frame belongs to a selection; `DatasetError` for a value that the dataset does not have."""
-    mask = np.ones(dataset.sizes["frame"], bool)
+    _refuse_unknown([dataset], selection)
+    return _mask(dataset, selection)
+
+
+def _refuse_unknown(datasets: Sequence[xr.Dataset], selection: Selection) -> None:
+    """Each value has to be in one of the datasets."""
     for name, wanted in selection.items():
-        values = dataset[name].values
-        known = sorted({v for v in values.ravel().tolist() if v != ""})
+        known = sorted(set().union(*(_values(dataset, name) for dataset in datasets)))
         unknown = [value for value in wanted if value not in known]
         if unknown:
-            raise DatasetError(
-                f"the dataset has no {name} {', '.join(map(repr, unknown))}", hint=f"it has: {', '.join(map(str, known))}"
-            )
-        chosen = np.isin(values, np.array(wanted, dtype=values.dtype))
+            which, who = ("the dataset has", "it has") if len(datasets) == 1 else ("the datasets have", "they have")
+            raise DatasetError(f"{which} no {name} {', '.join(map(repr, unknown))}", hint=f"{who}: {', '.join(map(str, known))}")
+
+
+def _values(dataset: xr.Dataset, name: str) -> set[Any]:
+    return {value for value in dataset[name].values.ravel().tolist() if value != ""}
+
+
+def _mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
+    mask = np.ones(dataset.sizes["frame"], bool)
+    for name, wanted in selection.items():
+        values, known = dataset[name].values, _values(dataset, name)
+        # A longer name, cut to the width of the dataset's strings, could become another one: only known values are compared.
+        chosen = np.isin(values, np.array([value for value in wanted if value in known], dtype=values.dtype))
         if values.ndim == 2:  # (frame, person)
             absent = values == ""
             mask &= (chosen | absent).all(axis=1) & ~absent.all(axis=1)
@@ -108,10 +122,18 @@ def frame_mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
 
 def split_dataset(dataset: xr.Dataset, splits: Splits) -> dict[str, xr.Dataset]:
     """The lazy parts of a dataset by split; `DatasetError` where one of them is empty."""
+    return {name: parts[0] for name, parts in split_datasets([dataset], splits).items()}
+
+
+def split_datasets(datasets: Sequence[xr.Dataset], splits: Splits) -> dict[str, list[xr.Dataset]]:
+    """The lazy parts of several datasets by split: one of each dataset, in their order, without frames where none belongs to it.
+
+    `DatasetError` for a value that none of them has, and for a split that has no frame in any of them.
+    """
     result = {}
     for name, selection in splits.items():
-        mask = frame_mask(dataset, selection)
-        if not mask.any():
+        _refuse_unknown(datasets, selection)
+        result[name] = [dataset.isel(frame=np.flatnonzero(_mask(dataset, selection))) for dataset in datasets]
+        if not any(part.sizes["frame"] for part in result[name]):
             raise DatasetError(f"no frame belongs to split '{name}'", hint="`cabinpose info` counts the frames by coordinate")
-        result[name] = dataset.isel(frame=np.flatnonzero(mask))
     return result

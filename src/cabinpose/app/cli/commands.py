@@ -167,7 +167,7 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Train:
-    """Train a detector on a dataset, or on scenes generated meanwhile; the best epoch is kept.
+    """Train a detector on datasets, or on scenes generated meanwhile; the best epoch is kept.
 
     Needs the extra `train`. A run that was interrupted goes on with --resume from its last whole epoch.
     """
@@ -178,14 +178,14 @@ class Train:
     """Method, if the configuration names none: compact, paf, lifting, unet."""
     config: Path | None = None
     """Configuration of the run (YAML); every key has a default."""
-    data: Path | None = None
-    """Folder of the dataset to train on."""
+    data: Annotated[tuple[Path, ...], arg(metavar="FOLDER [FOLDER ...]")] = ()
+    """Folders of the datasets to train on."""
     synth: Path | None = None
-    """Scene configuration (YAML) to generate frames from while training, in place of a dataset."""
+    """Scene configuration (YAML) to generate frames from while training, in place of datasets."""
     frames: int = 2000
     """Frames an epoch with --synth."""
     splits: Path | None = None
-    """YAML file of splits; without it some of the subjects are held out to validate on."""
+    """YAML file of splits; without it some of the subjects of each dataset are held out to validate on."""
     train: str = "train"
     """Name of the split to learn from."""
     validate: str = "validate"

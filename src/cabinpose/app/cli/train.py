@@ -1,4 +1,4 @@
-"""`cabinpose train`: a detector from a dataset, or from scenes generated meanwhile."""
+"""`cabinpose train`: a detector from datasets, or from scenes generated meanwhile."""
 
 from __future__ import annotations
 
@@ -19,14 +19,17 @@ def run(command: Train) -> None:
     from cabinpose.estimate.data import Frames
     from cabinpose.estimate.training import fit, frame_spec
 
-    if command.data is not None and command.synth is not None:
-        raise ConfigError("a detector learns from a dataset or from generated scenes", hint="give one of --data and --synth")
+    if command.data and command.synth is not None:
+        raise ConfigError("a detector learns from datasets or from generated scenes", hint="give one of --data and --synth")
     config = read_train_config(command.config, command.method)
     spec = frame_spec(config)
     training: Frames
     validation: Frames
-    if command.data is not None:
-        training, validation = stored_frames(open_dataset(command.data), spec, command.splits, command.train, command.validate)
+    if command.data:
+        datasets = {str(folder): open_dataset(folder) for folder in command.data}
+        if len(datasets) < len(command.data):
+            raise ConfigError("--data names a dataset twice", hint="give each of them once")
+        training, validation = stored_frames(datasets, spec, command.splits, command.train, command.validate)
     elif command.synth is not None:
         training, validation = generated_frames(SynthConfig.load(command.synth), spec, command.frames, config.seed)
     else:
