@@ -305,14 +305,17 @@ def load_detector(path: Path) -> Detector:
 
 
 def begin_with(detector: Detector, checkpoint: Path) -> None:
-    """Give a detector the weights of a checkpoint. Raises ModelError where that one is of another network."""
+    """Give a detector the weights of a checkpoint; parts that the other one does not have keep their own.
+
+    Raises ModelError where that one is of another network.
+    """
     other = load_detector(checkpoint)
     mine, theirs = detector.method_config, other.method_config
     fits = type(mine) is type(theirs) and (mine.joints, mine.slots) == (theirs.joints, theirs.slots)
     try:
         if fits:
-            detector.network.load_state_dict(other.network.state_dict())
-    except RuntimeError:
+            fits = not detector.network.load_state_dict(other.network.state_dict(), strict=False).unexpected_keys
+    except RuntimeError:  # of another size
         fits = False
     if not fits:
         raise ModelError(

@@ -25,6 +25,10 @@ class CompactConfig(BaseModel):
     slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places that people are predicted for.")] = OCCUPANT_SLOTS
     channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)
     blocks: Annotated[tuple[int, int, int], Field(description="Blocks at strides 4, 8 and 16.")] = (1, 3, 4)
+    looks_px: Annotated[
+        tuple[Annotated[float, Field(gt=0)], ...],
+        Field(description="Looks again around each joint, one after the other: distance of the samples in the view (px)."),
+    ] = (4.0, 2.0)
 
     @property
     def view(self) -> InputView:

@@ -10,14 +10,25 @@ from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.compact.model import STRIDE, Compact, Votes
 
 _SPREAD = 1.2  # cells: standard deviation of the weights that training asks for around a joint
-_WEIGHTS = {"image": 1.0, "depth": 1.0, "votes": 0.1, "inside": 0.2, "visible": 0.2, "present": 0.5}
+_WEIGHTS = {
+    "image": 1.0,
+    "depth": 1.0,
+    "earlier_image": 1.0,
+    "earlier_depth": 1.0,
+    "votes": 0.1,
+    "inside": 0.2,
+    "visible": 0.2,
+    "present": 0.5,
+}
+_MISSED = 2.0  # weight of a joint in the image that is denied, to one that is claimed and not there
 _OUTSIDE = 0.2  # weight of a joint outside the image: it is guessed from the rest of the body
 
 
 def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
     """The terms of the loss and their weighted sum, `loss`.
 
-    image: smooth L1 of u, v in cells · depth: smooth L1 of z in decimetres · votes: cross entropy of the weights with a
+    image: smooth L1 of u, v in cells · depth: smooth L1 of z in decimetres · earlier_image, earlier_depth: the
+    same of the joints before each look · votes: cross entropy of the weights with a
     Gaussian around the joint · inside, visible, present: binary cross entropies. Only people who are there count for
     their joints.
     """
@@ -31,17 +42,24 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
     target = torch.nan_to_num(truth)
     uv = torch.minimum(torch.maximum(target[..., :2], -0.25 * limit), 1.25 * limit)
     total = weight.sum().clamp(min=1.0)
-    image = functional.smooth_l1_loss(votes.joints[..., :2] / STRIDE, uv / STRIDE, beta=0.1, reduction="none").sum(-1)
-    depth = functional.smooth_l1_loss(votes.joints[..., 2] * 10, target[..., 2] * 10, beta=0.1, reduction="none")
-    terms = {
-        "image": (image * weight).sum() / total,
-        "depth": (depth * weight).sum() / total,
+
+    def place(joints: Tensor) -> tuple[Tensor, Tensor]:
+        image = functional.smooth_l1_loss(joints[..., :2] / STRIDE, uv / STRIDE, beta=0.1, reduction="none").sum(-1)
+        depth = functional.smooth_l1_loss(joints[..., 2] * 10, target[..., 2] * 10, beta=0.1, reduction="none")
+        return (image * weight).sum() / total, (depth * weight).sum() / total
+
+    terms = dict(zip(("image", "depth"), place(votes.joints), strict=True))
+    for earlier in votes.earlier:
+        image, depth = place(earlier)
+        terms["earlier_image"] = terms.get("earlier_image", 0.0) + image
+        terms["earlier_depth"] = terms.get("earlier_depth", 0.0) + depth
+    terms |= {
         "votes": _cross_entropy(votes.weights, uv, inside, network.cells),
-        "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside)),
+        "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside), _MISSED),
         "visible": _binary(votes.visible, batch.visibility == 4, batch.present.unsqueeze(-1).expand_as(inside)),
         "present": functional.binary_cross_entropy_with_logits(votes.present, batch.present.float()),
     }
-    terms["loss"] = sum((_WEIGHTS[name] * term for name, term in terms.items()), start=image.new_zeros(()))
+    terms["loss"] = sum((_WEIGHTS[name] * term for name, term in terms.items()), start=total.new_zeros(()))
     return terms
 
 
@@ -52,6 +70,9 @@ def _cross_entropy(log_weights: Tensor, uv: Tensor, inside: Tensor, cells: Tenso
     return -((aim * log_weights).sum(-1) * inside).sum() / inside.sum().clamp(min=1)
 
 
-def _binary(logit: Tensor, truth: Tensor, where: Tensor) -> Tensor:
-    each = functional.binary_cross_entropy_with_logits(logit, truth.float(), reduction="none")
+def _binary(logit: Tensor, truth: Tensor, where: Tensor, weight: float = 1.0) -> Tensor:
+    """Mean binary cross entropy; `weight` of what is true."""
+    each = functional.binary_cross_entropy_with_logits(
+        logit, truth.float(), reduction="none", pos_weight=logit.new_tensor(weight)
+    )
     return (each * where).sum() / where.sum().clamp(min=1)

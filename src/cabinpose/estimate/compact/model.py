@@ -1,10 +1,11 @@
-"""The compact detector: every cell of a coarse grid votes for every joint of every place.
+"""The compact detector: every cell of a coarse grid votes for every joint of every place, and each joint is looked at again.
 
 A light depthwise backbone sees depth, cloud and amplitude in the model's view and ends in features at stride 8. From them
 each cell gives, for each joint of each place, a weight, an offset in the image and a depth; a joint is the mean of the votes
 under the softmax of their weights. Voting by informative anchors follows A2J (Xiong et al., "A2J: Anchor-to-joint regression
 network for 3D articulated pose estimation from a single depth image", ICCV 2019). It reaches joints that are hidden
-or outside the image, and the depth of a joint is learnt, not read off the skin that covers it.
+or outside the image, and the depth of a joint is learnt, not read off the skin that covers it. `refine` then looks at a finer
+resolution around each joint, knowing all others, and corrects it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from cabinpose.estimate.compact.config import CompactConfig
+from cabinpose.estimate.compact.refine import Refine
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
 
 STRIDE = 8
@@ -27,7 +29,7 @@ class Votes(NamedTuple):
 
     joints: (N, S, J, 3) u, v (px of the view) and depth (m) · inside, visible: (N, S, J) logits of the joint being in the
     image, and seen there · present: (N, S) logit of somebody being there · weights: (N, S, J, cells) log-probability of
-    each cell, for training.
+    each cell, and earlier: the joints (N, S, J, 3) before each look that refined them, both for training.
     """
 
     joints: Tensor
@@ -35,6 +37,7 @@ class Votes(NamedTuple):
     visible: Tensor
     present: Tensor
     weights: Tensor
+    earlier: tuple[Tensor, ...]
 
 
 class Compact(nn.Module):
@@ -60,6 +63,10 @@ class Compact(nn.Module):
         self.merge = Block(c8, c8)
         count = len(config.slots) * len(config.joints)
         self.votes = nn.Conv2d(c8 + 2, _VALUES * count, 1)
+        size = config.width, config.height
+        self.looks = nn.ModuleList(
+            Refine(size, len(config.slots), len(config.joints), c4, c8, pitch) for pitch in config.looks_px
+        )
         self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
         self.register_buffer(
             "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
@@ -87,7 +94,8 @@ class Compact(nn.Module):
         """Votes from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
         x = self.inputs(depth, amplitude)
         x = x.contiguous(memory_format=torch.channels_last) if self.training else x
-        middle = self.middle(self.stem(x))
+        fine = self.stem(x)
+        middle = self.middle(fine)
         deep = self.deep(middle)
         top = nn.functional.interpolate(self.top(deep), scale_factor=2.0, mode="nearest")
         features = self.merge(self.lateral(middle) + top)
@@ -101,7 +109,13 @@ class Compact(nn.Module):
         z = 0.5 * self.config.max_depth_m * (1.0 + (p * votes[:, :, :, 3]).sum(-1))
         inside, visible = (p.unsqueeze(3) * votes[:, :, :, 4:]).sum(-1).unbind(-1)
         pooled = torch.cat((deep.mean((2, 3)), deep.amax((2, 3))), dim=1)
-        return Votes(torch.stack((u, v, z), dim=-1), inside, visible, self.present(pooled), weights)
+        joints, earlier = torch.stack((u, v, z), dim=-1), []
+        for look in self.looks:  # each learns to mend what the one before has left, and not to change it
+            earlier.append(joints)
+            start = joints.detach()
+            more = look(depth.unsqueeze(1), fine, features, start, inside.detach(), visible.detach())
+            joints, inside, visible = start + more.joints, inside + more.inside, visible + more.visible
+        return Votes(joints, inside, visible, self.present(pooled), weights, tuple(earlier))
 
 
 class Block(nn.Module):
@@ -154,7 +168,8 @@ def _stage(inputs: int, outputs: int, count: int) -> list[nn.Module]:
 class Mirrored(nn.Module):
     """A trained network that answers with the mean of what it says of a frame and of its mirror image.
 
-    The errors of the two differ, so that their mean is smaller, at twice the time. weights are those of the frame alone.
+    The errors of the two differ, so that their mean is smaller, at twice the time. weights and earlier are those of the
+    frame alone.
     """
 
     def __init__(self, network: Compact) -> None:
@@ -179,4 +194,5 @@ class Mirrored(nn.Module):
             mean(one.visible, other.visible),
             0.5 * (one.present + other.present[:, self._slots]),
             one.weights,
+            one.earlier,
         )
