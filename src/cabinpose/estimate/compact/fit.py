@@ -20,7 +20,7 @@ _WEIGHTS = {
     "visible": 0.2,
     "present": 0.5,
 }
-_MISSED = 2.0  # weight of a joint in the image that is denied, to one that is claimed and not there
+_MISSED = 4.0  # weight of a joint in the image that is denied, to one that is claimed and not there
 _OUTSIDE = 0.2  # weight of a joint outside the image: it is guessed from the rest of the body
 
 
