@@ -1,10 +1,11 @@
-"""Every preset, both sides: closed parts, shared faces, settings, mirror images."""
+"""Every preset, both sides, and random cars: closed parts, shared faces, settings, mirror images."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import trimesh
+from cars import DIMENSIONS, RANDOM
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, is_rigid
@@ -13,6 +14,7 @@ from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting, 
 from cabinpose.scene.surface import Surface
 
 EVERY = [(name, side) for name in PRESETS for side in ("left", "right")]
+EVERY += [(name, ("left", "right")[n % 2]) for n, name in enumerate(RANDOM)]
 
 
 def closed_mesh(surface: Surface) -> trimesh.Trimesh:
@@ -23,7 +25,7 @@ def closed_mesh(surface: Surface) -> trimesh.Trimesh:
 @pytest.fixture(params=EVERY, ids=[f"{n}-{s}" for n, s in EVERY])
 def cabin(request: pytest.FixtureRequest) -> Cabin:
     name, side = request.param
-    return build_cabin(name, drive_side=side)
+    return build_cabin(DIMENSIONS[name], drive_side=side)
 
 
 def test_each_solid_is_closed_and_looks_outwards(cabin: Cabin) -> None:
@@ -48,6 +50,7 @@ def test_normals_are_unit_and_agree_with_the_faces(cabin: Cabin) -> None:
 def test_seats_settings_and_groups(cabin: Cabin) -> None:
     assert set(cabin.seats) <= set(OCCUPANT_SLOTS)
     assert {"driver", "front_passenger", "rear_left", "rear_right"} <= set(cabin.seats)
+    assert ("rear_center" in cabin.seats) == (DIMENSIONS[cabin.name].rear_places == 3)
     transforms = cabin.group_transforms({})
     assert {p.group for p in cabin.parts} <= set(transforms)
     for slot, seat in cabin.seats.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from cars import DIMENSIONS
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, look_at
@@ -32,9 +33,9 @@ def trunk_points(cabin: Cabin, slot: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", DIMENSIONS)
 def test_each_view_is_clear_and_sees_its_people(name: str, side: str) -> None:
-    cabin = build_cabin(name, drive_side=side)  # type: ignore[arg-type]
+    cabin = build_cabin(DIMENSIONS[name], drive_side=side)  # type: ignore[arg-type]
     surface = cabin.surface({})
     mesh = trimesh.Trimesh(surface.vertices.astype(float), surface.faces, process=False)
     soft = np.isin(surface.label, [LABEL["seat"]])
@@ -58,8 +59,8 @@ def test_each_view_is_clear_and_sees_its_people(name: str, side: str) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_seats_stay_below_roof_and_glass(name: str) -> None:
-    cabin = build_cabin(name)
-    layout = Layout(PRESET_DIMENSIONS[name])
+    cabin = build_cabin(DIMENSIONS[name])
+    layout = Layout(DIMENSIONS[name])
     transforms = cabin.group_transforms({})
     for part in cabin.parts:
         if part.group.startswith("seat:"):
@@ -73,11 +74,11 @@ def test_seats_stay_below_roof_and_glass(name: str) -> None:
             assert (below[:, 0] > layout.backlight_x(below[:, 2])).all(), part.name
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", DIMENSIONS)
 def test_head_room_is_h61(name: str) -> None:
     """A ray 8 degrees rearward from each front H-point meets the headlining at H61 - 102 mm."""
-    d = PRESET_DIMENSIONS[name]
-    cabin = build_cabin(name)
+    d = DIMENSIONS[name]
+    cabin = build_cabin(DIMENSIONS[name])
     roof = next(p for p in cabin.parts if p.name == "headlining").surface
     mesh = trimesh.Trimesh(roof.vertices.astype(float), roof.faces, process=False)
     seat = cabin.seats["driver"]
@@ -89,8 +90,8 @@ def test_head_room_is_h61(name: str) -> None:
 
 @pytest.mark.parametrize("name", [n for n in PRESETS if n != "shuttle"])
 def test_driver_fits_wheel_and_pedals(name: str) -> None:
-    d = PRESET_DIMENSIONS[name]
-    cabin = build_cabin(name)
+    d = DIMENSIONS[name]
+    cabin = build_cabin(DIMENSIONS[name])
     wheel, seat = cabin.steering_wheel, cabin.seats["driver"]
     assert wheel is not None
     assert np.allclose(wheel.vehicle_from_wheel[:3, 3], (-d.l11_mm / 1000, d.w20_mm / 1000, d.h17_mm / 1000))
@@ -105,10 +106,10 @@ def test_driver_fits_wheel_and_pedals(name: str) -> None:
     assert np.isclose(np.arctan2(pad[2, 0], pad[0, 0]), pedal_plane_angle(d.h30_mm / 1000))
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", DIMENSIONS)
 def test_walls_are_solid_outwards(name: str) -> None:
     """What reaches 20 and 38 mm into doors, floor, roof and glass is found inside of them."""
-    cabin = build_cabin(name)
+    cabin = build_cabin(DIMENSIONS[name])
     for part in cabin.parts:
         if part.name not in (
             "front door trim",

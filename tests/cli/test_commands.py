@@ -135,6 +135,16 @@ def test_config_init_is_the_default(run: Run, tmp_path: Path, scene: str) -> Non
     assert "exists" in err
 
 
+def test_config_check_counts_the_random_cars(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    for cars, said in (
+        ("[]", "cabin, cars 40 drawn at random\n"),
+        ("[suv, van]", "cabin, cars suv, van and 40 drawn at random\n"),
+    ):
+        path.write_text(f"scene: {{kind: cabin, cars: {cars}, random_cars: 40}}\n")
+        assert said in run("config", "check", path)[1]
+
+
 def test_config_check_names_the_key(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text("camera:\n  jiter_m: 0.1\n")

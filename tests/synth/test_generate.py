@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
-from synth_scenes import PART, fingerprint, small_config
+from synth_scenes import PART, fingerprint, small_config, start
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DatasetError, SceneError
@@ -25,16 +23,6 @@ from cabinpose.synth.config import Limits, Output, SynthConfig, room_preset
 from cabinpose.synth.generate import generate
 
 FRAMES = 3 * PART
-SCRIPT = """
-import sys
-from pathlib import Path
-from cabinpose.synth.generate import generate
-from synth_scenes import small_config
-if __name__ == "__main__":
-    out, workers, resume = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "resume"
-    generate(small_config(), int(sys.argv[4]), out, seed=7, workers=workers, resume=resume,
-             progress=lambda p: print("done", p.frames_done, flush=True))
-"""
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +32,6 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     report = generate(small_config(), FRAMES, out, seed=7, workers=1)
     assert report.frames == report.frames_total == FRAMES
     return out
-
-
-def start(script: Path, out: Path, workers: int, mode: str = "fresh", frames: int = FRAMES) -> subprocess.Popen[str]:
-    """Runs `generate` in a process of its own."""
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
-    script.write_text(SCRIPT, encoding="utf-8")
-    command = [sys.executable, str(script), str(out), str(workers), mode, str(frames)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True)
 
 
 def test_two_workers_write_the_same_bytes(reference: Path, tmp_path: Path) -> None:

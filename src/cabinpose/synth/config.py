@@ -7,6 +7,7 @@ the folder of the file.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,6 +26,7 @@ from cabinpose.synth.profiles import Profile
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Vector = tuple[float, float, float]
+_RANDOM_CAR = re.compile(r"C\d{4,}")
 
 
 class Model(BaseModel):
@@ -124,7 +126,10 @@ class CabinScene(Model):
     """People in cars."""
 
     kind: Literal["cabin"] = "cabin"
-    cars: tuple[str, ...] = Field(PRESETS, min_length=1, description="Presets, or paths to YAML files of own car meshes.")
+    cars: tuple[str, ...] = Field(PRESETS, description="Presets, or paths to YAML files of own car meshes.")
+    random_cars: int = Field(
+        0, ge=0, le=10_000, description="Cars drawn at random for the dataset beside them: C0000, C0001, ..."
+    )
     right_hand_drive: Probability = Field(0.15, description="Share of cars with the wheel on the right.")
     occupancy: Mapping[str, Probability] = Field(
         {"driver": 0.95, "front_passenger": 0.5, "rear_left": 0.15, "rear_center": 0.05, "rear_right": 0.15},
@@ -153,6 +158,10 @@ class CabinScene(Model):
         for car in self.cars:
             if car not in PRESETS and not car.endswith((".yaml", ".yml")):
                 raise unknown_name("car", car, [*PRESETS, "<path to a .yaml of your own mesh>"])
+            if self.random_cars and _RANDOM_CAR.fullmatch(Path(car).stem):
+                raise ConfigError(f"{Path(car).name} would be taken for a random car", hint="give the file another name")
+        if not self.cars and not self.random_cars:
+            raise ConfigError("there is no car", hint="name cars, or ask for random_cars")
         for slot in (*self.occupancy, *self.motion):
             if slot not in OCCUPANT_SLOTS:
                 raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))

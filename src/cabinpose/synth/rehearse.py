@@ -14,6 +14,7 @@ import numpy as np
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.frames import transform
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
+from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import place_camera
 from cabinpose.synth.config import CabinScene, SynthConfig, frame_rng
 from cabinpose.synth.sample import Scene, ScenePerson, judged_cabin, person_slots
@@ -42,7 +43,7 @@ def _aloft(config: SynthConfig) -> Scene:
     slot = person_slots(config)[0]
     cabin, settings, validator = None, {}, Validator(None)
     if isinstance(config.scene, CabinScene):
-        cabin, validator = judged_cabin(config.scene.cars[0], "left")
+        cabin, validator = judged_cabin(next(iter(config.scene.cars), PRESETS[0]), "left")
         settings = {name: seat.default for name, seat in cabin.seats.items()}
     validator.admit(validator.empty(settings), (slot, person, posed), None)
     camera = place_camera((2.0, 0.0, _ALOFT_M), (0.0, 0.0, _ALOFT_M), rng=frame_rng(0, 0))

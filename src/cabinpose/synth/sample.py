@@ -25,7 +25,16 @@ from cabinpose.core.frames import Matrix, transform
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Outfit, Person, Phenotype, PosedBody
-from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, build_cabin, load_cabin
+from cabinpose.scene.cabin import (
+    PRESETS,
+    Cabin,
+    CabinDimensions,
+    SeatSetting,
+    belt_surface,
+    build_cabin,
+    load_cabin,
+    random_dimensions,
+)
 from cabinpose.scene.contact import ContactField
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
@@ -42,6 +51,7 @@ from cabinpose.synth.validate import Seated, Validator
 DriveSide = Literal["left", "right"]
 # Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
 _PEOPLE_STREAM = 2**64 - 1
+_CAR_STREAM = 2**63 + 2**62
 _ROOM_STREAM = 2**63
 _BLOCK_STREAM = 2**62
 # Frames of one block share a few people, cars and rooms, so that a worker prepares few of them for each part. Over a dataset all
@@ -146,9 +156,10 @@ class SceneSampler:
         self._seed = seed
         self._model = BodyModel.load()
         self._subjects = subject_names(config)
+        self._cars = car_names(config)
         self._slots = person_slots(config)
         self._person = lru_cache(maxsize=32)(self._make_person)
-        self._cabin = lru_cache(maxsize=16)(judged_cabin)
+        self._cabin = lru_cache(maxsize=16)(self._make_cabin)
         self._room = lru_cache(maxsize=16)(self._make_room)
         self._bodies = Validator(None)
 
@@ -171,12 +182,11 @@ class SceneSampler:
         """Who and what the frames around `index` draw from."""
         scene = self._config.scene
         rng = frame_rng(self._seed, _BLOCK_STREAM + index // _BLOCK)
-        cars = len(scene.cars) if isinstance(scene, CabinScene) else 0
         rooms = scene.rooms if isinstance(scene, RoomScene) else 0
         return _Block(
             *(
                 rng.choice(count, min(count, most), replace=False).tolist()
-                for count, most in ((len(self._subjects), _BLOCK_PEOPLE), (cars, _BLOCK_CARS), (rooms, _BLOCK_ROOMS))
+                for count, most in ((len(self._subjects), _BLOCK_PEOPLE), (len(self._cars), _BLOCK_CARS), (rooms, _BLOCK_ROOMS))
             )
         )
 
@@ -185,13 +195,19 @@ class SceneSampler:
             return _named_person(subject)
         return self._model.person(*subject_body(self._config, self._seed, subject))
 
+    def _make_cabin(self, car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+        if isinstance(self._config.scene, CabinScene) and car in self._config.scene.cars:
+            return judged_cabin(car, drive_side)
+        cabin = build_cabin(car_dimensions(self._seed, car), drive_side=drive_side)
+        return cabin, Validator(cabin)
+
     def _make_room(self, number: int) -> Room:
         return furnish_room(rng=frame_rng(self._seed, _ROOM_STREAM + number))
 
     def _seated(self, scene: CabinScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
         block = self._block(index)
-        car = scene.cars[block.cars[rng.integers(len(block.cars))]]
+        car = self._cars[block.cars[rng.integers(len(block.cars))]]
         cabin, validator = self._cabin(car, "right" if rng.random() < scene.right_hand_drive else "left")
         taken = _occupied(scene, cabin, rng)
         names = [self._subjects[block.people[i]] for i in _distinct(len(block.people), len(taken), rng)]
@@ -312,6 +328,17 @@ def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotyp
     return phenotype, Outfit.random(rng=rng)
 
 
+def car_names(config: SynthConfig) -> tuple[str, ...]:
+    """Every car of a dataset, those that its configuration names first; none in a room."""
+    scene = config.scene
+    return (*scene.cars, *(f"C{i:04d}" for i in range(scene.random_cars))) if isinstance(scene, CabinScene) else ()
+
+
+def car_dimensions(seed: int, car: str) -> CabinDimensions:
+    """The dimensions of a random car, "C0000" ..., of the dataset of this seed: the same whoever asks, in whatever order."""
+    return random_dimensions(car, rng=frame_rng(seed, _CAR_STREAM + int(car[1:])))
+
+
 def preflight(config: SynthConfig, *, frames: int) -> None:
     """Finds before any work starts what would fail in the middle of it: meshes, views, actions, recordings, counts."""
     scene = config.scene
@@ -327,28 +354,37 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         return
     for car in scene.cars:
         cabin = open_cabin(car, "left")
-        if not any(scene.occupancy.get(slot, 0.0) > 0 for slot in cabin.seats):
-            raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(cabin.seats)} an occupancy")
-        for slot, weights in scene.motion.items():
-            if slot in cabin.seats:
-                known = actions_for(cabin.seats[slot], cabin)
-                wrong = [name for name, weight in weights.items() if weight > 0 and name not in known]
-                if wrong:
-                    raise ConfigError(
-                        f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
-                    )
-        _check_views(config, car, cabin)
+        _check_car(config, scene, car, cabin, tuple(cabin.seats))
+    if scene.random_cars:  # their seats' actions and their views are the same in all of them: one stands for all
+        dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
+        cabin = build_cabin(dimensions, drive_side="left")
+        _check_car(config, scene, "a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"))
+
+
+def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...]) -> None:
+    """Refuses what cannot be done in a car of this kind, of which every one has the seats `sure`."""
+    if not any(scene.occupancy.get(slot, 0.0) > 0 for slot in sure):
+        raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(sure)} an occupancy")
+    for slot, weights in scene.motion.items():
+        if slot in cabin.seats:
+            known = actions_for(cabin.seats[slot], cabin)
+            wrong = [name for name, weight in weights.items() if weight > 0 and name not in known]
+            if wrong:
+                raise ConfigError(
+                    f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
+                )
+    _check_views(config, car, cabin)
 
 
 def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
-    """Refuses a camera that stands inside a part of the car. The presets' own views are known to be free."""
+    """Refuses a camera that stands inside a part of the car. The own views of cars that we build are known to be free."""
     eyes: dict[str, NDArray[np.float64]] = {}
     for name, view in config.camera.views.items():
         if isinstance(view, CameraPose):
             eyes[name] = np.asarray(view.position_m, dtype=np.float64)
         elif view > 0:
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
-            if car not in PRESETS:
+            if _is_file(car):
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
     if not eyes:
         return
@@ -396,7 +432,12 @@ def _named_person(subject: str) -> Person:
 
 
 def _place_name(car: str) -> str:
-    return car if car in PRESETS else Path(car).stem
+    return Path(car).stem if _is_file(car) else car
+
+
+def _is_file(car: str) -> bool:
+    """Whether a car of the configuration is a user's own mesh."""
+    return car.endswith((".yaml", ".yml"))
 
 
 def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:

@@ -55,7 +55,9 @@ def _check(action: ConfigCheck) -> None:
 
 def _scene(config: SynthConfig) -> str:
     if config.scene.kind == "cabin":
-        return f"cabin, cars {', '.join(Path(car).name for car in config.scene.cars)}"
+        named = ", ".join(Path(car).name for car in config.scene.cars)
+        random = f"{config.scene.random_cars} drawn at random" if config.scene.random_cars else ""
+        return f"cabin, cars {' and '.join(filter(None, (named, random)))}"
     return f"room, {config.scene.rooms} of them"
 
 

@@ -52,7 +52,7 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("image", f"{s.width}x{s.height}, {_valid(s.valid_pixels)}"),
         ("variables", ", ".join(s.variables)),
         ("depth", _quantiles(s.depth_histogram)),
-        ("cars", _list(s.by_car)),
+        ("cars", _list(s.by_car, most=12)),
         ("views", _list(s.by_pov)),
         ("people", f"{_list(s.by_people)} (people: frames)"),
         ("seats", _list({seat: count for seat, count in s.by_seat.items() if count})),
