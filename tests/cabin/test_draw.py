@@ -66,3 +66,12 @@ def test_every_style_appears_and_the_lowest_have_sports_seats() -> None:
     assert set(column("seat_style")[column("h30_mm") < 229]) == {"sport"}
     assert {2, 3} == set(column("rear_places"))
     assert column("w20_2_mm")[column("rear_places") == 3].min() > column("w20_2_mm")[column("rear_places") == 2].max() - 0.11
+
+
+def test_captains_chairs_stand_in_high_cars_alone() -> None:
+    """Their column is 14 cm tall: in a low car it would stand in the cushion, and nobody could sit there."""
+    front, rear = column("seat_style") == "captain", column("rear_style") == "captain"
+    assert front.any()
+    assert column("h30_mm")[front].min() >= 270
+    assert rear.any()
+    assert column("h30_2_mm")[rear].min() >= 260

@@ -61,6 +61,7 @@ _SECOND_ROW = {  # what it has more than the first
     "w3_2_mm": (-60.0, 20.0),
 }
 _SPORT_MM = 230.0  # H30 below which only a sports seat has its shell under the cushion
+_CAPTAIN_MM, _CAPTAIN_2_MM = 270.0, 260.0  # H30-1 and H30-2 below which the column of a captain's chair stands in its cushion
 _THREE_PLACES_MM = 340.0  # W20-2 that leaves room for somebody in the middle
 _LIMITS = {
     code: (field["minimum"], field["maximum"])
@@ -70,7 +71,7 @@ _LIMITS = {
 
 
 def random_dimensions(name: str, *, rng: np.random.Generator) -> CabinDimensions:
-    """Dimensions of a car with two rows, called `name`: as many numbers are drawn whatever comes out."""
+    """Dimensions of a car with two rows, called `name`."""
     t = rng.random()
     values: dict[str, float] = {"h30_mm": _H30_MM[0] + t * (_H30_MM[1] - _H30_MM[0])}
     for code, line in _WITH_HEIGHT.items():
@@ -81,14 +82,22 @@ def random_dimensions(name: str, *, rng: np.random.Generator) -> CabinDimensions
     for code, bounds in _SECOND_ROW.items():
         values[code] = values[code.replace("_2_", "_")] + rng.uniform(*bounds)
     seat = rng.choice(_FRONT_SEATS).item()
+    clutch, leather = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+    rear = rng.choice(_REAR_SEATS).item()
+    if values["h30_mm"] < _SPORT_MM:
+        seat = "sport"
+    elif seat == "captain" and values["h30_mm"] < _CAPTAIN_MM:
+        seat = "comfort"
+    if rear == "captain" and values["h30_2_mm"] < _CAPTAIN_2_MM:
+        rear = "bench"
     return CabinDimensions(
         name=name,
         **{code: round(float(np.clip(value, *_LIMITS[code])), 1) for code, value in values.items()},
         rear_places=3 if values["w20_2_mm"] >= _THREE_PLACES_MM else 2,
-        clutch=bool(rng.random() < 0.5),
-        leather=bool(rng.random() < 0.5),
-        seat_style="sport" if values["h30_mm"] < _SPORT_MM else seat,
-        rear_style=rng.choice(_REAR_SEATS).item(),
+        clutch=clutch,
+        leather=leather,
+        seat_style=seat,
+        rear_style=rear,
         dash_style=rng.choice(_DASHES).item(),
         console_style=rng.choice(get_args(ConsoleStyle)).item(),
         door_style=rng.choice([style for style in get_args(DoorStyle) if style != "wall"]).item(),
