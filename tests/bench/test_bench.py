@@ -66,6 +66,7 @@ def test_a_small_bench_has_every_figure(tmp_path: Path) -> None:
     assert len(said) == 4
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_a_process_of_its_own() -> None:
     ballast = np.ones(140_000_000)  # 1.1 GB here, none of which may be counted
     figures = memory_growth(8)

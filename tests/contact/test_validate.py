@@ -229,6 +229,7 @@ def test_without_a_cabin_only_bodies_are_judged() -> None:
     assert validator.check([("driver", *person((0, 0, -3.0)))], {}).ok
 
 
+@pytest.mark.slow
 def test_the_exact_test_agrees_on_shaken_scenes(validator: Validator) -> None:
     """Two people and the wheel at random: no accepted scene is too deep, no refused scene is free, by trimesh."""
     rng = np.random.default_rng(11)

@@ -33,6 +33,7 @@ def test_a_car_is_the_same_whatever_is_drawn_beside_it() -> None:
     assert car_dimensions(3, "C0007").name == "C0007"
 
 
+@pytest.mark.slow
 def test_frames_show_the_random_cars_whatever_the_number_of_workers(tmp_path: Path) -> None:
     generate(small_config(**ONLY_RANDOM), 2 * PART, tmp_path / "one", seed=7, workers=1)
     process = start(tmp_path / "run.py", tmp_path / "two", workers=2, frames=2 * PART, **ONLY_RANDOM)
