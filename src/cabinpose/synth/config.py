@@ -156,7 +156,7 @@ class CabinScene(Model):
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
         for car in self.cars:
-            if car not in PRESETS and not car.endswith((".yaml", ".yml")):
+            if car not in PRESETS and not is_car_file(car):
                 raise unknown_name("car", car, [*PRESETS, "<path to a .yaml of your own mesh>"])
             if self.random_cars and _RANDOM_CAR.fullmatch(Path(car).stem):
                 raise ConfigError(f"{Path(car).name} would be taken for a random car", hint="give the file another name")
@@ -248,6 +248,11 @@ class SynthConfig(Model):
             raise explain(error, cls) from error
 
 
+def is_car_file(car: str) -> bool:
+    """Whether a car of the configuration is a user's own mesh."""
+    return car.endswith((".yaml", ".yml"))
+
+
 def room_preset() -> SynthConfig:
     """One person standing in a room before a Kinect-class camera, in ITOP's geometry: adults, as its subjects are."""
     adults = {"age": Range(min=0.45, max=0.85), "stature_m": Range(min=1.6, max=1.95)}
@@ -266,9 +271,7 @@ def _with_paths(data: dict[str, Any], base: Path) -> dict[str, Any]:
         return data
     scene = dict(scene)
     if isinstance(scene.get("cars"), list):
-        scene["cars"] = [
-            str((base / c).resolve()) if isinstance(c, str) and c.endswith((".yaml", ".yml")) else c for c in scene["cars"]
-        ]
+        scene["cars"] = [str((base / c).resolve()) if isinstance(c, str) and is_car_file(c) else c for c in scene["cars"]]
     profile = scene.get("profile")
     if isinstance(profile, dict) and isinstance(profile.get("path"), str):
         scene["profile"] = {**profile, "path": str((base / profile["path"]).resolve())}

@@ -40,7 +40,7 @@ from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.synth.boarding import board, slimmest_in_the_middle
-from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng
+from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng, is_car_file
 from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, draw_offset, random_action, sample_pose
 from cabinpose.synth.posture.company import Company
 from cabinpose.synth.posture.motion import recorded_pose
@@ -384,7 +384,7 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
             eyes[name] = np.asarray(view.position_m, dtype=np.float64)
         elif view > 0:
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
-            if _is_file(car):
+            if is_car_file(car):
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
     if not eyes:
         return
@@ -432,12 +432,7 @@ def _named_person(subject: str) -> Person:
 
 
 def _place_name(car: str) -> str:
-    return Path(car).stem if _is_file(car) else car
-
-
-def _is_file(car: str) -> bool:
-    """Whether a car of the configuration is a user's own mesh."""
-    return car.endswith((".yaml", ".yml"))
+    return Path(car).stem if is_car_file(car) else car
 
 
 def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:

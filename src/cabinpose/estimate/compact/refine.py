@@ -1,4 +1,4 @@
-"""The second look: around the place where a joint was voted to be, at four times the resolution of the votes.
+"""A look again: around the place where a joint was found, at twice the resolution of the votes, and at that of the depth image.
 
 A joint's token is what lies around its place (fine features and the depths there, relative to the joint's own), the coarse
 features at it, and where it is. The tokens of all joints of all places attend to one another, so that a wrist knows its
