@@ -13,36 +13,48 @@ FRAMES ?= 1000
 UNSEEN ?= 100
 WORKERS ?= 2
 DEMO := demo
+WERROR ?= OFF
+NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
 
-.PHONY: help demo test lint format bench docs lock clean
+.PHONY: help demo test test-all test-native lint format bench docs lock clean
 
 help:  ## what there is
-	@grep -hE '^[a-z]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
 
-demo: $(VENV)/.train  ## install, generate 1000 frames, train a small detector, evaluate it on people it never saw
+demo: $(VENV)/.base  ## install, generate 1000 frames and look at them; then train a small detector, and evaluate it on people it never saw
 	$(BIN)/cabinpose synth --config docs/examples/demo.yaml --frames $(FRAMES) --workers $(WORKERS) --out $(DEMO)/dataset --resume
 	$(BIN)/cabinpose info $(DEMO)/dataset
 	$(BIN)/cabinpose view $(DEMO)/dataset --out $(DEMO)/view --overwrite
+	@echo "open $(DEMO)/view/index.html; next come training and evaluation"
 	$(BIN)/cabinpose synth --config docs/examples/demo-unseen.yaml --frames $(UNSEEN) --workers $(WORKERS) --seed 2 --out $(DEMO)/unseen --resume
+	@$(MAKE) --no-print-directory $(VENV)/.train
 	$(BIN)/cabinpose train --data $(DEMO)/dataset --config docs/examples/demo-train.yaml --out $(DEMO)/run --resume
 	$(BIN)/cabinpose export --onnx $(DEMO)/run/best.ckpt --out $(DEMO)/demo.onnx --overwrite
 	$(BIN)/cabinpose evaluate --data $(DEMO)/unseen --model $(DEMO)/demo.onnx in_car --persons driver front_passenger \
 	  --out $(DEMO)/report --overwrite
 	@echo "open $(DEMO)/view/index.html and $(DEMO)/report/index.html"
 
-test: $(VENV)/.dev  ## all tests; CABINPOSE_REAL_DATA names the folder of real recordings
+test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA names the folder of real recordings
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m "not slow"
+
+test-all: $(VENV)/.dev  ## all tests
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile
+
+test-native: $(VENV)/.dev  ## the kernels' tests with the kernels built under the address and undefined-behaviour sanitizers
+	tools/test_native.sh $(BIN)
 
 lint: $(VENV)/.dev  ## style, types, import rules, the tree's own rules
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/clang-format --dry-run --Werror $(NATIVE)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tools/check_tree.py
 
-format: $(VENV)/.dev  ## let ruff mend what it can
+format: $(VENV)/.dev  ## let ruff and clang-format mend what they can
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+	$(BIN)/clang-format -i $(NATIVE)
 
 bench: $(VENV)/.dev  ## the figures of docs/benchmarks.md, as two lines of JSON on stdout
 	$(BIN)/cabinpose bench synth --json
@@ -53,6 +65,8 @@ docs: $(VENV)/.dev  ## run every command and example of the documentation, follo
 
 lock: $(VENV)/.dev  ## pin the newest versions that pyproject.toml allows
 	$(BIN)/uv pip compile -q --universal --upgrade $(LOCK_FLAGS) pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) --group build -o requirements-build.lock
+	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) --group compiler -o requirements-compiler.lock
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements.lock --extra train pyproject.toml -o requirements-train.lock
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements-train.lock --extra dev pyproject.toml -o requirements-dev.lock
 
@@ -62,24 +76,27 @@ clean:  ## remove what the targets made, .venv included
 
 LOCK_FLAGS := --no-header --no-annotate --no-emit-index-url --no-emit-find-links
 
-# One environment, filled step by step: what the package needs, what training needs, what its developers need. `uv` is only faster:
-# where it cannot be had, pip installs the same pins.
-INSTALL = if [ -x $(BIN)/uv ]; then $(BIN)/uv pip install -q --python $(BIN)/python $(1); else $(BIN)/python -m pip install -q $(1); fi
+# One environment, filled step by step: what the package needs, what training needs, what its developers need.
+$(VENV)/.base: requirements.lock $(VENV)/.native
+	@tools/patiently.sh "installing what cabinpose needs into $(VENV)" tools/install.sh $(VENV) -r requirements.lock
+	@touch $@
 
-$(VENV)/.base: requirements.lock pyproject.toml | $(BIN)/python
-	@echo "installing cabinpose into $(VENV)"
-	@$(call INSTALL,-r requirements.lock)
-	@$(call INSTALL,--no-deps -e .)
+# The extension is built into build/ and installed with the package, which itself is used from src/.
+$(VENV)/.native: requirements-build.lock pyproject.toml CMakeLists.txt $(NATIVE) | $(BIN)/python
+	@tools/patiently.sh "installing what the kernels are built with into $(VENV)" tools/install.sh $(VENV) -r requirements-build.lock
+	@mkdir -p build
+	@defines=$$(tools/compiler.sh $(VENV)) && LOG=build/build.log tools/patiently.sh "building the kernels of cabinpose" \
+	  $(BIN)/python -m pip install -v --no-build-isolation --no-deps -C cmake.define.CABINPOSE_WERROR=$(WERROR) \
+	  $$(printf -- '-C cmake.define.%s ' $$defines) -e . || { grep -m5 -E "error|Error" build/build.log >&2; \
+	  echo "hint: all that the build said is in build/build.log; after a build that was interrupted, try make clean" >&2; exit 2; }
 	@touch $@
 
 $(VENV)/.train: requirements-train.lock $(VENV)/.base
-	@echo "installing what training needs into $(VENV)"
-	@$(call INSTALL,-r requirements-train.lock)
+	@tools/patiently.sh "installing what training needs into $(VENV) (5 GB)" tools/install.sh $(VENV) -r requirements-train.lock
 	@touch $@
 
 $(VENV)/.dev: requirements-dev.lock $(VENV)/.base
-	@echo "installing the development tools into $(VENV)"
-	@$(call INSTALL,-r requirements-dev.lock)
+	@tools/patiently.sh "installing the development tools into $(VENV)" tools/install.sh $(VENV) -r requirements-dev.lock
 	@touch $@
 
 $(BIN)/python:

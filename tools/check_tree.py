@@ -45,13 +45,8 @@ def module_breaches(name: str, text: str) -> Iterator[str]:
     if lines > MAX_LINES and name not in LONG_MODULES:
         yield f"{name}:1: {lines} lines; split it, or give the reason in tools/check_tree.py"
     for node in ast.walk(ast.parse(text, name)):
-        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not _is_kernel(node):
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
             yield from (f"{name}:{node.lineno}: {node.name}: {breach}" for breach in _rng_breaches(node.args))
-
-
-def _is_kernel(node: ast.FunctionDef) -> bool:
-    """Whether numba compiles the function: its calls take no keyword-only arguments."""
-    return any("njit" in ast.unparse(decorator) for decorator in node.decorator_list)
 
 
 def _rng_breaches(args: ast.arguments) -> Iterator[str]:

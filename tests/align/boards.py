@@ -79,7 +79,7 @@ def _fine_rays(camera: Camera, low: np.ndarray, high: np.ndarray, factor: int) -
         for n, du in enumerate(nodes):
             xy = np.stack((u + du - camera.cx, v + dv - camera.cy), axis=-1) / (camera.fx, camera.fy)
             weight = (by_v[m] * by_u[n])[None, :, None, :, None]
-            fine += camera.undistort(xy, iterations=5)[:, None, :, None, :] * weight
+            fine += camera.undistort(xy)[:, None, :, None, :] * weight
     return fine.reshape(rows * factor, columns * factor, 2)
 
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cabinpose._native import body as native
 from cabinpose.core.errors import CabinposeError, ConfigError
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Phenotype
 from cabinpose.scene.body.shape import load_shape_space
-from cabinpose.scene.body.skinning import skin_layers
 
 OURS_FROM_ANNY = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 REFERENCE = dict(np.load(Path(__file__).parent / "anny_reference.npz"))
@@ -39,7 +39,9 @@ def test_skinning_kernel_reproduces_annys_posed_vertices(row: int) -> None:
     weight = np.take_along_axis(weights, order, axis=1)
     out = np.empty((1, len(weights), 3), np.float32)
     rest = REFERENCE["rest"][row][None]
-    skin_layers(np.ascontiguousarray(REFERENCE["transforms"][row][:, :3]), order.astype(np.uint8), weight, rest, out)
+    native.skin_layers(
+        np.ascontiguousarray(REFERENCE["transforms"][row][:, :3], dtype=np.float64), order.astype(np.uint8), weight, rest, out
+    )
     assert_allclose(out[0], REFERENCE["posed"][row], atol=2e-6)
 
 

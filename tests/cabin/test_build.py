@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 from cars import DIMENSIONS, RANDOM
+from scipy.interpolate import PchipInterpolator
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, is_rigid
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting, build_cabin
+from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, CabinDimensions, SeatSetting, build_cabin
+from cabinpose.scene.cabin.layout import Layout, monotone_cubic
 from cabinpose.scene.surface import Surface
 
 EVERY = [(name, side) for name in PRESETS for side in ("left", "right")]
@@ -26,6 +28,11 @@ def closed_mesh(surface: Surface) -> trimesh.Trimesh:
 def cabin(request: pytest.FixtureRequest) -> Cabin:
     name, side = request.param
     return build_cabin(DIMENSIONS[name], drive_side=side)
+
+
+def test_every_cabin_has_what_every_cabin_has(cabin: Cabin) -> None:
+    assert set(SEATS_OF_ALL) <= set(cabin.seats)
+    assert set(VIEWS_OF_ALL) == set(cabin.views)
 
 
 def test_each_solid_is_closed_and_looks_outwards(cabin: Cabin) -> None:
@@ -149,3 +156,22 @@ def test_dimensions_say_their_code_and_source() -> None:
         assert field.description
         if name.endswith(("_mm", "_deg")) and field.json_schema_extra:
             assert "J1100" in field.description
+
+
+def test_monotone_cubics_are_scipys() -> None:
+    """Coefficients to the last bit, of rising, falling, turning and level points."""
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        n = rng.integers(3, 7)
+        x = np.sort(rng.uniform(0, 3, n))
+        for y in (rng.normal(size=n), rng.normal(size=n).round(), np.sort(rng.normal(size=n))):
+            np.testing.assert_array_equal(monotone_cubic(x, y), PchipInterpolator(x, y).c)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_roof_line_is_its_cubics(name: str) -> None:
+    layout = Layout(DIMENSIONS[name])
+    knots, _ = layout._roof_line
+    at = np.linspace(knots[0], knots[-1], 101)
+    heights = [float(layout.roof_line(x)) for x in knots]
+    np.testing.assert_allclose(layout.roof_line(at), PchipInterpolator(knots, heights)(at), rtol=0, atol=1e-12)

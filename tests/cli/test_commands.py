@@ -35,14 +35,27 @@ def test_every_verb_has_help(run: Run, verb: str) -> None:
     assert f"usage: cabinpose {verb}" in out
 
 
-def test_help_loads_nothing_heavy() -> None:
+@pytest.mark.parametrize("arguments", [["--help"], ["synth", "--help"]])
+def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    """No library but tyro, and of the package nothing but the commands."""
     code = (
         "import sys\nfrom cabinpose.app.cli import main\n"
-        "try:\n    main(['synth', '--help'])\nexcept SystemExit:\n    pass\n"
-        "print(*sorted({m.split('.')[0] for m in sys.modules}), file=sys.stderr)"
+        f"try:\n    main({arguments})\nexcept SystemExit:\n    pass\n"
+        "print(*sys.modules, file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert not {"numpy", "numba", "xarray", "zarr", "dask", "cv2", "scipy", "pydantic"} & set(done.stderr.split())
+    modules = set(done.stderr.split())
+    assert not {"numpy", "xarray", "zarr", "dask", "cv2", "scipy", "pydantic", "rich", "typeguard"} & modules
+    rooms = {name.split(".")[1] for name in modules if name.startswith("cabinpose.")}
+    assert rooms == {"app", "core"}
+
+
+def test_top_level_help_reads_no_sources(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("sources were read")
+
+    monkeypatch.setattr("inspect.getsource", refuse)
+    assert run("--help")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -243,7 +256,7 @@ def test_bench_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     code, out, err = run("bench", "synth", "--frames", "10", "--skip-blender", "--json")
     assert (code, err) == (0, "warming up\n")
     assert json.loads(out) == {"frames_per_s": 123.4, "stages_ms": {"render": 5.0}}
-    assert seen == {"frames": 10, "repeats": 3, "workers": 2, "blender": False, "memory_frames": 0}
+    assert seen == {"frames": 10, "repeats": 5, "workers": 2, "blender": False, "memory_frames": 0}
     assert run("bench", "synth").out.splitlines() == ["frames_per_s      123.4", "stages_ms.render  5.0"]
 
 
@@ -279,12 +292,12 @@ def test_bench_detect_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPa
 
 def test_version_and_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch, dataset_folder: Path) -> None:
     import cabinpose
-    from cabinpose.app.cli import info
+    from cabinpose.app.view import summary
 
     assert run("--version") == (0, f"{cabinpose.__version__}\n", "")
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(info, "summarise", interrupt)
+    monkeypatch.setattr(summary, "summarise", interrupt)
     assert run("info", dataset_folder) == (130, "", "interrupted\n")

@@ -12,10 +12,11 @@ import trimesh
 from capsule_people import StubCabin, StubPart, StubSeat, surface
 from numpy.typing import NDArray
 
+from cabinpose._native import contact as native
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import transform
 from cabinpose.scene.contact import BAND_M, OUTSIDE, ContactField
-from cabinpose.scene.contact.field import STEP_M, group_field
-from cabinpose.scene.contact.grid import bit_rows, flood, grow, splat
+from cabinpose.scene.contact.field import STEP_M, bit_rows, group_field, grow
 
 Distance = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -179,7 +180,9 @@ def test_flood_and_growth_equal_those_of_scipy(nk: int) -> None:
         values = rng.random((*rows, nk), np.float32)
         clear = values >= 1.0 - share
         seed = tuple(np.argwhere(clear)[-1 if share == 1.0 else len(clear) // 2])
-        reached, open_border = flood(bit_rows(values, 1.0 - share), np.array([seed]), nk)
+        passable = bit_rows(values, 1.0 - share)
+        reached = np.empty_like(passable)
+        open_border = native.flood(passable, np.array([seed]), nk, reached)
         expected = _reached_by_brute_force(clear, seed)
         np.testing.assert_array_equal(_nodes(reached, nk), expected)
         inner = expected[1:-1, 1:-1, 1:-1] if nk > 2 else expected[:0]
@@ -213,7 +216,7 @@ def test_splat_equals_the_exact_distance(below: float, above: float) -> None:
     points = origin + step * np.argwhere(np.ones((25, 25, 25)))
     for triangle in corners:
         distance = np.full((25, 25, 25), np.inf, np.float32)
-        splat(triangle[None], origin, step, below, above, distance)
+        native.splat(triangle[None], origin, step, below, above, distance)
         closest = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(points), 3, 3)), points)
         exact = np.linalg.norm(points - closest, axis=1)
         normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
@@ -221,3 +224,14 @@ def test_splat_equals_the_exact_distance(below: float, above: float) -> None:
         near = (height > -below + 1e-6) & (height < above - 1e-6) & (exact < max(below, above) - 1e-6)
         np.testing.assert_allclose(np.sqrt(distance.reshape(-1)[near]), exact[near], atol=2e-6)
         assert np.isinf(distance.reshape(-1)[exact > max(below, above) + 1e-6]).all()
+
+
+def test_a_field_too_large_for_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Above all a mesh given in millimetres."""
+    part = StubPart("box", surface(_box((1800.0, 1500.0, 1200.0))))
+    with pytest.raises(ConfigError, match=r"the contact field of 'g' takes \d+\.\d GB") as caught:
+        group_field("g", [part])
+    assert "metres" in caught.value.hint
+    monkeypatch.setattr("cabinpose.scene.contact.field._free_bytes", lambda: 1000)
+    with pytest.raises(ConfigError, match="GB are free"):
+        group_field("g", [StubPart("box", surface(_box((0.3, 0.3, 0.1))))])

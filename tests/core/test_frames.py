@@ -73,8 +73,8 @@ def test_look_at(eye: tuple[float, float, float], target: tuple[float, float, fl
 
 def test_look_at_forward_is_the_named_rotation() -> None:
     """Vehicle: x forward, y left, z up. A camera that looks forward has its x to the right, its y down."""
-    np.testing.assert_allclose(look_at((0, 0, 0), (5, 0, 0))[:3, :3], FORWARD_FROM_CAMERA.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(FORWARD_FROM_CAMERA.apply((1, 0, 0)), (0, -1, 0), atol=1e-12)
+    np.testing.assert_allclose(look_at((0, 0, 0), (5, 0, 0))[:3, :3], FORWARD_FROM_CAMERA, atol=1e-12)
+    np.testing.assert_allclose(FORWARD_FROM_CAMERA @ (1, 0, 0), (0, -1, 0), atol=1e-12)
 
 
 @pytest.mark.parametrize("target", [(1.0, 2.0, 3.0), (1.0, 2.0, 9.0)])

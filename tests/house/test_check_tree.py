@@ -66,7 +66,6 @@ def test_a_lock_file_names_no_address(check_tree: ModuleType) -> None:
         ("def f(*, rng): ...", 0),
         ("class A:\n    def f(self, x, *, rng): ...", 0),
         ("def _f(rng): ...", 0),
-        ("@njit(cache=True)\ndef f(rng): ...", 0),
         ("x = 1\n" * 501, 1),
         ("x = 1\n" * 500, 0),
     ],

@@ -9,15 +9,16 @@ from weakref import ref
 import numpy as np
 import pytest
 
+from cabinpose._native import pose as native
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.body import DOF_INDEX, SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.synth.boarding import boarding_order, slimmest_in_the_middle
 from cabinpose.synth.config import CabinScene, SynthConfig, frame_rng
-from cabinpose.synth.posture.company import company_of, half_breadth
+from cabinpose.synth.posture.company import company_of, half_breadth, within
 from cabinpose.synth.posture.feet import is_opposite, tunnel_m
 from cabinpose.synth.posture.memory import kept_with_person
-from cabinpose.synth.posture.room import CELL_M, sides_corner
+from cabinpose.synth.posture.room import CELL_M, no_sides, room_for, sides_corner
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.sample import SceneSampler
 
@@ -56,6 +57,20 @@ def test_the_nearest_skin_bounds_the_room(people: dict[str, Person]) -> None:
     both = np.isfinite(nearest) & np.isfinite(company.people[1])
     assert both.sum() > 500
     assert np.median(np.abs(nearest[both] - company.people[1][both])) < 0.006
+
+
+def test_neighbours_bring_the_sides_nearer(people: dict[str, Person]) -> None:
+    cabin = build_cabin("suv")
+    seat = cabin.seats["rear_left"]
+    room = room_for(people["S01"], cabin, seat, seat.default)
+    field = no_sides()
+    assert within(room, field) is room
+    field[1] = 0.3
+    crowded = within(room, field)
+    right, left = (seat.design_h_point + (0.2, y, 0.2) for y in (-0.28, 0.28))
+    assert native.beside(crowded, right, 0.05) == pytest.approx((0.03, 1.0))
+    assert native.beside(room, right, 0.05)[0] < 0.0
+    assert native.beside(crowded, left, 0.05) == native.beside(room, left, 0.05)
 
 
 def test_who_comes_first_keeps_to_a_fair_border(people: dict[str, Person]) -> None:

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from render_scenes import BARREL, Embree, ball, cabin_view, people_in_cars, person, rod, room, small_camera
 
 from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert, look_at
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, JOINTS, REACH_M
@@ -17,9 +18,16 @@ from cabinpose.scene.labels import BODY_PARTS
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.render import OWN_PARTS, joint_visibility
+from cabinpose.synth.render import OWN_PARTS, Rasteriser
 
 FORWARD = invert(look_at((0, 0, 0), (1, 0, 0)))
+
+
+def joint_visibility(
+    joints: ArrayLike, instances: list[int], scene: Surface, view: Matrix, camera: Camera, *, closed: bool = False
+) -> NDArray[np.uint8]:
+    """States (P, 20) of joints (P, 20, 3) of the camera frame."""
+    return Rasteriser(camera, 1).render(scene, view, closed=closed, joints=joints, instances=instances).visibility
 
 
 def state(joint: str, at: tuple[float, float, float], parts: list[Surface], instance: int = 1) -> Visibility:
@@ -149,6 +157,12 @@ def test_agrees_with_a_ray_test_on_people_in_cars() -> None:
     for scene, view, joints in people_in_cars():
         ours = joint_visibility(joints, [1, 2], scene, view, camera)
         agree += (ours == by_rays(joints, [1, 2], scene, view, camera)).sum()
+        np.testing.assert_array_equal(joint_visibility(joints, [1, 2], scene, view, camera, closed=True), ours)
         total += ours.size
     assert total == 240
     assert agree >= 0.999 * total
+
+
+def test_joints_without_their_instance_numbers_are_refused() -> None:
+    with pytest.raises(ConfigError, match="joints of 2 persons have 1 instance numbers"):
+        joint_visibility(np.zeros((2, 20, 3)), [1], room(), FORWARD, small_camera())

@@ -8,10 +8,14 @@ weighted by f^2 turn into c sigma_phase / (4 pi sqrt(f1^2 + f2^2)).
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_range, step_edge, use_case, wall
 
+from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.materials import ID, MATERIALS
 from cabinpose.scene.sensor import NO_EFFECTS, SENSORS, GeometryBuffers, PhysicalNoise, Sensor, simulate
@@ -348,6 +352,19 @@ def test_stray_light_pulls_dark_pixels_towards_the_mean() -> None:
     assert expected < 1.6 - 0.01
 
 
+def test_pixels_outside_the_lens_model_send_no_stray_light() -> None:
+    barrel = Camera(80, 60, 40.0, 40.0, 39.5, 29.5, (-0.35, 0.02, 0.0, 0.0, 0.0))
+    sensor = small_sensor(camera=barrel)
+    rays = np.isfinite(barrel.range_over_depth)
+    assert 0.3 < rays.mean() < 0.7
+    shape = (120, 160)
+    flat = GeometryBuffers.dense(2, np.ones(shape, np.float32), np.ones(shape, np.float32), np.full(shape, ID[WHITE], np.uint8))
+    frame = simulate(flat, sensor, PhysicalNoise(), rng=generator(1, 1))
+    assert not np.isfinite(frame.depth_m[~rays]).any()
+    assert (frame.amplitude[~rays] == 0).all()
+    assert np.isfinite(frame.depth_m[rays]).mean() > 0.95
+
+
 # ------------------------------------------------------------------------------------------------------------ switches
 
 SWITCHES: dict[str, object] = {
@@ -399,6 +416,33 @@ def test_same_random_numbers_same_bytes() -> None:
         first, again, other = (getattr(frame, name).tobytes() for frame in frames)
         assert first == again
         assert first != other
+
+
+@pytest.mark.parametrize("supersample", [2, 3])
+def test_mixed_pixels_come_in_any_order(supersample: int) -> None:
+    sensor = use_case(3)
+    flat = step_edge(sensor, 0.8, 1.3, 150, supersample)
+    order = generator(5, supersample).permutation(len(flat.mixed))
+    parts = (flat.parts_depth_m, flat.parts_cos_incidence, flat.parts_material)
+    shuffled = replace(
+        flat,
+        mixed=flat.mixed[order],
+        **{f"parts_{n}": a[order] for n, a in zip(("depth_m", "cos_incidence", "material"), parts, strict=True)},
+    )
+    a, b = (simulate(buffers, sensor, PhysicalNoise(), rng=generator(1, 1)) for buffers in (flat, shuffled))
+    for one, other in zip(a, b, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_threads_do_not_disturb_each_other() -> None:
+    sensor = use_case(3)
+    scene = busy_scene(sensor)
+
+    def depth(frame: int) -> bytes:
+        return simulate(scene, sensor, PhysicalNoise(), rng=generator(4, frame)).depth_m.tobytes()
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(depth, range(8))) == [depth(frame) for frame in range(8)]
 
 
 def test_dtypes_and_invalid_pixels() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -136,4 +138,6 @@ def test_buffers_of_unlike_shapes_are_refused() -> None:
         GeometryBuffers.dense(2, depth, depth[:4], material)
     with pytest.raises(ConfigError, match="samples"):
         GeometryBuffers.dense(4, depth, depth, material)
+    with pytest.raises(ConfigError, match="arrays"):
+        replace(GeometryBuffers.dense(2, depth, depth, material), depth_m=np.ones((3, 4)))
     assert GeometryBuffers.dense(2, depth, depth, material).shape == (3, 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import warnings
 from pathlib import Path
@@ -14,11 +15,15 @@ import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from zarr.codecs import BloscCodec, Crc32cCodec
+from zarr.errors import ZarrUserWarning
+from zarr.storage import MemoryStore
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.store import Manifest, PartWriter, create_dataset, open_dataset, points_m, read_manifest
 from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, manifest_yaml
-from cabinpose.store.shard import FRAMES_PER_SHARD, depth_ticks
+from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL, depth_ticks
+from cabinpose.store.zarr_metadata import zarr_arrays
 
 
 def test_frames_come_back(spheres: ModuleType, dataset_folder: Path) -> None:
@@ -168,6 +173,42 @@ def test_same_frames_same_bytes(spheres: ModuleType, dataset_folder: Path, tmp_p
     assert names == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
     for name in names:
         assert (dataset_folder / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_metadata_is_the_librarys_own(spheres: ModuleType, tmp_path: Path) -> None:
+    """Every zarr.json, byte by byte as the Zarr library writes it, and its consolidated copies."""
+    manifest = spheres.manifest(frames=2, variables=("depth", "labels", "rgb", "itop_joints_3d"), width=5, height=4)
+    store = MemoryStore()
+    group = zarr.create_group(store, zarr_format=3)
+    for array in zarr_arrays(manifest, frames=2):
+        item = 1 if array.dtype == "str" else np.dtype(array.dtype).itemsize
+        group.create_array(
+            array.name,
+            shape=array.shape,
+            dtype=str if array.dtype == "str" else array.dtype,
+            chunks=(1, *array.shape[1:]) if array.is_image else array.shape,
+            shards=(FRAMES_PER_SHARD, *array.shape[1:]) if array.is_image else None,
+            compressors=[BloscCodec(cname="lz4", clevel=LEVEL, shuffle="bitshuffle", typesize=item), Crc32cCodec()],
+            fill_value={"U": "", "f": np.nan}.get(np.dtype(array.dtype).kind, 0),
+            dimension_names=array.dims,
+            attributes=dict(array.attrs),
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZarrUserWarning)
+        zarr.consolidate_metadata(store)
+    with create_dataset(tmp_path, manifest), PartWriter(tmp_path, manifest.parts[0], manifest) as part:
+        for index in range(2):
+            frame = spheres.frame(index, manifest)
+            frame |= {"rgb": np.zeros((4, 5, 3), np.uint8), "itop_joints_3d": np.zeros((5, 15, 3), np.float32)}
+            part.append({variable.name: frame[variable.name] for variable in manifest.stored})
+    folder = tmp_path / "part-00000.zarr"
+    theirs = {name: buffer.to_bytes() for name, buffer in store._store_dict.items()}
+    root = json.loads(theirs.pop("zarr.json"))
+    assert sorted(theirs) == sorted(path.relative_to(folder).as_posix() for path in folder.glob("*/zarr.json"))
+    for name, text in theirs.items():
+        assert (folder / name).read_bytes() == text, name
+    ours = json.loads((folder / "zarr.json").read_text())
+    assert json.dumps(ours | {"attributes": {}}) == json.dumps(root)
 
 
 def test_frames_span_shards(spheres: ModuleType, tmp_path: Path) -> None:

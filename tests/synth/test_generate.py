@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
+from distributed import Client, LocalCluster
 from synth_scenes import PART, fingerprint, small_config, start
 
 from cabinpose.core.camera import Camera
@@ -20,7 +20,7 @@ from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.labels import FIRST_BODY_ID, LAST_BODY_ID
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import Limits, Output, SynthConfig, room_preset
-from cabinpose.synth.generate import generate
+from cabinpose.synth.generate import Progress, generate
 
 FRAMES = 3 * PART
 
@@ -34,7 +34,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_two_workers_write_the_same_bytes(reference: Path, tmp_path: Path) -> None:
+def test_two_threads_write_the_same_bytes(reference: Path, tmp_path: Path) -> None:
     process = start(tmp_path / "run.py", tmp_path / "two", workers=2)
     assert process.wait(timeout=300) == 0
     assert fingerprint(tmp_path / "two") == fingerprint(reference)
@@ -44,7 +44,8 @@ def test_killed_and_resumed_writes_the_same_bytes(reference: Path, tmp_path: Pat
     out = tmp_path / "killed"
     process = start(tmp_path / "run.py", out, workers=1)
     assert process.stdout is not None
-    assert process.stdout.readline().startswith("done")  # the first part is on disk, the second has begun
+    while process.stdout.readline() != f"done {PART}\n":  # then the first part is on disk, the second has begun
+        assert process.poll() is None
     os.killpg(process.pid, signal.SIGKILL)
     process.wait(timeout=60)
     done = sorted(p.name for p in out.glob("part-*.zarr"))
@@ -57,15 +58,22 @@ def test_killed_and_resumed_writes_the_same_bytes(reference: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_is_replaced(reference: Path, tmp_path: Path) -> None:
-    process = start(tmp_path / "run.py", tmp_path / "wounded", workers=2)
-    assert process.stdout is not None
-    assert process.stdout.readline().startswith("done")
-    python = [p for p in psutil.Process(process.pid).children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
-    assert python, "no worker process found"
-    python[-1].kill()
-    assert process.wait(timeout=300) == 0
-    assert fingerprint(tmp_path / "wounded") == fingerprint(reference)
+def test_a_cluster_makes_the_same_bytes_though_a_worker_dies(reference: Path, tmp_path: Path) -> None:
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1"}
+    with LocalCluster(**options, dashboard_address=None, silence_logs="ERROR") as cluster:
+        with Client(cluster) as client:
+            pids = list(client.run(os.getpid).values())
+
+        def kill_one(_: Progress) -> None:
+            if pids:
+                os.kill(pids[0], signal.SIGKILL)
+                pids.clear()
+
+        out = tmp_path / "wounded"
+        report = generate(small_config(), FRAMES, out, seed=7, scheduler=cluster.scheduler_address, progress=kill_one)
+    assert not pids
+    assert report.frames == FRAMES
+    assert fingerprint(out) == fingerprint(reference)
 
 
 def test_another_seed_makes_other_frames(reference: Path, tmp_path: Path) -> None:

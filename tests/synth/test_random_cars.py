@@ -12,7 +12,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.store import open_dataset
 from cabinpose.synth import sample
-from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.config import Camera, SynthConfig, frame_rng
 from cabinpose.synth.generate import generate
 from cabinpose.synth.sample import SceneSampler, car_dimensions, car_names, preflight
 
@@ -103,7 +103,19 @@ def test_what_no_random_car_allows_is_refused(scene: dict[str, Any], views: dict
     assert caught.value.hint
 
 
-def test_one_random_car_stands_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("scene", "views", "cars"),
+    [
+        ({}, {"driver": 0.5, "rear": 0.5, "bonnet": 0.0}, 0),  # what every car has
+        ({"motion": {"driver": {"drive": 1.0}}}, {"driver": 1.0}, 2),
+        ({}, {"mine": {"position_m": (0.6, 0.0, 1.0), "look_at_m": (-1.0, 0.0, 1.0)}}, 2),
+        ({"occupancy": {"driver": 0.0, "rear_center": 1.0}, "cars": ["hatchback"], "random_cars": 0}, {"driver": 1.0}, 1),
+    ],
+)
+def test_cars_are_built_beforehand_where_they_differ(
+    monkeypatch: pytest.MonkeyPatch, scene: dict[str, Any], views: dict[str, Any], cars: int
+) -> None:
+    """One random car stands for all."""
     built = []
 
     def counting(*arguments: Any, **options: Any) -> Any:
@@ -111,5 +123,7 @@ def test_one_random_car_stands_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
         return build_cabin(*arguments, **options)
 
     monkeypatch.setattr(sample, "build_cabin", counting)
-    preflight(small_config(cars=[], random_cars=40), frames=1)
-    assert len(built) == 1
+    config = small_config(**({"cars": ["hatchback"], "random_cars": 40, "occupancy": DRIVER} | scene))
+    camera = config.camera.model_copy(update={"views": Camera(views=views).views})
+    preflight(config.model_copy(update={"camera": camera}), frames=1)
+    assert len(built) == cars

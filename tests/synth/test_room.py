@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import trimesh
 
 from cabinpose.core.frames import is_rigid
+from cabinpose.scene import room as module
 from cabinpose.scene.room import furnish_room, place_room_camera
 from cabinpose.synth.config import frame_rng
 
@@ -35,6 +37,18 @@ def test_normals_are_those_of_the_triangles() -> None:
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)
     assert np.einsum("fk,fk->f", flat, surface.normals[surface.faces[:, 0]]).min() > 0.999
+
+
+def test_solids_are_closed_and_look_outwards() -> None:
+    box = module._box((1.0, 2.0, 3.0), (2.0, 4.0, 6.0), "wall", "wood").vertices.reshape(-1, 3, 3)
+    for triangles, volume in ((box, 6.0), (module._pot(0.14, 0.4), 0.0235), (module._ball(0.1), 0.00366)):
+        count = len(triangles)
+        solid = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), process=True)
+        solid.merge_vertices(digits_vertex=6)
+        assert solid.is_watertight
+        assert solid.is_winding_consistent
+        assert solid.volume == pytest.approx(volume, rel=0.01)
+    assert np.linalg.norm(module._ball(0.1), axis=-1) == pytest.approx(0.1)
 
 
 def test_camera_is_level_high_and_looks_into_the_room() -> None:

@@ -13,18 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
-from scipy.special import erf
 
+from cabinpose._native import align
 from cabinpose.align.board import Board
 from cabinpose.core.errors import AlignmentError
 
 F64 = NDArray[np.float64]
 
-_REACH = 0.42  # of a square: how far from a corner its pixels are taken; at 0.5 the edges' blur would bring in the next squares
-_LARGEST_REACH_PX = 12.0
-_ROUNDS = 25
 _MISPLACED = 0.2  # of a square
-_FEWEST_PIXELS = 16  # of a corner: the model has 11 numbers and the blur is shared
 _SEARCH_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SECTOR_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
 
@@ -167,118 +163,17 @@ def _off_the_grid(grid: F64) -> F64:
 def _refine(image: F64, grid: F64) -> tuple[F64, float, float]:
     """Corners (rows, columns, 2) by least squares on the amplitudes around each; the blur (px) and the contrast they share.
 
-    Model: a(u, v) = m + c * E(d1) * E(d2), m and c linear in (u, v), d1 and d2 the distances from two lines through the corner,
-    E(d) a step blurred by sigma and by the pixel. Levenberg-Marquardt on all corners at once, (du, dv, two angles, m, c) each,
-    sigma in common.
+    The model is that of `fit_corners` of the compiled core.
     """
-    rows, columns = grid.shape[:2]
     start = grid.reshape(-1, 2)
-    along, down = (np.gradient(grid, axis=axis).reshape(-1, 2) for axis in (1, 0))
-    reach = min(
-        _REACH * float(max(np.linalg.norm(along, axis=1).max(), np.linalg.norm(down, axis=1).max())) * 1.5, _LARGEST_REACH_PX
-    )
-    span = np.arange(-int(np.ceil(reach)), int(np.ceil(reach)) + 1)
-    whole = np.rint(start).astype(int)
-    dv, du = (d.ravel() for d in np.meshgrid(span, span, indexing="ij"))
-    u, v = whole[:, :1] + du, whole[:, 1:] + dv  # (N, P)
-    inside = (u >= 0) & (v >= 0) & (u < image.shape[1]) & (v < image.shape[0])
-    value = image[np.clip(v, 0, image.shape[0] - 1), np.clip(u, 0, image.shape[1] - 1)]
-    x, y = u - start[:, :1], v - start[:, 1:]
-    det = along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0]
-    i = (x * down[:, 1:] - y * down[:, :1]) / det[:, None]
-    j = (y * along[:, :1] - x * along[:, 1:]) / det[:, None]
-    near = np.hypot(x, y) <= _LARGEST_REACH_PX
-    weight = (inside & near & (np.abs(i) < _REACH) & (np.abs(j) < _REACH)).astype(np.float64)
-    if weight.sum(axis=1).min() < _FEWEST_PIXELS:
+    along, down = (np.ascontiguousarray(np.gradient(grid, axis=axis).reshape(-1, 2)) for axis in (1, 0))
+    offset, levels = np.empty_like(start), np.empty((len(start), 6))
+    sigma = align.fit_corners(image, np.ascontiguousarray(start), along, down, offset, levels)
+    if np.isnan(sigma):
         raise AlignmentError(
             "a corner has too few pixels around it", hint="hold the board nearer, less oblique, away from the edge"
         )
-
-    scale = np.sqrt(np.sum(weight * value**2, axis=1) / weight.sum(axis=1))
-    value = value / scale[:, None]
-    # Normals of the two edges: the distance from the line along x grows with y of the board, and the other way round.
-    first, second = np.arctan2(along[:, 0], -along[:, 1]), np.arctan2(-down[:, 0], down[:, 1])
-    geometry = np.column_stack((np.zeros((len(start), 2)), first, second))
-    sigma, damping = 0.4, 1e-3
-    levels = _levels(value, weight, x, y, geometry, sigma)
-    cost = _residual(value, weight, x, y, geometry, levels, sigma)[1]
-    for _ in range(_ROUNDS):
-        step, shared = _step(value, weight, x, y, geometry, levels, sigma, damping)
-        tried = (geometry + np.clip(step[:, :4], -0.5, 0.5), levels + step[:, 4:], float(np.clip(sigma + shared, 0.05, 3.0)))
-        after = _residual(value, weight, x, y, *tried)[1]
-        if after.sum() < cost.sum():
-            moved = np.abs(tried[0][:, :2] - geometry[:, :2]).max()
-            geometry, levels, sigma, cost, damping = *tried, after, max(damping / 5, 1e-9)
-            if moved < 1e-5:
-                break
-        else:
-            damping *= 10
-    if np.abs(geometry[:, :2]).max() > 0.35 * min(np.linalg.norm(along, axis=1).min(), np.linalg.norm(down, axis=1).min()):
+    if np.abs(offset).max() > 0.35 * min(np.linalg.norm(along, axis=1).min(), np.linalg.norm(down, axis=1).min()):
         raise AlignmentError("a corner is not where the search found it", hint="the board is blurred or partly covered")
     contrast = float(np.median(np.abs(levels[:, 3]) / np.maximum(np.abs(levels[:, 0]), 1e-9)))
-    return (start + geometry[:, :2]).reshape(rows, columns, 2), sigma, contrast
-
-
-def _edges(x: F64, y: F64, geometry: F64, sigma: float) -> tuple[F64, F64, F64, F64, F64, F64]:
-    """(N, P) E(d1) and its derivatives by d1 and by sigma, and the same of d2, the distances from both lines."""
-    a, b = x - geometry[:, 0:1], y - geometry[:, 1:2]
-    d1 = np.cos(geometry[:, 2:3]) * a + np.sin(geometry[:, 2:3]) * b
-    d2 = np.cos(geometry[:, 3:4]) * a + np.sin(geometry[:, 3:4]) * b
-    return *_edge(d1, sigma), *_edge(d2, sigma)
-
-
-def _edge(d: F64, sigma: float) -> tuple[F64, F64, F64]:
-    """E(d), and its derivatives by d and by sigma: a step from -1 to 1, blurred by sigma, averaged over a pixel's width."""
-    far, near = d + 0.5, d - 0.5
-    erf_far, erf_near = erf(far / (np.sqrt(2) * sigma)), erf(near / (np.sqrt(2) * sigma))
-    bell_far, bell_near = (np.sqrt(2 / np.pi) * np.exp(-0.5 * (x / sigma) ** 2) for x in (far, near))
-    value = far * erf_far - near * erf_near + sigma * (bell_far - bell_near)
-    return value, erf_far - erf_near, bell_far - bell_near
-
-
-def _residual(value: F64, weight: F64, x: F64, y: F64, geometry: F64, levels: F64, sigma: float) -> tuple[F64, F64]:
-    """(N, P) image less model, and its sum of squares (N,)."""
-    e1, _, _, e2, _, _ = _edges(x, y, geometry, sigma)
-    m, c, p = levels[:, :3, None], levels[:, 3:, None], e1 * e2
-    r = value - (m[:, 0] + m[:, 1] * x + m[:, 2] * y + (c[:, 0] + c[:, 1] * x + c[:, 2] * y) * p)
-    return r, np.sum(weight * r**2, axis=1)
-
-
-def _levels(value: F64, weight: F64, x: F64, y: F64, geometry: F64, sigma: float) -> F64:
-    """(N, 6) m and c of given edges: a linear problem each."""
-    e1, _, _, e2, _, _ = _edges(x, y, geometry, sigma)
-    p = e1 * e2
-    columns = np.stack((np.ones_like(x), x, y, p, x * p, y * p), axis=-1)
-    normal = np.einsum("npa,np,npb->nab", columns, weight, columns)
-    return np.linalg.solve(normal + 1e-9 * np.eye(6), np.einsum("npa,np,np->na", columns, weight, value)[..., None])[..., 0]
-
-
-def _step(value: F64, weight: F64, x: F64, y: F64, geometry: F64, levels: F64, sigma: float, damping: float) -> tuple[F64, float]:
-    """One Levenberg-Marquardt step: (N, 10) of the corners' own numbers, and that of sigma, by the Schur complement."""
-    e1, f1, s1, e2, f2, s2 = _edges(x, y, geometry, sigma)
-    r, _ = _residual(value, weight, x, y, geometry, levels, sigma)
-    p = e1 * e2
-    c = levels[:, 3:4] + levels[:, 4:5] * x + levels[:, 5:6] * y
-    a, b = x - geometry[:, 0:1], y - geometry[:, 1:2]
-    cos1, sin1, cos2, sin2 = (f(geometry[:, k : k + 1]) for k in (2, 3) for f in (np.cos, np.sin))
-    by_d1, by_d2 = c * f1 * e2, c * e1 * f2
-    own = np.stack(
-        (
-            -by_d1 * cos1 - by_d2 * cos2,
-            -by_d1 * sin1 - by_d2 * sin2,
-            by_d1 * (b * cos1 - a * sin1),
-            by_d2 * (b * cos2 - a * sin2),
-            np.ones_like(x), x, y, p, x * p, y * p,
-        ),
-        axis=-1,
-    )  # fmt: skip
-    shared = c * (s1 * e2 + e1 * s2)
-    normal = np.einsum("npa,np,npb->nab", own, weight, own)
-    diagonal = np.einsum("naa->na", normal)
-    normal = normal + np.einsum("na,ab->nab", damping * diagonal + 1e-12, np.eye(10))
-    side = np.einsum("npa,np,np->na", own, weight, shared)
-    right = np.einsum("npa,np,np->na", own, weight, r)
-    solved = np.linalg.solve(normal, np.stack((right, side), axis=-1))
-    rest = np.sum(weight * shared**2) * (1 + damping) - np.sum(side * solved[..., 1])
-    step = float((np.sum(weight * shared * r) - np.sum(side * solved[..., 0])) / max(rest, 1e-12))
-    return solved[..., 0] - step * solved[..., 1], step
+    return grid + offset.reshape(grid.shape), sigma, contrast

@@ -8,11 +8,12 @@ Source of the distortion model: OpenCV `calib3d`, five coefficients (k1, k2, p1,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cabinpose._native import core as native
 from cabinpose.core.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -63,17 +64,11 @@ class Camera:
         return any(self.dist)
 
     def scaled(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels a side, each pixel cut into factor x factor equal ones."""
-        shift = (factor - 1) / 2
-        return replace(
-            self,
-            width=self.width * factor,
-            height=self.height * factor,
-            fx=self.fx * factor,
-            fy=self.fy * factor,
-            cx=self.cx * factor + shift,
-            cy=self.cy * factor + shift,
-        )
+        """The same view with `factor` times as many pixels a side, each pixel cut into factor x factor equal ones.
+
+        The same object for the same camera, so that its rays are worked out once.
+        """
+        return _scaled(self, factor)
 
     def distort(self, xy: ArrayLike) -> Array:
         """Ideal normalised coordinates (..., 2) to distorted ones."""
@@ -96,23 +91,11 @@ class Camera:
         target = np.asarray(xy, dtype=np.float64)
         if not self.is_distorted:
             return target
-        guess = target.copy()
-        eps = 1e-6
-        for _ in range(iterations):
-            residual = self.distort(guess) - target
-            dx = (self.distort(guess + (eps, 0)) - self.distort(guess - (eps, 0))) / (2 * eps)
-            dy = (self.distort(guess + (0, eps)) - self.distort(guess - (0, eps))) / (2 * eps)
-            det = dx[..., 0] * dy[..., 1] - dx[..., 1] * dy[..., 0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step_x = (residual[..., 0] * dy[..., 1] - residual[..., 1] * dy[..., 0]) / det
-                step_y = (residual[..., 1] * dx[..., 0] - residual[..., 0] * dx[..., 1]) / det
-            step = np.stack((step_x, step_y), axis=-1)
-            guess = guess - np.clip(np.nan_to_num(step), -0.3, 0.3)
-            if np.nanmax(np.abs(step), initial=0.0) < 1e-13:
-                break
-        bad = np.linalg.norm(self.distort(guess) - target, axis=-1) > 1e-7
-        guess[bad] = np.nan
-        return guess
+        ideal = np.empty(target.shape)
+        native.undistort(
+            np.ascontiguousarray(target).reshape(-1, 2), np.array(self.dist, np.float64), iterations, ideal.reshape(-1, 2)
+        )
+        return ideal
 
     def project(self, p_camera: ArrayLike) -> Array:
         """Points (..., 3) in metres to pixels (..., 2); NaN at or behind the camera plane."""
@@ -157,3 +140,17 @@ class Camera:
         uv_ = np.asarray(uv, dtype=np.float64)
         inside = (uv_ >= -0.5) & (uv_ < (self.width - 0.5, self.height - 0.5))
         return np.asarray(inside.all(axis=-1))
+
+
+@lru_cache(maxsize=16)
+def _scaled(camera: Camera, factor: int) -> Camera:
+    shift = (factor - 1) / 2
+    return replace(
+        camera,
+        width=camera.width * factor,
+        height=camera.height * factor,
+        fx=camera.fx * factor,
+        fy=camera.fy * factor,
+        cx=camera.cx * factor + shift,
+        cy=camera.cy * factor + shift,
+    )

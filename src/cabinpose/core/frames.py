@@ -7,10 +7,13 @@ the floor on the centre line under the front heel point), camera (OpenCV: x righ
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:  # whoever has one has imported it
+    from scipy.spatial.transform import Rotation
 
 Matrix = NDArray[np.float64]  # (4, 4) or (..., 4, 4)
 
@@ -18,7 +21,7 @@ Matrix = NDArray[np.float64]  # (4, 4) or (..., 4, 4)
 ZUP_FROM_YUP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 # Axes of an OpenCV camera that looks along a body's x axis with z up: right = -y, down = -z, forward = x.
-FORWARD_FROM_CAMERA = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+FORWARD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 _IDENTITY = np.eye(4)
@@ -31,6 +34,16 @@ def transform(rotation: Rotation | NDArray[np.float64] | None = None, translatio
         result[:3, :3] = rotation if isinstance(rotation, np.ndarray) else rotation.as_matrix()
     result[:3, 3] = translation
     return result
+
+
+def axis_rotation(axis: str, angle: float) -> NDArray[np.float64]:
+    """The (3, 3) rotation about 'x', 'y' or 'z', right-handed, radians."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
 
 
 def rotation_vector(vector: ArrayLike) -> NDArray[np.float64]:

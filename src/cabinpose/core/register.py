@@ -16,32 +16,33 @@ F64 = NDArray[np.float64]
 
 
 def kabsch(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = None, *, rotation_only: bool = False) -> Matrix:
-    """`a_from_b` (4, 4), the rigid transform that takes points (N, 3) of frame b nearest to their partners in frame a.
+    """`a_from_b` (..., 4, 4), the rigid transforms that take points (..., N, 3) of frame b nearest to their partners in frame a.
 
-    weights: (N,), at least 0 · rotation_only: no translation, for directions. Minimises the weighted sum of squares and never
+    weights: (..., N), at least 0 · rotation_only: no translation, for directions. Minimises the weighted sum of squares and never
     reflects: where the best orthogonal matrix is left-handed, the axis of the least singular value is turned (Kabsch 1976;
     Umeyama 1991, eq. 40). Raises AlignmentError for fewer than 3 pairs (2 directions), for numbers that are not finite, and for
     points on a line, which leave a turn about it open.
     """
     a, b = np.asarray(p_a, np.float64), np.asarray(p_b, np.float64)
-    w = np.ones(len(a)) if weights is None else np.asarray(weights, np.float64)
+    w = np.ones(a.shape[:-1]) if weights is None else np.asarray(weights, np.float64)
     least = 2 if rotation_only else 3
-    if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3 or w.shape != a.shape[:1]:
+    if a.shape != b.shape or a.ndim < 2 or a.shape[-1] != 3 or w.shape != a.shape[:-1]:
         raise AlignmentError(f"pairs of points (N, 3) are needed, not {a.shape} and {b.shape}", hint="give the points in pairs")
     if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(w).all() and (w >= 0).all()):
         raise AlignmentError("a point or a weight is not a number", hint="leave out pairs with a missing partner")
-    if np.count_nonzero(w) < least:
-        raise AlignmentError(f"{np.count_nonzero(w)} pairs of points, {least} needed", hint="more points have to be seen by both")
-    w = w / w.sum()
-    middle_a = np.zeros(3) if rotation_only else w @ a
-    middle_b = np.zeros(3) if rotation_only else w @ b
-    u, spread, vt = np.linalg.svd((w[:, None] * (a - middle_a)).T @ (b - middle_b))
-    if spread[1] < 1e-9 * max(spread[0], np.finfo(float).tiny):
+    fewest = np.count_nonzero(w, axis=-1).min()
+    if fewest < least:
+        raise AlignmentError(f"{fewest} pairs of points, {least} needed", hint="more points have to be seen by both")
+    w = w / w.sum(axis=-1, keepdims=True)
+    middle_a, middle_b = ((w[..., None, :] @ p) * (not rotation_only) for p in (a, b))  # (..., 1, 3)
+    u, spread, vt = np.linalg.svd(np.swapaxes(w[..., None] * (a - middle_a), -1, -2) @ (b - middle_b))
+    if (spread[..., 1] < 1e-9 * np.maximum(spread[..., 0], np.finfo(float).tiny)).any():
         raise AlignmentError("the points lie on a line", hint="points that span a plane are needed, else a turn is left open")
-    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    result = np.eye(4)
-    result[:3, :3] = u @ np.diag((1.0, 1.0, sign)) @ vt
-    result[:3, 3] = middle_a - result[:3, :3] @ middle_b
+    u[..., 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
+    result = np.zeros((*a.shape[:-2], 4, 4))
+    result[..., :3, :3] = u @ vt
+    result[..., :3, 3] = (middle_a - middle_b @ np.swapaxes(u @ vt, -1, -2))[..., 0, :]
+    result[..., 3, 3] = 1.0
     return result
 
 

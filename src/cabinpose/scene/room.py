@@ -7,19 +7,34 @@ pitched a few degrees down, a person at 2-4 m, a wall close behind with a recess
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from cabinpose.core.frames import FORWARD_FROM_CAMERA, transform
+from cabinpose.core.frames import FORWARD_FROM_CAMERA, axis_rotation, transform
 from cabinpose.scene import labels, materials
 from cabinpose.scene.surface import Surface, merge
 
 Interval = tuple[float, float]
 _CLUTTER_MATERIALS = ("wood", "painted_wall", "synthetic_fabric", "rubber")
+
+
+# Triangles (F, 3, 3), counter-clockwise from outside: two a side of the box from (0, 0, 0) to (1, 1, 1), and of an icosahedron.
+_UNIT_BOX = np.array(list(itertools.product((0.0, 1.0), repeat=3)))[
+    [
+        (1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4), (5, 7, 1), (3, 7, 2), (6, 4, 2), (2, 7, 6), (6, 5, 4),
+        (7, 5, 6),
+    ]
+]  # fmt: skip
+_GOLDEN = (1 + 5**0.5) / 2
+_ICOSAHEDRON = np.array([np.roll((i, j * _GOLDEN, 0.0), turn) for turn in range(3) for j in (1, -1) for i in (-1, 1)])[
+    [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
+        (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+    ]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,13 +49,17 @@ class Room:
     stand_y: Interval
 
 
-def _solid(mesh: trimesh.Trimesh, label: str, material: str) -> Surface:
-    """A faceted surface (own vertices for every face, so that shading has hard edges)."""
-    vertices = mesh.triangles.reshape(-1, 3).astype(np.float32)
-    count = len(mesh.faces)
+def _normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 1])
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def _solid(triangles: NDArray[np.float64], normals: NDArray[np.float64], label: str, material: str) -> Surface:
+    """A faceted surface of triangles (F, 3, 3) with normals (F, 3): own vertices for every face, so that edges are hard."""
+    count = len(triangles)
     return Surface(
-        vertices,
-        np.repeat(mesh.face_normals, 3, axis=0).astype(np.float32),
+        triangles.reshape(-1, 3).astype(np.float32),
+        np.repeat(normals, 3, axis=0).astype(np.float32),
         np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
         np.full(count, labels.ID[label], np.uint8),
         np.full(count, materials.ID[material], np.uint8),
@@ -49,7 +68,28 @@ def _solid(mesh: trimesh.Trimesh, label: str, material: str) -> Surface:
 
 
 def _box(low: tuple[float, float, float], high: tuple[float, float, float], label: str, material: str) -> Surface:
-    return _solid(trimesh.creation.box(bounds=[low, high]), label, material)
+    """An upright box, which may be flat."""
+    return _solid(_UNIT_BOX * np.subtract(high, low) + low, _normals(_UNIT_BOX), label, material)
+
+
+def _pot(radius: float, height: float, sides: int = 12) -> NDArray[np.float64]:
+    """Triangles (F, 3, 3) of a cylinder that stands upright on the origin."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    low = np.stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)), axis=1)
+    high = low + (0.0, 0.0, height)
+    next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
+    bottom, top = (np.broadcast_to((0.0, 0.0, z), low.shape) for z in (0.0, height))
+    faces = ((low, bottom, next_low), (low, next_low, high), (high, next_low, next_high), (high, next_high, top))
+    return np.stack([np.stack(face, axis=1) for face in faces], axis=1).reshape(-1, 3, 3)
+
+
+def _ball(radius: float) -> NDArray[np.float64]:
+    """Triangles (80, 3, 3) of a sphere about the origin: an icosahedron, every face of it cut in four."""
+    a, b, c = np.moveaxis(_ICOSAHEDRON, 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    pieces = [np.stack(piece, axis=1) for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    corners = np.stack(pieces, axis=1).reshape(-1, 3, 3)
+    return corners * (radius / np.linalg.norm(corners, axis=-1, keepdims=True))
 
 
 def _curtain(x: Interval, y: float, height: float, depth: float, folds: float, phase: float) -> Surface:
@@ -63,7 +103,7 @@ def _curtain(x: Interval, y: float, height: float, depth: float, folds: float, p
     i = np.arange(columns)
     quads = np.stack((i, i + 1, i + columns + 2, i + columns + 1), axis=1)
     faces = np.concatenate((quads[:, (0, 1, 2)], quads[:, (0, 2, 3)]))
-    return _solid(trimesh.Trimesh(vertices, faces, process=False), "wall", "cotton")
+    return _solid(vertices[faces], _normals(vertices[faces]), "wall", "cotton")
 
 
 def _back_wall(x: float, half_width: float, height: float, rng: np.random.Generator) -> list[Surface]:
@@ -127,17 +167,11 @@ def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> 
             pieces.append(_box((px - half[0], py - half[1], 0), (px + half[0], py + half[1], top), "furniture", surface))
         else:  # a plant or a heap: spheres of leaves on a pot
             stem = rng.uniform(0.5, 1.2)
-            pieces.append(
-                _solid(
-                    trimesh.creation.cylinder(0.14, segment=[(px, py, 0), (px, py, 0.4)], sections=12),
-                    "furniture",
-                    "hard_plastic",
-                )
-            )
+            pot = _pot(0.14, 0.4) + (px, py, 0.0)
+            pieces.append(_solid(pot, _normals(pot), "furniture", "hard_plastic"))
             for _ in range(8):
-                ball = trimesh.creation.icosphere(subdivisions=1, radius=rng.uniform(0.06, 0.16))
-                ball.apply_translation((px, py, stem) + rng.normal(0, 0.16, 3))
-                pieces.append(_solid(ball, "furniture", surface))
+                ball = _ball(rng.uniform(0.06, 0.16)) + ((px, py, stem) + rng.normal(0, 0.16, 3))
+                pieces.append(_solid(ball, _normals(ball), "furniture", surface))
     return pieces
 
 
@@ -176,5 +210,6 @@ def furnish_room(*, rng: np.random.Generator) -> Room:
 def place_room_camera(*, rng: np.random.Generator) -> NDArray[np.float64]:
     """`world_from_camera` of a camera on a tripod or shelf: 1.25-1.65 m high, pitched 0-7 degrees down, nearly level."""
     yaw, pitch, roll = np.radians((rng.normal(0, 2.0), rng.uniform(0.0, 7.0), rng.normal(0, 1.0)))
-    turn = Rotation.from_euler("ZYX", (yaw, pitch, roll))  # a positive turn about y (left) looks down
-    return transform(turn * FORWARD_FROM_CAMERA, (0.0, rng.normal(0, 0.05), rng.uniform(1.25, 1.65)))
+    # A positive turn about y (left) looks down.
+    turn = axis_rotation("z", yaw) @ axis_rotation("y", pitch) @ axis_rotation("x", roll)
+    return transform(turn @ FORWARD_FROM_CAMERA, (0.0, rng.normal(0, 0.05), rng.uniform(1.25, 1.65)))

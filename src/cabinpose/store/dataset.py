@@ -1,34 +1,20 @@
-"""A dataset folder as a whole: making it, going on with it, and opening it as one lazy `xarray.Dataset`."""
+"""A dataset folder as a whole: making it, and going on with it."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import shutil
-import warnings
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import xarray as xr
-from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError
-from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.store.lazy import PartsArray
 from cabinpose.store.part import check_part, disk_errors, temporary_parts
-from cabinpose.store.schema import (
-    MANIFEST_NAME,
-    Manifest,
-    PartPlan,
-    Variable,
-    label_attributes,
-    manifest_yaml,
-    read_manifest,
-)
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, manifest_yaml, read_manifest
 
 _COMPRESSION = 0.7  # of the raw size; noisy depth at 352x287 measured 0.5
 _HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
@@ -191,75 +177,3 @@ def _write_manifest(path: Path, manifest: Manifest) -> None:
         file.flush()
         os.fsync(file.fileno())
     hidden.replace(path / MANIFEST_NAME)
-
-
-def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignore"] = "warn") -> xr.Dataset:
-    """All complete parts of a folder as one lazy dataset; depths are float32 metres with NaN where invalid.
-
-    Images are read frame by frame when they are asked for and not kept; `ds.chunk({"frame": 100})` makes dask arrays
-    of them. `frame` holds the frames' indices, so that gaps show. Missing parts raise a `UserWarning` or a
-    `DatasetError` as `missing` says; unfinished ones are ignored. Raises `DatasetError` naming the part that is damaged.
-    """
-    path = Path(folder)
-    manifest = read_manifest(path)
-    plans = [plan for plan in manifest.parts if (path / plan.name).is_dir()]
-    absent = len(manifest.parts) - len(plans)
-    if not plans:
-        raise DatasetError(f"{path} has no complete part yet", hint="generate it with `cabinpose synth --resume`")
-    if absent and missing != "ignore":
-        message = f"{path} lacks {absent} of {len(manifest.parts)} parts"
-        if missing == "raise":
-            raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
-        warnings.warn(message, stacklevel=2)
-    attributes = [check_part(path / plan.name, plan) for plan in plans]
-    frames = {plan.name: part["frames"] for plan, part in zip(plans, attributes, strict=True)}
-    variables = {
-        v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
-        for v in manifest.stored
-    }
-    coordinates: dict[str, Any] = {
-        "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, attributes, strict=True)]),
-        "person": list(manifest.persons),
-        "joint": list(manifest.joints),
-        "xyz": ["x", "y", "z"],
-        "uv": ["u", "v"],
-    }
-    if "itop_joints_3d" in variables:
-        coordinates["itop_joint"] = list(ITOP_JOINTS)
-    dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, attributes))
-    return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
-
-
-def _indices(plan: PartPlan, attributes: Mapping[str, Any]) -> NDArray[np.int64]:
-    """The indices of the frames that a part holds."""
-    planned = np.arange(plan.first, plan.first + plan.frames, dtype=np.int64)
-    return planned[~np.isin(planned, attributes["skipped"])]
-
-
-def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
-    attrs: dict[str, Any] = {"long_name": variable.meaning}
-    if variable.units is not None:
-        attrs["units"] = variable.units
-    if variable.name == "labels":
-        attrs |= label_attributes(manifest)
-    return attrs
-
-
-def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict[str, Any]:
-    """What holds for all frames, and the parts' counts of proposed and rejected scenes added up."""
-    rejections: Counter[str] = Counter()
-    for part in parts:
-        rejections.update(part.get("rejections", {}))
-    return {
-        "schema_version": manifest.schema_version,
-        "generator": manifest.generator,
-        "generator_version": manifest.generator_version,
-        "seed": manifest.seed,
-        "licence": manifest.licence,
-        "width": manifest.width,
-        "height": manifest.height,
-        "planned_frames": manifest.frames,
-        "skipped_frames": sum(len(part["skipped"]) for part in parts),
-        "proposals": sum(part.get("proposals", part["frames"]) for part in parts),
-        "rejections": dict(sorted(rejections.items())),
-    }

@@ -1,11 +1,16 @@
-"""Arrays that read a dataset's parts when they are indexed, for xarray's lazy variables (no dask needed)."""
+"""A dataset folder as one lazy `xarray.Dataset`, whose arrays read the parts when they are indexed (no dask needed).
+
+Apart from `store.dataset`, so that who writes a dataset imports neither xarray nor zarr.
+"""
 
 from __future__ import annotations
 
+import warnings
+from collections import Counter
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -16,8 +21,82 @@ from xarray.core import indexing
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
-from cabinpose.store.schema import Variable
+from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.store.part import check_part
+from cabinpose.store.schema import Manifest, PartPlan, Variable, label_attributes, read_manifest
 from cabinpose.store.shard import read_frames
+
+
+def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignore"] = "warn") -> xr.Dataset:
+    """All complete parts of a folder as one lazy dataset; depths are float32 metres with NaN where invalid.
+
+    Images are read frame by frame when they are asked for and not kept; `ds.chunk({"frame": 100})` makes dask arrays
+    of them. `frame` holds the frames' indices, so that gaps show. Missing parts raise a `UserWarning` or a
+    `DatasetError` as `missing` says; unfinished ones are ignored. Raises `DatasetError` naming the part that is damaged.
+    """
+    path = Path(folder)
+    manifest = read_manifest(path)
+    plans = [plan for plan in manifest.parts if (path / plan.name).is_dir()]
+    absent = len(manifest.parts) - len(plans)
+    if not plans:
+        raise DatasetError(f"{path} has no complete part yet", hint="generate it with `cabinpose synth --resume`")
+    if absent and missing != "ignore":
+        message = f"{path} lacks {absent} of {len(manifest.parts)} parts"
+        if missing == "raise":
+            raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
+        warnings.warn(message, stacklevel=2)
+    attributes = [check_part(path / plan.name, plan) for plan in plans]
+    frames = {plan.name: part["frames"] for plan, part in zip(plans, attributes, strict=True)}
+    variables = {
+        v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
+        for v in manifest.stored
+    }
+    coordinates: dict[str, Any] = {
+        "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, attributes, strict=True)]),
+        "person": list(manifest.persons),
+        "joint": list(manifest.joints),
+        "xyz": ["x", "y", "z"],
+        "uv": ["u", "v"],
+    }
+    if "itop_joints_3d" in variables:
+        coordinates["itop_joint"] = list(ITOP_JOINTS)
+    dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, attributes))
+    return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
+
+
+def _indices(plan: PartPlan, attributes: Mapping[str, Any]) -> NDArray[np.int64]:
+    """The indices of the frames that a part holds."""
+    planned = np.arange(plan.first, plan.first + plan.frames, dtype=np.int64)
+    return planned[~np.isin(planned, attributes["skipped"])]
+
+
+def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
+    attrs: dict[str, Any] = {"long_name": variable.meaning}
+    if variable.units is not None:
+        attrs["units"] = variable.units
+    if variable.name == "labels":
+        attrs |= label_attributes(manifest)
+    return attrs
+
+
+def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """What holds for all frames, and the parts' counts of proposed and rejected scenes added up."""
+    rejections: Counter[str] = Counter()
+    for part in parts:
+        rejections.update(part.get("rejections", {}))
+    return {
+        "schema_version": manifest.schema_version,
+        "generator": manifest.generator,
+        "generator_version": manifest.generator_version,
+        "seed": manifest.seed,
+        "licence": manifest.licence,
+        "width": manifest.width,
+        "height": manifest.height,
+        "planned_frames": manifest.frames,
+        "skipped_frames": sum(len(part["skipped"]) for part in parts),
+        "proposals": sum(part.get("proposals", part["frames"]) for part in parts),
+        "rejections": dict(sorted(rejections.items())),
+    }
 
 
 class PartsArray(BackendArray):

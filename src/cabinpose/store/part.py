@@ -1,8 +1,8 @@
 """Writing one part of a dataset: a Zarr v3 group that appears under its final name only when it is whole.
 
 The images of a frame are compressed as they arrive and appended to their shards, so memory does not grow with the
-part. The Zarr library writes the metadata, `store.shard` the chunks: four times as fast as through the library's
-chunk-by-chunk pipeline. Same frames, same bytes: no time stamps, no threads, a fixed order of everything.
+part. `store.zarr_metadata` writes what describes them, `store.shard` the chunks: four times as fast as through the Zarr
+library's chunk-by-chunk pipeline. Same frames, same bytes: no time stamps, no threads, a fixed order of everything.
 """
 
 from __future__ import annotations
@@ -11,27 +11,20 @@ import errno
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import lru_cache
 from itertools import count
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import zarr
 from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
-from zarr.codecs import BloscCodec, Crc32cCodec
-from zarr.errors import ZarrUserWarning
-from zarr.storage import MemoryStore
 
 from cabinpose.core.errors import DatasetError
-from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable, label_attributes
-from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL, ShardWriter, compressed, depth_ticks
+from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable
+from cabinpose.store.shard import ShardWriter, compressed, depth_ticks
+from cabinpose.store.zarr_metadata import ZarrArray, array_json, dimension_labels, group_json, zarr_arrays
 
 _SUFFIX = ".tmp"
 _serial = count()
@@ -54,6 +47,49 @@ def disk_errors(folder: Path) -> Iterator[None]:
             f"no space left while writing to {folder}",
             hint="free some disk space, then run the same command again (synth: with --resume; complete parts are kept)",
         ) from error
+
+
+class EncodedFrame(NamedTuple):
+    """A frame checked against the standard: its images compressed as they stand on disk, and its other values."""
+
+    images: dict[str, bytes]
+    values: dict[str, Any]
+
+
+def encode_frame(frame: Mapping[str, Any], index: int, manifest: Manifest) -> EncodedFrame:
+    """Check and compress frame `index`, as `PartWriter.append` takes it: the same bytes in whatever thread this is done.
+
+    Raises `DatasetError` for a missing, unknown or unfit variable.
+    """
+    names = {v.name for v in manifest.stored}
+    if frame.keys() != names:
+        missing, unknown = sorted(names - frame.keys()), sorted(frame.keys() - names)
+        raise DatasetError(f"frame {index}: missing variables {missing}, unknown variables {unknown}")
+    encoded = EncodedFrame({}, {})
+    for variable in manifest.stored:
+        value = _checked(variable, frame[variable.name], index, manifest.frame_shape(variable))
+        if variable.is_image:
+            encoded.images[variable.name] = compressed(value)
+        else:
+            encoded.values[variable.name] = value
+    return encoded
+
+
+def _checked(variable: Variable, value: Any, index: int, shape: tuple[int, ...]) -> Any:
+    """The value as an array of the standard's shape and type; a `DatasetError` where it does not fit."""
+    array = np.array(value, dtype=object) if variable.dtype == "str" else np.asarray(value)
+    if array.shape != shape:
+        raise DatasetError(f"frame {index}: {variable.name} has shape {array.shape}, the dataset's is {shape}")
+    if variable.dtype == "str":
+        if not all(isinstance(item, str) for item in array.flat):
+            raise DatasetError(f"frame {index}: {variable.name} is text, not {value!r}")
+        return array.tolist()
+    if variable.scale is not None and array.dtype.kind == "f":
+        return depth_ticks(array)
+    dtype = np.dtype(variable.dtype)
+    if array.dtype != dtype and (variable.is_image or array.dtype.kind != dtype.kind):
+        raise DatasetError(f"frame {index}: {variable.name} is {array.dtype}, the standard says {dtype}")
+    return np.ascontiguousarray(array, dtype).reshape(shape)
 
 
 class PartWriter:
@@ -88,17 +124,16 @@ class PartWriter:
         Raises `DatasetError` for a missing, unknown or unfit variable, or one frame too many.
         """
         self._expect_another()
-        names = {v.name for v in self._manifest.stored}
-        if frame.keys() != names:
-            missing, unknown = sorted(names - frame.keys()), sorted(frame.keys() - names)
-            raise DatasetError(f"frame {self._next}: missing variables {missing}, unknown variables {unknown}")
+        self.append_encoded(encode_frame(frame, self._next, self._manifest))
+
+    def append_encoded(self, frame: EncodedFrame) -> None:
+        """Add the next frame as `encode_frame` gives it. Raises `DatasetError` for one frame too many."""
+        self._expect_another()
         with disk_errors(self.folder):
-            for variable in self._manifest.stored:
-                value = self._checked(variable, frame[variable.name])
-                if variable.is_image:
-                    self._images[variable.name].append(value)
-                else:
-                    self._columns[variable.name].append(value)
+            for name, chunk in frame.images.items():
+                self._images[name].append(chunk)
+        for name, value in frame.values.items():
+            self._columns[name].append(value)
         self._written.append(self._next)
 
     def skip(self) -> None:
@@ -117,32 +152,20 @@ class PartWriter:
             shutil.rmtree(self._temporary, ignore_errors=True)
 
     @property
+    def missing(self) -> int:
+        """How many frames the part still needs."""
+        return self.plan.first + self.plan.frames - self._next
+
+    @property
     def _next(self) -> int:
         return self.plan.first + len(self._written) + len(self._skipped)
 
     def _expect_another(self) -> None:
-        if self._next == self.plan.first + self.plan.frames:
+        if not self.missing:
             raise DatasetError(f"{self.plan.name} holds {self.plan.frames} frames, not more")
 
-    def _checked(self, variable: Variable, value: Any) -> Any:
-        """The value as an array of the standard's shape and type; a `DatasetError` where it does not fit."""
-        array = np.array(value, dtype=object) if variable.dtype == "str" else np.asarray(value)
-        shape = self._manifest.frame_shape(variable)
-        if array.shape != shape:
-            raise DatasetError(f"frame {self._next}: {variable.name} has shape {array.shape}, the dataset's is {shape}")
-        if variable.dtype == "str":
-            if not all(isinstance(item, str) for item in array.flat):
-                raise DatasetError(f"frame {self._next}: {variable.name} is text, not {value!r}")
-            return array.tolist()
-        if variable.scale is not None and array.dtype.kind == "f":
-            return depth_ticks(array)
-        dtype = np.dtype(variable.dtype)
-        if array.dtype != dtype and (variable.is_image or array.dtype.kind != dtype.kind):
-            raise DatasetError(f"frame {self._next}: {variable.name} is {array.dtype}, the standard says {dtype}")
-        return np.ascontiguousarray(array, dtype).reshape(shape)
-
     def _commit(self) -> None:
-        if self._next != self.plan.first + self.plan.frames:
+        if self.missing:
             raise DatasetError(f"{self.plan.name} needs {self.plan.frames} frames, got {self._next - self.plan.first}")
         if not self._written:
             raise DatasetError(f"{self.plan.name} would be empty: every frame of it was skipped", hint="choose larger parts")
@@ -150,21 +173,17 @@ class PartWriter:
             image.finish()
         columns: dict[str, Sequence[Any]] = self._columns | {
             "frame": self._written,
-            **_dimension_labels(self._manifest),
+            **dimension_labels(self._manifest),
         }
-        arrays = _arrays(self._manifest, len(self._written))
+        arrays = zarr_arrays(self._manifest, len(self._written))
         for array in arrays:
             if not array.is_image:
                 path = self._temporary.joinpath(array.name, "c", *["0"] * len(array.shape))
                 path.parent.mkdir(parents=True)
                 path.write_bytes(_encoded(columns[array.name], array))
-        metadata = _metadata(arrays)
-        for name, text in metadata.items():
-            if name != "zarr.json":
-                (self._temporary / name).write_bytes(text)
-        root = json.loads(metadata["zarr.json"])
-        root["attributes"] = self._attributes()
-        (self._temporary / "zarr.json").write_text(json.dumps(root, indent=1), encoding="utf-8")
+        for array in arrays:
+            (self._temporary / array.name / "zarr.json").write_text(array_json(array), encoding="utf-8")
+        (self._temporary / "zarr.json").write_text(group_json(arrays, self._attributes()), encoding="utf-8")
         for path in sorted(self._temporary.rglob("*")):
             _sync(path)
         _sync(self._temporary)
@@ -225,72 +244,7 @@ def check_part(path: Path, plan: PartPlan) -> dict[str, Any]:
     return attributes
 
 
-@dataclass(frozen=True)
-class _Array:
-    """One array of a part as the Zarr metadata describes it; hashable, so that equal parts share their metadata."""
-
-    name: str
-    dims: tuple[str, ...]
-    shape: tuple[int, ...]
-    dtype: str
-    attrs: tuple[tuple[str, Any], ...]
-
-    @property
-    def is_image(self) -> bool:
-        return "y" in self.dims
-
-
-def _arrays(manifest: Manifest, frames: int) -> tuple[_Array, ...]:
-    arrays = [_Array("frame", ("frame",), (frames,), "int64", (("long_name", "index of the frame in the dataset"),))]
-    arrays += [_Array(dim, (dim,), (len(labels),), "str", ()) for dim, labels in _dimension_labels(manifest).items()]
-    for variable in manifest.stored:
-        attrs: list[tuple[str, Any]] = [("long_name", variable.meaning)]
-        if variable.units is not None:
-            attrs.append(("units", variable.units))
-        if variable.scale is not None:
-            attrs += [("scale_factor", variable.scale), ("_FillValue", 0)]
-        if variable.name == "labels":
-            attrs += label_attributes(manifest).items()
-        shape = (frames, *manifest.frame_shape(variable))
-        arrays.append(_Array(variable.name, variable.dims, shape, variable.dtype, tuple(attrs)))
-    return tuple(arrays)
-
-
-def _dimension_labels(manifest: Manifest) -> dict[str, tuple[str, ...]]:
-    labels = {"person": manifest.persons, "joint": manifest.joints}
-    return labels | ({"itop_joint": ITOP_JOINTS} if "itop_joints_3d" in manifest.variables else {})
-
-
-# By numpy's kind of type. Not a field of `_Array`: NaN equals nothing, so that no two parts would share metadata.
-_FILL: dict[str, float | str] = {"U": "", "f": float("nan"), "u": 0, "i": 0}
-
-
-@lru_cache(maxsize=16)
-def _metadata(arrays: tuple[_Array, ...]) -> dict[str, bytes]:
-    """The zarr.json files of a part by their names; that of the group holds the consolidated metadata."""
-    store = MemoryStore()
-    group = zarr.create_group(store, zarr_format=3)
-    for array in arrays:
-        item = 1 if array.dtype == "str" else np.dtype(array.dtype).itemsize
-        codecs = [BloscCodec(cname="lz4", clevel=LEVEL, shuffle="bitshuffle", typesize=item), Crc32cCodec()]
-        group.create_array(
-            array.name,
-            shape=array.shape,
-            dtype=str if array.dtype == "str" else array.dtype,
-            chunks=(1, *array.shape[1:]) if array.is_image else array.shape,
-            shards=(FRAMES_PER_SHARD, *array.shape[1:]) if array.is_image else None,
-            compressors=codecs,
-            fill_value=_FILL[np.dtype(array.dtype).kind],
-            dimension_names=array.dims,
-            attributes=dict(array.attrs),
-        )
-    with warnings.catch_warnings():  # other readers may ignore the consolidated copy: each array has its own file too
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        zarr.consolidate_metadata(store)
-    return {name: buffer.to_bytes() for name, buffer in sorted(store._store_dict.items())}
-
-
-def _encoded(values: Sequence[Any], array: _Array) -> bytes:
+def _encoded(values: Sequence[Any], array: ZarrArray) -> bytes:
     if array.dtype == "str":
         return compressed(bytes(VLenUTF8().encode(np.array(values, dtype=object).ravel())))
     return compressed(np.ascontiguousarray(values, array.dtype))

@@ -83,13 +83,12 @@ class ShardWriter:
         self._offset = 0
         self._shards = 0
 
-    def append(self, frame: NDArray[Any]) -> None:
-        """Add one C-contiguous frame."""
+    def append(self, chunk: bytes) -> None:
+        """Add one frame as `compressed` gives it."""
         if self._file is None:
             path = self._folder.joinpath(str(self._shards), *["0"] * self._frame_dims)
             path.parent.mkdir(parents=True)
             self._file = path.open("wb")
-        chunk = compressed(frame)
         self._file.write(chunk)
         self._index.append((self._offset, len(chunk)))
         self._offset += len(chunk)

@@ -1,35 +1,26 @@
-"""From a configuration to a dataset on disk: checks first, then parts, in this process or on Dask workers.
+"""From a configuration to a dataset on disk: checks first, then frames, in the threads of this process or on a Dask cluster.
 
-A part is one task. Parts depend on the configuration, the seed and their own frame numbers only, so the bytes are the
-same whatever the number of workers, and a part that was lost with its worker is simply made again.
+A frame depends on the configuration, the seed and its own number only, so the bytes are the same whatever the number of
+threads or machines.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import dask
-from distributed import Client, KilledWorker, LocalCluster, as_completed, wait
-
 import cabinpose
-from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.errors import ConfigError
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.rehearse import SHARES, rehearse
 from cabinpose.synth.sample import person_slots, preflight
-from cabinpose.synth.write import PartReport, make_part
-
-# glibc's allocator in a worker: what a frame frees (under 4 MB a piece) is kept for the next one, what building a car's fields
-# took goes back to the system.
-ALLOCATOR = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": str(2**22), "MALLOC_TRIM_THRESHOLD_": str(2**28)}
+from cabinpose.synth.write import FrameReport, make_frames
 
 
 @dataclass(frozen=True)
@@ -46,7 +37,7 @@ class Progress:
 class GenerationReport:
     """What a run made. `frames` were made by this run, `frames_total` are in the dataset.
 
-    acceptance: accepted / proposed poses of people · stages_ms: mean milliseconds a frame, by stage, of one worker.
+    acceptance: accepted / proposed poses of people · stages_ms: mean milliseconds of CPU time a frame, by stage.
     """
 
     out: str
@@ -74,9 +65,9 @@ def generate(
 ) -> GenerationReport:
     """Generate `frames` frames into the dataset folder `out`.
 
-    workers: processes of a local cluster (default: one per core; 1 works in this process) · scheduler: address of a
-    running Dask cluster instead, whose workers see `out` under the same path · resume: go on where a run of the same
-    configuration stopped · overwrite: replace a dataset of ours.
+    workers: threads (default: one per core) · scheduler: address of a running Dask cluster instead, whose workers see `out`
+    under the same path · resume: go on where a run of the same configuration stopped · overwrite: replace a dataset of ours ·
+    progress: called after every frame, or part of a cluster.
 
     Raises ConfigError or DatasetError before any work starts where that can be known, SceneError where no valid scene
     is found.
@@ -90,16 +81,15 @@ def generate(
     preflight(config, frames=frames)
     manifest = build_manifest(config, frames, seed)
     started = time.perf_counter()
-    reports: list[PartReport] = []
+    total = _Total()
     with create_dataset(out, manifest, overwrite=overwrite, resume=resume) as dataset:
         plans = dataset.missing()
         before = sum(plan.frames for plan in dataset.complete())
-        for report in _make_parts(plans, config, manifest, out, workers, scheduler):
-            reports.append(report)
+        for report in _make(plans, config, manifest, out, workers, scheduler):
+            total.add(report)
             if progress is not None:
-                progress(_progress(reports, before, frames))
-    seconds = time.perf_counter() - started
-    return _summary(out, reports, before, seconds)
+                progress(Progress(before + total.frames, frames, total.proposals, dict(total.rejections)))
+    return _summary(out, total, before, time.perf_counter() - started)
 
 
 def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
@@ -124,93 +114,43 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     )
 
 
-def _make_parts(
+def _make(
     plans: list[PartPlan], config: SynthConfig, manifest: Manifest, out: Path, workers: int | None, scheduler: str | None
-) -> Iterator[PartReport]:
-    """Make the parts and yield their reports as they are finished."""
-    count = min(workers or os.cpu_count() or 1, max(len(plans), 1))
+) -> Iterator[FrameReport]:
+    """Make the parts and yield reports as frames, or the parts of a cluster, are finished."""
     folder = out.resolve()
-    if scheduler is None and count == 1:
-        for plan in plans:
-            yield make_part(folder, plan, config, manifest)
-        return
-    with _client(count, scheduler) as client:
-        if scheduler is None:  # the workers of a cluster elsewhere may share no disk with each other
-            shares = client.map(rehearse, [config] * SHARES, [manifest.seed] * SHARES, range(SHARES), pure=False)
-            wait(shares)
-        futures = client.map(make_part, [folder] * len(plans), plans, [config] * len(plans), [manifest] * len(plans), pure=False)
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        except KilledWorker as error:
-            raise SceneError(
-                f"a part ended its worker again and again: {error}",
-                hint="look for too little memory or a full disk, then go on with --resume",
-            ) from error
-        finally:
-            client.cancel(futures)
-
-
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
-    """A Dask client: of the cluster at `scheduler`, or of one made here for the run, on loopback."""
     if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout="10s")
-        except (OSError, TimeoutError, ValueError) as error:
-            raise ConfigError(f"no Dask scheduler answers at {scheduler}", hint="start one with `dask scheduler`") from error
-        with client:
-            yield client
-        return
-    with local_cluster(workers) as cluster, Client(cluster) as client:
-        yield client
+        from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - Dask takes a second to import
+
+        return make_parts(folder, plans, config, manifest, scheduler)
+    return make_frames(folder, plans, config, manifest, threads=workers or os.cpu_count() or 1)
 
 
-def local_cluster(workers: int) -> LocalCluster:
-    """Processes on this machine, on loopback, whose memory allocator keeps what a frame frees for the next one.
+class _Total:
+    """The sum of reports."""
 
-    Every frame fills and frees the same megabytes. Dask's workers give each back to the system at once, which then clears it
-    anew: 6 of 62 ms a frame, and most of the time spent in the system.
-    """
-    threads = dask.config.get("distributed.nanny.pre-spawn-environ")
-    with dask.config.set({"distributed.nanny.pre-spawn-environ": {**threads, **ALLOCATOR}}):
-        return LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            silence_logs="ERROR",
-        )
+    def __init__(self) -> None:
+        self.frames = self.proposals = 0
+        self.rejections: Counter[str] = Counter()
+        self.stage_seconds: Counter[str] = Counter()
+
+    def add(self, report: FrameReport) -> None:
+        self.frames += report.frames
+        self.proposals += report.proposals
+        self.rejections.update(report.rejections)
+        self.stage_seconds.update(report.stage_seconds)
 
 
-def _totals(reports: list[PartReport]) -> tuple[int, int, Counter[str]]:
-    """Frames, proposals and rejections by cause of some parts."""
-    rejections: Counter[str] = Counter()
-    for report in reports:
-        rejections.update(report.rejections)
-    return sum(r.frames for r in reports), sum(r.proposals for r in reports), rejections
-
-
-def _progress(reports: list[PartReport], before: int, total: int) -> Progress:
-    frames, proposals, rejections = _totals(reports)
-    return Progress(before + frames, total, proposals, dict(rejections))
-
-
-def _summary(out: Path, reports: list[PartReport], before: int, seconds: float) -> GenerationReport:
-    frames, proposals, rejections = _totals(reports)
-    stages: defaultdict[str, float] = defaultdict(float)
-    for report in reports:
-        for name, value in report.stage_seconds.items():
-            stages[name] += value
+def _summary(out: Path, total: _Total, before: int, seconds: float) -> GenerationReport:
+    rejected = sum(total.rejections.values())
     return GenerationReport(
         out=str(out),
-        frames=frames,
-        frames_total=before + frames,
+        frames=total.frames,
+        frames_total=before + total.frames,
         seconds=seconds,
-        frames_per_s=frames / seconds,
-        proposals=proposals,
-        rejections=dict(rejections),
-        acceptance=1.0 - sum(rejections.values()) / proposals if proposals else 1.0,
-        stages_ms={name: 1000 * value / frames for name, value in stages.items()} if frames else {},
+        frames_per_s=total.frames / seconds,
+        proposals=total.proposals,
+        rejections=dict(total.rejections),
+        acceptance=1.0 - rejected / total.proposals if total.proposals else 1.0,
+        stages_ms={name: 1000 * s / total.frames for name, s in total.stage_seconds.items()} if total.frames else {},
     )

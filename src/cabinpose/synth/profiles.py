@@ -17,8 +17,8 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
-from scipy.special import ndtr, ndtri
 
+from cabinpose._native import core as native
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.scene.body import DOF_INDEX, DOFS
 
@@ -94,8 +94,10 @@ def truncated_normal(
     flip = a + b > 0  # more mass below: work with the mirrored distribution, whose cdf does not round to 1
     a, b = np.where(flip, -b, a), np.where(flip, -a, b)
     u = np.where(flip, 1.0 - uniform, uniform)
-    low, high = ndtr(a), ndtr(b)
-    z = ndtri(np.clip(low + u * (high - low), np.finfo(float).tiny, None))
+    low, high, z = np.empty((3, *mean.shape))
+    native.normal_cdf(a, low)
+    native.normal_cdf(b, high)
+    native.normal_quantile(np.clip(low + u * (high - low), np.finfo(float).tiny, None), z)
     z = np.where(flip, -z, z)
     return np.clip(np.where(sigma > 0, mean + safe * z, mean), lower, upper)
 

@@ -8,31 +8,32 @@ only the person whose pose failed is posed again, or the neighbour who leaves no
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from cabinpose._native import cabin as native
 from cabinpose.core.errors import ConfigError, SceneError, unknown_name
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, axis_rotation, transform
+from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Outfit, Person, Phenotype, PosedBody
 from cabinpose.scene.cabin import (
     PRESETS,
+    SEATS_OF_ALL,
+    VIEWS_OF_ALL,
     Cabin,
     CabinDimensions,
     SeatSetting,
     belt_surface,
     build_cabin,
-    load_cabin,
     random_dimensions,
 )
 from cabinpose.scene.contact import ContactField
@@ -158,9 +159,9 @@ class SceneSampler:
         self._subjects = subject_names(config)
         self._cars = car_names(config)
         self._slots = person_slots(config)
-        self._person = lru_cache(maxsize=32)(self._make_person)
-        self._cabin = lru_cache(maxsize=16)(self._make_cabin)
-        self._room = lru_cache(maxsize=16)(self._make_room)
+        self._person = cached_once(32)(self._make_person)
+        self._cabin = cached_once(16)(self._make_cabin)
+        self._room = cached_once(16)(self._make_room)
         self._bodies = Validator(None)
 
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
@@ -270,7 +271,7 @@ class SceneSampler:
         own = camera.views[name]
         if isinstance(own, CameraPose):
             upright = place_camera(own.position_m, own.look_at_m, rng=rng)
-            rolled = upright @ transform(Rotation.from_euler("z", own.roll_deg, degrees=True))
+            rolled = upright @ transform(axis_rotation("z", math.radians(own.roll_deg)))
             return name, jittered(rolled, **jitter, rng=rng)
         view = cabin.view(name)
         return name, place_camera(view.eye, view.target, **jitter, rng=rng)
@@ -300,7 +301,7 @@ class SceneSampler:
         )
         for proposals in range(1, self._config.limits.poses_per_person + 1):
             pose = sample_standing(person, scene.profile, index=index, rng=rng)
-            world_from_root = transform(Rotation.from_euler("z", heading), spot) @ pose.floor_from_root
+            world_from_root = transform(axis_rotation("z", heading), spot) @ pose.floor_from_root
             posed = person.pose(pose.q, world_from_root)
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
             if verdict.ok:
@@ -352,13 +353,23 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         recorded_pose(profile, 0)  # MocapError for a file that is missing, broken or not retargetable
     if isinstance(scene, RoomScene):
         return
+    unusual = not _every_car_has(config, scene)
     for car in scene.cars:
-        cabin = open_cabin(car, "left")
-        _check_car(config, scene, car, cabin, tuple(cabin.seats))
-    if scene.random_cars:  # their seats' actions and their views are the same in all of them: one stands for all
+        if unusual or is_car_file(car):
+            cabin = open_cabin(car, "left")
+            _check_car(config, scene, car, cabin, tuple(cabin.seats))
+    if scene.random_cars and unusual:  # their seats' actions and their views are the same in all of them: one stands for all
         dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
         cabin = build_cabin(dimensions, drive_side="left")
         _check_car(config, scene, "a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"))
+
+
+def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
+    """Whether all that is asked of a car is in every one that we build, so that none is built to find out."""
+    taken = any(scene.occupancy.get(slot, 0.0) > 0 for slot in SEATS_OF_ALL)
+    views = config.camera.views.items()
+    ours = all(name in VIEWS_OF_ALL and not isinstance(view, CameraPose) for name, view in views if view != 0)
+    return taken and ours and not scene.motion
 
 
 def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...]) -> None:
@@ -409,7 +420,11 @@ def _by_cause(causes: Counter[str]) -> dict[str, int]:
 
 def open_cabin(car: str, drive_side: DriveSide) -> Cabin:
     """A preset by its name, or a user's own cabin by the path of its YAML file."""
-    return build_cabin(car, drive_side=drive_side) if car in PRESETS else load_cabin(car)
+    if car in PRESETS:
+        return build_cabin(car, drive_side=drive_side)
+    from cabinpose.scene.cabin import load_cabin  # noqa: PLC0415 - trimesh, for a user's own mesh alone
+
+    return load_cabin(car)
 
 
 def judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
@@ -420,13 +435,13 @@ def judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
     return cabin, Validator(cabin)
 
 
-@lru_cache(maxsize=16)
+@cached_once(16)
 def _judged_preset(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
     cabin = open_cabin(car, drive_side)
     return cabin, Validator(cabin)
 
 
-@lru_cache(maxsize=len(SUBJECTS))
+@cached_once(len(SUBJECTS))
 def _named_person(subject: str) -> Person:
     return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
 
@@ -459,15 +474,4 @@ def _blocked(eye: NDArray[np.float64], people: Sequence[ScenePerson], seated: Se
     """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
     if seated.placed is not None and seated.placed.clearance(eye[None])[0] < _LENS_M:
         return True
-    return any(_nearer(p.posed.skin, eye.astype(np.float32), _FACE_M) for p in people)
-
-
-@njit(cache=True, nogil=True)
-def _nearer(points, place, distance):  # type: ignore[no-untyped-def]
-    """Whether any of points (N, 3) is nearer to a place (3,) than `distance`, m."""
-    square = distance * distance
-    for n in range(len(points)):
-        x, y, z = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
-        if x * x + y * y + z * z < square:
-            return True
-    return False
+    return any(native.any_nearer(p.posed.skin, eye.astype(np.float32), _FACE_M) for p in people)

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.synth.posture.feet import GROUND_M
@@ -126,7 +125,7 @@ def sample_standing(
 
 def _grounded(person: Person, q: Array, root: Array, action: str) -> StandingPose:
     """The pose with its pelvis over the origin, as high as the lowest of heels, balls of the feet, toes and knees demands."""
-    floor_from_root = transform(Rotation.from_matrix(root))
+    floor_from_root = transform(root)
     skeleton = frames(q, person.rest, floor_from_root)
     low = np.inf
     for sole in skeleton.soles:
@@ -207,17 +206,16 @@ def _stand(person: Person, q: Array, stance: Stance, rng: np.random.Generator) -
     lifted = -1 if stance.lifted is None else int(rng.random() < 0.5)
     if lifted >= 0:
         shift = (1.0 if lifted == 1 else -1.0) * hips_half * 0.8  # over the foot that stands
-    turn = Rotation.from_euler(
-        "ZYX", np.radians([_normal((0.0, 7.0), rng), _normal(stance.pitch, rng), _normal((0.0, 2.0), rng)])
-    )
-    hips = turn.apply(np.stack([person.rest.offsets[_THIGH_BONES[side]] for side in (0, 1)])) + (0.0, shift, 0.0)
+    yaw, pitch, roll = np.radians([_normal((0.0, 7.0), rng), _normal(stance.pitch, rng), _normal((0.0, 2.0), rng)]).tolist()
+    turn = axis_rotation("z", yaw) @ axis_rotation("y", pitch) @ axis_rotation("x", roll)
+    hips = np.stack([person.rest.offsets[_THIGH_BONES[side]] for side in (0, 1)]) @ turn.T + (0.0, shift, 0.0)
     targets, height = [], np.inf
     for side in (0, 1):
         s = 1.0 - 2.0 * side
-        toe_out = Rotation.from_euler("z", s * math.radians(_normal((9.0, 6.0), rng)))
+        toe_out = axis_rotation("z", s * math.radians(_normal((9.0, 6.0), rng)))
         place = np.array([s * 0.5 * stagger, s * (hips_half + width), GROUND_M])
-        target = transform(toe_out, place + toe_out.apply([float(soles[side, 0, 3]), 0.0, 0.0]))
-        ankle = target[:3, 3] - toe_out.apply(soles[side, :3, 3])
+        target = transform(toe_out, place + float(soles[side, 0, 3]) * toe_out[:, 0])
+        ankle = target[:3, 3] - toe_out @ soles[side, :3, 3]
         aside = float(np.hypot(*(ankle - hips[side])[:2]))
         if side != lifted:
             height = min(height, ankle[2] + math.sqrt(max(leg * leg - aside * aside, 0.01)) - hips[side, 2])

@@ -6,7 +6,6 @@ Contact is not collision: flesh yields by `FLESH_M`, that of two people by `BOTH
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,9 +13,9 @@ from time import perf_counter
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cabinpose._native import contact as native
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body.rig import SEGMENTS
 from cabinpose.scene.contact import (
@@ -240,7 +239,8 @@ class Validator:
         if probed is not None:
             part, contact = probed
             return Verdict(False, "car", f"{slot}: {contact.solid} in {part}", contact.depth_m, contact.where, slot)
-        axis, limb = _limb_axes(joints, _AXIS_ENDS, _AXIS_SKIPPED)
+        # Foam gives way to the flesh of a limb, not to its bone.
+        axis, limb = native.limb_axes(joints, _AXIS_ENDS, _AXIS_SKIPPED, AXIS_STEP_M)
         pierced = placed.deepest(axis, FLESH_M, give=False)
         if pierced is not None:
             detail = f"{slot}: {_AXES[limb[pierced.point]][0]} through {pierced.part}"
@@ -258,28 +258,3 @@ class Validator:
         now = perf_counter()
         self.tally.seconds[stage] += now - since
         return now
-
-
-@njit(cache=True, nogil=True)
-def _limb_axes(joints, ends, skipped):  # type: ignore[no-untyped-def]
-    """Points (N, 3) every `AXIS_STEP_M` along the limbs' bones, and the row (N,) of `_AXES` of each.
-
-    Foam gives way to the flesh of a limb, not to its bone: an arm that passes through a backrest is nowhere deeper in
-    it than the foam gives, but its axis is inside.
-    """
-    counts = np.empty(len(ends), np.int64)
-    for row in range(len(ends)):
-        way = joints[ends[row, 1]] - joints[ends[row, 0]]
-        counts[row] = max(int(math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2) / AXIS_STEP_M), 2)
-    points = np.empty((counts.sum(), 3), np.float32)
-    limb = np.empty(len(points), np.int64)
-    n = 0
-    for row in range(len(ends)):
-        a, b = joints[ends[row, 0]], joints[ends[row, 1]]
-        for k in range(counts[row]):
-            t = skipped[row] + k * ((1.0 - skipped[row]) / (counts[row] - 1))
-            for axis in range(3):
-                points[n, axis] = a[axis] + t * (b[axis] - a[axis])
-            limb[n] = row
-            n += 1
-    return points, limb

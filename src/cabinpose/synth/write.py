@@ -1,15 +1,18 @@
-"""From scenes to a part of a dataset: place, render, simulate the sensor, look which joints are seen, write."""
+"""From scenes to parts of a dataset: place, render, simulate the sensor, look which joints are seen, write."""
 
 from __future__ import annotations
 
+import sys
+import threading
 import time
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -18,32 +21,26 @@ from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
+from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import SynthConfig, frame_rng
 from cabinpose.synth.profiles import IncrementalProfile
-from cabinpose.synth.render import Rasteriser, joint_visibility
+from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler, person_slots
 
 Frame = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class PartReport:
-    """What making one part took. frames: written, without those skipped · proposals, rejections: poses of people."""
-
-    frames: int
-    proposals: int
-    rejections: Mapping[str, int]
-    stage_seconds: Mapping[str, float]
+_AHEAD = 3  # frames that a thread may be ahead of what is written
+_SWITCH_S = 0.0005  # a thread that comes out of the core waits no longer than this for the interpreter: a frame is 10 ms of work
 
 
 class FrameMaker:
-    """Makes any frame of a dataset from its number."""
+    """Makes any frame of a dataset from its number, in one thread."""
 
-    def __init__(self, config: SynthConfig, seed: int) -> None:
+    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None) -> None:
+        """sampler: of the same configuration and seed, to share people and cars with; its own by default."""
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._config = config
         self._seed = seed
-        self._sampler = SceneSampler(config, seed)
+        self._sampler = sampler or SceneSampler(config, seed)
         self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
         self._slots = person_slots(config)
@@ -51,10 +48,10 @@ class FrameMaker:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Counts the time spent inside under `name`."""
-        start = time.perf_counter()
+        """Counts this thread's CPU time spent inside under `name`."""
+        start = time.thread_time()
         yield
-        self.seconds[name] += time.perf_counter() - start
+        self.seconds[name] += time.thread_time() - start
 
     def make(self, index: int) -> tuple[Frame, Scene]:
         """Frame `index`: every variable of the dataset standard, and the scene it shows."""
@@ -69,12 +66,12 @@ class FrameMaker:
             surface = scene.surface()
         camera_from_world = invert(scene.world_from_camera)
         with self.stage("render"):
-            rendered = self._rasteriser.render(surface, camera_from_world, closed=scene.closed)
+            joints = self._joints(scene, camera_from_world)
+            rendered = self._rasteriser.render(
+                surface, camera_from_world, closed=scene.closed, joints=joints["joints_3d"], instances=self._instances
+            )
         with self.stage("sensor"):
             seen = simulate(rendered.buffers, self._sensor, self._config.noise, rng=rng)
-        with self.stage("joints"):
-            joints = self._joints(scene, camera_from_world)
-            visibility = joint_visibility(joints["joints_3d"], self._instances, surface, camera_from_world, self._sensor.camera)
         camera = self._sensor.camera
         return {
             "depth": seen.depth_m,
@@ -84,7 +81,7 @@ class FrameMaker:
             "labels": rendered.labels,
             "instance": rendered.instance,
             **joints,
-            "visibility": visibility,
+            "visibility": rendered.visibility,
             "camera_k": camera.k,
             "camera_dist": np.array(camera.dist),
             "vehicle_from_camera": scene.world_from_camera,
@@ -117,43 +114,94 @@ class FrameMaker:
         return result
 
 
-def frame_maker(config: SynthConfig, seed: int) -> FrameMaker:
-    """One `FrameMaker` a process and configuration: parts that follow each other share its bodies and cabins."""
-    return _maker(config.model_dump_json(), seed)
+@dataclass(frozen=True)
+class FrameReport:
+    """What making some frames took. frames: written, without those skipped · proposals, rejections: poses of people ·
+    stage_seconds: CPU time of the threads that made them.
+    """
+
+    frames: int
+    proposals: int
+    rejections: Mapping[str, int]
+    stage_seconds: Mapping[str, float]
 
 
-@lru_cache(maxsize=2)
-def _maker(config_json: str, seed: int) -> FrameMaker:
-    return FrameMaker(SynthConfig.model_validate_json(config_json), seed)
+class _Made(NamedTuple):
+    frame: EncodedFrame | None  # None: of a combination that no scene allows
+    report: FrameReport
 
 
-def make_part(folder: Path, plan: PartPlan, config: SynthConfig, manifest: Manifest) -> PartReport:
-    """Make the frames of one part and write them, whole or not at all."""
-    # One thread: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
-    with threadpool_limits(1):
-        maker = frame_maker(config, manifest.seed)
+def make_frames(
+    folder: Path,
+    plans: Sequence[PartPlan],
+    config: SynthConfig,
+    manifest: Manifest,
+    *,
+    threads: int,
+    sampler: SceneSampler | None = None,
+) -> Iterator[FrameReport]:
+    """Make parts one after the other and write each, whole or not at all; yields a report after every frame.
+
+    Threads make frames; this one writes them, in order. They share people and cars, which are those of the `sampler`, made for
+    the same configuration and seed, where one is given.
+    """
+    # A combination of an incremental profile that no scene allows is left out; any other frame must be found.
+    may_skip = isinstance(config.scene.profile, IncrementalProfile)
+    shared = sampler or SceneSampler(config, manifest.seed)
+    local = threading.local()  # a rasteriser's memory belongs to one thread
+
+    def make(index: int) -> _Made:
+        if not hasattr(local, "maker"):
+            local.maker = FrameMaker(config, manifest.seed, shared)
+        maker: FrameMaker = local.maker
         maker.seconds.clear()
-        proposals = 0
-        rejections: Counter[str] = Counter()
-        frames = 0
-        # A combination of an incremental profile that no scene allows is left out; any other frame must be found.
-        may_skip = isinstance(config.scene.profile, IncrementalProfile)
-        with PartWriter(folder, plan, manifest) as part:
-            for index in range(plan.first, plan.first + plan.frames):
-                try:
-                    frame, scene = maker.make(index)
-                except ImpossibleSceneError as error:
-                    if not may_skip:
-                        raise
-                    proposals += error.proposals
-                    rejections.update(error.rejections)
-                    part.skip()
-                    continue
-                proposals += scene.proposals
-                rejections.update(scene.rejections)
-                with maker.stage("write"):
-                    part.append(frame)
-                frames += 1
-            part.attrs["proposals"] = proposals
-            part.attrs["rejections"] = dict(sorted(rejections.items()))
-    return PartReport(frames, proposals, dict(rejections), dict(maker.seconds))
+        try:
+            frame, scene = maker.make(index)
+        except ImpossibleSceneError as error:
+            if not may_skip:
+                raise
+            return _Made(None, FrameReport(0, error.proposals, error.rejections, dict(maker.seconds)))
+        with maker.stage("write"):
+            encoded = encode_frame(frame, index, manifest)
+        return _Made(encoded, FrameReport(1, scene.proposals, scene.rejections, dict(maker.seconds)))
+
+    # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
+    with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads)) as results:
+        for plan in plans:
+            with PartWriter(folder, plan, manifest) as part:
+                proposals, rejections = 0, Counter[str]()
+                for made in islice(results, plan.frames):
+                    if made.frame is None:
+                        part.skip()
+                    else:
+                        part.append_encoded(made.frame)
+                    proposals += made.report.proposals
+                    rejections.update(made.report.rejections)
+                    if part.missing:
+                        yield made.report
+                part.attrs["proposals"] = proposals
+                part.attrs["rejections"] = dict(sorted(rejections.items()))
+            yield made.report  # of the last frame, once its part is whole
+
+
+def _frames(plan: PartPlan) -> range:
+    return range(plan.first, plan.first + plan.frames)
+
+
+def _in_order(function: Callable[[int], _Made], items: Iterable[int], threads: int) -> Generator[_Made]:
+    """Results in the order of the items, worked out by threads that are at most a few items ahead."""
+    if threads == 1:
+        yield from map(function, items)
+        return
+    coming = iter(items)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    with ThreadPoolExecutor(threads, "frames") as pool:
+        try:
+            waiting = deque(pool.submit(function, item) for item in islice(coming, _AHEAD * threads))
+            while waiting:
+                yield waiting.popleft().result()
+                waiting.extend(pool.submit(function, item) for item in islice(coming, 1))
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            sys.setswitchinterval(interval)

@@ -7,16 +7,18 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Self
 
 import numpy as np
 
 import cabinpose.synth.render
 from cabinpose.app.bench.rendering import pinhole
 from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert
-from cabinpose.synth.render import Rasteriser
+from cabinpose.synth.render import Rasteriser, RenderedFrame
 from cabinpose.synth.sample import Scene
 
 REQUIREMENT = "bpy==4.5.*"  # the last with wheels for Python 3.11; it pins numpy 1.26
@@ -49,52 +51,65 @@ def blender_python(folder: Path) -> tuple[Path | None, str | None]:
     return python, None
 
 
-def compare(scenes: list[Scene], camera: Camera, *, threads: int, folder: Path | None = None) -> dict[str, Any]:
-    """Blender's seconds a frame on scenes, and how many of its pixels have our depth.
+class BlenderPeer:
+    """Blender beside us on the same scenes, each seen without the camera's lens distortion, which Blender's camera lacks.
 
-    Both see the camera without its lens distortion, which Blender's camera lacks. Keys: seconds_per_frame (median of the
-    render calls alone, with which Blender builds its search tree, renders, and writes both passes; None where Blender does
-    not run), seconds_per_frame_with_import (the same with the making of the meshes), reason, version, depth_agreement (share
-    of pixels within 0.1 mm), instance_agreement, scenes.
+    reason: why Blender does not run here, or None. Use as a context: the exported scenes lie in a temporary folder.
     """
-    python, reason = blender_python(folder or cache_folder())
-    if python is None:
-        return {"seconds_per_frame": None, "reason": reason}
-    rasteriser = Rasteriser(pinhole(camera))
-    with tempfile.TemporaryDirectory() as name:
-        work = Path(name)
-        ours = []
-        for number, scene in enumerate(scenes):
+
+    def __init__(self, scenes: Sequence[Scene], camera: Camera, *, threads: int, folder: Path | None = None) -> None:
+        self._scenes, self._camera, self._threads = scenes, camera, threads
+        self._python, self.reason = blender_python(folder or cache_folder())
+        self._work = tempfile.TemporaryDirectory()
+        self._ours: list[RenderedFrame] = []
+        self.version = ""
+
+    def __enter__(self) -> Self:
+        if self.reason is not None:
+            return self
+        camera = self._camera
+        for number, scene in enumerate(self._scenes):
             surface = scene.surface()
-            ours.append(rasteriser.render(surface, invert(scene.world_from_camera), closed=scene.closed))
+            rasteriser = Rasteriser(pinhole(camera))
+            self._ours.append(rasteriser.render(surface, invert(scene.world_from_camera), closed=scene.closed))
             np.savez(
-                work / f"scene-{number:03d}.npz",
+                self._path(f"scene-{number:03d}.npz"),
                 vertices=surface.vertices,
                 faces=surface.faces,
                 instance=surface.instance,
                 world_from_camera=scene.world_from_camera,
                 pinhole=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]),
             )
-        done = subprocess.run([str(python), str(_PEER), name, str(threads)], capture_output=True, text=True, check=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._work.cleanup()
+
+    def render(self) -> tuple[list[float], list[float]]:
+        """Seconds of each scene: of the render call alone, with which Blender builds its search tree, renders, and writes both
+        passes; and with the making of the meshes. Raises ConfigError where Blender fails.
+        """
+        command = [str(self._python), str(_PEER), self._work.name, str(self._threads)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         answers = [line for line in done.stdout.splitlines() if line.startswith('{"blender"')]
         if done.returncode != 0 or not answers:
-            return {"seconds_per_frame": None, "reason": f"Blender failed: {_last_line(done.stderr)}"}
+            raise ConfigError(f"Blender failed: {_last_line(done.stderr)}", hint="measure without it: --skip-blender")
         answer = json.loads(answers[-1])
+        self.version = answer["blender"]
+        return answer["seconds"], answer["seconds_with_import"]
+
+    def agreement(self) -> tuple[float, float]:
+        """Shares of the pixels of Blender's last rendering that have our depth within 0.1 mm, and our instance."""
         depth, instance = [], []
-        for number, frame in enumerate(ours):
-            peer = np.load(work / f"peer-{number:03d}.npz")
+        for number, frame in enumerate(self._ours):
+            peer = np.load(self._path(f"peer-{number:03d}.npz"))
             seen = np.where(peer["depth"] < 1e3, peer["depth"], 0.0)  # Blender's nothing is 1e10
             depth.append(np.mean(np.abs(seen - frame.depth_clean) <= _AGREE_M))
             instance.append(np.mean(np.maximum(peer["index"] - 1, 0) == frame.instance))
-    return {
-        "seconds_per_frame": float(np.median(answer["seconds"])),
-        "seconds_per_frame_with_import": float(np.median(answer["seconds_with_import"])),
-        "reason": None,
-        "version": answer["blender"],
-        "depth_agreement": float(np.mean(depth)),
-        "instance_agreement": float(np.mean(instance)),
-        "scenes": len(scenes),
-    }
+        return float(np.mean(depth)), float(np.mean(instance))
+
+    def _path(self, name: str) -> Path:
+        return Path(self._work.name) / name
 
 
 def _runs(python: Path) -> bool:

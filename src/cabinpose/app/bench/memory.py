@@ -1,12 +1,8 @@
-"""Resident memory of one worker over a long run, in a process of its own.
-
-The process does nothing but make frames, so that what it holds is what a worker holds; its last line on stdout is JSON.
-"""
+"""Resident memory over a long run, in a process of its own that does nothing else; its last line on stdout is JSON."""
 
 from __future__ import annotations
 
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -18,25 +14,25 @@ import psutil
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.synth.config import Output, SynthConfig
-from cabinpose.synth.generate import ALLOCATOR, Progress, generate
+from cabinpose.synth.generate import Progress, generate
 
 _FRAMES_PER_PART = 50
 _WARM_FRAMES = 500  # after which memory should no longer grow
 _SEED = 1
 
 
-def memory_growth(frames: int) -> dict[str, Any]:
-    """Resident memory of a fresh process that makes frames with random people in random seats and writes them, part by part.
+def memory_growth(frames: int, *, workers: int = 1) -> dict[str, Any]:
+    """Resident memory of a fresh process whose threads (`workers`) make frames with random people in random seats and write them.
 
-    Keys: frames · growth: of the median resident memory of the last tenth over that right after the first 500 frames (or the
-    first tenth of a short run) · peak_mb: the greatest seen after any frame, the interpreter and its libraries included ·
-    rss_mb: up to 50 values in between. Raises SceneError where the process fails.
+    Keys: frames, workers · growth: of the median resident memory of the last tenth over that right after the first 500
+    frames (or the first tenth of a short run) · peak_mb: the greatest seen after any frame, the interpreter and its
+    libraries included · rss_mb: up to 50 values in between. Raises SceneError where the process fails.
     """
     if frames < 1:
         raise ConfigError(f"memory over {frames} frames cannot be watched", hint="give memory_frames at least 1")
-    program = f"import json, {__name__} as memory; print(json.dumps(memory.watch({frames})))"
+    program = f"import json, {__name__} as memory; print(json.dumps(memory.watch({frames}, {workers})))"
     command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **ALLOCATOR})
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise SceneError(f"the process whose memory was watched failed: {last}", hint="generate a few frames by themselves")
@@ -44,7 +40,7 @@ def memory_growth(frames: int) -> dict[str, Any]:
     return figures
 
 
-def watch(frames: int) -> dict[str, Any]:
+def watch(frames: int, workers: int) -> dict[str, Any]:
     """What `memory_growth` returns, of this process."""
     process = psutil.Process()
     samples: list[tuple[int, int]] = []
@@ -54,13 +50,14 @@ def watch(frames: int) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory(prefix="cabinpose-bench-") as folder:
         config = SynthConfig(output=Output(frames_per_part=min(_FRAMES_PER_PART, max(frames // 4, 1))))
-        generate(config, frames, Path(folder) / "memory", seed=_SEED, workers=1, progress=note)
+        generate(config, frames, Path(folder) / "memory", seed=_SEED, workers=workers, progress=note)
     warm = min(_WARM_FRAMES, frames // 10)
     after = [rss for done, rss in samples if done >= warm]
     count = max(len(after) // 10, 1)
     first, last = statistics.median(after[:count]), statistics.median(after[-count:])
     return {
         "frames": frames,
+        "workers": workers,
         "growth": last / first - 1,
         "peak_mb": max(rss for _, rss in samples) / 1e6,
         "rss_mb": [round(rss / 1e6, 1) for _, rss in samples[:: max(len(samples) // 50, 1)]],

@@ -13,20 +13,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     import tyro
 
     import cabinpose
-    from cabinpose.app.cli.commands import RUNNERS, STYLE, Command
+    from cabinpose.app.cli.commands import RUNNERS, STYLE, command_line
     from cabinpose.core.errors import CabinposeError
 
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments == ["--version"]:
         print(cabinpose.__version__)
         return 0
-    command = tyro.cli(Command, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE)
+    command = tyro.cli(command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE)
     try:
         import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
     except CabinposeError as error:
         print(f"error: {error}", file=sys.stderr)
         if error.hint:
             print(f"hint: {error.hint}", file=sys.stderr)
+        return 2
+    except ImportError as error:
+        if error.name != "cabinpose._native":
+            raise
+        print(f"error: {error}", file=sys.stderr)  # it ends with its hint
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 from tyro.conf import Positional, arg
 
@@ -40,7 +40,7 @@ class Align:
     """Calibration of the rig (YAML), made by `cabinpose calibrate`."""
     out: Path
     """Folder of the dataset."""
-    subject: str | None = None
+    subject: Optional[str] = None
     """Subject code, where a take does not name it."""
     max_lag: float = 2.0
     """Greatest delay between suit and optical system that is looked for, s."""
@@ -60,13 +60,13 @@ class Lab:
 
     out: Path
     """Folder of the session; it has to be new or empty."""
-    rig: Path | None = None
+    rig: Optional[Path] = None
     """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of a real one."""
-    only: str | None = None
+    only: Optional[str] = None
     """One error of the rig alone, all others off; `exact`: none at all."""
     seconds: float = 20.0
     """Length of the driver's take."""
-    rate: float | None = None
+    rate: Optional[float] = None
     """Frames per second of the camera in it; default: the rig's."""
     views: int = 50
     """Poses of the checkerboard."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Optional
 
 from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
@@ -33,10 +33,10 @@ class Synth:
     """Number of frames to generate."""
     out: Path
     """Folder of the dataset."""
-    workers: int | None = None
-    """Processes of a local cluster; default: one per core."""
-    scheduler: str | None = None
-    """Address of a running Dask scheduler, used in place of a local cluster."""
+    workers: Optional[int] = None
+    """Threads; default: one per core."""
+    scheduler: Optional[str] = None
+    """Address of a running Dask scheduler, whose workers make the parts; exclusive with --workers."""
     seed: int = 0
     """Seed of all randomness."""
     resume: bool = False
@@ -50,7 +50,7 @@ class Synth:
 class ConfigInit:
     """Write a configuration to start from, every key with its default."""
 
-    file: Annotated[Positional[Path | None], arg(metavar="FILE")] = None
+    file: Annotated[Positional[Optional[Path]], arg(metavar="FILE")] = None
     """File to write; stdout if left out."""
     scene: Literal["cabin", "room"] = "cabin"
     """People in cars, or one person standing in a room in ITOP's geometry."""
@@ -92,7 +92,7 @@ class Info:
     """Folder of the dataset, or a recording (.mcap)."""
     verify: bool = False
     """Read every frame of a dataset, and so compare every checksum; of a recording they always are."""
-    subject: str | None = None
+    subject: Optional[str] = None
     """List the takes of this subject code in the folder."""
     as_json: JsonFlag = False
 
@@ -124,9 +124,9 @@ class Evaluate:
     Several predictions files and models are set side by side, on the joints that all of them answer for.
     """
 
-    data: Path | None = None
+    data: Optional[Path] = None
     """Folder of the dataset."""
-    itop_npz: Path | None = None
+    itop_npz: Optional[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
     predictions: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one a model."""
@@ -134,11 +134,11 @@ class Evaluate:
     """Models to run: names of those in the package, or ONNX files."""
     persons: Annotated[tuple[str, ...], arg(metavar="SLOT [SLOT ...]")] = ()
     """Only the people in these slots."""
-    out: Path | None = None
+    out: Optional[Path] = None
     """Folder for index.html and report.json."""
-    splits: Path | None = None
+    splits: Optional[Path] = None
     """YAML file of splits, of which one is evaluated."""
-    split: str | None = None
+    split: Optional[str] = None
     """Name of the split to evaluate."""
     select: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE[,VALUE] ...")] = ()
     """Only frames with these values of subject, action, car, pov or sequence."""
@@ -174,17 +174,17 @@ class Train:
 
     out: Path
     """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv."""
-    method: str | None = None
+    method: Optional[str] = None
     """Method, if the configuration names none: compact, paf, lifting, unet."""
-    config: Path | None = None
+    config: Optional[Path] = None
     """Configuration of the run (YAML); every key has a default."""
     data: Annotated[tuple[Path, ...], arg(metavar="FOLDER [FOLDER ...]")] = ()
     """Folders of the datasets to train on."""
-    synth: Path | None = None
+    synth: Optional[Path] = None
     """Scene configuration (YAML) to generate frames from while training, in place of datasets."""
     frames: int = 2000
     """Frames an epoch with --synth."""
-    splits: Path | None = None
+    splits: Optional[Path] = None
     """YAML file of splits; without it some of the subjects of each dataset are held out to validate on."""
     train: str = "train"
     """Name of the split to learn from."""
@@ -194,7 +194,7 @@ class Train:
     """Devices a machine, as Lightning understands them."""
     nodes: int = 1
     """Machines, started by Lightning's launchers."""
-    init: Path | None = None
+    init: Optional[Path] = None
     """Checkpoint of an earlier run of the same network, whose weights this one begins with."""
     resume: bool = False
     """Go on with the run in the folder."""
@@ -205,7 +205,7 @@ class Train:
 class Models:
     """List the trained models that come with the package, or say all that is known of one."""
 
-    model: Annotated[Positional[str | None], arg(metavar="MODEL")] = None
+    model: Annotated[Positional[Optional[str]], arg(metavar="MODEL")] = None
     """Name of a packaged model, or an ONNX file."""
     as_json: JsonFlag = False
 
@@ -220,9 +220,9 @@ class Predict:
     """Name of a packaged model, or an ONNX file."""
     out: Path
     """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
-    splits: Path | None = None
+    splits: Optional[Path] = None
     """YAML file of splits, of which one is run."""
-    split: str | None = None
+    split: Optional[str] = None
     """Name of the split to run."""
     overwrite: bool = False
     """Replace the file."""
@@ -231,18 +231,18 @@ class Predict:
 
 @dataclass(frozen=True)
 class BenchSynth:
-    """Measure generation: frames a second, stages, acceptance, memory, and Blender on the same scenes."""
+    """Measure generation: frames a second, CPU time, threads, start-up, memory, and Blender on the same scenes."""
 
     frames: int = 400
     """Frames of each timed run."""
-    repeats: int = 3
-    """Timed runs, of which the medians are reported."""
+    repeats: int = 5
+    """Rounds in which everything is measured once, one after the other; medians and quartiles are reported."""
     workers: int = 2
-    """Processes, and Blender's threads."""
+    """Threads, ours and Blender's."""
     skip_blender: bool = False
     """Leave the comparison out; it needs an environment of its own with bpy."""
     memory_frames: int = 0
-    """Frames of a long run of one worker whose memory is watched; 0 leaves it out."""
+    """Frames of a long run whose memory is watched; 0 leaves it out."""
     as_json: JsonFlag = False
 
 
@@ -276,7 +276,7 @@ class BenchRecord:
     """Length of the take."""
     rate_mb: float = 160.0
     """MB/s that the sources give."""
-    folder: Path | None = None
+    folder: Optional[Path] = None
     """Folder on the disk to measure; default: that of temporary files. The recording is deleted again."""
     as_json: JsonFlag = False
 
@@ -324,7 +324,7 @@ class EmulateMvn:
     """Types of datagrams: 1 2 3 5 20 21 22 23 24 25. Names and scales (12, 13) come every second."""
     rate: float = 60.0
     """Samples a second."""
-    capture_rate: float | None = None
+    capture_rate: Optional[float] = None
     """Samples a second that the sample counter counts; default: the rate."""
     characters: int = 1
     """People, side by side."""
@@ -332,7 +332,7 @@ class EmulateMvn:
     """Props of each."""
     fingers: bool = False
     """With 40 finger segments."""
-    items_per_datagram: int | None = None
+    items_per_datagram: Optional[int] = None
     """Split samples over datagrams of so many items."""
     latency: float = 0.0
     """Seconds from taking a sample to sending it."""
@@ -346,9 +346,9 @@ class EmulateMvn:
     """Share of datagrams that arrive twice."""
     reorder: float = 0.0
     """Share of datagrams that arrive late."""
-    seconds: float | None = None
+    seconds: Optional[float] = None
     """How long; default: until Ctrl-C."""
-    log: Path | None = None
+    log: Optional[Path] = None
     """File for a line of JSON on each datagram and its fate."""
     seed: int = 0
     """Seed of what the network does."""
@@ -365,7 +365,7 @@ class EmulateVicon:
     """Address to listen on."""
     port: int = 8801
     """Port to listen on; 0 takes a free one. Vicon's own is 801, which most systems keep for the administrator."""
-    rate: float | None = None
+    rate: Optional[float] = None
     """Frames a second; default: the motion's (generated: 100)."""
     subjects: int = 1
     """People of a generated motion, side by side."""
@@ -383,15 +383,15 @@ class EmulateVicon:
     """Share of segments that are not solved."""
     up: Literal["z", "y"] = "z"
     """The server's vertical axis."""
-    die_after: float | None = None
+    die_after: Optional[float] = None
     """Die after so many seconds, and return."""
     dead_for: float = 2.0
     """Seconds until it returns."""
     anew: bool = False
     """When it returns, number frames from the first again."""
-    seconds: float | None = None
+    seconds: Optional[float] = None
     """How long; default: until Ctrl-C."""
-    log: Path | None = None
+    log: Optional[Path] = None
     """File for a line of JSON on each frame for each client, and its fate."""
     seed: int = 0
     """Seed of the motion, and of what is dropped and occluded."""
@@ -426,6 +426,12 @@ Command = (
     | Annotated[Lab, subcommand("lab")]
     | Annotated[Bench, subcommand("bench")]
 )
+
+
+def command_line(command: Annotated[Command, arg(name="")]) -> Any:
+    """The command that was typed. A function: tyro looks in sources for what docstrings do not say of fields."""
+    return command
+
 
 RUNNERS = MappingProxyType(
     {

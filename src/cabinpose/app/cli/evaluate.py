@@ -16,20 +16,16 @@ from cabinpose.app.cli.commands import Evaluate
 from cabinpose.app.cli.output import print_json, print_table, progress
 from cabinpose.app.cli.splits import chosen_split
 from cabinpose.app.finite import finite
-from cabinpose.app.report.frames import frame_figures
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
-from cabinpose.app.report.page import page_html
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
 from cabinpose.core.ports import Predictor
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import ITOP_JOINTS
 from cabinpose.estimate.predictor import load_model
-from cabinpose.evaluate.itop import evaluate_itop, itop_summary
 from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
 from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
 from cabinpose.store.part import disk_errors
 from cabinpose.store.predictions import Predictions, read_predictions
 from cabinpose.store.split import COORDINATES, Selection, frame_mask
@@ -63,6 +59,9 @@ def run(command: Evaluate) -> None:
             )
     record = {"data": str(command.data), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
+        from cabinpose.app.report.frames import frame_figures
+        from cabinpose.app.report.page import page_html
+
         shown = dataset.sel(person=list(command.persons)) if command.persons else dataset
         typical, worst = (
             {r.model: frame_figures(shown, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
@@ -80,6 +79,9 @@ def run(command: Evaluate) -> None:
 
 def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> None:
     """One model on ITOP frames, by ITOP's protocol."""
+    from cabinpose.evaluate.itop import evaluate_itop, itop_summary
+    from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
+
     if len(command.model) != 1 or command.predictions or command.data is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
     model = load_model(command.model[0])

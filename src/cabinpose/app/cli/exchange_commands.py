@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Optional
 
 from tyro.conf import Positional, arg
 
@@ -20,29 +20,29 @@ class Export:
 
     out: Path
     """Folder (recordings but for csv, and --onnx: file) to write; it appears when the export is whole."""
-    dataset: Annotated[Positional[Path | None], arg(metavar="DATASET|RECORDING")] = None
+    dataset: Annotated[Positional[Optional[Path]], arg(metavar="DATASET|RECORDING")] = None
     """Folder of the dataset, or a recording (.mcap)."""
-    format: str | None = None
+    format: Optional[str] = None
     """Format to write; see above and docs."""
-    onnx: Path | None = None
+    onnx: Optional[Path] = None
     """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
-    name: str | None = None
+    name: Optional[str] = None
     """Name of the ONNX model in reports; default: the file's."""
-    card: Path | None = None
+    card: Optional[Path] = None
     """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
     mirrored: bool = False
     """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
-    splits: Path | None = None
+    splits: Optional[Path] = None
     """Datasets: YAML file of splits, of which one is exported."""
-    split: str | None = None
+    split: Optional[str] = None
     """Datasets: name of the split to export."""
     source: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
     """Recordings: sources to export; default: all, or the only one that has what the format holds."""
-    subject: str | None = None
+    subject: Optional[str] = None
     """Recordings: whose data (c3d, bvh, trc, sto, mvnx); needed where there are several."""
-    span: Annotated[tuple[float, float] | None, arg(metavar="FROM TO")] = None
+    span: Annotated[Optional[tuple[float, float]], arg(metavar="FROM TO")] = None
     """Recordings: seconds from the start of the take."""
-    rate: float | None = None
+    rate: Optional[float] = None
     """Recordings: frames a second (c3d, trc, sto, mvnx); default: what the device told, or the median."""
     angles: bool = False
     """sto: joint angles in place of orientations."""
@@ -64,29 +64,29 @@ class Import:
     """Format of the source; see above and docs."""
     out: Path
     """Folder of the dataset, or recording (.mcap); it appears when the import is whole."""
-    images: Path | None = None
+    images: Optional[Path] = None
     """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
     keep_invalid: bool = False
     """itop: keep the frames whose labels are marked as not valid, without their joints."""
-    intrinsics: tuple[float, float, float, float] | None = None
+    intrinsics: Optional[tuple[float, float, float, float]] = None
     """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
-    licence: str | None = None
+    licence: Optional[str] = None
     """Datasets: licence of the data; default: what the source says."""
     subject: Annotated[tuple[str, ...], arg(metavar="CODE [CODE ...]")] = ()
     """Recordings: codes of the subjects, in the order of the file."""
-    action: str | None = None
+    action: Optional[str] = None
     """Recordings: what is done, as a short word."""
-    car: str | None = None
+    car: Optional[str] = None
     """Recordings: the car or mock-up."""
-    take: Path | None = None
+    take: Optional[Path] = None
     """Recordings: YAML file of the take, in place of --subject, --action and --car."""
-    name: str | None = None
+    name: Optional[str] = None
     """Recordings: name of the source (mvnx, c3d, bvh, trc, sto, azure-mkv); default: suit, optical, motion or tof."""
-    begun: str | None = None
+    begun: Optional[str] = None
     """c3d, bvh, trc, sto: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
-    unit_m: float | None = None
+    unit_m: Optional[float] = None
     """bvh: metres of the unit of length; default: that of the CMU database."""
-    up: Literal["y", "z"] | None = None
+    up: Optional[Literal["y", "z"]] = None
     """bvh: the vertical axis; default: y."""
     overwrite: bool = False
     """Replace what is there."""

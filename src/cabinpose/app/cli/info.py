@@ -5,24 +5,30 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from cabinpose.app.cli.commands import Info
 from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.app.cli.recording_info import recording_info, takes_of
-from cabinpose.app.view.summary import BIN_M, DatasetSummary, summarise
-from cabinpose.store import open_dataset, read_manifest
+
+if TYPE_CHECKING:
+    from cabinpose.app.view.summary import DatasetSummary
 
 
 def run(command: Info) -> None:
     """Print the summary; with `verify`, after every frame was read."""
     if command.subject is not None:
         takes_of(command.dataset, command.subject, as_json=command.as_json)
-        return
-    if command.dataset.is_file():
+    elif command.dataset.is_file():
         recording_info(command.dataset, as_json=command.as_json)
-        return
+    else:
+        _dataset_info(command)
+
+
+def _dataset_info(command: Info) -> None:
+    from cabinpose.app.view.summary import summarise
+    from cabinpose.store import open_dataset, read_manifest
+
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset, missing="ignore")
     if command.verify:
@@ -80,5 +86,9 @@ def _quantiles(histogram: tuple[float, ...]) -> str:
     """5, 50 and 95 per cent of the depths, as well as bins tell."""
     if not histogram:
         return "no valid pixel"
+    import numpy as np
+
+    from cabinpose.app.view.summary import BIN_M
+
     low, middle, high = np.searchsorted(np.cumsum(histogram), (0.05, 0.5, 0.95)) * BIN_M
     return f"median {middle:.2f} m, 90 % within {low:.2f} m to {high + BIN_M:.2f} m"

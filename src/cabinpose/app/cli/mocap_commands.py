@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Optional
 
 from tyro.conf import Positional, arg, subcommand
 
@@ -15,11 +15,11 @@ from cabinpose.app.cli.arguments import JsonFlag
 class MocapReport:
     """What all four evaluations can be told about their report."""
 
-    out: Path | None = None
+    out: Optional[Path] = None
     """Folder for the page (index.html) and its numbers (report.json)."""
     resamples: int = 1000
     """Resamples of the bootstrap; 0: no intervals."""
-    block_s: float | None = None
+    block_s: Optional[float] = None
     """Seconds of a block of the bootstrap; default: by how long the errors remember themselves."""
     seed: int = 0
     """Seed of the bootstrap."""
@@ -34,9 +34,9 @@ class EvaluateSse(MocapReport):
 
     takes: Annotated[Positional[tuple[str, ...]], arg(metavar="AXIS=FILE")] = ()
     """roll=FILE, pitch=FILE, yaw=FILE: recordings (.mcap) or MVNX files, one axis each."""
-    sensor: str | None = None
+    sensor: Optional[str] = None
     """Name of the sensor (or segment); default: the only one."""
-    source: str | None = None
+    source: Optional[str] = None
     """Source of the sensor in a recording."""
     step_deg: float = 11.25
     """Degrees that the motor turns at a step."""
@@ -48,7 +48,7 @@ class EvaluateSse(MocapReport):
     """Degrees a second under which the sensor stands still."""
     still_s: float = 0.5
     """Seconds that it does so at least."""
-    motor: str | None = None
+    motor: Optional[str] = None
     """SOURCE/CHANNEL that recorded the motor's angle in degrees, in place of steps."""
 
 
@@ -58,13 +58,13 @@ class EvaluateSfe(MocapReport):
 
     takes: Annotated[Positional[tuple[str, ...]], arg(metavar="[DRIVE=]FILE")] = ()
     """Recordings (.mcap), MVNX, BVH or C3D files, one a drive."""
-    source: str | None = None
+    source: Optional[str] = None
     """Source of the suit in a recording; default: suit where there is one, else the only one that gives a body."""
-    subject: str | None = None
+    subject: Optional[str] = None
     """Subject code; default: the only one."""
-    first: tuple[float, float] | None = None
+    first: Optional[tuple[float, float]] = None
     """Seconds from and to, of the first pose; default: where the person stands still in an N-pose for the first time."""
-    last: tuple[float, float] | None = None
+    last: Optional[tuple[float, float]] = None
     """Seconds from and to, of the last pose; default: the last time."""
     still_m_s: float = 0.05
     """Metres a second under which every segment stands still."""
@@ -86,19 +86,19 @@ class _AgainstOptical(MocapReport):
     """Source of the suit."""
     optical: str = "optical"
     """Source of the optical system."""
-    subject: str | None = None
+    subject: Optional[str] = None
     """Subject code in the suit's stream; default: the only one."""
-    optical_subject: str | None = None
+    optical_subject: Optional[str] = None
     """Subject in the optical system's stream; default: the suit's, if it has it, else the only one."""
     windows: tuple[str, ...] = ()
     """PLANE=START:END in seconds of the take, to tell planes of motion in one recording apart."""
     pairs: tuple[str, ...] = ()
     """NAME=SEGMENT of the optical system, where its model names something differently."""
-    rate: float | None = None
+    rate: Optional[float] = None
     """Samples a second of the common clock; default: the slower system's."""
     max_gap_s: float = 0.1
     """Longest pause of a stream that is interpolated over."""
-    delay_ms: float | None = None
+    delay_ms: Optional[float] = None
     """By how much the suit's stamps are late against the optical system's; default: from how both see the segments turn."""
 
 
@@ -108,7 +108,7 @@ class EvaluateDse(_AgainstOptical):
 
     sensors: bool = False
     """Take the orientations of the suit's sensors, not of its segments."""
-    heading_deg: float | None = None
+    heading_deg: Optional[float] = None
     """Heading of the optical world seen from the suit's; default: fitted."""
 
 

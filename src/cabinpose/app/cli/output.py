@@ -7,12 +7,12 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typing import TYPE_CHECKING, Any
 
 from cabinpose.app.finite import finite
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 QUIET_S = 2.0  # what is over sooner needs no progress
 LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
@@ -65,10 +65,12 @@ class ProgressReport:
 @contextmanager
 def progress(total: int, unit: str, *, start: int = 0) -> Iterator[ProgressReport]:
     """A `ProgressReport` of `total` items, of which `start` were there before; its bar is gone when the block ends."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    if not sys.stderr.isatty():
         yield ProgressReport(None, total, unit, start)
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (
         BarColumn(),
         MofNCompleteColumn(),
@@ -76,5 +78,5 @@ def progress(total: int, unit: str, *, start: int = 0) -> Iterator[ProgressRepor
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         yield ProgressReport(bar, total, unit, start)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 from tyro.conf import Positional, arg
 
@@ -20,13 +20,13 @@ class Record:
 
     config: Path
     """The rig (YAML): its sources, how to write, and the take."""
-    out: Path | None = None
+    out: Optional[Path] = None
     """Recording to write (.mcap)."""
-    take: Path | None = None
+    take: Optional[Path] = None
     """YAML file of the take (subjects, action, car), in place of the rig's."""
     check: bool = False
     """Say what is missing, of the disk and of each source, and record nothing."""
-    duration: float | None = None
+    duration: Optional[float] = None
     """Stop after so many seconds."""
     as_json: JsonFlag = False
 

@@ -17,7 +17,10 @@ from cabinpose.synth.generate import Progress, generate
 def run(command: Synth) -> None:
     """Generate with a progress bar; the report goes to stdout."""
     if command.workers is not None and command.scheduler is not None:
-        raise ConfigError("a cluster is either started or given", hint="give one of --workers and --scheduler")
+        raise ConfigError(
+            "--workers are threads of this process, --scheduler is a cluster elsewhere",
+            hint="give one of --workers and --scheduler",
+        )
     config = SynthConfig.load(command.config)
     with progress(command.frames, "frames", start=_frames_there(command)) as report:
 

@@ -7,9 +7,7 @@ from pathlib import Path
 from cabinpose.app.cli.commands import View
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.app.view.page import write_view
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.part import disk_errors
 
 
@@ -32,6 +30,9 @@ def run(command: View) -> None:
 
 
 def _view_dataset(command: View, sheet: Path, page: Path) -> None:
+    from cabinpose.app.view.page import write_view
+    from cabinpose.store import open_dataset, read_manifest
+
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset)
     with disk_errors(command.out), progress(command.frames + command.rows, "frames") as report:

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from cabinpose._native import body as native
 from cabinpose.core.errors import SceneError, unknown_name
 from cabinpose.core.frames import Matrix
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.body.kinematics import joints_into, main_frames
+from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, self_contact, solid_topology
 from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
@@ -110,7 +111,7 @@ class Motion:
         rotation, position = self.bones(time_s)
         out = np.empty((len(rotation), len(JOINTS), 3))
         for k in range(len(out)):
-            joints_into(self.person.rest, rotation[k], position[k], out[k])
+            native.joint_positions(self.person.rest, rotation[k], position[k], out[k])
         return out
 
     def body(self, time_s: float) -> PosedBody:

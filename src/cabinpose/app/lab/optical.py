@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cabinpose._native import lab
 from cabinpose.app.lab.motion import Motion
 from cabinpose.core.frames import Matrix, apply, invert, transform
 from cabinpose.core.register import kabsch
@@ -87,10 +87,12 @@ def cap_of(person: Person) -> Cap:
 
 def seen_by(eyes: F64, markers: F64, vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
     """(N, M): which cameras (N, 3) see which markers (M, 3): no triangle of (F, 3) lies between. All in one frame, m."""
-    return _seen(
+    seen = np.empty((len(eyes), len(markers)), np.bool_)
+    lab.see_markers(
         np.ascontiguousarray(eyes, np.float64), np.ascontiguousarray(markers, np.float64),
-        np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32), _ENDS_M,
+        np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32), _ENDS_M, seen,
     )  # fmt: skip
+    return seen
 
 
 class Watch:
@@ -108,7 +110,8 @@ class Watch:
         self._rows, self._faces = np.zeros(0, np.int64), np.zeros((0, 3), np.int32)
         if motion.cabin is not None:
             surface = motion.cabin.surface(motion.settings, wheel_angle=float(motion.wheel_angle[0]))
-            between = _between(self.eyes, corners, surface.vertices.astype(np.float64), surface.faces)
+            between = np.empty(len(surface.faces), np.bool_)
+            lab.faces_between(np.ascontiguousarray(self.eyes), corners, surface.vertices, surface.faces, between)
             kept = (between | (surface.label == LABEL["steering_wheel"])) & ~np.isin(surface.material, _TRANSMISSIVE)
             self._rows, faces = np.unique(surface.faces[kept], return_inverse=True)
             self._faces = faces.reshape(-1, 3).astype(np.int32)
@@ -137,10 +140,14 @@ def kept(time_s: F64, markers: int, *, rng: np.random.Generator) -> NDArray[np.b
     """(T, M): false where a marker is lost for a moment for no reason that could be seen, at rising times (T,)."""
     rate, lasts = np.array([_LOST_MARKER] * markers + [_LOST_OBJECT]).T
     drawn = rng.random((len(time_s), markers + 1))
-    lost = np.zeros(drawn.shape, np.bool_)
-    steps = np.diff(time_s, prepend=time_s[0])
-    for k in range(1, len(time_s)):
-        lost[k] = np.where(lost[k - 1], drawn[k] > steps[k] / lasts, drawn[k] < steps[k] * rate)
+    steps = np.diff(time_s, prepend=time_s[0])[:, None]
+    stays, starts = drawn > steps / lasts, drawn < steps * rate  # what becomes of a marker that was lost, and of one that was not
+    stays[0] = starts[0] = False
+    # Where both are one, that is what it becomes; since then it was turned over whenever a lost one comes and a seen one goes.
+    known = np.maximum.accumulate(np.where(stays == starts, np.arange(len(time_s))[:, None], 0), axis=0)
+    turns = np.cumsum(starts & ~stays, axis=0)
+    since = turns - np.take_along_axis(turns, known, axis=0)
+    lost = np.take_along_axis(starts, known, axis=0) ^ (since % 2 == 1)
     return ~(lost[:, :-1] | lost[:, -1:])
 
 
@@ -160,14 +167,14 @@ def measured_object(
     count = len(world_from_object)
     position, orientation = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
     noise = noise_m * rng.standard_normal((count, *cap.markers_m.shape))
-    for k in range(count):
-        seen = np.ones(len(cap.markers_m), np.bool_) if visible is None else visible[k]
-        if seen.sum() < LEAST_MARKERS:
-            continue
-        measured = apply(world_from_object[k], cap.markers_m[seen]) + noise[k, seen]
-        fitted = kabsch(measured, cap.markers_m[seen])
-        position[k] = fitted[:3, 3]
-        orientation[k] = Rotation.from_matrix(fitted[:3, :3]).as_quat(scalar_first=True)
+    seen = np.ones(noise.shape[:2], np.bool_) if visible is None else visible
+    enough = seen.sum(axis=1) >= LEAST_MARKERS
+    if enough.any():
+        true = world_from_object[enough]
+        measured = cap.markers_m @ np.swapaxes(true[:, :3, :3], 1, 2) + true[:, None, :3, 3] + noise[enough]
+        fitted = kabsch(measured, np.broadcast_to(cap.markers_m, measured.shape), seen[enough])
+        position[enough] = fitted[:, :3, 3]
+        orientation[enough] = Rotation.from_matrix(fitted[:, :3, :3]).as_quat(scalar_first=True)
     return position, orientation
 
 
@@ -189,98 +196,3 @@ def measured_model(
     exact = Rotation.from_matrix((world_from_scene[:3, :3] @ rotation[:, turning]).reshape(-1, 3, 3))
     noisy = exact * Rotation.from_rotvec(turned.reshape(-1, 3) / _MODEL_LEVER_M)
     return apply(world_from_scene, at) + off, noisy.as_quat(scalar_first=True).reshape(*at.shape[:2], 4)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _outside(eye: F64, points: F64, vertices: F64, codes: NDArray[np.uint8]) -> None:
-    """Into `codes` (V,), which planes of a pyramid from an eye about points (P, 3) each vertex is beyond: a bit for each.
-
-    A triangle all of whose corners are beyond one plane is not between the eye and any of the points. No bit where a point lies
-    beside the eye: no pyramid holds it then.
-    """
-    wx, wy, wz = points[:, 0].mean() - eye[0], points[:, 1].mean() - eye[1], points[:, 2].mean() - eye[2]
-    length = np.sqrt(wx * wx + wy * wy + wz * wz)
-    wx, wy, wz = wx / length, wy / length, wz / length
-    if abs(wz) < 0.9:
-        ux, uy, uz = -wy, wx, 0.0
-    else:
-        ux, uy, uz = 0.0, -wz, wy
-    norm = np.sqrt(ux * ux + uy * uy + uz * uz)
-    ux, uy, uz = ux / norm, uy / norm, uz / norm
-    vx, vy, vz = wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
-    low_u, high_u, low_v, high_v, far = np.inf, -np.inf, np.inf, -np.inf, 0.0
-    codes[:] = 0
-    for m in range(len(points)):
-        dx, dy, dz = points[m, 0] - eye[0], points[m, 1] - eye[1], points[m, 2] - eye[2]
-        w = wx * dx + wy * dy + wz * dz
-        if w <= 0.0:
-            return
-        u, v = (ux * dx + uy * dy + uz * dz) / w, (vx * dx + vy * dy + vz * dz) / w
-        low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
-        far = max(far, w)
-    for i in range(len(vertices)):
-        dx, dy, dz = vertices[i, 0] - eye[0], vertices[i, 1] - eye[1], vertices[i, 2] - eye[2]
-        w = wx * dx + wy * dy + wz * dz
-        u, v = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz
-        code = 0  # a little to spare for rounding
-        if u < low_u * w - 1e-9:
-            code |= 1
-        if u > high_u * w + 1e-9:
-            code |= 2
-        if v < low_v * w - 1e-9:
-            code |= 4
-        if v > high_v * w + 1e-9:
-            code |= 8
-        if w > far:
-            code |= 16
-        if w < 0.0:
-            code |= 32
-        codes[i] = code
-
-
-@njit(cache=True, nogil=True)
-def _between(eyes: F64, points: F64, vertices: F64, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """(F,): faces that may come between one of the eyes and a point within the hull of points (P, 3)."""
-    result = np.zeros(len(faces), np.bool_)
-    codes = np.empty(len(vertices), np.uint8)
-    for n in range(len(eyes)):
-        _outside(eyes[n], points, vertices, codes)
-        for f in range(len(faces)):
-            if not codes[faces[f, 0]] & codes[faces[f, 1]] & codes[faces[f, 2]]:
-                result[f] = True
-    return result
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _seen(eyes: F64, markers: F64, vertices: F64, faces: NDArray[np.int32], ends: float) -> NDArray[np.bool_]:
-    """Rays from eyes to markers against triangles (Moeller & Trumbore 1997); each ends `ends` m before its marker."""
-    seen = np.ones((len(eyes), len(markers)), np.bool_)
-    codes = np.empty(len(vertices), np.uint8)
-    for n in range(len(eyes)):
-        ex, ey, ez = eyes[n, 0], eyes[n, 1], eyes[n, 2]
-        _outside(eyes[n], markers, vertices, codes)
-        for f in range(len(faces)):
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            if codes[a] & codes[b] & codes[c]:
-                continue
-            px, py, pz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-            qx, qy, qz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-            sx, sy, sz = ex - vertices[a, 0], ey - vertices[a, 1], ez - vertices[a, 2]
-            rx, ry, rz = sy * pz - sz * py, sz * px - sx * pz, sx * py - sy * px
-            along = qx * rx + qy * ry + qz * rz
-            for m in range(len(markers)):
-                if not seen[n, m]:
-                    continue
-                dx, dy, dz = markers[m, 0] - ex, markers[m, 1] - ey, markers[m, 2] - ez
-                hx, hy, hz = dy * qz - dz * qy, dz * qx - dx * qz, dx * qy - dy * qx
-                det = px * hx + py * hy + pz * hz
-                if det == 0.0:
-                    continue
-                first = (sx * hx + sy * hy + sz * hz) / det
-                second = (dx * rx + dy * ry + dz * rz) / det
-                if first < 0.0 or second < 0.0 or first + second > 1.0:
-                    continue
-                t = along / det
-                if 0.0 < t < 1.0 - ends / np.sqrt(dx * dx + dy * dy + dz * dz):
-                    seen[n, m] = False
-    return seen

@@ -6,6 +6,7 @@ Each is built on the person's own measures at rest and moves with one or two bon
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body.shape import load_shape_space
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -42,14 +44,12 @@ def _rigid(vertices: Array, faces: Faces, bone: str, label: str, material: str) 
     )  # fmt: skip
 
 
+@cache
 def _grid_faces(rows: int, columns: int, *, closed: bool) -> Faces:
     """Triangles of a grid of vertices in row order; `closed`: the last column joins the first."""
-    quads = []
-    for i in range(rows - 1):
-        for j in range(columns if closed else columns - 1):
-            a, b = i * columns + j, i * columns + (j + 1) % columns
-            quads += [(a, b, b + columns), (a, b + columns, a + columns)]
-    return np.array(quads, np.int32)
+    i, j = np.mgrid[: rows - 1, : columns if closed else columns - 1].reshape(2, -1)
+    a, b = i * columns + j, i * columns + (j + 1) % columns
+    return np.stack([a, b, b + columns, a, b + columns, a + columns], axis=1).reshape(-1, 3).astype(np.int32)
 
 
 def _closing_faces(rows: int, columns: int) -> Faces:
@@ -61,14 +61,19 @@ def _closing_faces(rows: int, columns: int) -> Faces:
     ).astype(np.int32)
 
 
-def _tube(sections: Array) -> tuple[Array, Faces]:
-    """Closed surface through sections (n, m, 3), with a lid at both ends."""
-    n, m, _ = sections.shape
-    vertices = np.concatenate([sections.reshape(-1, 3), sections[[0, -1]].mean(axis=1)])
+@cache
+def _tube_faces(n: int, m: int) -> Faces:
+    """Triangles of a closed grid (n, m), and of lids about two vertices after it."""
     j = np.arange(m)
     first = np.stack([(j + 1) % m, j, np.full(m, n * m)], axis=1)
     last = np.stack([(n - 1) * m + j, (n - 1) * m + (j + 1) % m, np.full(m, n * m + 1)], axis=1)
-    return vertices, np.concatenate([_grid_faces(n, m, closed=True), first, last]).astype(np.int32)
+    return np.concatenate([_grid_faces(n, m, closed=True), first, last]).astype(np.int32)
+
+
+def _tube(sections: Array) -> tuple[Array, Faces]:
+    """Closed surface through sections (n, m, 3), with a lid at both ends."""
+    n, m, _ = sections.shape
+    return np.concatenate([sections.reshape(-1, 3), sections[[0, -1]].mean(axis=1)]), _tube_faces(n, m)
 
 
 def _sheet(outer: Array, inner: Array) -> tuple[Array, Faces]:
@@ -90,11 +95,18 @@ def _outward(vertices: Array, faces: Faces) -> Faces:
     return faces if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else np.ascontiguousarray(faces[:, ::-1])
 
 
-def foot_faces_hidden(faces: Faces) -> NDArray[np.bool_]:
+@cache
+def foot_faces_hidden() -> NDArray[np.bool_]:
     """(F,) faces of the skin that lie inside a shoe."""
     c = load_chart()
     inside = (c.leg > 0.5) & (c.rest[:, 2] < c.heads["lfoot"][2] - 0.040)
-    return np.asarray(inside[faces].all(axis=1))
+    return np.asarray(inside[load_shape_space().faces].all(axis=1))
+
+
+@cache
+def _leg() -> NDArray[np.intp]:
+    """The vertices of both legs."""
+    return np.flatnonzero(load_chart().leg > 0.5)
 
 
 def shoe(skin: Array, rest: RestArrays, side: str, kind: str) -> Accessory:
@@ -102,8 +114,9 @@ def shoe(skin: Array, rest: RestArrays, side: str, kind: str) -> Accessory:
     s = 1 if side == "l" else -1
     bone = BONE_INDEX[side + "foot"]
     frame, origin = rest.frames[bone], rest.heads[bone]
-    local = (skin - origin) @ frame
-    foot = local[(skin[:, 1] * s > 0) & (local[:, 2] < -0.005) & (load_chart().leg > 0.5)]
+    leg = skin[_leg()]
+    local = (leg[leg[:, 1] * s > 0] - origin) @ frame
+    foot = local[local[:, 2] < -0.005]
     floor = foot[:, 2].min()
     back, front = foot[:, 0].min() - HEEL_BACK_M, foot[:, 0].max() + 0.012
     length = front - back

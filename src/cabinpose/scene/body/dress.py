@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,27 @@ class Dressed:
     material: NDArray[np.uint8]
 
 
+class _Seen(NamedTuple):
+    """What is seen of the cut skin: its faces, the vertices that they use, with bones, and the faces in numbers of these."""
+
+    face: NDArray[np.intp]
+    vertex: NDArray[np.intp]
+    faces: NDArray[np.int32]
+    bone_index: NDArray[np.uint8]
+    bone_weight: Array32
+
+
+@cache
+def _seen(*, shod: bool) -> _Seen:
+    """Of bare feet or of feet in shoes."""
+    cut = cut_skin()
+    face = np.flatnonzero(~foot_faces_hidden()[cut.source]) if shod else np.arange(len(cut.faces))
+    vertex, faces = np.unique(cut.faces[face], return_inverse=True)
+    return _Seen(
+        face, vertex.astype(np.int64), faces.reshape(-1, 3).astype(np.int32), cut.bone_index[vertex], cut.bone_weight[vertex]
+    )  # fmt: skip
+
+
 def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.float64], outfit: Outfit, size: float) -> Dressed:
     """The outfit on a person's skin (V, 3) at rest, root axes; size: stature over the average adult's."""
     worn = layer(skin, rest, outfit, size)
@@ -44,17 +67,10 @@ def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.f
         material[covered] = materials.ID[name]
         if is_label is not None:
             label[covered] = labels.ID[is_label]
-    faces = cut.faces
-    if outfit.shoes != "none":
-        seen = ~foot_faces_hidden(space.faces)[cut.source]
-        faces, label, material = faces[seen], label[seen], material[seen]
-    seen_vertices = np.zeros(len(worn.vertices), bool)
-    seen_vertices[faces] = True
-    faces = (np.cumsum(seen_vertices) - 1)[faces]
-    vertices = [worn.vertices[seen_vertices]]
-    index, weight = [cut.bone_index[seen_vertices]], [cut.bone_weight[seen_vertices]]
-    all_faces, all_labels, all_materials = [faces], [label], [material]
-    count = len(vertices[0])
+    seen = _seen(shod=outfit.shoes != "none")
+    vertices, index, weight = [worn.vertices[seen.vertex]], [seen.bone_index], [seen.bone_weight]
+    all_faces, all_labels, all_materials = [seen.faces], [label[seen.face]], [material[seen.face]]
+    count = len(seen.vertex)
     for part in accessories(skin.astype(np.float64), rest, eyes, outfit):
         rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
         shares = np.zeros(rows.shape, np.float32)
@@ -70,6 +86,6 @@ def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.f
         all_materials.append(part.material)
         count += len(part.vertices)
     return Dressed(
-        np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces).astype(np.int32),
+        np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
         np.concatenate(all_labels), np.concatenate(all_materials),
     )  # fmt: skip

@@ -9,9 +9,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cabinpose._native import body
 from cabinpose.scene.body.chart import Chart, load_chart
 from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
 from cabinpose.scene.body.parts import cut_skin
@@ -20,17 +20,13 @@ Array = NDArray[np.float64]
 _SWAY_M, _PATCH_M = 0.16, 0.20  # wavelengths of the noise that bends a train, and of that which lets it come and go
 
 
-@njit(cache=True, nogil=True)
-def _fields(points: Array, waves: Array, phases: Array, out: Array) -> None:
-    """Sums of plane waves: waves (F, K, 3) rad/m, phases (F, K), out (N, F), about -1 .. 1."""
-    for f in range(len(waves)):
-        for v in range(len(points)):
-            total = 0.0
-            for k in range(waves.shape[1]):
-                total += np.sin(
-                    points[v, 0] * waves[f, k, 0] + points[v, 1] * waves[f, k, 1] + points[v, 2] * waves[f, k, 2] + phases[f, k]
-                )
-            out[v, f] = total / (0.5 * waves.shape[1])
+@cache
+def blend_rows() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """`CutSkin.blend` as rows: (N + 1,) starts, parents, weights."""
+    blend = cut_skin().blend
+    needed = blend.weights != 0
+    starts = np.concatenate([[0], np.cumsum(np.count_nonzero(needed, axis=1))])
+    return starts.astype(np.int32), blend.parents[needed], blend.weights[needed].astype(np.float32)
 
 
 def smooth_noise(wavelengths: Array, where: NDArray[np.bool_], size: float, *, rng: np.random.Generator) -> Array:
@@ -43,17 +39,16 @@ def smooth_noise(wavelengths: Array, where: NDArray[np.bool_], size: float, *, r
     direction /= np.linalg.norm(direction, axis=2)[:, :, None]
     length = wavelengths[:, None] * rng.uniform(0.8, 1.5, direction.shape[:2])
     phases = rng.uniform(0, 2 * np.pi, length.shape)
-    own = np.zeros((len(where), len(wavelengths)))
-    values = np.empty((int(where.sum()), len(wavelengths)))
-    _fields(load_chart().rest[where] * size, direction * (2 * np.pi / length)[:, :, None], phases, values)
-    own[where] = values
-    return np.concatenate([own, cut_skin().blend @ own])
+    waves, blend = direction * (2 * np.pi / length)[:, :, None], blend_rows()
+    out = np.empty((len(where) + len(blend[0]) - 1, len(wavelengths)))
+    body.fill_noise(load_chart().rest * size, np.flatnonzero(where), waves, phases, blend, out)
+    return out
 
 
 @cache
 def seen_chart() -> Chart:
     """The chart at every vertex that is seen (V + N,)."""
-    c, blend = load_chart(), cut_skin().blend.astype(np.float64)
+    c, blend = load_chart(), cut_skin().blend
 
     def extended(values: Array) -> Array:
         return np.concatenate([values, blend @ values])
@@ -132,12 +127,8 @@ def folds(where: NDArray[np.intp], worn: NDArray[np.bool_], seed: int, *, top: b
     rng = np.random.Generator(np.random.Philox(key=2 * seed + top))
     phase, strength = _trains(top=top)
     noise = smooth_noise(np.array([_SWAY_M] * 3 + [_PATCH_M] * len(phase)), worn, size, rng=rng)
-    sway, patch = noise[:, :3], noise[:, 3:]
     length = size * rng.uniform(0.9, 1.15, len(phase))
     start = rng.uniform(0, 2 * np.pi, len(phase))
-    height = np.zeros(len(noise))
-    for k in range(len(phase)):
-        v = where[strength[k, where] > 0.01]
-        wave = np.sin(phase[k, v] * length[k] + start[k] + 2.4 * sway[v, k % 3])
-        height[v] += strength[k, v] * step(patch[v, k], 0.05, 0.9) * wave
-    return np.asarray(0.4 + 0.4 * np.tanh(1.4 * height[where]))
+    height = np.empty(len(where))
+    body.raise_folds((phase, strength, length, start), noise, where, height)
+    return height

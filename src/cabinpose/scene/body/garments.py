@@ -1,7 +1,7 @@
 """Cloth, hair and beard as layers over the skin: the seen mesh, every vertex moved outwards.
 
-A garment is draped on the skin's own mesh at rest: stretched over hollows (`drape.stretch`), hanging from chest, arms and
-thighs (`drape.hang`). The refined mesh then takes its thickness, its looseness, its folds and its hems. Cloth is never
+A garment is draped on the skin's own mesh at rest: stretched over hollows, hanging from chest, arms and thighs. The refined
+mesh then takes its thickness, its looseness, its folds and its hems. Cloth is never
 below the skin.
 """
 
@@ -11,24 +11,23 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cabinpose._native import body
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
-from cabinpose.scene.body.drape import hang, relax, sectors, stretch
-from cabinpose.scene.body.folds import around, folds, seen_chart, smooth_noise
+from cabinpose.scene.body.folds import around, blend_rows, folds, seen_chart, smooth_noise
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
-from cabinpose.scene.body.skinning import vertex_normals
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 _SWEEPS, _EVENING = 50, 8  # of the membrane; of the skin, for directions that its hollows do not turn
 _LEAST_GAP_M = 0.002  # of cloth off the skin
+_SECTORS = 48  # of the turn about what cloth hangs from
 _CLEAR_M = 0.002  # what evening takes from what stands out, about
 _INWARDS_M = 0.006  # at most, of evening
 _LIFT_M = 0.005  # of a top off the trousers' folds: its hem shows
@@ -77,9 +76,10 @@ class Layer:
 def _neighbours() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Rows of the skin's vertex graph: (V + 1,) starts and the neighbours."""
     space = load_shape_space()
-    edges = np.concatenate([space.faces[:, [0, 1]], space.faces[:, [1, 2]], space.faces[:, [2, 0]]])
-    edges = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
-    return np.searchsorted(edges[:, 0], np.arange(space.vertex_count + 1)).astype(np.int32), edges[:, 1].astype(np.int32)
+    corner, following = space.faces.astype(np.int64), np.roll(space.faces, -1, axis=1).astype(np.int64)
+    both = np.stack([corner * space.vertex_count + following, following * space.vertex_count + corner])
+    vertex, near = np.divmod(np.unique(both), space.vertex_count)
+    return np.searchsorted(vertex, np.arange(space.vertex_count + 1)).astype(np.int32), near.astype(np.int32)
 
 
 @cache
@@ -105,52 +105,43 @@ def _looseness(*, top: bool) -> Array:
     return np.asarray((c.arm * arm + c.leg * leg + (1 - c.arm - c.leg).clip(0) * trunk) * waist)
 
 
-def _normals(points: Array32, faces: NDArray[np.int32]) -> Array32:
+def _relaxed(points: Array32, share: Array32, sweeps: int) -> Array32:
+    """The skin's vertices (V, 3), evened; share: (V,) of each step that is taken."""
     out = np.empty_like(points)
-    vertex_normals(points, faces, out)
+    body.relax(points, _neighbours(), share, sweeps, out)
     return out
 
 
-@njit(cache=True, nogil=True)
-def _bulges(
-    points: Array32, normals: Array32, start: NDArray[np.int32], parent: NDArray[np.int32], weight: Array32, flat: Array32,
-    out: Array32,
-) -> None:  # fmt: skip
-    """Sum over each new vertex' parents of the way from the flat point to the parent's tangent plane, weighted."""
-    out[:] = 0
-    for v in range(len(flat)):
-        for k in range(start[v], start[v + 1]):
-            n, p = normals[parent[k]], points[parent[k]]
-            off = (p[0] - flat[v, 0]) * n[0] + (p[1] - flat[v, 1]) * n[1] + (p[2] - flat[v, 2]) * n[2]
-            for i in range(3):
-                out[v, i] += weight[k] * off * n[i]
-
-
 def _refined(points: Array32) -> tuple[Array32, Array32]:
-    """The skin's vertices (V, 3), moved, on the seen mesh (V + N, 3), and normals: the new ones bulge as the surface does.
-
-    Phong tessellation (Boubekeur & Alexa 2008, eq. 2) with half of its shape, which is exact on a sphere.
-    """
-    blend = cut_skin().blend
-    normals = _normals(points, load_shape_space().faces)
-    flat = blend @ points
-    bulge = np.empty_like(flat)
-    _bulges(points, normals, blend.indptr, blend.indices, blend.data, flat, bulge)
-    mixed = blend @ normals
-    mixed /= np.maximum(np.linalg.norm(mixed, axis=1), 1e-6)[:, None]
-    return (
-        np.concatenate([points, flat + np.float32(0.5) * bulge]).astype(np.float32),
-        np.concatenate([normals, mixed]).astype(np.float32),
-    )
+    """The skin's vertices (V, 3), moved, on the seen mesh (V + N, 3), and normals: the new ones bulge as the surface does."""
+    blend = blend_rows()
+    shape = (len(points) + len(blend[0]) - 1, 3)
+    vertices, normals = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    body.refine(points, load_shape_space().faces, blend, vertices, normals)
+    return vertices, normals
 
 
 def _stretched(under: Array32, name: str, gap: float) -> Array32:
     """A garment stretched over the skin's vertices (V, 3) m."""
-    start, near = _neighbours()
     mask = _mask(name)[: len(under)].astype(np.float32)
-    normals = _normals(relax(under, start, near, np.float32(0.6) * mask, _EVENING), load_shape_space().faces)
-    pinned = np.where(mask > 0.99, mask, np.float32(0))
-    return stretch(under, normals, np.float32(gap) * mask, start, near, pinned, _SWEEPS)
+    out = np.empty_like(under)
+    body.stretch(under, load_shape_space().faces, _neighbours(), mask, gap, _EVENING, _SWEEPS, out)
+    return out
+
+
+def _sectors() -> Array:
+    """(_SECTORS,) angle of each sector, rad from -pi."""
+    return (np.arange(_SECTORS) / _SECTORS - 0.5) * 2 * np.pi
+
+
+def _hanging(down: Array, radius: Array, angle: Array, narrowing: Array) -> Array:
+    """Radius (N,) m of cloth hanging about an axis, for points at `down` (N,) m along it, `radius` off it at `angle` rad.
+
+    Going down, the radius shrinks by no more than `narrowing` (_SECTORS,) m/m from what stands out above.
+    """
+    out = np.empty(len(down))
+    body.hang(down, radius, angle, narrowing, out)
+    return out
 
 
 def _hung(points: Array32, name: str, rest: RestArrays, narrowing: float, *, top: bool) -> Array32:
@@ -172,16 +163,17 @@ def _hung(points: Array32, name: str, rest: RestArrays, narrowing: float, *, top
         off -= np.einsum("ij,ij->i", off, axis)[:, None] * axis
         radius = np.linalg.norm(off, axis=1)
         length = np.linalg.norm(heads[1:] - heads[:-1], axis=1)
-        target = hang(np.cumsum([0.0, *length])[k] + (at - k) * length[k], radius, around(off, heads[2] - heads[0]),
-                      np.full(len(sectors()), narrowing if not top else 0.20))  # fmt: skip
+        below = np.cumsum([0.0, *length])[k] + (at - k) * length[k]
+        fall = np.full(_SECTORS, narrowing if not top else 0.20)
+        target = _hanging(below, radius, around(off, heads[2] - heads[0]), fall)
         share = mask[inside] * step(weight[inside], 0.75, 0.5) * step(at, 0.25, 0.5)
         out[inside] += off * (share * np.maximum(target / radius - 1, 0))[:, None]
     if top:
         inside = np.flatnonzero((mask > 0) & (c.arm < 0.3) & (c.neck < 0.3))
         off = out[inside, :2] - (np.median(out[inside, 0]), 0.0)
         radius = np.hypot(*off.T)
-        fall = narrowing * (1.6 - 0.6 * np.cos(sectors()))  # most before the chest, less down the back
-        target = hang(-out[inside, 2], radius, np.arctan2(off[:, 1], off[:, 0]), fall)
+        fall = narrowing * (1.6 - 0.6 * np.cos(_sectors()))  # most before the chest, less down the back
+        target = _hanging(-out[inside, 2], radius, np.arctan2(off[:, 1], off[:, 0]), fall)
         # Also inwards: the table is even, however fine the mesh is where the skin has a small feature.
         share = mask[inside] * step(-c.up[inside], -0.86, 0.16) * step(-c.arm[inside], -0.10, 0.2)
         out[inside, :2] += off * (share * np.maximum(target + _CLEAR_M - radius, -_INWARDS_M) / radius)[:, None]
@@ -195,7 +187,6 @@ def layer(skin: Array32, rest: RestArrays, outfit: Outfit, size: float) -> Layer
     regions: list[tuple[NDArray[np.bool_], str, str | None]] = []
     if outfit.shoes != "none":
         regions.append((cut.inside["socks"], "cotton", None))
-    start, near = _neighbours()
     draped, depth = skin, np.zeros(len(bare))
     for name, cuts in ((outfit.bottom, BOTTOMS), (outfit.top, TOPS)):
         if name not in cuts:
@@ -213,11 +204,11 @@ def layer(skin: Array32, rest: RestArrays, outfit: Outfit, size: float) -> Layer
         regions.append((cut.inside[name], worn.material, None))
     depth += _hair(outfit, regions)
     evened = np.max([_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * outfit.cap], axis=0)
-    draped = relax(draped, start, near, np.float32(0.6) * evened.astype(np.float32), _EVENING)
+    draped = _relaxed(draped, np.float32(0.6) * evened.astype(np.float32), _EVENING)
     moved, normals = _refined(draped)
     moved += normals * depth.astype(np.float32)[:, None]
     if outfit.hair in ("medium", "long"):  # ears vanish under the hair
-        flat, normals = _refined(relax(draped, start, near, (borders()["ears"] > -0.003).astype(np.float32), 5 * _EVENING))
+        flat, normals = _refined(_relaxed(draped, (borders()["ears"] > -0.003).astype(np.float32), 5 * _EVENING))
         covered = _seen_field("ears") > -0.003
         moved[covered] = flat[covered] + normals[covered] * np.float32(0.4 * HAIR_DEPTH_M[outfit.hair])
         lifted = ~covered
@@ -228,7 +219,7 @@ def layer(skin: Array32, rest: RestArrays, outfit: Outfit, size: float) -> Layer
     for name in (outfit.bottom, outfit.top):
         if name != "none":
             clothed = np.maximum(clothed, _mask(name)[: len(skin)])
-    _, outwards = _refined(relax(skin, start, near, np.float32(0.7) * clothed.astype(np.float32), _EVENING))
+    _, outwards = _refined(_relaxed(skin, np.float32(0.7) * clothed.astype(np.float32), _EVENING))
     least = np.minimum(0.5 * depth, _LEAST_GAP_M).astype(np.float32)
     lack = np.where(lifted, least - np.einsum("ij,ij->i", moved - bare, outwards), 0)
     moved += outwards * np.maximum(lack, 0.0)[:, None]

@@ -9,22 +9,17 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import body as native
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.dress import Dressed, dress
-from cabinpose.scene.body.kinematics import (
-    end_frames_into,
-    joints_into,
-    main_frames,
-    skin_transforms,
-)
+from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
-from cabinpose.scene.body.rig import BONE_INDEX, DOF_INDEX, DOFS, N_MAIN
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
 from cabinpose.scene.body.skeleton import RIM_RADIUS_M, rest_arrays
-from cabinpose.scene.body.skinning import skin_layers, vertex_normals
 from cabinpose.scene.surface import Surface
 
 Array = NDArray[np.float64]
@@ -91,14 +86,15 @@ class Person:
         """`hand.grip` at which the fingers touch a rim of 30 mm on the palm frame's y axis (bisection, to 1/256)."""
         frames = main_frames(np.zeros(len(DOFS)), self.rest, np.eye(4))
         palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
-        end_frames_into(self.rest, *frames, palms, soles)
+        native.end_frames(self.rest, *frames, palms, soles)
         curls = np.isin(self._space.bone_index[:, 0], [BONE_INDEX[f"lfinger{f}_{k}"] for f in range(2, 6) for k in (1, 2, 3)])
         index, weight, rest = self._space.bone_index[curls], self._space.bone_weight[curls], self.rest_skin[None, curls]
-        low, high, out = 0.0, 1.0, np.empty_like(rest)
+        low, high, out, transforms = 0.0, 1.0, np.empty_like(rest), np.empty((len(BONES), 3, 4))
         for _ in range(8):
             q = np.zeros(len(DOFS))
             q[DOF_INDEX["lhand.grip"]] = grip = (low + high) / 2
-            skin_layers(skin_transforms(q, self.rest, *frames).astype(np.float32), index, weight, rest, out)
+            native.skin_transforms(q, self.rest, *frames, transforms)
+            native.skin_layers(transforms, index, weight, rest, out)
             local = (out[0] - palms[0, :3, 3]) @ palms[0, :3, :3]
             free = np.hypot(local[:, 0], local[:, 2]).min() > RIM_RADIUS_M - FLESH_M
             low, high = (grip, high) if free else (low, grip)
@@ -108,7 +104,7 @@ class Person:
         """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""
         rotation, position = main_frames(checked(q), self.rest, vehicle_from_root)
         out = np.empty((20, 3))
-        joints_into(self.rest, rotation, position, out)
+        native.joint_positions(self.rest, rotation, position, out)
         return out
 
     def skin_part(self, rows: NDArray[np.integer]) -> Callable[[Array, Matrix], Array]:
@@ -117,16 +113,16 @@ class Person:
         rest = self.rest_skin[None, rows]
 
         def posed(q: Array, vehicle_from_root: Matrix) -> Array:
-            mesh = skin_transforms(checked(q), self.rest, *main_frames(q, self.rest, vehicle_from_root))
-            out = np.empty_like(rest)
-            skin_layers(mesh.astype(np.float32), index, weight, rest, out)
+            transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(rest)
+            native.skin_transforms(checked(q), self.rest, *main_frames(q, self.rest, vehicle_from_root), transforms)
+            native.skin_layers(transforms, index, weight, rest, out)
             return out[0].astype(np.float64)
 
         return posed
 
     def pose(self, q: Array, vehicle_from_root: Matrix) -> PosedBody:
         """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point."""
-        return PosedBody(self, checked(q), np.asarray(vehicle_from_root, np.float64))
+        return PosedBody(self, checked(q), np.ascontiguousarray(vehicle_from_root, np.float64))
 
 
 def checked(q: Array) -> Array:
@@ -144,19 +140,19 @@ class PosedBody:
         self.person = person
         self.q = q
         self.vehicle_from_root = vehicle_from_root
-        self._rotation, self._position = main_frames(q, person.rest, vehicle_from_root)
-        self._vehicle_from_mesh = skin_transforms(q, person.rest, self._rotation, self._position)
-        self.joints = np.empty((20, 3))
-        joints_into(person.rest, self._rotation, self._position, self.joints)
+        self._rotation, self._position = np.empty((N_MAIN, 3, 3)), np.empty((N_MAIN, 3))
+        self._vehicle_from_mesh, self.joints = np.empty((len(BONES), 3, 4)), np.empty((20, 3))
         palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
-        end_frames_into(person.rest, self._rotation, self._position, palms, soles)
+        native.pose(
+            q, person.rest, vehicle_from_root, self._rotation, self._position, self._vehicle_from_mesh, self.joints, palms, soles
+        )
         self.palms = {"l": palms[0], "r": palms[1]}
         self.soles = {"l": soles[0], "r": soles[1]}
         self.skin: Array32 = self._skinned(person.rest_skin, person._space.bone_index, person._space.bone_weight)
 
     def _skinned(self, rest: Array32, index: NDArray[np.uint8], weight: Array32) -> Array32:
         out = np.empty((1, len(rest), 3), np.float32)
-        skin_layers(self._vehicle_from_mesh.astype(np.float32), index, weight, rest[None], out)
+        native.skin_layers(self._vehicle_from_mesh, index, weight, rest[None], out)
         return out[0]
 
     @cached_property
@@ -180,7 +176,7 @@ class PosedBody:
         d = self.person.dressed
         vertices = self._skinned(d.rest, d.bone_index, d.bone_weight)
         normals = np.empty_like(vertices)
-        vertex_normals(vertices, d.faces, normals)
+        native.vertex_normals(vertices, d.faces, normals)
         return Surface(vertices, normals, d.faces, d.label, d.material, np.full(len(d.faces), instance, np.uint8))
 
 

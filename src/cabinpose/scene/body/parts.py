@@ -12,7 +12,6 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, identity, vstack
 
 from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
@@ -30,17 +29,55 @@ _WAIST, _HIP_CENTRE, _SHOULDER_Y, _SHOULDER_REACH = 0.16, 0.55, 0.84, 0.45
 
 
 @dataclass(frozen=True)
+class Blend:
+    """Points (M,) on the skin's faces as blends of its vertices: parents, weights (M, 3), weight 0 where fewer than 3 are needed.
+
+    `blend @ values` are the values (M, ...) there of what has values (V, ...) at the vertices.
+    """
+
+    parents: NDArray[np.int32]
+    weights: NDArray[np.floating]
+
+    def __matmul__(self, values: Array) -> Array:
+        first, second, third = (
+            self.weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) * values[self.parents[:, k]] for k in range(3)
+        )
+        return np.asarray(first + second + third)
+
+    def __getitem__(self, rows: slice | NDArray[np.int64]) -> Blend:
+        return Blend(self.parents[rows], self.weights[rows])
+
+    def __len__(self) -> int:
+        return len(self.parents)
+
+    def and_between(self, a: NDArray[np.int64], b: NDArray[np.int64], share: Array) -> Blend:
+        """These points, and those `share` (N,) of the way from points a (N,) to points b (N,) of the same face."""
+        parents = np.concatenate([self.parents[a], self.parents[b]], axis=1)
+        weights = np.concatenate([(1 - share)[:, None] * self.weights[a], share[:, None] * self.weights[b]], axis=1)
+        # What both ends have of one vertex is added up; three vertices, those of the face, are left.
+        order = np.argsort(parents, axis=1, kind="stable")
+        parents, weights = np.take_along_axis(parents, order, axis=1), np.take_along_axis(weights, order, axis=1)
+        for k in range(5):
+            same = parents[:, k] == parents[:, k + 1]
+            weights[same, k + 1] += weights[same, k]
+            weights[same, k] = 0.0
+        order = np.argsort(weights == 0.0, axis=1, kind="stable")[:, :3]
+        parents, weights = np.take_along_axis(parents, order, axis=1), np.take_along_axis(weights, order, axis=1)
+        return Blend(np.concatenate([self.parents, parents]), np.concatenate([self.weights, weights]))
+
+
+@dataclass(frozen=True)
 class CutSkin:
     """The skin's faces, refined and cut.
 
     faces: (F, 3); vertices from V on are on edges · source: (F,) the skin's face that each is a piece of · blend:
-    (N, V) the new vertices as blends of the skin's · bone_index, bone_weight: (V + N, 8) · label: (F,) ids · inside: (F,)
+    the new vertices (N,) as blends of the skin's · bone_index, bone_weight: (V + N, 8) · label: (F,) ids · inside: (F,)
     by the name of what can be worn (`coverage.borders`).
     """
 
     faces: NDArray[np.int32]
     source: NDArray[np.int64]
-    blend: csr_matrix
+    blend: Blend
     bone_index: NDArray[np.uint8]
     bone_weight: NDArray[np.float32]
     label: NDArray[np.uint8]
@@ -48,12 +85,12 @@ class CutSkin:
 
 
 class _Cutter:
-    """Faces while they are being cut; `every` (M, V) blends the skin's vertices into all so far."""
+    """Faces while they are being cut; `every` blends the skin's vertices into all so far."""
 
     def __init__(self, faces: NDArray[np.int32], count: int) -> None:
         self.faces = faces.astype(np.int64)
         self.source = np.arange(len(faces))
-        self.every = identity(count, format="csr")
+        self.every = Blend(np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
 
     def refine(self, rest: Array, longest: float, where: NDArray[np.bool_]) -> None:
         """Halve the edges that are longer than `longest` on rest (V, 3) and have both ends in `where` (V,)."""
@@ -61,15 +98,12 @@ class _Cutter:
         inside = (self.every @ where.astype(np.float64)) > 0.99
         corner, following = self.faces, np.roll(self.faces, -1, axis=1)
         long = (np.linalg.norm(points[corner] - points[following], axis=2) > longest) & inside[corner] & inside[following]
-        count = self.every.shape[0]
+        count = len(self.every)
         key = np.minimum(corner, following) * count + np.maximum(corner, following)
         halved, at = np.unique(key[long], return_inverse=True)
         middle = np.full(self.faces.shape, -1)
         middle[long] = count + at
-        rows = np.arange(len(halved))
-        ends = np.stack([halved // count, halved % count])
-        mix = csr_matrix((np.full(2 * len(rows), 0.5), (np.concatenate([rows, rows]), ends.ravel())), shape=(len(rows), count))
-        self.every = vstack([self.every, mix @ self.every], format="csr")
+        self.every = self.every.and_between(*np.divmod(halved, count), np.full(len(halved), 0.5))
         number = long.sum(axis=1)
         # Turned so that a lone halved edge comes first, and a lone whole one last.
         turn = np.where(number == 1, long.argmax(axis=1), np.where(number == 2, (~long).argmax(axis=1) + 1, 0))
@@ -86,42 +120,50 @@ class _Cutter:
     def cut(self, field: Array, where: NDArray[np.bool_]) -> None:
         """Cut along field = 0 (field (V,) on the skin's vertices), in faces whose corners are all in `where` (V,)."""
         value = self.every @ field
-        inside = ((self.every @ where.astype(np.float64)) > 0.99)[self.faces].all(axis=1)
-        value = _snapped(value, self.faces[inside])
-        count = self.every.shape[0]
-        edge = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2)  # (F, 3, 2): edge k from corner k to the next
-        key = edge.min(axis=2) * count + edge.max(axis=2)
-        crossing = value[edge[:, :, 0]] * value[edge[:, :, 1]] < 0
+        near = np.flatnonzero(~_all((value >= 0)[self.faces]) & ~_all((value <= 0)[self.faces]))  # faces on both sides
+        faces = self.faces[near]
+        inside = _all(((self.every @ where.astype(np.float64)) > 0.99)[faces])
+        value = _snapped(value, faces[inside])
+        count = len(self.every)
+        corner, following = faces, np.roll(faces, -1, axis=1)  # edge k from corner k to the next
+        crossing = value[corner] * value[following] < 0
         # A face outside that shares a cut edge is split as well, or a crack would open there.
-        parted = crossing & np.isin(key, np.unique(key[inside][crossing[inside]]))
-        crossed = parted.any(axis=1)
+        key = (np.minimum(corner, following) * count + np.maximum(corner, following))[crossing]
+        parted = np.zeros(faces.shape, bool)
+        parted[crossing] = np.isin(key, key[np.broadcast_to(inside[:, None], crossing.shape)[crossing]])
+        crossed = ~_all(~parted)
         if not crossed.any():
             return
-        known: dict[tuple[int, int], int] = {}
-
-        def between(a: int, b: int) -> int:
-            return known.setdefault((min(a, b), max(a, b)), count + len(known))
-
-        pieces, sources = [], []
-        for face, cut_edges, source in zip(self.faces[crossed], parted[crossed], self.source[crossed], strict=True):
-            # Turn the face so that its first corner is alone on its side, or opposite the only cut edge.
-            alone = int(np.flatnonzero(~cut_edges)[0]) + 2 if cut_edges.sum() == 2 else int(np.flatnonzero(cut_edges)[0]) + 2
-            a, b, c = (int(face[(alone + k) % 3]) for k in range(3))
-            if cut_edges.sum() == 2:
-                m, n = between(a, b), between(a, c)
-                made = [(a, m, n), (m, b, c), (m, c, n)]
-            else:
-                m = between(b, c)
-                made = [(a, b, m), (a, m, c)]
-            pieces += made
-            sources += [source] * len(made)
-        pairs = np.array(list(known))
+        cut = parted[crossed]
+        twice = np.count_nonzero(cut, axis=1) == 2
+        # Turn the face so that its first corner is alone on its side, or opposite the only cut edge.
+        alone = np.where(twice, (~cut).argmax(axis=1), cut.argmax(axis=1)) + 2
+        a, b, c = np.take_along_axis(faces[crossed], (alone[:, None] + np.arange(3)) % 3, axis=1).T
+        # The ends of the edges that get a vertex; vertices are numbered as faces first need them.
+        ends = np.stack([np.where(twice, a, b), np.where(twice, b, c), a, c], axis=1).reshape(-1, 2)
+        needed = np.stack([np.ones_like(twice), twice], axis=1).ravel()
+        low, high = np.sort(ends[needed], axis=1).T
+        edges, first, which = np.unique(low * count + high, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        pairs = np.stack(np.divmod(edges[order], count), axis=1)
+        made = np.zeros(len(needed), np.int64)
+        made[needed] = count + np.argsort(order)[which]
+        m, n = made.reshape(-1, 2).T
+        # Two pieces of a face that is cut once, three of one that is cut twice.
+        two, three = np.stack([a, b, m, a, m, c, m, m, m], axis=1), np.stack([a, m, n, m, b, c, m, c, n], axis=1)
+        pieces = np.where(twice[:, None], three, two).reshape(-1, 3)
+        valid = np.stack([np.ones_like(twice), np.ones_like(twice), twice], axis=1).ravel()
         t = value[pairs[:, 0]] / (value[pairs[:, 0]] - value[pairs[:, 1]])
-        rows = np.arange(len(pairs))
-        mix = csr_matrix((np.concatenate([1 - t, t]), (np.concatenate([rows, rows]), pairs.T.ravel())), shape=(len(pairs), count))
-        self.every = vstack([self.every, mix @ self.every], format="csr")
-        self.faces = np.concatenate([self.faces[~crossed], np.array(pieces)])
-        self.source = np.concatenate([self.source[~crossed], np.array(sources)])
+        self.every = self.every.and_between(pairs[:, 0], pairs[:, 1], t)
+        whole = np.ones(len(self.faces), bool)
+        whole[near[crossed]] = False
+        self.faces = np.concatenate([self.faces[whole], pieces[valid]])
+        self.source = np.concatenate([self.source[whole], np.repeat(self.source[near[crossed]], 3)[valid]])
+
+
+def _all(each: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether all three (F, 3) hold; numpy is slow along short axes."""
+    return np.asarray(each[:, 0] & each[:, 1] & each[:, 2])
 
 
 def _snapped(value: Array, faces: NDArray[np.int64]) -> Array:
@@ -205,7 +247,7 @@ def cut_skin() -> CutSkin:
         if edges[name] is not field:
             cutter.cut(edges[name], np.ones_like(trunk))
     count = space.vertex_count
-    blend = cutter.every[count:].tocsr()
+    blend = cutter.every[count:]
     dense = np.zeros((count, int(space.bone_index.max()) + 1))
     for k in range(space.bone_index.shape[1]):
         np.add.at(dense, (np.arange(count), space.bone_index[:, k]), space.bone_weight[:, k])
@@ -216,7 +258,7 @@ def cut_skin() -> CutSkin:
     weight /= weight.sum(axis=1, keepdims=True)
     at = {name: (cutter.every @ field)[cutter.faces].mean(axis=1) for name, field in value.items()}
     return CutSkin(
-        cutter.faces.astype(np.int32), cutter.source, blend.astype(np.float32),
+        cutter.faces.astype(np.int32), cutter.source, Blend(blend.parents, blend.weights.astype(np.float32)),
         np.concatenate([space.bone_index, np.where(weight > 0, order, 0).astype(np.uint8)]),
         np.concatenate([space.bone_weight, weight.astype(np.float32)]), _labels(at, hip),
         MappingProxyType({name: (cutter.every @ field)[cutter.faces].mean(axis=1) > 0 for name, field in edges.items()}),

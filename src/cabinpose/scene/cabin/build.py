@@ -32,6 +32,9 @@ from cabinpose.scene.surface import Surface
 
 DriveSide = Literal["left", "right"]
 _FRONT, _REAR = ("driver", "front_passenger"), ("rear_left", "rear_center", "rear_right")
+# What every cabin has that is built here, whatever its dimensions.
+SEATS_OF_ALL = ("driver", "front_passenger", "rear_left", "rear_right")
+VIEWS_OF_ALL = ("driver", "front_row", "rear")
 RECLINE = (np.deg2rad(10.0), np.deg2rad(45.0))  # range of a front backrest's torso angle
 
 

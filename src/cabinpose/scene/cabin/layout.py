@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
 
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.shapes import Points, smoothstep
@@ -25,6 +24,31 @@ def pedal_plane_angle(seat_height: float) -> float:
     """A47, the pedal plane from the horizontal, rad, for H30 in m (SAE J1516: 78.96 - 0.15 z - 0.0173 z^2 deg, z in cm)."""
     z = 100 * seat_height
     return float(np.deg2rad(78.96 - 0.15 * z - 0.0173 * z * z))
+
+
+def monotone_cubic(x: Points, y: Points) -> Points:
+    """Coefficients (4, n - 1), the cubic's first, of a curve through n >= 3 points that never overshoots them (x rising).
+
+    On [x_k, x_k+1] they count from x_k. The slope at a point is the weighted harmonic mean of those beside it, or 0 at an
+    extremum (Fritsch and Butland 1984); at the ends it is one-sided (Moler 2004). `scipy.interpolate.PchipInterpolator` to the
+    last bit, without the import of everything else in there.
+    """
+    h = np.diff(x)
+    m = np.diff(y) / h
+    slope = np.zeros(len(x))
+    for k in range(1, len(x) - 1):
+        if m[k - 1] * m[k] > 0:
+            w1, w2 = 2 * h[k] + h[k - 1], h[k] + 2 * h[k - 1]
+            slope[k] = 1 / ((w1 / m[k - 1] + w2 / m[k]) / (w1 + w2))
+    for end, k, beside in ((0, 0, 1), (-1, -1, -2)):
+        one_sided = ((2 * h[k] + h[beside]) * m[k] - h[k] * m[beside]) / (h[k] + h[beside])
+        if np.sign(one_sided) != np.sign(m[k]):
+            one_sided = 0.0
+        elif np.sign(m[k]) != np.sign(m[beside]) and abs(one_sided) > 3 * abs(m[k]):
+            one_sided = 3 * m[k]
+        slope[end] = one_sided
+    t = (slope[:-1] + slope[1:] - 2 * m) / h
+    return np.stack((t / h, (m - slope[:-1]) / h - t, slope[:-1], y[:-1]))
 
 
 class Layout:
@@ -67,7 +91,8 @@ class Layout:
         )
 
     @cached_property
-    def _roof_line(self) -> PchipInterpolator:
+    def _roof_line(self) -> tuple[Points, Points]:
+        """Where the pieces of the roof line begin and end, and their cubics."""
         points = sorted(
             {
                 self.roof_end_x: self.roof_end_z,
@@ -77,11 +102,16 @@ class Layout:
             }.items()
         )
         x, z = np.array(points).T
-        return PchipInterpolator(x, z, extrapolate=True)
+        return x, monotone_cubic(x, z)
 
     def roof_line(self, x: ArrayLike) -> Points:
         """Height of the headlining on the centre line, m."""
-        return np.asarray(self._roof_line(np.clip(x, self.roof_end_x, self.header_x)))
+        knots, cubics = self._roof_line
+        along = np.clip(x, self.roof_end_x, self.header_x)
+        piece = np.clip(np.searchsorted(knots, along, "right") - 1, 0, len(knots) - 2)
+        a, b, c, d = cubics[:, piece]
+        s = along - knots[piece]
+        return np.asarray(d + c * s + b * (s * s) + a * (s * s * s))
 
     def roof(self, x: ArrayLike, y: ArrayLike) -> Points:
         """Height of the headlining with its crown: it falls towards the sides."""

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import Matrix
+from cabinpose.core.frames import Matrix, axis_rotation
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.cabin.shapes import axis_rotation
 from cabinpose.scene.surface import Surface, merge
 
 Vector = NDArray[np.float64]  # (3,)

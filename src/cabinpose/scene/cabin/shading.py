@@ -50,13 +50,14 @@ def to_surface(solid: Solid, label: str, material: str, crease: float = CREASE) 
     second = order[np.repeat(starts[corner_vertex[order]], repeats) + within]
     n_first, n_second = unit[corner_face[first]], unit[corner_face[second]]
     near = np.einsum("ij,ij->i", n_first, n_second) > np.cos(crease)
-    total = np.zeros((len(corner_vertex), 3))
-    np.add.at(total, first[near], n_second[near] * weight[second[near], None])
+    at, pull = first[near], n_second[near] * weight[second[near], None]
+    total = np.stack([np.bincount(at, pull[:, k], minlength=len(corner_vertex)) for k in range(3)], axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     normals = np.where(length > 1e-12, total / np.maximum(length, 1e-30), unit[corner_face])
 
-    key = np.concatenate((corner_vertex[:, None], np.round(normals * 512).astype(np.int64)), axis=1)
-    _, chosen, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    step = np.round(normals * 512).astype(np.int64) + 1024  # 11 bits each
+    key = ((corner_vertex << 11 | step[:, 0]) << 11 | step[:, 1]) << 11 | step[:, 2]
+    _, chosen, inverse = np.unique(key, return_index=True, return_inverse=True)
     count = len(faces)
     return Surface(
         np.ascontiguousarray(vertices[corner_vertex[chosen]], dtype=np.float32),

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cabinpose.core.frames import axis_rotation
+
 Points = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
@@ -54,16 +56,6 @@ class Solid:
     def mirrored(self) -> Solid:
         """The mirror image in the plane y = 0, faces still looking out."""
         return Solid(self.vertices * (1.0, -1.0, 1.0), self.faces).flipped()
-
-
-def axis_rotation(axis: str, angle: float) -> Points:
-    """The (3, 3) rotation about 'x', 'y' or 'z', right-handed, radians."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    matrix = np.eye(3)
-    matrix[i, i] = matrix[j, j] = c
-    matrix[i, j], matrix[j, i] = -s, s
-    return matrix
 
 
 def smoothstep(x: ArrayLike, low: float, high: float) -> Points:

@@ -12,6 +12,7 @@ measures the few points that the interpolation bound leaves open on the triangle
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,22 +21,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import contact as native
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert
-from cabinpose.scene.contact.depth import first_probe
-from cabinpose.scene.contact.grid import (
-    balls_of,
-    bit_rows,
-    fill,
-    flood,
-    grow,
-    levels,
-    merge_part,
-    points_below,
-    sample,
-    shut_off,
-    splat,
-    winding_at_nodes,
-)
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
 from cabinpose.scene.contact.triangles import WELD_M, TriangleMesh, edge_keys, triangle_mesh
@@ -51,6 +39,7 @@ PROBE_M = 0.015  # spacing of probes along sharp edges of hard parts
 SOFT_PROBE_M = 0.040  # and over soft ones
 FEW = 16  # points measured of a contact that is certain
 SEARCH_M = 0.3  # how deep a depth is still measured
+_BYTES_A_NODE = 12  # while a field is built: clearance, exactness, and the same of one part
 STATIC_GROUP = "body"
 WHEEL_GROUP = "wheel"
 
@@ -129,8 +118,13 @@ class GroupField:
 
     @cached_property
     def probe_balls(self) -> NDArray[np.float64]:
-        """`grid.balls_of` the probes."""
-        return np.asarray(balls_of(self.probes))
+        """`balls_of` the probes."""
+        return balls_of(self.probes)
+
+    @cached_property
+    def _grid(self) -> tuple[NDArray[np.float64], float, float, float, NDArray[np.int8]]:
+        """The field for the kernels: origin, step, quantum, the clearance beyond the grid, values."""
+        return self.origin, self.step, QUANTUM_M, self.outside_m, self.values
 
     @property
     def outside_m(self) -> float:
@@ -145,20 +139,24 @@ class GroupField:
 
     def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: NDArray[np.float64]) -> None:
         """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
-        sample(points, group_from_vehicle, self.origin, self.step, QUANTUM_M, self.outside_m, self.values, clearance)
+        native.sample(points, group_from_vehicle, self._grid, clearance)
 
     def below(
-        self, points: NDArray[np.floating], balls: NDArray[np.float64], group_from_vehicle: Matrix, threshold_m: float
+        self, points: NDArray[np.float32], balls: NDArray[np.float64], group_from_vehicle: Matrix, threshold_m: float
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Numbers and clearance (m) of the points (N, 3) m, vehicle frame, with less clearance than `threshold_m`.
 
-        balls: `grid.balls_of(points)`.
+        balls: `balls_of(points)`.
         """
-        m = group_from_vehicle
-        index, clearance = points_below(
-            points, balls, m, self.origin, self.step, QUANTUM_M, self.outside_m, self.values, threshold_m, SEAL_M
-        )
+        index, clearance = native.points_below(points, balls, group_from_vehicle, self._grid, threshold_m, SEAL_M)
         return index, clearance
+
+
+def balls_of(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Centre and radius (ceil(N / 32), 4) of balls around every 32 consecutive points of (N, 3), m."""
+    balls = np.empty((-(-len(points) // 32), 4))
+    native.balls_of(points, balls)
+    return balls
 
 
 def _probes(part: GroupPart) -> NDArray[np.float64]:
@@ -215,11 +213,45 @@ def _lower_to_part(
     dims = tuple(int(n) for n in last - first + 1)
     corner = origin + first * step
     distance = np.full(dims, np.inf, np.float32)
-    splat(part.mesh.corners, corner, step, reach, above if part.mesh.closed else reach, distance)
-    winding = (
-        winding_at_nodes(part.mesh.corners, corner, step, np.array(dims)) if part.mesh.closed else np.zeros((1, 1, 1), np.int8)
-    )
-    merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, above, values, exact)
+    native.splat(part.mesh.corners, corner, step, reach, above if part.mesh.closed else reach, distance)
+    winding = np.zeros(dims if part.mesh.closed else (1, 1, 1), np.int8)
+    if part.mesh.closed:
+        native.winding_at_nodes(part.mesh.corners, corner, step, winding)
+    native.merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, above, values, exact)
+
+
+def bit_rows(values: NDArray[np.float32], level: float) -> NDArray[np.uint64]:
+    """Which nodes of (ni, nj, nk) are at least `level`: (ni, nj, ceil(nk / 64)) words of 64 nodes along the last axis."""
+    bits = np.empty((*values.shape[:2], -(-values.shape[2] // 64)), np.uint64)
+    native.bit_rows(values, level, bits)
+    return bits
+
+
+def grow(reached: NDArray[np.uint64], allowed: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Nodes of `bit_rows`, and those allowed ones that touch them over a face, edge or corner."""
+    wide = reached | reached << np.uint64(1) | reached >> np.uint64(1)
+    wide[..., 1:] |= reached[..., :-1] >> np.uint64(63)
+    wide[..., :-1] |= reached[..., 1:] << np.uint64(63)
+    for axis in (0, 1):
+        rows = np.moveaxis(wide, axis, 0)
+        before = rows.copy()
+        rows[1:] |= before[:-1]
+        rows[:-1] |= before[1:]
+    return np.asarray(reached | wide & allowed)
+
+
+def _check_memory(name: str, steps: NDArray[np.floating]) -> None:
+    """ConfigError where the field of a group of so many steps (3,) would not fit into the memory that is free."""
+    needed, free = float(np.prod(steps, dtype=np.float64)) * _BYTES_A_NODE, _free_bytes()
+    if needed > free:
+        raise ConfigError(
+            f"the contact field of '{name}' takes {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free",
+            hint="give the mesh in metres, and only the parts that people can touch",
+        )
+
+
+def _free_bytes() -> int:
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def group_field(
@@ -230,6 +262,8 @@ def group_field(
     `seeds` (S, 3) m, points that are inside the interior: where given, all that cannot be reached from them, such as
     what is behind a window pane or a door panel, counts as too deep.
     """
+    vertices = np.concatenate([part.surface.vertices for part in parts])
+    _check_memory(name, np.ptp(vertices, axis=0) / step)
     ready = []
     for part in parts:
         mesh = triangle_mesh(part.surface.vertices, part.surface.faces, closed=part.solid)
@@ -242,23 +276,26 @@ def group_field(
     exact = np.zeros(shape, np.bool_)
     for part_ready in ready:
         _lower_to_part(part_ready, low, step, values, exact)
-    fill(values, exact, step, BAND_M)
+    native.fill(values, exact, step, BAND_M)
     sealed = False
     if seeds is not None:
         nodes = np.round((seeds - low) / step).astype(np.int64)
         passable = bit_rows(values, 0.5 * step)
-        free, open_border = flood(bit_rows(values, SEAL_M), nodes, shape[2])
+        free = np.empty_like(passable)
+        open_border = native.flood(bit_rows(values, SEAL_M), nodes, shape[2], free)
         if free.any():
             sealed = not open_border
             for _ in range(math.ceil(SEAL_M / step) + 2):
                 free = grow(free, passable)
-            shut_off(values, free, 0.5 * step)
+            native.shut_off(values, free, 0.5 * step)
     probes = [_probes(p) for p in ready]
     owner = np.repeat(np.arange(len(ready), dtype=np.int32), [len(p) for p in probes])
+    levels = np.empty(shape, np.int8)
+    native.quantise(values, QUANTUM_M, levels)
     return GroupField(
         name,
         tuple(ready),
-        levels(values, QUANTUM_M),
+        levels,
         low,
         step,
         probes=np.concatenate(probes),
@@ -351,9 +388,9 @@ class PlacedField:
         Signed distance to the nearest part plus that part's give, cut at ±`BAND_M` and good to a few millimetres:
         to steer a posture with, not to decide on one. Behind the interior's surfaces it stays negative.
         """
-        result = np.full(len(points), BAND_M)
+        result, there = np.full(len(points), BAND_M), np.ascontiguousarray(points)
         for group, _, group_from_vehicle in self.groups:
-            group.lower(points, group_from_vehicle, result)
+            group.lower(there, group_from_vehicle, result)
         return result
 
     def deepest(self, points: NDArray[np.float32], tolerance_m: float, *, give: bool = True) -> Contact | None:
@@ -385,8 +422,16 @@ class PlacedField:
         in_reach = ((self.low < body.box[1]) & (self.high > body.box[0])).all(axis=1)
         for (group, vehicle_from_group, _), near in zip(self.groups, in_reach, strict=True):
             if near:
-                solid, probe, where, depth, excess = first_probe(
-                    group.probes, group.probe_balls, group.probe_give, vehicle_from_group, body.box, tolerance_m, body.arrays
+                where = np.zeros(3)
+                solid, _, excess, probe, depth = native.first_probe(
+                    group.probes,
+                    group.probe_balls,
+                    group.probe_give,
+                    vehicle_from_group,
+                    body.box,
+                    tolerance_m,
+                    body.arrays,
+                    where,
                 )
                 if solid >= 0:
                     name = group.parts[group.probe_part[probe]].name

@@ -14,19 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import contact as native
 from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.contact.depth import (
-    LEAF,
-    SolidArrays,
-    close_solids,
-    deepest_in,
-    first_between,
-    first_of_pairs,
-    sampled_skin,
-)
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
 
 SPACING_M = 0.025  # torso and thighs have edges up to 75 mm
+LEAF = 32  # triangles to a box in the search for the nearest, as the kernels have it
 
 
 @dataclass(frozen=True)
@@ -69,8 +62,10 @@ def open_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    ends = np.sort(np.concatenate((faces[:, (0, 1)], faces[:, (1, 2)], faces[:, (2, 0)])), axis=1)
-    return np.ascontiguousarray(np.unique(ends, axis=0), np.int32)
+    corner, following = faces.astype(np.int64), np.roll(faces, -1, axis=1)
+    count = int(faces.max()) + 1
+    keys = np.unique(np.minimum(corner, following) * count + np.maximum(corner, following))
+    return np.stack(np.divmod(keys, count), axis=1).astype(np.int32)
 
 
 def _components(edges: NDArray[np.int32]) -> list[NDArray[np.int32]]:
@@ -89,18 +84,10 @@ def _components(edges: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     return [edges[roots == r] for r in np.unique(roots)]
 
 
-def _by_place(points: NDArray[np.floating], run: int = LEAF) -> NDArray[np.intp]:
-    """An order of points (N, 3) in which every run is close together: halves along the widest axis, again and again."""
-    order = np.arange(len(points))
-    pending = [(0, len(points))]
-    while pending:
-        start, end = pending.pop()
-        if end - start > run:
-            part = order[start:end]
-            axis = int(np.argmax(np.ptp(points[part], axis=0)))
-            order[start:end] = part[np.argsort(points[part, axis], kind="stable")]
-            middle = start + run * ((end - start) // (2 * run) or 1)
-            pending += [(start, middle), (middle, end)]
+def _by_place(points: NDArray[np.floating]) -> NDArray[np.int64]:
+    """An order of points (N, 3) in which every `LEAF` of them are close together."""
+    order = np.empty(len(points), np.int64)
+    native.by_place(np.ascontiguousarray(points, np.float64), LEAF, order)
     return order
 
 
@@ -152,6 +139,26 @@ class SolidContact(NamedTuple):
     where: NDArray[np.float64]
 
 
+class SolidArrays(NamedTuple):
+    """A posed body for the kernels; S solids, rows of (start, end).
+
+    vertices: (V, 3) float32 m · boxes: (S, 2, 3) · faces, all_rows, skin_rows, own, own_rows: of `SolidTopology` ·
+    leaf_rows: (S, 2) into leaves (L, 2, 3), boxes around every `LEAF` faces of a solid, made when they are first asked
+    for: ready (S,).
+    """
+
+    vertices: NDArray[np.float32]
+    boxes: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    all_rows: NDArray[np.int64]
+    skin_rows: NDArray[np.int64]
+    own: NDArray[np.int32]
+    own_rows: NDArray[np.int64]
+    leaf_rows: NDArray[np.int64]
+    leaves: NDArray[np.float64]
+    ready: NDArray[np.bool_]
+
+
 _NOWHERE = np.zeros(3)
 
 
@@ -167,7 +174,9 @@ class PosedSolids:
     def of(cls, topology: SolidTopology, skin: NDArray[np.float32]) -> PosedSolids:
         """The solids of a skin (V, 3) m."""
         t = topology
-        vertices, boxes, box = close_solids(skin, t.ring_vertices, t.ring_rows, t.vertices, t.vertex_rows)
+        vertices = np.empty((len(skin) + len(t.ring_rows), 3), np.float32)
+        boxes, box = np.empty((len(t.vertex_rows), 2, 3), np.float32), np.empty((2, 3), np.float32)
+        native.close_solids(skin, t.ring_vertices, t.ring_rows, t.vertices, t.vertex_rows, vertices, boxes, box)
         leaves, ready = np.empty((t.leaf_rows[-1, 1], 2, 3)), np.zeros(len(boxes), np.bool_)
         arrays = SolidArrays(
             vertices, boxes, t.faces, t.all_rows, t.skin_rows, t.own, t.own_rows, t.leaf_rows, leaves, ready
@@ -183,7 +192,7 @@ class PosedSolids:
         self, solid: int, points: NDArray[np.float32], index: NDArray[np.int32], limits: NDArray[np.float64]
     ) -> SolidContact | None:
         """The indexed point of (N, 3) that goes farthest beyond its limit into a solid; None where none does."""
-        excess, point, depth = deepest_in(points, index, solid, _NOWHERE, 0.0, limits, self.arrays)
+        excess, point, depth = native.deepest_in(points, index, solid, _NOWHERE, 0.0, limits, self.arrays)
         if point < 0:
             return None
         return SolidContact(SOLIDS[solid], depth, excess, point, points[point].astype(np.float64))
@@ -196,7 +205,7 @@ class PosedSolids:
 
     def skin_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Points (N, 3) of the skin no farther apart than `SPACING_M` along its edges, and a vertex (N,) near each."""
-        points, vertex = sampled_skin(self.vertices, self.topology.order, self.topology.edges, SPACING_M)
+        points, vertex = native.sampled_skin(self.vertices, self.topology.order, self.topology.edges, SPACING_M)
         return points, vertex
 
     def own(self, solid: int) -> NDArray[np.int32]:
@@ -210,7 +219,7 @@ def self_contact(body: PosedSolids, joints: NDArray[np.float64]) -> tuple[Pair, 
 
     joints: (20, 3) m of the same body in the order of `core.skeleton.JOINTS`.
     """
-    pair, into, excess, point, depth = first_of_pairs(body.arrays, _PAIRED, _TOLERANCES, _JOINT_ENDS, _ZONES, joints)
+    pair, into, excess, point, depth = native.first_of_pairs(body.arrays, _PAIRED, _TOLERANCES, _JOINT_ENDS, _ZONES, joints)
     if pair < 0:
         return None
     return PAIRS[pair], SolidContact(SOLIDS[into], depth, excess, point, body.vertices[point].astype(np.float64))
@@ -228,7 +237,7 @@ def person_contact(one: PosedSolids, two: PosedSolids) -> tuple[str, SolidContac
     if not ((one.box[0] < two.box[1]) & (two.box[0] < one.box[1])).all():
         return None
     for body, other in ((one, two), (two, one)):
-        into, of, excess, point, depth = first_between(body.arrays, other.arrays, _FLESH)
+        into, of, excess, point, depth = native.first_between(body.arrays, other.arrays, _FLESH)
         if into >= 0:
             return SOLIDS[of], SolidContact(SOLIDS[into], depth, excess, point, other.vertices[point].astype(np.float64))
     return None

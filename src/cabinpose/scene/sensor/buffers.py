@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import ConfigError
@@ -22,6 +21,9 @@ def in_parts(dense: NDArray[Any], supersample: int) -> NDArray[Any]:
     s = supersample
     height, width = dense.shape[0] // s, dense.shape[1] // s
     return dense.reshape(height, s, width, s).swapaxes(1, 2).reshape(height * width, s * s)
+
+
+_DTYPES = tuple(np.dtype(t) for t in (np.float32, np.float32, np.uint8, np.int32, np.float32, np.float32, np.uint8))
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class GeometryBuffers:
                 f"the parts of {parts[0]} pixels are not {parts[0]} x {parts[1]} samples",
                 hint="give supersample x supersample samples for every mixed pixel",
             )
+        if any(a.dtype != dtype or not a.flags.c_contiguous for a, dtype in zip(self.arrays, _DTYPES, strict=True)):
+            raise ConfigError(
+                "the geometry of a view is not in the arrays that the compiled noise models take",
+                hint="give C-contiguous arrays: depth and incidence float32, material uint8, mixed int32",
+            )
 
     @classmethod
     def dense(
@@ -69,10 +76,13 @@ class GeometryBuffers:
         if cos_incidence.shape != shape or material.shape != shape:
             raise ConfigError("depth, incidence and material of a view differ in shape", hint="fill all three at one resolution")
         pixels, centre = (shape[0] // s, shape[1] // s), centre_part(s)
-        depth, cosine, materials = in_parts(depth_m, s), in_parts(cos_incidence, s), in_parts(material, s)
+        depth = np.ascontiguousarray(in_parts(depth_m, s), np.float32)
+        cosine = np.ascontiguousarray(in_parts(cos_incidence, s), np.float32)
+        materials = np.ascontiguousarray(in_parts(material, s), np.uint8)
         mixed = np.arange(len(depth) if s > 1 else 0, dtype=np.int32)
         return cls(
-            s, depth[:, centre].reshape(pixels), cosine[:, centre].reshape(pixels), materials[:, centre].reshape(pixels),
+            s, depth[:, centre].copy().reshape(pixels), cosine[:, centre].copy().reshape(pixels),
+            materials[:, centre].copy().reshape(pixels),
             mixed, depth[: len(mixed)], cosine[: len(mixed)], materials[: len(mixed)],
         )  # fmt: skip
 
@@ -81,45 +91,22 @@ class GeometryBuffers:
         """(H, W): the image in pixels."""
         return self.depth_m.shape[0], self.depth_m.shape[1]
 
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """The arrays, as the compiled noise models take them."""
+        return (
+            self.depth_m, self.cos_incidence, self.material,
+            self.mixed, self.parts_depth_m, self.parts_cos_incidence, self.parts_material,
+        )  # fmt: skip
+
     def slots(self) -> NDArray[np.int32]:
         """(H, W): where in `mixed` each pixel is; -1 where it is not."""
         slots = np.full(self.depth_m.size, -1, np.int32)
         slots[self.mixed] = np.arange(len(self.mixed), dtype=np.int32)
         return slots.reshape(self.shape)
 
-    def one_sample(self) -> GeometryBuffers:
-        """The geometry with one sample a pixel."""
-        return GeometryBuffers.dense(1, self.depth_m, self.cos_incidence, self.material)
 
-    def pixels(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
-        """Depth, incidence and material (H, W) of one surface a pixel.
-
-        The depth is the mean of a pixel's parts where they lie on one surface, and that of its centre where they do not:
-        depths of two surfaces are never mixed.
-        """
-        depth = self.depth_m.copy()
-        _mean_depth(self.mixed, self.parts_depth_m, depth.reshape(-1))
-        return depth, self.cos_incidence, self.material
-
-
-# Parts of one pixel that differ from its centre by more than this share of the depth are of different surfaces.
-_ONE_SURFACE = np.float32(0.02)
-
-
-@njit(cache=True, nogil=True)
-def _mean_depth(mixed: NDArray[np.int32], parts: NDArray[np.float32], depth: NDArray[np.float32]) -> None:
-    for k in range(len(mixed)):
-        centre = depth[mixed[k]]
-        total, agree = np.float32(0.0), centre > 0
-        for j in range(parts.shape[1]):
-            total += parts[k, j]
-            agree &= abs(parts[k, j] - centre) <= _ONE_SURFACE * centre
-        if agree:
-            depth[mixed[k]] = total / np.float32(parts.shape[1])
-
-
-@dataclass(frozen=True)
-class SensorFrame:
+class SensorFrame(NamedTuple):
     """What a camera delivers.
 
     depth_m: (H, W) float32, along the optical axis, NaN where invalid · amplitude: (H, W) uint16, active light in
@@ -131,5 +118,7 @@ class SensorFrame:
     amplitude: NDArray[np.uint16]
     confidence: NDArray[np.uint8]
 
-
-CONFIDENCE_SIGMA_M = 0.010  # the sigma at which confidence is half of its scale
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> SensorFrame:
+        """Memory for a frame of a camera of H x W pixels."""
+        return cls(np.empty(shape, np.float32), np.empty(shape, np.uint16), np.empty(shape, np.uint8))

@@ -7,17 +7,18 @@ that stand before or behind their neighbours, without naming thresholds; the def
 
 from __future__ import annotations
 
-from typing import Literal
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.scene.sensor.buffers import CONFIDENCE_SIGMA_M, GeometryBuffers, SensorFrame
+from cabinpose._native import sensor as native
+from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
-from cabinpose.scene.sensor.optics import lens_maps, material_table
+from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
 
 
@@ -43,97 +44,52 @@ class EmpiricalNoise(BaseModel):
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
-def simulate_empirical(buffers: GeometryBuffers, sensor: Sensor, noise: EmpiricalNoise, *, rng: Generator) -> SensorFrame:
-    """One frame with measured noise; see `simulate`. The amplitude is that of the geometry, without noise."""
-    depth, cos_incidence, material = buffers.pixels()
-    height, width = depth.shape
+class _Empirical(NamedTuple):
+    """A sensor with its measured noise, as `sensor/empirical.hpp` describes it."""
+
+    range_over_depth: NDArray[np.float32]
+    amplitude_scale: NDArray[np.float32]
+    field: NDArray[np.bool_]
+    table: NDArray[np.float32]
+    a: float
+    b: float
+    c: float
+    edge_sigma: float
+    edge_threshold: float
+    reach: int
+    remove_spikes: bool
+    glass: bool
+    near: float
+    far: float
+
+
+@lru_cache(maxsize=8)
+def _empirical(sensor: Sensor, noise: EmpiricalNoise) -> _Empirical:
+    """What frames have in common."""
     maps = lens_maps(sensor, 1)
-    table = material_table(True, noise.glass, 0.0, 0.0)
-    if noise.glass:
-        depth = np.where(table[material, 1] > 0, np.float32(0.0), depth)
-    field = maps.field if noise.circular_field else np.isfinite(maps.range_over_depth)
     near, far = sensor.range_m if noise.range_window else (0.0, np.inf)
-    noisy = np.empty((height, width), np.float32)
-    sigma = np.empty((height, width), np.float32)
-    normals = normal_quantiles()[random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]]
-    _perturb(
-        depth, normals, (noise.a_mm * 1e-3, noise.b_mm_per_m * 1e-3, noise.c_mm_per_m2 * 1e-3),
-        noise.edge_sigma_mm * 1e-3, noise.edge_threshold_m, noise.edge_width_px, noisy, sigma,
-    )  # fmt: skip
-    result = noisy.copy()
-    if noise.remove_spikes:
-        _remove_spikes(noisy, sigma, depth, noise.edge_threshold_m, noise.edge_width_px, result)
-    result[~field | (result < near) | (result > far)] = np.nan
-    return SensorFrame(
-        result,
-        geometric_amplitude(depth, cos_incidence, material, sensor),
-        np.where(np.isfinite(result), 255 * CONFIDENCE_SIGMA_M / (CONFIDENCE_SIGMA_M + sigma), 0).astype(np.uint8),
+    return _Empirical(
+        maps.range_over_depth,
+        amplitude_scale(sensor),
+        maps.field if noise.circular_field else np.isfinite(maps.range_over_depth),
+        material_table(True, True, 0.0, 0.0),
+        a=noise.a_mm * 1e-3,
+        b=noise.b_mm_per_m * 1e-3,
+        c=noise.c_mm_per_m2 * 1e-3,
+        edge_sigma=noise.edge_sigma_mm * 1e-3,
+        edge_threshold=noise.edge_threshold_m,
+        reach=noise.edge_width_px,
+        remove_spikes=noise.remove_spikes,
+        glass=noise.glass,
+        near=near,
+        far=far,
     )
 
 
-def geometric_amplitude(
-    depth: NDArray[np.float32], cos_incidence: NDArray[np.float32], material: NDArray[np.uint8], sensor: Sensor
-) -> NDArray[np.uint16]:
-    """(H, W): amplitude without noise (electrons) of one surface a pixel."""
-    maps = lens_maps(sensor, 1)
-    reflectance = material_table(True, True, 0.0, 0.0)[material, 0]
-    scale = np.float32(sensor.signal_e * sensor.contrast) * maps.vignetting * maps.illumination
-    ray = np.maximum(depth * maps.range_over_depth, np.float32(0.05))
-    amplitude = np.where((depth > 0) & maps.field, scale * reflectance * cos_incidence / (ray * ray), np.float32(0.0))
-    return np.minimum(amplitude, np.float32(65535.0)).astype(np.uint16)
-
-
-@njit(cache=True, nogil=True)
-def _perturb(
-    depth: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    coefficients: tuple[float, float, float],
-    edge_sigma: float,
-    threshold: float,
-    reach: int,
-    noisy: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-) -> None:
-    """Equation 5.5, with the noise of abrupt edges added in quadrature; NaN where there is no depth."""
-    height, width = depth.shape
-    a, b, c = coefficients
-    for v in range(height):
-        for u in range(width):
-            z = depth[v, u]
-            if not z > 0:
-                noisy[v, u] = np.nan
-                sigma[v, u] = np.inf
-                continue
-            value = a + b * z + c * z * z
-            left, right = depth[v, max(u - reach, 0)], depth[v, min(u + reach, width - 1)]
-            up, down = depth[max(v - reach, 0), u], depth[min(v + reach, height - 1), u]
-            if abs(right - left) > threshold or abs(down - up) > threshold:
-                value = np.sqrt(value * value + edge_sigma * edge_sigma)
-            sigma[v, u] = value
-            noisy[v, u] = z + value * normals[v, u]
-
-
-@njit(cache=True, nogil=True)
-def _remove_spikes(
-    noisy: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-    depth: NDArray[np.float32],
-    threshold: float,
-    reach: int,
-    result: NDArray[np.float32],
-) -> None:
-    """Equation 5.6, read as: a pixel before all of its neighbours, or behind all of them, by the threshold is taken out."""
-    height, width = noisy.shape
-    for v in range(height):
-        for u in range(width):
-            z = noisy[v, u]
-            if not np.isfinite(sigma[v, u]):
-                continue
-            before, behind = True, True
-            for dv, du in ((0, -reach), (0, reach), (-reach, 0), (reach, 0)):
-                y, x = min(max(v + dv, 0), height - 1), min(max(u + du, 0), width - 1)
-                if depth[y, x] > 0:
-                    before &= z < noisy[y, x] - threshold
-                    behind &= z > noisy[y, x] + threshold
-            if before or behind:
-                result[v, u] = np.nan
+def simulate_empirical(buffers: GeometryBuffers, sensor: Sensor, noise: EmpiricalNoise, *, rng: Generator) -> SensorFrame:
+    """One frame with measured noise; see `simulate`. The amplitude is that of the geometry, without noise."""
+    height, width = buffers.shape
+    frame = SensorFrame.empty(buffers.shape)
+    ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)
+    native.simulate_empirical(buffers.arrays, _empirical(sensor, noise), ranks, normal_quantiles(), frame)
+    return frame

@@ -79,3 +79,11 @@ def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
         (cosine**sensor.illumination_exponent).astype(np.float32),
         field,
     )
+
+
+@lru_cache(maxsize=8)
+def amplitude_scale(sensor: Sensor) -> NDArray[np.float32]:
+    """(H, W): amplitude (electrons) of a white surface that faces the camera at 1 m; 0 outside the field."""
+    maps = lens_maps(sensor, 1)
+    scale = np.float32(sensor.signal_e * sensor.contrast) * maps.vignetting * maps.illumination
+    return np.where(maps.field, scale, np.float32(0.0))

@@ -8,19 +8,19 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from cabinpose._native import sensor as native
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.continuous_wave import average_parts, collect_phasors, decode, mean_light, spread
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
-from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT, Sensor
+from cabinpose.scene.sensor.presets import Sensor
 
 
 class PhysicalNoise(BaseModel):
@@ -79,17 +79,68 @@ NO_EFFECTS = PhysicalNoise(
 _PHASE_TOLERANCE = 0.25
 
 
+class _ContinuousWave(NamedTuple):
+    """A sensor with the effects asked for, as `sensor/continuous_wave.hpp` describes it."""
+
+    range_over_depth: NDArray[np.float32]
+    parts_range_over_depth: NDArray[np.float32]
+    gain: NDArray[np.float32]
+    ambient_gain: NDArray[np.float32]
+    table: NDArray[np.float32]
+    frequencies: NDArray[np.float64]
+    p: int
+    q: int
+    gloss_width: float
+    triangle: float
+    blur: float
+    stray_light: float
+    contrast: float
+    read_noise: float
+    full_well: float
+    min_amplitude: float
+    near: float
+    far: float
+    tolerance: float
+    parts: bool
+    lambert: bool
+    shot_noise: bool
+    wrapping: bool
+
+
 @lru_cache(maxsize=8)
-def _gains(
-    sensor: Sensor, vignetting: bool, circular: bool
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Electrons per unit of relative energy, electrons per unit of ambient irradiance, and the field: (H, W) each."""
-    maps = lens_maps(sensor, 1)
-    lens = maps.vignetting if vignetting else np.ones_like(maps.vignetting)
-    light = maps.illumination if vignetting else np.ones_like(maps.illumination)
-    field = maps.field if circular else np.isfinite(maps.range_over_depth)
-    scale = np.where(field, np.float32(sensor.signal_e), np.float32(0.0))
-    return scale * lens * light, scale * lens, field
+def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> _ContinuousWave:
+    """What frames have in common."""
+    maps = lens_maps(sensor, supersample)
+    field = maps.field if noise.circular_field else np.isfinite(maps.range_over_depth)
+    dark, electrons = np.float32(0.0), np.float32(sensor.signal_e)
+    ambient_gain = np.where(field, electrons * maps.vignetting if noise.vignetting else electrons, dark)
+    gain = np.where(field, ambient_gain * maps.illumination, dark) if noise.vignetting else ambient_gain
+    frequencies = sensor.frequencies_hz if noise.second_frequency else sensor.frequencies_hz[:1]
+    near, far = sensor.range_m if noise.range_window else (-np.inf, np.inf)
+    return _ContinuousWave(
+        maps.range_over_depth,
+        maps.parts_range_over_depth,
+        gain,
+        ambient_gain,
+        material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight),
+        np.array(frequencies),
+        *(sensor.frequency_ratio if len(frequencies) == 2 else (1, 1)),
+        gloss_width=GLOSS_WIDTH,
+        triangle=noise.wiggling,
+        blur=noise.blur,
+        stray_light=noise.stray_light,
+        contrast=sensor.contrast,
+        read_noise=sensor.read_noise_e if noise.read_noise else 0.0,
+        full_well=sensor.full_well_e if noise.full_well else np.inf,
+        min_amplitude=sensor.min_amplitude_e if noise.low_amplitude else 0.0,
+        near=near,
+        far=far,
+        tolerance=_PHASE_TOLERANCE if noise.consistency else 0.5,
+        parts=noise.flying_pixels,
+        lambert=noise.incidence,
+        shot_noise=noise.shot_noise,
+        wrapping=noise.wrapping,
+    )
 
 
 def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, *, rng: Generator) -> SensorFrame:
@@ -99,42 +150,9 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
             f"sensor '{sensor.name}' is not a Time-of-Flight camera, and the noise model 'physical' is one",
             hint="choose the noise model 'structured_light' or 'empirical'",
         )
-    height, width = buffers.shape
-    if not noise.flying_pixels:
-        buffers = buffers.one_sample()
-    maps = lens_maps(sensor, buffers.supersample)
-    gain, ambient_gain, field = _gains(sensor, noise.vignetting, noise.circular_field)
-    frequencies = np.array(sensor.frequencies_hz if noise.second_frequency else sensor.frequencies_hz[:1])
-    energy, moment, daylight = (np.empty((height, width), np.float32) for _ in range(3))
-    phasor = np.empty((2 * len(frequencies), height, width), np.float32)
-    table = material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight)
-    light = (
-        noise.incidence, table, GLOSS_WIDTH, (2.0 * frequencies / SPEED_OF_LIGHT).astype(np.float32), noise.wiggling,
-        energy, moment, daylight, phasor,
-    )  # fmt: skip
-    collect_phasors(buffers.depth_m, buffers.cos_incidence, buffers.material, maps.range_over_depth, *light)
-    average_parts(
-        buffers.mixed, buffers.parts_depth_m, buffers.parts_cos_incidence, buffers.parts_material,
-        maps.parts_range_over_depth, *light,
-    )  # fmt: skip
-    if noise.blur > 0:
-        for image in (energy, moment, daylight, *phasor):
-            spread(image, noise.blur)
-    stray = np.zeros(1 + len(phasor))
-    if noise.stray_light > 0:
-        mean_light(energy, phasor, gain, stray)
-    near, far = sensor.range_m if noise.range_window else (-np.inf, np.inf)
-    frame = SensorFrame(
-        np.empty((height, width), np.float32), np.empty((height, width), np.uint16), np.empty((height, width), np.uint8)
-    )
-    ranks = random_words((height, width), rng=rng).view(np.uint16)
-    decode(
-        energy, moment, daylight, phasor, gain, ambient_gain, field, maps.range_over_depth,
-        ranks, normal_quantiles(), (noise.stray_light * stray).astype(np.float32),
-        frequencies, sensor.frequency_ratio if len(frequencies) == 2 else (1, 1), SPEED_OF_LIGHT, sensor.contrast,
-        noise.shot_noise, sensor.read_noise_e if noise.read_noise else 0.0, sensor.full_well_e if noise.full_well else np.inf,
-        sensor.min_amplitude_e if noise.low_amplitude else 0.0, near, far, noise.wrapping,
-        _PHASE_TOLERANCE if noise.consistency else 0.5,
-        frame.depth_m, frame.amplitude, frame.confidence,
+    frame = SensorFrame.empty(buffers.shape)
+    native.simulate_continuous_wave(
+        buffers.arrays, _continuous_wave(sensor, noise, buffers.supersample),
+        random_words(buffers.shape, rng=rng).view(np.uint16), normal_quantiles(), frame,
     )  # fmt: skip
     return frame

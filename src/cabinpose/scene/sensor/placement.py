@@ -32,7 +32,7 @@ def place_camera(
         raise ConfigError("the camera's eye and target coincide", hint="give a target at least a millimetre away")
     vertical = np.hypot(forward[0], forward[1]) < _STRAIGHT * length
     pose = look_at(eye_, target_, (1.0, 0.0, 0.0) if vertical else (0.0, 0.0, 1.0))
-    return jittered(pose, translation_jitter=translation_jitter, rotation_jitter=rotation_jitter, rng=rng)
+    return _jittered(pose, translation_jitter, rotation_jitter, rng)
 
 
 def jittered(
@@ -48,9 +48,14 @@ def jittered(
         raise ConfigError(
             "the camera pose is not a rigid transform", hint="give a rotation and a translation as 4x4, last row 0 0 0 1"
         )
+    return _jittered(vehicle_from_camera, translation_jitter, rotation_jitter, rng)
+
+
+def _jittered(pose: Matrix, translation_jitter: ArrayLike, rotation_jitter: ArrayLike, rng: Generator) -> Matrix:
+    """See `jittered`; the pose is known to be rigid."""
     translation = np.asarray(translation_jitter, dtype=np.float64)
     rotation = np.asarray(rotation_jitter, dtype=np.float64)
-    if not ((translation >= 0).all() and (rotation >= 0).all()):
+    if not (translation.min() >= 0 and rotation.min() >= 0):
         raise ConfigError("camera jitter is negative", hint="give the half width of the jitter, 0 or more")
     draw = rng.uniform(-1.0, 1.0, 6)
-    return vehicle_from_camera @ transform(rotation_vector(draw[3:] * rotation), draw[:3] * translation)
+    return pose @ transform(rotation_vector(draw[3:] * rotation), draw[:3] * translation)

@@ -14,14 +14,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import xarray as xr
-
 from cabinpose.core.errors import DatasetError, unknown_name
 from cabinpose.store.dataset import create_dataset
 from cabinpose.store.part import PartWriter, disk_errors
 from cabinpose.store.schema import MANIFEST_NAME
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from cabinpose.store.convert.source import ImportOptions, Source
 
 FORMATS = MappingProxyType({"png-json": "png_json", "coco": "coco", "itop": "itop", "ntu": "ntu", "ply": "ply"})

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import pose as native
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
 from cabinpose.core.skeleton import INDEX
@@ -18,7 +19,7 @@ from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.chain import Residual
 from cabinpose.synth.posture.limbs import LimbTask, frames, solve_leg
-from cabinpose.synth.posture.room import Room, foot_aside, leg_aside
+from cabinpose.synth.posture.room import Room
 from cabinpose.synth.posture.seat_fit import SeatFit
 
 Array = NDArray[np.float64]
@@ -124,13 +125,13 @@ def on_floor(
     ankle[1] = s * (hip_half + _KNEES_OUT_M + plan.out)
     target = vehicle_from_seat @ transform(rotation, ankle + rotation @ sole[:3, 3])
     in_the_middle = abs(float(seat.design_h_point[1])) < 0.05  # feet stand on both sides of the tunnel
-    aside = 0.0 if in_the_middle else foot_aside(room, target, side)
+    aside = 0.0 if in_the_middle else native.foot_aside(room, target, side)
     target[1, 3] += aside
     rotations = np.array([0.06, 0.06, 0.04]) * fixed
     task = LimbTask(target, np.full(3, 4.0), rotations, _FREE_KNEE, _STIFFNESS)
     residual = solve_leg(q, person.rest, root, side, task)
     for _ in range(_LEG_ROUNDS if crowded else 0):
-        shift = leg_aside(room, frames(q, person.rest, root).position, side)
+        shift = native.leg_aside(room, q, person.rest, root, side)
         if abs(shift) < _LEG_SQUEEZE_M:
             break
         aside += shift

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from functools import wraps
+from threading import Lock
 from typing import TypeVar, TypeVarTuple, Unpack
 from weakref import WeakKeyDictionary
 
@@ -21,14 +22,19 @@ def kept_with_person(function: Callable[[Person, Unpack[Args]], R]) -> Callable[
     the person either.
     """
     known: WeakKeyDictionary[Person, dict[Hashable, R]] = WeakKeyDictionary()
+    lock = Lock()
 
     @wraps(function)
     def remembered(person: Person, *args: *Args) -> R:
-        mine = known.setdefault(person, {})
-        if args not in mine:
-            while len(mine) >= _MOST:
+        with lock:
+            mine = known.setdefault(person, {})
+            if args in mine:
+                return mine[args]
+        result = function(person, *args)  # two threads may both come here: the results are equal
+        with lock:
+            mine[args] = result
+            while len(mine) > _MOST:
                 del mine[next(iter(mine))]
-            mine[args] = function(person, *args)
-        return mine[args]
+        return result
 
     return remembered

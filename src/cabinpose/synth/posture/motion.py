@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError
+from cabinpose.core.frames import axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.store.convert.bvh import UpAxis, read_bvh
-from cabinpose.synth.posture.retarget import Motion, retarget
 from cabinpose.synth.profiles import MocapProfile
+
+if TYPE_CHECKING:
+    from cabinpose.store.convert.bvh import UpAxis
+    from cabinpose.synth.posture.retarget import Motion
 
 Array = NDArray[np.float64]
 
@@ -34,6 +36,9 @@ class Recorded(NamedTuple):
 @lru_cache(maxsize=8)
 def _motion(path: str, unit_m: float, up: UpAxis) -> tuple[Motion, float, Array]:
     """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
+    from cabinpose.store.convert.bvh import read_bvh  # noqa: PLC0415 - scipy's rotations, for recordings alone
+    from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise
+
     clip = read_bvh(path, unit_m=unit_m, up=up).clip()
     motion = retarget(clip)
     return motion, clip.frame_s, np.median(motion.q, axis=0)
@@ -69,7 +74,7 @@ def recorded_pose(profile: MocapProfile, index: int) -> Recorded:
     """
     motion, frame, first, _ = _frame(profile, index)
     heading = np.arctan2(motion.root[first, 1, 0], motion.root[first, 0, 0])
-    return Recorded(motion.q[frame].copy(), Rotation.from_euler("z", -heading).as_matrix() @ motion.root[frame])
+    return Recorded(motion.q[frame].copy(), axis_rotation("z", -heading) @ motion.root[frame])
 
 
 def upper_body_onto(q: Array, profile: MocapProfile, index: int) -> Array:

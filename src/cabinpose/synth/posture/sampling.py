@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import pose as native
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, Person
@@ -34,7 +35,7 @@ from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet, tu
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, lean_to_reach, look_angles, turn_head
 from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, arm_angles, frames, solve_arm
 from cabinpose.synth.posture.motion import upper_body_onto
-from cabinpose.synth.posture.room import Room, room_for, shoulder_aside
+from cabinpose.synth.posture.room import Room, room_for
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
@@ -51,7 +52,6 @@ _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that
 _LOW_TUNNEL_M = 0.04
 _GRIP_SIGMA = 0.025
 _LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
-_LOINS_TO_SHOULDER_M = 0.40
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
 _LAP_GAP_M, _DOOR_GAP_M, _BEHIND_M = 0.04, 0.09, 0.05  # of a recording's hands: over the thighs, from the door, before the hips
@@ -179,13 +179,13 @@ def sample_pose(
     close = (False, False) if company is None else company.close
     crowded = any(close)
     if company is not None:
-        room = within(room, seat, company.people)
+        room = within(room, company.people)
         if crowded:
             root = give_way(q, person, root, seat, room)
-        room = within(room, seat, company.borders)
+        room = within(room, company.borders)
     s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room, close)
     if not crowded:
-        _shoulders_inside(q, s)
+        native.shoulders_inside(q, person.rest, root, room, math.cos(seat.facing_yaw), LOWER, UPPER)
     missed = {"h_point": float(np.linalg.norm(root[:3, 3] - seat.vehicle_from_seat(setting)[:3, 3]))}
     plans, opposite = _foot_plans(seat, cabin, rng), company is not None and company.faced
     missed |= place_feet(q, person, root, seat, setting, fit, cabin, plans, room, faced=opposite, crowded=crowded)
@@ -272,17 +272,6 @@ def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Gener
             value += sign * _draw((mean, sigma), rng)
         d = DOF_INDEX[name]
         q[d] = _clip(q[d] + value, LOWER[d], UPPER[d])
-
-
-def _shoulders_inside(q: Array, s: _Situation) -> None:
-    """Bend the loins away from a door or pillar that a shoulder would go into."""
-    d = DOF_INDEX["lumbar.lateral"]
-    for _ in range(3):
-        skeleton = frames(q, s.person.rest, s.root)
-        depth = shoulder_aside(s.room, skeleton.position) * math.cos(s.seat.facing_yaw)
-        if abs(depth) < 1e-3:
-            return
-        q[d] = _clip(q[d] - depth / _LOINS_TO_SHOULDER_M, LOWER[d], UPPER[d])
 
 
 def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:

@@ -14,9 +14,8 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
 from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.cabin import Seat
@@ -80,7 +79,7 @@ def _posture(pitch: float, thigh: float) -> Array:
 
 
 def _root(pitch: float, place: Array) -> Matrix:
-    return transform(Rotation.from_euler("y", -pitch), place)
+    return transform(axis_rotation("y", -pitch), place)
 
 
 @cache

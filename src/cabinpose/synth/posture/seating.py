@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from cabinpose.core.frames import Matrix, transform
+from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
@@ -47,7 +46,7 @@ class SeatOffset(NamedTuple):
 
     def applied(self, seat_from_root: Matrix) -> Matrix:
         """(4, 4) `seat_from_root` moved."""
-        turn = transform(Rotation.from_euler("zx", (self.yaw, self.roll)))
+        turn = transform(axis_rotation("x", self.roll) @ axis_rotation("z", self.yaw))
         turn[:3, :3] = turn[:3, :3] @ seat_from_root[:3, :3]
         turn[:3, 3] = seat_from_root[:3, 3] + (self.forward_m, self.left_m, 0.0)
         return turn

@@ -1,0 +1,13 @@
+"""Made by tools/make_stubs.py from the extension."""
+
+from . import align as align
+from . import body as body
+from . import cabin as cabin
+from . import contact as contact
+from . import core as core
+from . import lab as lab
+from . import pose as pose
+from . import raster as raster
+from . import sensor as sensor
+
+SIMD: str

@@ -1,0 +1,33 @@
+"""Made by tools/make_stubs.py from the extension."""
+
+from typing import Annotated
+
+import numpy
+from numpy.typing import NDArray
+
+def simulate_continuous_wave(
+    view: tuple[object, ...],
+    camera: tuple[object, ...],
+    ranks: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    quantiles: Annotated[NDArray[numpy.float32], dict(shape=(65536), order="C", device="cpu", writable=False)],
+    out: tuple[object, ...],
+) -> None:
+    """One frame of a continuous-wave Time-of-Flight camera."""
+
+def simulate_empirical(
+    view: tuple[object, ...],
+    camera: tuple[object, ...],
+    ranks: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    quantiles: Annotated[NDArray[numpy.float32], dict(shape=(65536), order="C", device="cpu", writable=False)],
+    out: tuple[object, ...],
+) -> None:
+    """One frame of a camera with measured noise."""
+
+def simulate_structured_light(
+    view: tuple[object, ...],
+    camera: tuple[object, ...],
+    ranks: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    quantiles: Annotated[NDArray[numpy.float32], dict(shape=(65536), order="C", device="cpu", writable=False)],
+    out: tuple[object, ...],
+) -> None:
+    """One frame of a camera that matches a projected dot pattern."""

@@ -1,0 +1,254 @@
+#include "sensor/continuous_wave.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <type_traits>
+#include <vector>
+
+#include "core/math.hpp"
+#include "sensor/decode.hpp"
+#include "sensor/light.hpp"
+
+namespace cabinpose {
+
+namespace {
+
+constexpr double speed_of_light = 299'792'458.0;  // m/s
+constexpr Index most_frequencies = 2;
+// What is kept of a row of pixels: energy, ambient light, (cos, sin) a frequency and, where it is asked for, the range.
+constexpr Index energy = 0, ambient = 1, phasors = 2;
+constexpr Index samples_at_a_time = 512;  // of parts: what is computed of them stays in the first cache
+constexpr Index decoded_rows = 7;         // of memory that `decode` needs
+constexpr Index line = 16;                // floats in a cache line
+
+Index whole_lines(Index floats) { return (floats + line - 1) / line * line; }
+
+/// Memory that a thread uses again for its next frame.
+struct Workspace {
+  std::vector<float> floats;
+  std::vector<std::uint8_t> material;           // of parts
+  std::vector<std::int32_t> column;             // of the pixels whose parts they are
+  std::vector<std::int32_t> row, order, first;  // see `sort_by_rows`
+  float* next = nullptr;
+
+  /// Makes room for `size` floats, which `take` hands out.
+  void reserve(Index size) {
+    if (floats.size() < static_cast<std::size_t>(size + line)) floats.resize(static_cast<std::size_t>(size + line));
+    const auto at = static_cast<Index>(reinterpret_cast<std::uintptr_t>(floats.data()) / sizeof(float) % line);
+    next = floats.data() + (line - at) % line;
+  }
+  float* take(Index size) {
+    float* taken = next;
+    next += whole_lines(size);
+    return taken;
+  }
+};
+
+/// Sorts pixels (M,), flat indices, by rows of the image: those of row v are order[first[v]] .. order[first[v + 1] - 1].
+void sort_by_rows(Array<const std::int32_t, any> pixels, Index height, Index width, Workspace& to) {
+  const Index n = pixels.size();
+  to.row.resize(static_cast<std::size_t>(n));
+  to.order.resize(static_cast<std::size_t>(n));
+  to.first.assign(static_cast<std::size_t>(height) + 2, 0);
+  std::int32_t *row = to.row.data(), *first = to.first.data();
+  const std::int32_t* pixel = pixels.data();
+  const double rows_per_pixel = 1.0 / static_cast<double>(width);
+  // The half pixel keeps whole numbers of rows away from what rounding could change.
+  for (Index k = 0; k < n; ++k) row[k] = static_cast<std::int32_t>((static_cast<double>(pixel[k]) + 0.5) * rows_per_pixel);
+  for (Index k = 0; k < n; ++k) ++first[row[k] + 2];
+  for (Index v = 0; v < height; ++v) first[v + 2] += first[v + 1];
+  for (Index k = 0; k < n; ++k) to.order[static_cast<std::size_t>(first[row[k] + 1]++)] = static_cast<std::int32_t>(k);
+}
+
+void moments(const float* energies, const float* ranges, Index n, float* out) {
+  for (Index i = 0; i < n; ++i) out[i] = energies[i] * ranges[i];
+}
+
+/// Samples of the parts of some mixed pixels of one row.
+struct Parts {
+  float *depth, *cos_incidence, *range_over_depth, *range, *energy, *ambient, *in_phase, *quadrature;
+  std::uint8_t* material;
+  std::int32_t* column;  // of each pixel
+};
+
+/// The light of a frame, by rows; see `collect`, `stray`.
+struct Light {
+  const View& view;
+  const ContinuousWave& camera;
+  Workspace& memory;
+  Index height = view.depth.size(0), width = view.depth.size(1), stride = whole_lines(width);
+  Index frequencies = camera.frequencies.size();
+  Index planes = phasors + 2 * frequencies + (camera.wrapping ? 0 : 1);
+  Index parts = view.parts_depth.size(1), most_pixels = std::max<Index>(1, samples_at_a_time / parts);
+  Surfaces surfaces{camera.table, camera.lambert, static_cast<float>(1.0 / camera.gloss_width)};
+  float share = static_cast<float>(camera.blur);
+  float per_m[most_frequencies] = {};                 // turns of the phase per metre of range
+  double total[phasors + 2 * most_frequencies] = {};  // of each plane over the image (electrons)
+  float* kept = nullptr;                              // (H, planes, stride): all rows, finished
+  float* raw = nullptr;                               // (planes, stride): one row before the blur
+  float* blurred[3] = {};                             // (planes, stride): three rows, blurred along themselves
+  float* range = nullptr;                             // (stride,)
+  Parts part{};
+
+  /// Plane `which` of row v, in electrons; the range in m, NaN where there is no light.
+  float* row(Index v, Index which) const { return kept + (v * planes + which) * stride; }
+
+  /// Works out all rows.
+  void collect() {
+    const Index samples = most_pixels * parts;
+    memory.reserve((height + 4) * planes * stride + (1 + decoded_rows) * stride + 8 * whole_lines(samples));
+    memory.material.resize(static_cast<std::size_t>(samples));
+    memory.column.resize(static_cast<std::size_t>(most_pixels));
+    kept = memory.take(height * planes * stride);
+    raw = memory.take(planes * stride);
+    for (float*& rows : blurred) rows = memory.take(planes * stride);
+    range = memory.take(stride);
+    part = {memory.take(samples), memory.take(samples), memory.take(samples), memory.take(samples),   memory.take(samples),
+            memory.take(samples), memory.take(samples), memory.take(samples), memory.material.data(), memory.column.data()};
+    for (Index k = 0; k < frequencies; ++k) per_m[k] = static_cast<float>(2.0 * camera.frequencies(k) / speed_of_light);
+    if (camera.parts) sort_by_rows(view.mixed, height, width, memory);
+
+    for (Index v = 0; v < height; ++v) {
+      collect_pixels(v, raw);
+      if (camera.parts) collect_parts(v, raw);
+      for (Index k = 0; k < planes; ++k) blur_row(raw + k * stride, width, share, blurred[v % 3] + k * stride);
+      if (v > 0) finish_row(v - 1);
+    }
+    finish_row(height - 1);
+  }
+
+  /// One row (planes, stride), each pixel seen as one surface.
+  void collect_pixels(Index v, float* out) const {
+    const Index at = v * width;
+    const Samples samples{view.depth.data() + at, view.cos_incidence.data() + at, view.material.data() + at,
+                          camera.range_over_depth.data() + at};
+    light_of_samples(samples, width, surfaces, range, out + energy * stride, out + ambient * stride);
+    for (Index k = 0; k < frequencies; ++k) {
+      float* phasor = out + (phasors + 2 * k) * stride;
+      phasors_of_samples(out + energy * stride, range, width, per_m[k], camera.triangle, phasor, phasor + stride);
+    }
+    if (!camera.wrapping) moments(out + energy * stride, range, width, out + (planes - 1) * stride);
+  }
+
+  /// Sets the mixed pixels of a row to the means of their parts.
+  void collect_parts(Index v, float* out) const {
+    const Samples samples{part.depth, part.cos_incidence, part.material, part.range_over_depth};
+    const Index last = memory.first[static_cast<std::size_t>(v) + 1];
+    for (Index k = memory.first[static_cast<std::size_t>(v)]; k < last; k += most_pixels) {
+      const Index m = std::min(most_pixels, last - k), n = m * parts;
+      const std::int32_t* which = memory.order.data() + k;
+      parts == 4 ? gather(which, m, v, std::integral_constant<Index, 4>{}) : gather(which, m, v, parts);
+      const auto set = [&](const float* of_parts, Index plane) {
+        means_of_parts(of_parts, part.column, m, parts, out + plane * stride);
+      };
+      light_of_samples(samples, n, surfaces, part.range, part.energy, part.ambient);
+      set(part.energy, energy);
+      set(part.ambient, ambient);
+      for (Index f = 0; f < frequencies; ++f) {
+        phasors_of_samples(part.energy, part.range, n, per_m[f], camera.triangle, part.in_phase, part.quadrature);
+        set(part.in_phase, phasors + 2 * f);
+        set(part.quadrature, phasors + 2 * f + 1);
+      }
+      if (!camera.wrapping) {
+        moments(part.energy, part.range, n, part.in_phase);
+        set(part.in_phase, planes - 1);
+      }
+    }
+  }
+
+  /// Copies the samples of m pixels of row v, elements `which` of `mixed`, beside each other.
+  template <class Count>
+  void gather(const std::int32_t* which, Index m, Index v, Count count) const {
+    const Index n = count;
+    const float *depth = view.parts_depth.data(), *cosine = view.parts_cos_incidence.data();
+    const float* factor = camera.parts_range_over_depth.data();
+    const std::uint8_t* material = view.parts_material.data();
+    const std::int32_t *mixed = view.mixed.data(), first = static_cast<std::int32_t>(v * width);
+    const Parts to = part;
+    for (Index i = 0; i < m; ++i) {
+      const Index from = which[i] * n, pixel = mixed[which[i]];
+      __builtin_prefetch(factor + mixed[which[std::min(i + 8, m - 1)]] * n);
+      to.column[i] = static_cast<std::int32_t>(pixel) - first;
+      std::copy_n(depth + from, n, to.depth + i * n);
+      std::copy_n(cosine + from, n, to.cos_incidence + i * n);
+      std::copy_n(factor + pixel * n, n, to.range_over_depth + i * n);
+      std::copy_n(material + from, n, to.material + i * n);
+    }
+  }
+
+  /// Blurs row v across its neighbours, all of which are blurred along themselves, and counts its electrons.
+  void finish_row(Index v) {
+    const float* here = blurred[v % 3];
+    const float* above = v > 0 ? blurred[(v + 2) % 3] : here;  // beyond the image is the row itself
+    const float* below = v + 1 < height ? blurred[(v + 1) % 3] : here;
+    for (Index k = 0; k < phasors + 2 * frequencies; ++k) {
+      const float* gain = (k == ambient ? camera.ambient_gain : camera.gain)[v].data();
+      const Index at = k * stride;
+      total[k] += blur_and_gain(above + at, here + at, below + at, width, share, gain, row(v, k));
+    }
+    if (camera.wrapping) return;
+    const Index at = (planes - 1) * stride;
+    float *known = row(v, planes - 1), *light = range;
+    blur_across(above + at, here + at, below + at, width, share, known);
+    blur_across(above + energy * stride, here + energy * stride, below + energy * stride, width, share, light);
+    for (Index u = 0; u < width; ++u) known[u] /= light[u];
+  }
+
+  /// Stray light (electrons): a share of the mean over the image of energy and of (cos, sin) a frequency, (1 + 2 F,).
+  void stray(float* out) const {
+    for (Index k = 0; k <= 2 * frequencies; ++k) {
+      const double mean = total[k == 0 ? energy : phasors + k - 1] / static_cast<double>(height * width);
+      out[k] = static_cast<float>(camera.stray_light * mean);
+    }
+  }
+};
+
+/// Decodes all rows.
+void decode(const Light& light, Array<const std::uint16_t, any, any> ranks, const float* quantiles, const Delivered& out) {
+  const ContinuousWave& camera = light.camera;
+  const Index width = light.width;
+  const bool two = light.frequencies == 2;
+  const double f1 = camera.frequencies(0), f2 = two ? camera.frequencies(1) : 0.0, squares = f1 * f1 + f2 * f2;
+  const float wavelength = static_cast<float>(speed_of_light / (2.0 * f1)), period = wavelength * static_cast<float>(camera.p);
+  const Unwrapping unwrapping{camera.p, camera.q, wavelength, static_cast<float>(f1 * f1 / squares),
+                              static_cast<float>(camera.tolerance)};
+  const Taps taps{static_cast<float>(camera.contrast), camera.shot_noise ? 1.0f : 0.0f,
+                  static_cast<float>(camera.read_noise * camera.read_noise), static_cast<float>(camera.full_well)};
+  const Limits limits{static_cast<float>(camera.min_amplitude), static_cast<float>(camera.near), static_cast<float>(camera.far),
+                      static_cast<float>(speed_of_light / (4.0 * pi * std::sqrt(2.0 * squares)))};
+  float stray[1 + 2 * most_frequencies];
+  light.stray(stray);
+  Workspace& memory = light.memory;
+  float *total = memory.take(width), *amplitude = memory.take(width), *peak = memory.take(width);
+  float *range = memory.take(width), *scratch = memory.take(width);
+  float* turns[most_frequencies] = {memory.take(width), memory.take(width)};
+  for (Index v = 0; v < light.height; ++v) {
+    light_of_pixels(light.row(v, energy), stray[0], light.row(v, ambient), width, total);
+    std::fill_n(amplitude, width, 0.0f);
+    std::fill_n(peak, width, 0.0f);
+    for (Index k = 0; k < light.frequencies; ++k) {
+      phases_of_row(total, light.row(v, phasors + 2 * k), light.row(v, phasors + 2 * k + 1), stray + 1 + 2 * k, taps,
+                    ranks[v].data() + 2 * k, quantiles, two ? 0.25f : 0.5f, width, turns[k], amplitude, peak);
+    }
+    if (two) {
+      unwrap_row(turns[0], turns[1], unwrapping, width, range);
+    } else {
+      for (Index u = 0; u < width; ++u) range[u] = turns[0][u] * wavelength;
+    }
+    if (!camera.wrapping) unwrap_perfectly(light.row(v, light.planes - 1), period, width, range);
+    deliver_row(range, amplitude, total, peak, camera.gain[v].data(), camera.range_over_depth[v].data(), taps, limits, width,
+                scratch, out.depth[v].data(), out.amplitude[v].data(), out.confidence[v].data());
+  }
+}
+
+}  // namespace
+
+void simulate_continuous_wave(const View& view, const ContinuousWave& camera, Array<const std::uint16_t, any, any> ranks,
+                              Array<const float, 65536> quantiles, const Delivered& out) {
+  thread_local Workspace memory;
+  Light light{view, camera, memory};
+  light.collect();
+  decode(light, ranks, quantiles.data(), out);
+}
+
+}  // namespace cabinpose

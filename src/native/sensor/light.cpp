@@ -1,0 +1,137 @@
+#include "sensor/light.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "sensor/view.hpp"
+
+namespace cabinpose {
+
+namespace {
+
+/// sin(2 pi a) for |a| <= 1/4, in powers of a^2: least squares on Chebyshev nodes, error below 1e-8.
+inline float sine_of_quarter(float a) {
+  const float b = a * a;
+  return a * (6.283185295f + b * (-41.341685009f + b * (81.602766802f + b * (-76.587869912f + b * 39.809924751f))));
+}
+
+/// The columns of `table` for n samples.
+inline void look_up(const std::uint8_t* material, Index n, const float* table, float* first, float* second, float* third) {
+  for (Index i = 0; i < n; ++i) {
+    const float* of = table + 3 * material[i];
+    first[i] = of[0];
+    second[i] = of[1];
+    third[i] = of[2];
+  }
+}
+
+constexpr float triangle_peak = static_cast<float>(3.14159265358979323846 * 3.14159265358979323846 / 8);
+
+}  // namespace
+
+void light_of_samples(const Samples& samples, Index n, const Surfaces& surfaces, float* __restrict range,
+                      float* __restrict energy, float* __restrict ambient) {
+  const float* __restrict depth = samples.depth;
+  const float* __restrict cosine = samples.cos_incidence;
+  const float* __restrict factor = samples.range_over_depth;
+  const std::uint8_t* __restrict material = samples.material;
+  const float* __restrict table = surfaces.table.data();
+  const float inverse_gloss = surfaces.inverse_gloss, nothing = table[2];
+  const bool lambert = surfaces.lambert;
+  // Neighbours are mostly of one material.
+  Index at = 0;
+  for (; at + 8 <= n; at += 8) {
+    std::uint64_t eight;
+    std::memcpy(&eight, material + at, sizeof eight);
+    const float* of = table + 3 * material[at];
+    if (eight == material[at] * 0x0101010101010101u) {
+      std::fill_n(range + at, 8, of[0]);  // kept here for the second loop, which is free of look-ups
+      std::fill_n(energy + at, 8, of[1]);
+      std::fill_n(ambient + at, 8, of[2]);
+    } else {
+      look_up(material + at, 8, table, range + at, energy + at, ambient + at);
+    }
+  }
+  look_up(material + at, n - at, table, range + at, energy + at, ambient + at);
+  for (Index i = 0; i < n; ++i) {
+    const float r = depth[i] * factor[i], c = cosine[i];
+    const float lobe = 1.0f - (1.0f - c) * inverse_gloss;
+    const float gloss = lobe > 0.0f ? lobe : 0.0f;
+    const bool hit = r > 0.0f;
+    const float light = ambient[i];
+    energy[i] = where(hit, (range[i] * (lambert ? c : 1.0f) + energy[i] * gloss * gloss) / (r * r));
+    ambient[i] = hit ? light : nothing;
+    range[i] = where(hit, r);
+  }
+}
+
+void phasors_of_samples(const float* __restrict energy, const float* __restrict range, Index n, float per_m, double triangle,
+                        float* __restrict in_phase, float* __restrict quadrature) {
+  // The triangle's first harmonic has 8 / pi^2 of its peak.
+  const float share = static_cast<float>(triangle) * triangle_peak, keep = static_cast<float>(1.0 - triangle);
+  const float four_shares = 4.0f * share;
+  for (Index i = 0; i < n; ++i) {
+    float t = range[i] * per_m;
+    t = t - floor_of_small(t + 0.5f);  // -1/2 .. 1/2
+    const float magnitude = std::fabs(t);
+    const float fold = std::copysign(0.25f - std::fabs(magnitude - 0.25f), t);
+    const float cosine = keep * sine_of_quarter(0.25f - magnitude) + share * (1.0f - 4.0f * magnitude);
+    const float sine = keep * sine_of_quarter(fold) + four_shares * fold;
+    in_phase[i] = energy[i] * cosine;
+    quadrature[i] = energy[i] * sine;
+  }
+}
+
+void means_of_parts(const float* __restrict samples, const std::int32_t* __restrict at, Index m, Index count,
+                    float* __restrict row) {
+  const float scale = static_cast<float>(1.0 / static_cast<double>(count));
+  if (count == 4) {
+    for (Index k = 0; k < m; ++k) {
+      const float* part = samples + 4 * k;
+      row[at[k]] = ((part[0] + part[1]) + (part[2] + part[3])) * scale;
+    }
+    return;
+  }
+  for (Index k = 0; k < m; ++k) {
+    float total = 0.0f;
+    for (Index j = 0; j < count; ++j) total += samples[count * k + j];
+    row[at[k]] = total * scale;
+  }
+}
+
+void blur_row(const float* __restrict row, Index n, float share, float* __restrict out) {
+  const float keep = 1.0f - share - share;
+  const Index last = n - 1;
+  for (Index u = 1; u < last; ++u) out[u] = keep * row[u] + share * (row[u - 1] + row[u + 1]);
+  out[0] = (keep + share) * row[0] + share * row[std::min<Index>(1, last)];
+  out[last] = (keep + share) * row[last] + share * row[std::max<Index>(last - 1, 0)];
+}
+
+void blur_across(const float* above, const float* here, const float* below, Index n, float share, float* __restrict out) {
+  const float keep = 1.0f - share - share;
+  for (Index u = 0; u < n; ++u) out[u] = keep * here[u] + share * (above[u] + below[u]);
+}
+
+double blur_and_gain(const float* __restrict above, const float* __restrict here, const float* __restrict below, Index n,
+                     float share, const float* __restrict gain, float* __restrict out) {
+  const float keep = 1.0f - share - share;
+  float lanes[8] = {};
+  Index u = 0;
+  for (; u + 8 <= n; u += 8) {
+    for (int k = 0; k < 8; ++k) {
+      out[u + k] = gain[u + k] * (keep * here[u + k] + share * (above[u + k] + below[u + k]));
+      lanes[k] += out[u + k];
+    }
+  }
+  double total = 0.0;
+  for (const float lane : lanes) total += static_cast<double>(lane);
+  for (; u < n; ++u) {
+    out[u] = gain[u] * (keep * here[u] + share * (above[u] + below[u]));
+    total += static_cast<double>(out[u]);
+  }
+  return total;
+}
+
+}  // namespace cabinpose

@@ -1,0 +1,46 @@
+#include "sensor/view.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace cabinpose {
+
+void depth_of_one_surface(const View& view, float* out) {
+  constexpr float one_surface = 0.02f;  // parts that differ from the centre by more than this share are of other surfaces
+  std::copy_n(view.depth.data(), view.depth.count(), out);
+  const Index count = view.parts_depth.size(1);
+  for (Index k = 0; k < view.mixed.size(); ++k) {
+    const float* parts = view.parts_depth.data() + k * count;
+    float& depth = out[view.mixed(k)];
+    float total = 0.0f;
+    bool agree = depth > 0.0f;
+    for (Index j = 0; j < count; ++j) {
+      total += parts[j];
+      agree &= std::fabs(parts[j] - depth) <= one_surface * depth;
+    }
+    if (agree) depth = total / static_cast<float>(count);
+  }
+}
+
+void geometric_amplitude(const float* depth, const View& view, const float* range_over_depth, const float* scale,
+                         const float* table, std::uint16_t* __restrict out) {
+  const float* cosine = view.cos_incidence.data();
+  const std::uint8_t* material = view.material.data();
+  for (Index i = 0; i < view.depth.count(); ++i) {
+    const float ray = depth[i] * range_over_depth[i], r = ray > 0.05f ? ray : 0.05f;
+    const float amplitude = scale[i] * table[3 * material[i]] * cosine[i] / (r * r);
+    const float within = depth[i] > 0.0f && scale[i] > 0.0f ? amplitude : 0.0f;
+    out[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>(within < 65535.0f ? within : 65535.0f));
+  }
+}
+
+void confidence_of_sigma(const float* depth, const float* sigma, Index n, std::uint8_t* __restrict out) {
+  for (Index i = 0; i < n; ++i) {
+    const float confidence = 255.0f * confidence_sigma / (confidence_sigma + sigma[i]);
+    const bool finite = std::fabs(depth[i]) < std::numeric_limits<float>::infinity();
+    out[i] = static_cast<std::uint8_t>(static_cast<std::int32_t>(finite ? confidence : 0.0f));
+  }
+}
+
+}  // namespace cabinpose

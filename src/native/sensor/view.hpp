@@ -1,0 +1,68 @@
+// What every noise model starts from: the rendered geometry of a view.
+#pragma once
+
+#include <bit>
+#include <tuple>
+
+#include "core/array.hpp"
+
+namespace cabinpose {
+
+/// The arrays of `GeometryBuffers`, in its order: geometry (H, W) at the pixels' centres, and at the n parts of the pixels
+/// `mixed` (M,), flat indices in any order. Depths in m along the axis, 0 where nothing was hit.
+struct View {
+  Array<const float, any, any> depth, cos_incidence;
+  Array<const std::uint8_t, any, any> material;
+  Array<const std::int32_t, any> mixed;
+  Array<const float, any, any> parts_depth, parts_cos_incidence;
+  Array<const std::uint8_t, any, any> parts_material;
+
+  auto members() { return std::tie(depth, cos_incidence, material, mixed, parts_depth, parts_cos_incidence, parts_material); }
+};
+
+/// What a camera delivers, each (H, W); see `SensorFrame`.
+struct Delivered {
+  Array<float, any, any> depth;
+  Array<std::uint16_t, any, any> amplitude;
+  Array<std::uint8_t, any, any> confidence;
+
+  auto members() { return std::tie(depth, amplitude, confidence); }
+};
+
+/// A sigma at which the delivered confidence, 255 c / (c + sigma), is half of its scale (m).
+inline constexpr float confidence_sigma = 0.010f;
+
+/// x where a condition holds and 0 elsewhere; loops with it have no branch, whatever it costs to work out x.
+inline float where(bool holds, float x) {
+  return std::bit_cast<float>(std::bit_cast<std::int32_t>(x) & -static_cast<std::int32_t>(holds));
+}
+
+/// Rounds down, |x| < 2^22: in a loop as fast without SSE 4.1 as with it.
+inline float floor_of_small(float x) {
+  constexpr float round = 0x1.8p23f;  // added and taken away, leaves a whole number
+  const float nearest = (x + round) - round;
+  return nearest - where(nearest > x, 1.0f);
+}
+
+/// The same, |x| < 2^51.
+inline double floor_of_small(double x) {
+  constexpr double round = 0x1.8p52;
+  const double nearest = (x + round) - round;
+  return nearest > x ? nearest - 1.0 : nearest;
+}
+
+/// Depth (H * W) of one surface a pixel: the mean of a pixel's parts where they lie on one surface, and that of its centre
+/// where they do not. Depths of two surfaces are never mixed.
+void depth_of_one_surface(const View& view, float* out);
+
+/// Amplitude (H * W) without noise (electrons) of one surface a pixel.
+///
+/// depth, range_over_depth, scale: (H * W); `scale` is the amplitude of a white surface that faces the camera at 1 m, 0 outside
+/// the field. table: (256, 3), the diffuse reflectance first.
+void geometric_amplitude(const float* depth, const View& view, const float* range_over_depth, const float* scale,
+                         const float* table, std::uint16_t* out);
+
+/// Confidence of n depths, 0 where they are not finite.
+void confidence_of_sigma(const float* depth, const float* sigma, Index n, std::uint8_t* out);
+
+}  // namespace cabinpose
