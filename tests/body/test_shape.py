@@ -45,6 +45,18 @@ def test_skinning_kernel_reproduces_annys_posed_vertices(row: int) -> None:
     assert_allclose(out[0], REFERENCE["posed"][row], atol=2e-6)
 
 
+def test_shapes_are_summed_in_the_basis_order() -> None:
+    """Bit for bit, whatever the threads of the library that multiplies matrices: cached people outlive its settings."""
+    space = load_shape_space()
+    coefficients = np.random.default_rng(4).normal(size=len(space.basis))
+    expected = space.mean.astype(np.float64)
+    for value, component in zip(coefficients, space.basis, strict=True):
+        expected += value * component
+    points = np.empty_like(space.mean)
+    native.blend_shapes(space.mean, space.basis, coefficients, points)
+    assert_array_equal(points, expected.astype(np.float32))
+
+
 def test_skin_is_closed_oriented_and_symmetric() -> None:
     body = BodyModel.load().person(Phenotype())
     mesh = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)

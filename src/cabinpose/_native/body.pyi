@@ -53,6 +53,14 @@ def pose(
 ) -> None:
     """Bones, joints, palms, soles and skin transforms of a posture."""
 
+def blend_shapes(
+    mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    basis: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order="C", device="cpu", writable=False)],
+    coefficients: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu")],
+) -> None:
+    """A body at rest."""
+
 def skin_layers(
     transforms: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 4), order="C", device="cpu", writable=False)],
     index: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order="C", device="cpu", writable=False)],

@@ -16,6 +16,7 @@ void bind_body(nb::module_& m) {
         "What skinning applies to the mesh at rest.");
   m.def("pose", &pose, "q"_a, "rest"_a, "vehicle_from_root"_a, "rotation"_a, "position"_a, "vehicle_from_mesh"_a, "joints"_a,
         "palms"_a, "soles"_a, unlocked(), "Bones, joints, palms, soles and skin transforms of a posture.");
+  m.def("blend_shapes", &blend_shapes, "mean"_a, "basis"_a, "coefficients"_a, "out"_a, unlocked(), "A body at rest.");
   m.def("skin_layers", &skin_layers, "transforms"_a, "index"_a, "weight"_a, "layers"_a, "out"_a, unlocked(),
         "Layers of a mesh at rest, posed by linear blend skinning.");
   m.def("vertex_normals", &vertex_normals, "vertices"_a, "faces"_a, "out"_a, unlocked(),

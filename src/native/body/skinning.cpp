@@ -10,6 +10,21 @@ constexpr Index max_bones = 256;  // what an index of eight bits can name
 
 }  // namespace
 
+void blend_shapes(Array<const float, any, 3> mean, Array<const float, any, any, 3> basis, Array<const double, any> coefficients,
+                  Array<float, any, 3> out) {
+  constexpr Index block = 512;  // numbers whose sums stay in the cache
+  for (Index from = 0; from < mean.count(); from += block) {
+    const Index n = std::min(block, mean.count() - from);
+    double sum[block];
+    for (Index i = 0; i < n; ++i) sum[i] = mean.data()[from + i];
+    for (Index r = 0; r < coefficients.size(); ++r) {
+      const float* values = basis[r].data() + from;
+      for (Index i = 0; i < n; ++i) sum[i] += coefficients[r] * values[i];
+    }
+    for (Index i = 0; i < n; ++i) out.data()[from + i] = static_cast<float>(sum[i]);
+  }
+}
+
 void skin_layers(Array<const double, any, 3, 4> transforms, Array<const std::uint8_t, any, any> index,
                  Array<const float, any, any> weight, Array<const float, any, any, 3> layers, Array<float, any, any, 3> out) {
   const Index bones = index.size(1);

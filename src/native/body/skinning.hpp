@@ -1,9 +1,15 @@
-// Linear blend skinning and vertex normals.
+// Bodies at rest, linear blend skinning and vertex normals.
 #pragma once
 
 #include "core/array.hpp"
 
 namespace cabinpose {
+
+/// A body at rest: `mean` (V, 3) plus `basis` (R, V, 3) times `coefficients` (R,), into `out` (V, 3) m.
+///
+/// Summed in double precision and in the basis' order, which a matrix product of a library leaves to its threads and the processor.
+void blend_shapes(Array<const float, any, 3> mean, Array<const float, any, any, 3> basis, Array<const double, any> coefficients,
+                  Array<float, any, 3> out);
 
 /// Every layer (L, V, 3) at rest, posed into `out` (L, V, 3) m: the blend of a vertex is worked out once for all layers.
 ///

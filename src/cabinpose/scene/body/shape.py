@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import body as native
 from cabinpose.core.errors import AssetError
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONES
@@ -46,8 +47,8 @@ class ShapeSpace:
         p = phenotype
         for value, anchors in ((p.gender, 2), (p.age, 3), (p.muscle, 3), (p.weight, 3), (p.height, 2), (p.proportions, 2)):
             weights = np.multiply.outer(weights, _hat(value, anchors)).ravel()
-        flat = (weights @ self.coefficients).astype(np.float32) @ self.basis.reshape(len(self.basis), -1)
-        points = self.mean + flat.reshape(-1, 3)
+        points = np.empty_like(self.mean)
+        native.blend_shapes(self.mean, self.basis, (weights[:, None] * self.coefficients).sum(axis=0), points)
         return points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
 
 
