@@ -16,10 +16,10 @@ void blend_shapes(Array<const float, any, 3> mean, Array<const float, any, any, 
   for (Index from = 0; from < mean.count(); from += block) {
     const Index n = std::min(block, mean.count() - from);
     double sum[block];
-    for (Index i = 0; i < n; ++i) sum[i] = mean.data()[from + i];
+    for (Index i = 0; i < n; ++i) sum[i] = static_cast<double>(mean.data()[from + i]);
     for (Index r = 0; r < coefficients.size(); ++r) {
       const float* values = basis[r].data() + from;
-      for (Index i = 0; i < n; ++i) sum[i] += coefficients[r] * values[i];
+      for (Index i = 0; i < n; ++i) sum[i] += coefficients[r] * static_cast<double>(values[i]);
     }
     for (Index i = 0; i < n; ++i) out.data()[from + i] = static_cast<float>(sum[i]);
   }
