@@ -7,7 +7,7 @@ namespace cabinpose {
 
 /// A body at rest: `mean` (V, 3) plus `basis` (R, V, 3) times `coefficients` (R,), into `out` (V, 3) m.
 ///
-/// Summed in double precision and in the basis' order, which a matrix product of a library leaves to its threads and the processor.
+/// Summed in double precision and in the basis' order; a library's matrix product leaves the order to its threads.
 void blend_shapes(Array<const float, any, 3> mean, Array<const float, any, any, 3> basis, Array<const double, any> coefficients,
                   Array<float, any, 3> out);
 
