@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cabinpose.app.bench import run_bench
 from cabinpose.app.bench import synth as bench
 from cabinpose.app.bench.blender import BlenderPeer, blender_python
 from cabinpose.app.bench.memory import memory_growth
 from cabinpose.app.bench.rendering import ROUNDS, rendering
+from cabinpose.app.bench.synth import run_bench
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS

@@ -13,7 +13,8 @@ import pytest
 import torch
 from torch import nn
 
-from cabinpose.app.bench import detect, run_detect_bench
+from cabinpose.app.bench import detect
+from cabinpose.app.bench.detect import run_detect_bench
 from cabinpose.app.bench.fresh import fresh_detector, rendered_maps
 from cabinpose.app.bench.peers import PEERS, Peer, RtmPose, parameters_of
 from cabinpose.app.bench.subjects import WARM, OurDetector, Run, figures, frame_batch, timed_run

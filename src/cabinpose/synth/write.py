@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 import threading
 import time
@@ -181,7 +182,15 @@ def make_frames(
                         yield made.report
                 part.attrs["proposals"] = proposals
                 part.attrs["rejections"] = dict(sorted(rejections.items()))
+            _give_memory_back()
             yield made.report  # of the last frame, once its part is whole
+
+
+def _give_memory_back() -> None:
+    """Hands freed memory back to the system: what the building of cars leaves behind in each thread's heap is a third of all."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc
+    if trim is not None:
+        trim(0)
 
 
 def _frames(plan: PartPlan) -> range:

@@ -17,14 +17,14 @@ from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import Progress, generate
 
 _FRAMES_PER_PART = 50
-_WARM_FRAMES = 500  # after which memory should no longer grow
+_WARM_FRAMES = 1000  # every car has been met from both sides: memory should no longer grow
 _SEED = 1
 
 
 def memory_growth(frames: int, *, workers: int = 1) -> dict[str, Any]:
     """Resident memory of a fresh process whose threads (`workers`) make frames with random people in random seats and write them.
 
-    Keys: frames, workers · growth: of the median resident memory of the last tenth over that right after the first 500
+    Keys: frames, workers · growth: of the median resident memory of the last tenth over that right after the first 1000
     frames (or the first tenth of a short run) · peak_mb: the greatest seen after any frame, the interpreter and its
     libraries included · rss_mb: up to 50 values in between. Raises SceneError where the process fails.
     """

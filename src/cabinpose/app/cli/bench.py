@@ -6,7 +6,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from cabinpose.app.bench import run_bench, run_detect_bench
+from cabinpose.app.bench.detect import run_detect_bench
+from cabinpose.app.bench.synth import run_bench
 from cabinpose.app.cli.commands import Bench, BenchDetect, BenchLab, BenchRecord, BenchSynth
 from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
