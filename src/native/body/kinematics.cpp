@@ -81,23 +81,13 @@ Mat3 swing_and_share_of_twist(const Mat3& m, Vec3 a, double share) {
   return m * about(a, (share - 1.0) * twist);
 }
 
-struct Frame {
-  Mat3 rotation;
-  Vec3 position;
-};
-
 /// A bone's frame before it turns: carried by its parent.
-Frame carried(const Frame& parent, const RestArrays& rest, int bone) {
-  Frame f = parent;
+BoneFrame carried(const BoneFrame& parent, const RestArrays& rest, int bone) {
+  BoneFrame f = parent;
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) f.position[i] += parent.rotation[i][j] * rest.offsets(bone, j);
   }
   return f;
-}
-
-void keep(const Frame& f, int bone, Rotations rotation, Positions position) {
-  std::copy_n(&f.rotation[0][0], 9, &rotation(bone, 0, 0));
-  for (int i = 0; i < 3; ++i) position(bone, i) = f.position[i];
 }
 
 void keep_skin(const Mat3& turned, Vec3 pivot, const double* head, SkinTransforms out, int bone) {
@@ -123,10 +113,8 @@ Vec3 moved(SkinTransforms transforms, int bone, const double* point) {
 
 }  // namespace
 
-void bone_frames(Posture q, const RestArrays& rest, Placement vehicle_from_root, Rotations rotation, Positions position) {
-  Frame bone{mat3(vehicle_from_root.data(), 4), {vehicle_from_root(0, 3), vehicle_from_root(1, 3), vehicle_from_root(2, 3)}};
-  const Frame root = bone;
-  keep(root, pelvis, rotation, position);
+void spine_frames(const double* q, const RestArrays& rest, const BoneFrame& root, BoneFrame* out) {
+  out[pelvis] = root;
   Mat3 whole[n_groups];
   for (int group = 0; group < n_groups; ++group) {
     whole[group] = identity();
@@ -134,52 +122,61 @@ void bone_frames(Posture q, const RestArrays& rest, Placement vehicle_from_root,
     turn(whole[group], 0, -q[3 * group + 1]);
     turn(whole[group], 2, q[3 * group + 2]);
   }
-  Frame thorax;
   for (int b = spine04; b <= head; ++b) {
-    bone = carried(bone, rest, b);
+    out[b] = carried(out[b - 1], rest, b);
     for (int group = 0; group < n_groups; ++group) {
-      if (spine_share[b][group] > 0.0) bone.rotation = bone.rotation * share_of(whole[group], spine_share[b][group]);
+      if (spine_share[b][group] > 0.0) out[b].rotation = out[b].rotation * share_of(whole[group], spine_share[b][group]);
     }
-    keep(bone, b, rotation, position);
-    if (b == spine01) thorax = bone;
   }
+}
+
+void arm_frames(const double* a, const RestArrays& rest, int side, const BoneFrame& thorax, BoneFrame* out) {
+  const double s = 1.0 - 2.0 * side;
+  // The humerus' angles are against the thorax: moving the clavicle carries the arm along and does not turn it.
+  Mat3 humerus = thorax.rotation;
+  turn(humerus, 1, -a[shoulder_flexion]);
+  turn(humerus, 0, s * a[shoulder_abduction]);
+  turn(humerus, 2, -s * a[shoulder_rotation]);
+  double cosine = 0.0;
+  for (int i = 0; i < 3; ++i) cosine += humerus[i][2] * thorax.rotation[i][2];
+  out[clavicle] = carried(thorax, rest, limb(clavicle, side));
+  turn(out[clavicle].rotation, 2, -s * a[protraction]);
+  turn(out[clavicle].rotation, 0, s * (a[elevation] + scapulohumeral * (1.0 - cosine)));
+  out[upperarm] = carried(out[clavicle], rest, limb(upperarm, side));
+  out[upperarm].rotation = humerus;
+  out[forearm] = carried(out[upperarm], rest, limb(forearm, side));
+  turn(out[forearm].rotation, 1, -a[elbow_flexion]);
+  out[hand] = carried(out[forearm], rest, limb(hand, side));
+  turn(out[hand].rotation, 2, -s * a[pronation]);
+  turn(out[hand].rotation, 0, -s * a[wrist_flexion]);
+  turn(out[hand].rotation, 1, -a[wrist_radial]);
+}
+
+void leg_frames(const double* a, const RestArrays& rest, int side, const BoneFrame& root, BoneFrame* out) {
+  const double s = 1.0 - 2.0 * side;
+  out[thigh] = carried(root, rest, limb(thigh, side));
+  turn(out[thigh].rotation, 1, -a[hip_flexion]);
+  turn(out[thigh].rotation, 0, s * a[hip_abduction]);
+  turn(out[thigh].rotation, 2, -s * a[hip_rotation]);
+  out[shank] = carried(out[thigh], rest, limb(shank, side));
+  turn(out[shank].rotation, 1, a[knee_flexion]);
+  out[foot] = carried(out[shank], rest, limb(foot, side));
+  turn(out[foot].rotation, 1, -a[ankle_dorsiflexion]);
+  turn(out[foot].rotation, 0, -s * a[ankle_inversion]);
+}
+
+void bone_frames(Posture q, const RestArrays& rest, Placement vehicle_from_root, Rotations rotation, Positions position) {
+  const BoneFrame root{mat3(vehicle_from_root.data(), 4),
+                       {vehicle_from_root(0, 3), vehicle_from_root(1, 3), vehicle_from_root(2, 3)}};
+  BoneFrame bones[n_main];
+  spine_frames(q.data(), rest, root, bones);
   for (int side = 0; side < 2; ++side) {
-    const double s = 1.0 - 2.0 * side;
-    const double* a = q.data() + dof(0, side);
-    // The humerus' angles are against the thorax: moving the clavicle carries the arm along and does not turn it.
-    Mat3 humerus = thorax.rotation;
-    turn(humerus, 1, -a[shoulder_flexion]);
-    turn(humerus, 0, s * a[shoulder_abduction]);
-    turn(humerus, 2, -s * a[shoulder_rotation]);
-    double cosine = 0.0;
-    for (int i = 0; i < 3; ++i) cosine += humerus[i][2] * thorax.rotation[i][2];
-    bone = carried(thorax, rest, limb(clavicle, side));
-    turn(bone.rotation, 2, -s * a[protraction]);
-    turn(bone.rotation, 0, s * (a[elevation] + scapulohumeral * (1.0 - cosine)));
-    keep(bone, limb(clavicle, side), rotation, position);
-    bone = carried(bone, rest, limb(upperarm, side));
-    bone.rotation = humerus;
-    keep(bone, limb(upperarm, side), rotation, position);
-    bone = carried(bone, rest, limb(forearm, side));
-    turn(bone.rotation, 1, -a[elbow_flexion]);
-    keep(bone, limb(forearm, side), rotation, position);
-    bone = carried(bone, rest, limb(hand, side));
-    turn(bone.rotation, 2, -s * a[pronation]);
-    turn(bone.rotation, 0, -s * a[wrist_flexion]);
-    turn(bone.rotation, 1, -a[wrist_radial]);
-    keep(bone, limb(hand, side), rotation, position);
-    bone = carried(root, rest, limb(thigh, side));
-    turn(bone.rotation, 1, -a[hip_flexion]);
-    turn(bone.rotation, 0, s * a[hip_abduction]);
-    turn(bone.rotation, 2, -s * a[hip_rotation]);
-    keep(bone, limb(thigh, side), rotation, position);
-    bone = carried(bone, rest, limb(shank, side));
-    turn(bone.rotation, 1, a[knee_flexion]);
-    keep(bone, limb(shank, side), rotation, position);
-    bone = carried(bone, rest, limb(foot, side));
-    turn(bone.rotation, 1, -a[ankle_dorsiflexion]);
-    turn(bone.rotation, 0, -s * a[ankle_inversion]);
-    keep(bone, limb(foot, side), rotation, position);
+    arm_frames(q.data() + dof(0, side), rest, side, bones[spine01], bones + limb(0, side));
+    leg_frames(q.data() + dof(0, side), rest, side, bones[pelvis], bones + limb(0, side));
+  }
+  for (int b = 0; b < n_main; ++b) {
+    std::copy_n(&bones[b].rotation[0][0], 9, &rotation(b, 0, 0));
+    for (int i = 0; i < 3; ++i) position(b, i) = bones[b].position[i];
   }
 }
 

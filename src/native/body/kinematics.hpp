@@ -7,6 +7,7 @@
 
 #include "body/rig.hpp"
 #include "core/array.hpp"
+#include "core/vec.hpp"
 
 namespace cabinpose {
 
@@ -33,6 +34,19 @@ using Placement = Array<const double, 4, 4>;               // vehicle_from_root
 using Rotations = Array<double, rig::n_main, 3, 3>;        // vehicle_from_bone
 using Positions = Array<double, rig::n_main, 3>;           // origins of the bones
 using SkinTransforms = Array<double, rig::n_bones, 3, 4>;  // vehicle_from_mesh of every bone
+
+/// A bone's frame, vehicle_from_bone.
+struct BoneFrame {
+  Mat3 rotation;
+  Vec3 position;
+};
+
+/// The parts of `bone_frames`: pelvis to head; an arm (clavicle to hand) and a leg (thigh to foot) of a side, into its limbs.
+///
+/// q: of the trunk, a: of the side.
+void spine_frames(const double* q, const RestArrays& rest, const BoneFrame& root, BoneFrame* out);
+void arm_frames(const double* a, const RestArrays& rest, int side, const BoneFrame& thorax, BoneFrame* out);
+void leg_frames(const double* a, const RestArrays& rest, int side, const BoneFrame& root, BoneFrame* out);
 
 /// Frames of the main bones. Limits are not applied.
 void bone_frames(Posture q, const RestArrays& rest, Placement vehicle_from_root, Rotations rotation, Positions position);
