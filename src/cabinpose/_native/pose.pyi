@@ -1,5 +1,6 @@
 """Made by tools/make_stubs.py from the extension."""
 
+from collections.abc import Sequence
 from typing import Annotated, overload
 
 import numpy
@@ -233,3 +234,15 @@ def settle_arm(
     upwards: bool,
 ) -> float:
     """Turn an arm out of what is in its way, in place of q; the miss, m."""
+
+def solve_people(
+    people: Sequence[tuple[object, ...]],
+    car: Sequence[tuple[object, ...]],
+    pairs: tuple[object, ...],
+    between: float,
+    iterations: int,
+    missed: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order="C", device="cpu")]],
+) -> list[tuple[int, int, int, float]]:
+    """
+    Poses of people in a car; what is left of each: its kind, a solid, the other solid or group, and the excess.
+    """

@@ -2,8 +2,7 @@
 
 A scene is drawn in two rings. The inner one poses a person, again and again until the pose holds against the body
 itself, the people already seated and the car. Where that fails for too long the outer ring draws everything anew
-(car, seats, people); where that fails too the run ends with an error that names the cause. `boarding` keeps the inner ring:
-only the person whose pose failed is posed again, or the neighbour who leaves no room.
+(car, seats, people); where that fails too the run ends with an error that names the cause. `posing` keeps the inner ring.
 """
 
 from __future__ import annotations
@@ -40,11 +39,12 @@ from cabinpose.scene.contact import ContactField
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.boarding import board, slimmest_in_the_middle
 from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng, is_car_file
-from cabinpose.synth.posture import OccupantPose, actions_for, choose_setting, draw_offset, random_action, sample_pose
-from cabinpose.synth.posture.company import Company
+from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
+from cabinpose.synth.posture import actions_for, choose_setting, draw_offset, random_action
+from cabinpose.synth.posture.company import company_of
 from cabinpose.synth.posture.motion import recorded_pose
+from cabinpose.synth.posture.sampling import Drawn, draw_pose
 from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.validate import Seated, Validator
@@ -221,46 +221,45 @@ class SceneSampler:
             for slot, seat in cabin.seats.items()
         }
 
-        def make_pose(slot: str, company: Company | None) -> OccupantPose:
-            return self._pose(scene, index, people[slot], cabin, slot, settings[slot], company, rng)
+        def draw(slot: str) -> Drawn:
+            return self._draw(scene, index, people, cabin, slot, settings[slot], rng)
 
-        boarded, proposals = board(
-            people, cabin, validator, validator.empty(settings), make_pose,
-            poses_per_person=self._config.limits.poses_per_person, causes=causes, rng=rng,
-        )  # fmt: skip
-        if boarded is None:
-            return None, proposals
+        posed, draws = pose_people(
+            people, cabin, validator, settings, draw, poses_per_person=self._config.limits.poses_per_person, causes=causes
+        )
+        if posed is None:
+            return None, draws
         people_in = [
-            ScenePerson(slot, by_slot[slot], pose.action, people[slot], posed) for slot, (pose, posed) in boarded.poses.items()
+            ScenePerson(slot, by_slot[slot], pose.action, people[slot], body) for slot, (pose, body) in posed.poses.items()
         ]
-        seated = boarded.seated
+        seated = posed.seated
         pov, camera = self._cabin_camera(cabin, rng)
         if _blocked(camera[:3, 3], people_in, seated):
             causes["camera"] += 1
-            return None, proposals
+            return None, draws
         dressed = tuple(self._dressed(p, scene, cabin, settings, rng) for p in people_in)
         backdrop = cabin.surface(settings, wheel_angle=seated.wheel_angle)
         valid = Scene(backdrop, dressed, camera, _place_name(car), pov, cabin, settings, seated.wheel_angle)
-        return valid, proposals
+        return valid, draws
 
-    def _pose(
+    def _draw(
         self,
         scene: CabinScene,
         index: int,
-        person: Person,
+        people: Mapping[str, Person],
         cabin: Cabin,
         slot: str,
         setting: SeatSetting,
-        company: Company | None,
         rng: np.random.Generator,
-    ) -> OccupantPose:
+    ) -> Drawn:
         seat = cabin.seats[slot]
+        company = company_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         weights = scene.motion.get(slot)
         left_out = frozenset[str]() if company is None else company.left_out
         action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-        return sample_pose(
-            person, seat, setting, cabin, action, scene.profile, index=index, offset=offset, company=company, rng=rng
+        return draw_pose(
+            people[slot], seat, setting, cabin, action, scene.profile, index=index, offset=offset, company=company, rng=rng
         )
 
     def _cabin_camera(self, cabin: Cabin, rng: np.random.Generator) -> tuple[str, Matrix]:

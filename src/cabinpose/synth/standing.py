@@ -20,8 +20,10 @@ from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.synth.posture.feet import GROUND_M
-from cabinpose.synth.posture.limbs import LOWER, UPPER, LimbTask, frames, solve_leg
+from cabinpose.synth.posture.frames import frames
+from cabinpose.synth.posture.goals import stand_on
 from cabinpose.synth.posture.motion import recorded_pose
+from cabinpose.synth.posture.solver import LOWER, UPPER
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]
@@ -31,8 +33,6 @@ _THIGH_BONES = (BONE_INDEX["lthigh"], BONE_INDEX["rthigh"])
 _SHANK_BONES = (BONE_INDEX["lshank"], BONE_INDEX["rshank"])
 _KNEE_RADIUS_M = 0.06
 _STRAIGHT_LEG = 0.997  # of a leg's length: nobody locks the knee
-_LEG_PRIOR = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))
-_LEG_STIFFNESS = np.array([0.002, 0.01, 0.02, 0.0005, 0.002, 0.01])
 
 _ARM_DOFS = (
     "shoulder.flexion", "shoulder.abduction", "shoulder.rotation", "elbow.flexion", "elbow.pronation",
@@ -222,12 +222,13 @@ def _stand(person: Person, q: Array, stance: Stance, rng: np.random.Generator) -
         targets.append(target)
     height -= max(_normal(stance.drop, rng), 0.0) * size
     floor_from_root = transform(turn, (0.0, shift, height))
+    feet = []
     for side in (0, 1):
         if side == lifted and stance.lifted is not None:
             for name, spread in zip(("hip.flexion", "hip.abduction", "knee.flexion"), stance.lifted, strict=True):
                 _set(q, "lr"[side] + name, _normal(spread, rng))
             _set(q, "lr"[side] + "ankle.dorsiflexion", _normal((-8.0, 10.0), rng))
         else:
-            weights = np.full(3, 4.0), np.array([0.04, 0.05, 0.04])
-            solve_leg(q, person.rest, floor_from_root, side, LimbTask(targets[side], *weights, _LEG_PRIOR, _LEG_STIFFNESS))
+            feet.append((side, targets[side]))
+    stand_on(person, q, floor_from_root, feet)
     return floor_from_root

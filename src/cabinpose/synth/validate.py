@@ -165,29 +165,31 @@ class Validator:
         """The cabin so set (wheel angle in rad) with nobody in it yet."""
         return Seated(settings, wheel_angle, None if self.contact is None else self.contact.at(settings, wheel_angle))
 
-    def admit(self, seated: Seated, occupant: Occupant, wheel_angle: float | None = None) -> tuple[Verdict, Seated]:
+    def turned(self, seated: Seated, wheel_angle: float) -> Seated:
+        """The same people with the wheel at another angle (rad). Nobody may sit yet whom it could meet."""
+        if wheel_angle == seated.wheel_angle:
+            return seated
+        if seated.bodies:
+            raise ValueError("the wheel is turned before people sit down")
+        return self.empty(seated.settings, wheel_angle)
+
+    def admit(self, seated: Seated, occupant: Occupant) -> tuple[Verdict, Seated]:
         """The verdict of `check` on the people seated and one more, and the people seated then: with him where it holds.
 
-        Only what the newcomer changes is tested: himself, he and the others, he in the car; and everybody in the car
-        where the wheel is turned (rad; left out: it stays).
+        Only what the newcomer changes is tested: himself, he and the others, he in the car.
         """
         clock = perf_counter()
         new = self._body(occupant)
         self._lap("solids", clock)
         bodies = (*seated.bodies, new)
         verdict = self._among(bodies, len(bodies) - 1)
-        placed, turned = seated.placed, wheel_angle is not None and wheel_angle != seated.wheel_angle
-        angle = seated.wheel_angle if wheel_angle is None else wheel_angle
-        if verdict is None and self.contact is not None:
+        if verdict is None and seated.placed is not None:
             clock = perf_counter()
-            if turned:
-                placed = self.contact.at(seated.settings, angle)
-            assert placed is not None  # `empty` saw to it
-            verdict = self._in_car(placed, bodies if turned else (new,))
+            verdict = self._in_car(seated.placed, (new,))
             self._lap("car", clock)
         if verdict is not None:
             return self._count(verdict, 1), seated
-        return self._count(Verdict(True), 1), Seated(seated.settings, angle, placed, bodies)
+        return self._count(Verdict(True), 1), Seated(seated.settings, seated.wheel_angle, seated.placed, bodies)
 
     def _count(self, verdict: Verdict, occupants: int) -> Verdict:
         self.tally.scenes += 1

@@ -295,6 +295,40 @@ void sample(Array<const T, any, 3> points, Transform group_from_vehicle, const F
   }
 }
 
+double clearance_at(const FieldGrid& field, Transform group_from_vehicle, Vec3 point, double enough, Vec3& gradient) {
+  gradient = {};
+  const double* m = group_from_vehicle.data();
+  const double per_step = 1.0 / field.step;
+  double at[3];  // in steps of the grid
+  Index cell[3];
+  for (std::size_t i = 0; i < 3; ++i) {
+    const double* row = m + 4 * i;
+    at[i] = (row[0] * point.x + row[1] * point.y + row[2] * point.z + row[3] - field.origin[static_cast<Index>(i)]) * per_step;
+    if (!(at[i] >= 0.0 && at[i] < static_cast<double>(field.values.size(i) - 1))) return field.outside;
+    cell[i] = static_cast<Index>(at[i]);
+    at[i] -= static_cast<double>(cell[i]);
+  }
+  const Index row = field.values.size(2), slab = field.values.size(1) * row;
+  const std::int8_t* v = &field.values(cell[0], cell[1], cell[2]);
+  // Clearance changes by no more than the way there, which from a node is a cell's diagonal at most.
+  const double least = v[0] * field.quantum - 1.75 * field.step;
+  if (least > enough) return least;
+  double value = 0.0, slope[3] = {};
+  for (int corner = 0; corner < 8; ++corner) {
+    const bool up[3] = {(corner & 4) != 0, (corner & 2) != 0, (corner & 1) != 0};
+    const double level = v[up[0] * slab + up[1] * row + up[2]];
+    double share[3];
+    for (int i = 0; i < 3; ++i) share[i] = up[i] ? at[i] : 1.0 - at[i];
+    value += share[0] * share[1] * share[2] * level;
+    for (int i = 0; i < 3; ++i) slope[i] += (up[i] ? level : -level) * share[(i + 1) % 3] * share[(i + 2) % 3];
+  }
+  const double scale = field.quantum / field.step;
+  for (int k = 0; k < 3; ++k) {
+    for (int i = 0; i < 3; ++i) gradient[k] += scale * slope[i] * m[4 * i + k];
+  }
+  return value * field.quantum;
+}
+
 template <class T>
 void balls_of(Array<const T, any, 3> points, Array<double, any, 4> balls) {
   for (Index b = 0; b < balls.size(); ++b) {

@@ -7,6 +7,7 @@
 
 #include "contact/triangles.hpp"
 #include "core/array.hpp"
+#include "core/vec.hpp"
 
 namespace cabinpose {
 
@@ -63,6 +64,11 @@ struct FieldGrid {
 /// Lowers `clearance` (N,) at points (N, 3) m to the field's value.
 template <class T>
 void sample(Array<const T, any, 3> points, Transform group_from_vehicle, const FieldGrid& field, Array<double, any> clearance);
+
+/// Clearance (m) at a point, and in `gradient` how it grows (vehicle frame, no unit); beyond the grid that is 0.
+///
+/// Where it is surely more than `enough` (m), what it is at least is returned, without a gradient.
+double clearance_at(const FieldGrid& field, Transform group_from_vehicle, Vec3 point, double enough, Vec3& gradient);
 
 /// Centre and radius (ceil(N / run), 4) of balls around every `run` consecutive points of (N, 3).
 template <class T>

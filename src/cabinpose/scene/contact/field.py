@@ -122,7 +122,7 @@ class GroupField:
         return balls_of(self.probes)
 
     @cached_property
-    def _grid(self) -> tuple[NDArray[np.float64], float, float, float, NDArray[np.int8]]:
+    def grid(self) -> tuple[NDArray[np.float64], float, float, float, NDArray[np.int8]]:
         """The field for the kernels: origin, step, quantum, the clearance beyond the grid, values."""
         return self.origin, self.step, QUANTUM_M, self.outside_m, self.values
 
@@ -139,7 +139,7 @@ class GroupField:
 
     def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: NDArray[np.float64]) -> None:
         """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
-        native.sample(points, group_from_vehicle, self._grid, clearance)
+        native.sample(points, group_from_vehicle, self.grid, clearance)
 
     def below(
         self, points: NDArray[np.float32], balls: NDArray[np.float64], group_from_vehicle: Matrix, threshold_m: float
@@ -148,7 +148,7 @@ class GroupField:
 
         balls: `balls_of(points)`.
         """
-        index, clearance = native.points_below(points, balls, group_from_vehicle, self._grid, threshold_m, SEAL_M)
+        index, clearance = native.points_below(points, balls, group_from_vehicle, self.grid, threshold_m, SEAL_M)
         return index, clearance
 
 

@@ -1,15 +1,13 @@
-"""Head and trunk towards something: where a person looks, and how the trunk follows a hand that reaches far."""
+"""Where a person looks, and what of it the head does."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cabinpose._native import pose as native
-from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.synth.posture.chain import Array
-from cabinpose.synth.posture.limbs import LOWER, UPPER
+Array = NDArray[np.float64]
 
 HEAD_SHARE = (0.8, 0.75)  # of a gaze's yaw and pitch that the head does; the eyes do the rest (Stahl 1999)
 
@@ -25,22 +23,8 @@ def head_rotation(vehicle_yaw: float, pitch: float, roll: float = 0.0) -> Array:
     return result
 
 
-def turn_head(q: Array, rest: RestArrays, vehicle_from_root: Array, vehicle_from_head: Array) -> float:
-    """Turn neck and head in q, in place, so that the head's frame has this rotation; returns what is missed, rad."""
-    return float(native.turn_head(q, rest, vehicle_from_root, vehicle_from_head, LOWER, UPPER))
-
-
 def look_angles(eye: Array, point: Array, heading: float) -> tuple[float, float]:
     """Yaw (+ left, from `heading`) and pitch (+ up), rad, of the line from an eye to a point."""
     v = point - eye
     yaw = math.atan2(v[1], v[0]) - heading
     return (yaw + math.pi) % (2 * math.pi) - math.pi, math.atan2(v[2], math.hypot(v[0], v[1]))
-
-
-def lean_to_reach(q: Array, rest: RestArrays, vehicle_from_root: Array, side: int, point: Array, reach: float) -> float:
-    """Bend and turn the trunk in q, in place, just so far that the shoulder of `side` comes within `reach` m of a point.
-
-    Returns the distance (m) still missing. Flexion and lateral bend of the loins give most, then rotation.
-    """
-    point = np.ascontiguousarray(point, dtype=np.float64)
-    return float(native.lean_to_reach(q, rest, vehicle_from_root, side, point, float(reach), LOWER, UPPER))

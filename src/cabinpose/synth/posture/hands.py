@@ -15,11 +15,25 @@ from numpy.typing import NDArray
 from cabinpose.core.frames import Matrix, cross
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import SteeringWheel
-from cabinpose.synth.posture.limbs import LOWER, Frames, LimbTask, frames
+from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import SeatFit
+from cabinpose.synth.posture.solver import LOWER
 
 Array = NDArray[np.float64]
+
+
+class LimbTask(NamedTuple):
+    """A palm's or sole's target: vehicle_from_target (4, 4), weights (3,) of position and rotation (m/rad) along and about
+    the target's axes (0: free), and the comfortable posture (7 or 6,) rad with its stiffness.
+    """
+
+    target: Array
+    position_weight: Array
+    rotation_weight: Array
+    prior: Array
+    stiffness: Array
+
 
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
@@ -30,6 +44,7 @@ _STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.003, 0.012, 0.016])
 _RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.003, 0.012, 0.016])  # elbows before the backrest's bolsters
 _STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.003, 0.012, 0.004])
 _FIRM = np.full(3, 5.0)
+_GRASP = np.full(3, 5.0)  # a hand around the rim moves along it, not into it
 
 # Comfortable arms, deg: shoulder flexion, abduction, rotation; elbow flexion, pronation; wrist flexion, radial.
 WHEEL_ARM = np.radians((42.0, 24.0, 14.0, 58.0, 10.0, -8.0, 0.0))
@@ -106,7 +121,7 @@ def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5)
     normal = np.cos(lean) * inward - np.sin(lean) * axis
     fingers = cross(-tangent, normal)
     target = palm_frame(point - hold.off * normal - hold.along * fingers, normal, fingers)
-    return LimbTask(target, _FIRM, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
+    return LimbTask(target, _GRASP, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
 
 
 def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int, along: float, inward: float) -> LimbTask:
@@ -180,8 +195,3 @@ def at_belt(person: Person, skeleton: Frames, side: int, upper: Array) -> LimbTa
     if mine == s:  # the hand of the same side comes from below, its fingers to the middle
         fingers = thorax[:3, :3] @ np.array([0.1, -s * 0.6, 0.8])
     return LimbTask(palm_frame(point, back, fingers), _FIRM, np.array([0.01, 0.01, 0.006]), CROSS_ARM, _STIFFNESS)
-
-
-def anyhow(target: Matrix, prior: Array) -> LimbTask:
-    """A hand at the origin of `target`, turned as it comes, the arm near `prior` (7,) rad."""
-    return LimbTask(target, _FIRM, np.zeros(3), prior, _STIFFNESS)

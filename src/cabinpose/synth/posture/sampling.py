@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose._native import pose as native
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, apply, invert, rotation_vector, transform
-from cabinpose.scene.body import DOF_INDEX, Person
+from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.frames import Matrix, rotation_vector, transform
+from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
+from cabinpose.scene.contact import PlacedField
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     ACTIONS,
@@ -29,16 +29,16 @@ from cabinpose.synth.posture.actions import (
     inboard_side,
     target_name,
 )
-from cabinpose.synth.posture.company import Company, give_way, within
-from cabinpose.synth.posture.elbows import settle_arm
-from cabinpose.synth.posture.feet import FootPlan, default_plans, place_feet, tunnel_m
-from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, lean_to_reach, look_angles, turn_head
-from cabinpose.synth.posture.limbs import LOWER, UPPER, Frames, LimbTask, arm_angles, frames, solve_arm
+from cabinpose.synth.posture.company import Company
+from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default_plans, foot_goals, tunnel_m
+from cabinpose.synth.posture.frames import Frames, frames
+from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
+from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, sitter
+from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.motion import upper_body_onto
-from cabinpose.synth.posture.room import Room, room_for
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
-from cabinpose.synth.posture.seated import HAND_MISS_M, unreachable
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
+from cabinpose.synth.posture.solver import LOWER, UPPER, Sitter, solve
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]
@@ -49,13 +49,13 @@ _GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ea
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
-_LOW_TUNNEL_M = 0.04
 _GRIP_SIGMA = 0.025
 _LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
-_LAP_GAP_M, _DOOR_GAP_M, _BEHIND_M = 0.04, 0.09, 0.05  # of a recording's hands: over the thighs, from the door, before the hips
-_TRUNK = tuple(DOF_INDEX[f"{joint}.{axis}"] for joint in ("lumbar", "thorax") for axis in ("flexion", "lateral", "rotation"))
+_RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
+_CARRIED_BY: Mapping[str, str] = {"thigh": "{side}thigh", "ear": "head", "chest": "spine01", "belt": "spine01"}
+UPPER_BODY = [i for i, dof in enumerate(DOFS) if not dof.name[1:].startswith(("hip", "knee", "ankle"))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class OccupantPose:
 
     q: (D,) rad within the limits · vehicle_from_root: (4, 4) · action: its name, or the profile's kind · wheel_angle:
     rad, + left, None where there is no wheel before the seat · residuals_m: by how much feet and hands miss their places, and
-    how far the femur heads' middle is from the H-point.
+    how far the femur heads' middle is from the H-point · refused: which of them is too far from its place, "" where none is.
     """
 
     q: Array
@@ -72,6 +72,7 @@ class OccupantPose:
     action: str
     wheel_angle: float | None
     residuals_m: Mapping[str, float]
+    refused: str = ""
 
 
 class _Hand(NamedTuple):
@@ -96,7 +97,6 @@ class _Situation:
     wheel: SteeringWheel | None
     wheel_angle: float
     comfort: Array  # (2, 7) what each arm's prior departs by, rad
-    room: Room
     close: tuple[bool, bool]  # neighbours within touch, at the left hand and at the right
 
     @property
@@ -140,20 +140,33 @@ def _shares(actions: tuple[str, ...]) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def sample_pose(
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What one person seeks, drawn once, and where the search for it begins: for `settled`.
+
+    must: (T,) m that a task may be missed by · h_point_m: how far the femur heads' middle is to be from the H-point.
+    """
+
+    sitter: Sitter
+    action: str
+    wheel_angle: float | None
+    must: Array
+    profile: GaussianProfile | IncrementalProfile | MocapProfile | None
+    index: int
+    h_point: Array
+    rng: np.random.Generator
+
+
+def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
     offset: SeatOffset = CENTRED, company: Company | None = None, rng: np.random.Generator,
-) -> OccupantPose:  # fmt: skip
-    """A pose of `person` in `seat`: the action, and then the profile on top of it.
+) -> Drawn:  # fmt: skip
+    """What `person` in `seat` seeks: the action's places for hands, head and trunk, feet on pedals or floor.
 
-    A profile that moves the trunk leaves hands where they belong: arms whose own degrees of freedom it does not name are
-    solved again and so stay on the rim or in the lap. A mocap profile puts the recording's upper body onto the action's
-    legs, with hands that would go through seat or door held at the lap or inside the door. `index` is the combination of
-    an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `company`
-    are the neighbours, to whom trunk, arms and feet give way.
-    Raises ConfigError for an action that makes no sense here, SceneError where a target is out of reach, MocapError for
-    an unfit recording.
+    A profile is put on top of it in `settled`. `index` is the combination of an incremental profile, or the pose of a
+    recording; `offset` is how the pelvis sits off the seat's place; `company` are the neighbours.
+    Raises ConfigError for an action that makes no sense here, MocapError for an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -168,47 +181,108 @@ def sample_pose(
     lean = _draw(chosen.pelvis, rng)
     if company is not None:
         lean = max(lean, company.lean)
+        offset = offset._replace(left_m=offset.left_m + company.aside)
     forwards = transform(rotation_vector((0.0, lean, 0.0)))
-    seat_from_root = offset.applied(fit.seat_from_root)
-    root = seat.vehicle_from_seat(setting) @ seat_from_root @ forwards
+    root = seat.vehicle_from_seat(setting) @ offset.applied(fit.seat_from_root) @ forwards
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
-    room = room_for(person, cabin, seat, setting)
     side_sign = _busy_side(chosen, inboard, rng)  # + left
+    close = (False, False) if company is None else company.close
+    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close)
+    plans = _foot_plans(seat, cabin, rng)
+    feet = foot_goals(
+        person,
+        root,
+        seat,
+        setting,
+        fit,
+        cabin,
+        plans,
+        faced=company is not None and company.faced,
+        room=(math.inf, math.inf) if company is None else company.feet,
+    )
     q = fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)
-    close = (False, False) if company is None else company.close
-    crowded = any(close)
-    if company is not None:
-        room = within(room, company.people)
-        if crowded:
-            root = give_way(q, person, root, seat, room)
-        room = within(room, company.borders)
-    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, room, close)
-    if not crowded:
-        native.shoulders_inside(q, person.rest, root, room, math.cos(seat.facing_yaw), LOWER, UPPER)
-    missed = {"h_point": float(np.linalg.norm(root[:3, 3] - seat.vehicle_from_seat(setting)[:3, 3]))}
-    plans, opposite = _foot_plans(seat, cabin, rng), company is not None and company.faced
-    missed |= place_feet(q, person, root, seat, setting, fit, cabin, plans, room, faced=opposite, crowded=crowded)
+    skeleton = frames(q, person.rest, root)
+    palms, must = [], []
     for side, hand in enumerate(hands):
-        if hand.place == "reach" and hand.point is not None:
-            _lean(q, s, side, hand.point)
-    _look(q, s, chosen, hands, side_sign, rng)
-    missed |= _solve_hands(q, s, hands, chosen, (0, 1))
-    for side, hand in enumerate(hands):
+        task = _task(s, hand, side, skeleton)
+        prior = task.prior + comfort[side]
+        prior[1] = max(prior[1], at.elbow_room(person) + comfort[side, 1])
+        palms.append((task._replace(prior=prior), _CARRIED_BY.get(hand.place, "").format(side="lr"[side])))
+        must.append(HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M)
         grip = _GRIP[hand.place]
         if wheel is not None and hand.place == "wheel":
             grip = at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
         q[DOF_INDEX["lr"[side] + "hand.grip"]] = _clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0)
+    must += [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
+    head = _gaze(s, chosen, hands, side_sign, skeleton, rng)
+    holds = hands[0].place == "wheel", hands[1].place == "wheel"
+    who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, holds)
     if isinstance(profile, MocapProfile):
-        q = upper_body_onto(q, profile, index)
-        _keep_hands_above_seat(q, s)
-        action = profile.kind
-    elif profile is not None:
-        before = q.copy()
-        q = profile.apply(q, index) if isinstance(profile, IncrementalProfile) else profile.apply(q, rng=rng)
-        if any(q[d] != before[d] for d in _TRUNK):
-            missed |= _solve_hands(q, s, hands, chosen, tuple(side for side in (0, 1) if not _names_arm(profile, side)))
-    return OccupantPose(np.clip(q, LOWER, UPPER), root, action, turned if wheel is not None else None, missed)
+        who, action = as_recorded(who, upper_body_onto(who.q, profile, index), UPPER_BODY, _RECORDED), profile.kind
+    return Drawn(
+        who, action, turned if wheel is not None else None, np.array(must), profile, index, seat.h_point(setting), rng
+    )  # fmt: skip
+
+
+def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
+    """The poses of people who sit down together, in the car as `placed`, among those `around` who stay as they are.
+
+    A profile leaves hands where they belong: arms whose own degrees of freedom it does not name are solved again and so stay on
+    the rim or in the lap. With a mocap profile the recording's upper body is what is most comfortable.
+    """
+    sitters = [d.sitter for d in drawn]
+    left = solve((*sitters, *around), placed)
+    moved = [_with_profile(d) for d in drawn]
+    if any(new is not d.sitter for new, d in zip(moved, drawn, strict=True)):
+        sitters = moved
+        left = solve((*sitters, *around), placed)
+    result = []
+    for d, who, found in zip(drawn, sitters, left, strict=False):
+        missed = dict(zip(TASKS, found.missed[:, 0].tolist(), strict=True))
+        missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - d.h_point))
+        late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
+        refused = f"{TASKS[late[0]]} misses its place by {1e3 * found.missed[late[0], 0]:.0f} mm" if len(late) else ""
+        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused))
+    return result
+
+
+def _with_profile(drawn: Drawn) -> Sitter:
+    """Who sits with the profile's axes held at its values, and the goals of arms that it names taken away."""
+    profile, who = drawn.profile, drawn.sitter
+    if profile is None or isinstance(profile, MocapProfile):
+        return who
+    if isinstance(profile, IncrementalProfile):
+        q = profile.apply(who.q, drawn.index)
+    else:
+        q = profile.apply(who.q, rng=drawn.rng)
+    lower, upper, weight = who.goals.lower.copy(), who.goals.upper.copy(), who.goals.weight.copy()
+    named = [DOF_INDEX[name] for name in profile.axes]
+    lower[named] = upper[named] = q[named]
+    for side in (0, 1):
+        if _names_arm(profile, side):
+            weight[side] = 0.0
+    goals = who.goals._replace(lower=lower, upper=upper, weight=weight)
+    return who._replace(goals=goals, q=q)
+
+
+def sample_pose(
+    person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
+    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
+    offset: SeatOffset = CENTRED, placed: PlacedField | None = None, rng: np.random.Generator,
+) -> OccupantPose:  # fmt: skip
+    """A pose of `person` alone in `seat`: `draw_pose`, then `settled` in the car as `placed` (None: car and body may touch).
+
+    Raises what `draw_pose` does, and SceneError where hands or feet do not reach their places.
+    """
+    drawn = draw_pose(person, seat, setting, cabin, action, profile, index=index, offset=offset, rng=rng)
+    (pose,) = settled([drawn], placed=placed)
+    if pose.refused:
+        raise SceneError(
+            f"{pose.refused}: a person of {person.stature_m:.2f} m, '{action}' in the {seat.slot} seat of the {cabin.name}",
+            hint="choose another action, a taller person or a seat setting further forward",
+        )
+    return pose
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -280,7 +354,7 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
     chance, both = float(rng.random()), 0.02 * float(rng.standard_normal())
     apart = max(0.02 * float(rng.standard_normal()), -0.02)
     draws = rng.standard_normal((2, 2))
-    if abs(float(seat.design_h_point[1])) < 0.05 and tunnel_m(cabin) > _LOW_TUNNEL_M:
+    if abs(float(seat.design_h_point[1])) < 0.05 and tunnel_m(cabin) > LOW_TUNNEL_M:
         apart += _OVER_TUNNEL_M
     if plans[1].pedal == "accelerator":
         if chance < 0.25 and "brake" in cabin.pedals:
@@ -298,25 +372,15 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
     return plans[0], plans[1]
 
 
-def _arm_length(person: Person) -> float:
-    lengths = person.segment_lengths
-    return lengths["upper_arm"] + lengths["forearm"]
-
-
-def _lean(q: Array, s: _Situation, side: int, point: Array) -> None:
-    """Let the trunk follow a hand that reaches for a point beyond the arm."""
-    lean_to_reach(q, s.person.rest, s.root, side, point, 0.97 * _arm_length(s.person) + 0.07 + at.HAND_M)
-
-
-def _look(
-    q: Array, s: _Situation, action: Action, hands: tuple[_Hand, _Hand], side_sign: float, rng: np.random.Generator
-) -> None:
+def _gaze(
+    s: _Situation, action: Action, hands: tuple[_Hand, _Hand], side_sign: float, skeleton: Frames, rng: np.random.Generator
+) -> Matrix:
+    """vehicle_from_head (4, 4), its rotation, of somebody who looks where the action says."""
     gaze = action.gaze
     yaw, pitch, tilt = _draw(gaze.yaw, rng), _draw(gaze.pitch, rng), _draw((0.0, gaze.tilt), rng)
     if gaze.either_side:
         yaw *= side_sign
     if gaze.at_hand:
-        skeleton = frames(q, s.person.rest, s.root)
         busy = [side for side in (0, 1) if hands[side].place in ("reach", "chest", "belt")]
         point = hands[busy[0]].point
         if point is None:
@@ -326,8 +390,7 @@ def _look(
         towards_yaw, towards_pitch = look_angles(eye, point, s.seat.facing_yaw)
         # Eyes do not always stay on the hand; downwards the head lags most.
         yaw, pitch = towards_yaw + 0.5 * yaw, max(towards_pitch, -0.9) + 0.5 * pitch
-    target = head_rotation(s.seat.facing_yaw + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
-    turn_head(q, s.person.rest, s.root, target)
+    return head_rotation(s.seat.facing_yaw + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
 
 
 def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
@@ -352,42 +415,3 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
     femur = s.person.segment_lengths["thigh"]
     along, inward = (_ARM_BEFORE if s.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
     return at.on_thigh(skeleton, s.fit, femur, side, side, float(along), float(inward))
-
-
-def _solve_hands(q: Array, s: _Situation, hands: tuple[_Hand, _Hand], action: Action, sides: tuple[int, ...]) -> dict[str, float]:
-    """Bring the hands of `sides` to their places, in place of q; returns what each misses (m)."""
-    missed = {}
-    for side in sides:
-        hand = hands[side]
-        task = _task(s, hand, side, frames(q, s.person.rest, s.root))
-        prior = task.prior + s.comfort[side]
-        prior[1] = max(prior[1], at.elbow_room(s.person) + s.comfort[side, 1])
-        task = task._replace(prior=prior)
-        name = "lr"[side] + "hand"
-        missed[name] = solve_arm(q, s.person.rest, s.root, side, task).position
-        held = hand.place == "wheel"
-        settled = settle_arm(
-            q, s.person.rest, s.root, side, task, s.room, moves=not held, upwards=hand.place in ("armrest", "reach", "chest")
-        )
-        missed[name] = max(missed[name], settled.position) if held else missed[name]
-        if missed[name] > (HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M):
-            raise unreachable(s.person, s.seat, s.cabin, name, f"place of the action '{action.name}'", missed[name])
-    return missed
-
-
-def _keep_hands_above_seat(q: Array, s: _Situation) -> None:
-    """Lift and draw in hands that a recording of a free person would put through cushion, backrest, thighs or door."""
-    vehicle_from_seat = s.seat.vehicle_from_seat(s.setting)
-    seat_from_vehicle = invert(vehicle_from_seat)
-    hip = s.fit.seat_from_root[:3, 3]
-    half_width = 0.5 * s.seat.lateral_width_m - _DOOR_GAP_M
-    for side in (0, 1):
-        palm = frames(q, s.person.rest, s.root).palms[side]
-        place = apply(seat_from_vehicle, palm[:3, 3])
-        lap = hip[2] + math.tan(s.fit.thigh_angle) * max(place[0] - hip[0], 0.0) + float(s.fit.thigh_top.max()) + _LAP_GAP_M
-        kept = np.array([max(place[0], _BEHIND_M), np.clip(place[1], -half_width, half_width), max(place[2], lap)])
-        if np.array_equal(kept, place):
-            continue
-        target = palm.copy()
-        target[:3, 3] = apply(vehicle_from_seat, kept)
-        solve_arm(q, s.person.rest, s.root, side, at.anyhow(target, arm_angles(q, side)))

@@ -19,7 +19,7 @@ from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
 from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.cabin import Seat
-from cabinpose.synth.posture.limbs import frames
+from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.memory import kept_with_person
 
 Array = NDArray[np.float64]

@@ -13,17 +13,17 @@ from cabinpose.core.errors import SceneError, unknown_name
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
-from cabinpose.synth.posture.feet import default_plans, place_feet
-from cabinpose.synth.posture.gaze import head_rotation, turn_head
+from cabinpose.synth.posture.feet import MISS_M, default_plans, foot_goals
+from cabinpose.synth.posture.frames import frames
+from cabinpose.synth.posture.gaze import head_rotation
+from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, sitter
 from cabinpose.synth.posture.hands import on_rim, on_thigh, rim_grip
-from cabinpose.synth.posture.limbs import frames, solve_arm
-from cabinpose.synth.posture.room import room_for
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
+from cabinpose.synth.posture.solver import solve
 
 Array = NDArray[np.float64]
 Hands = Literal["wheel", "lap"]
 
-HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 REST_GRIP = 0.06  # of the fingers' curl
 _LAP_ALONG, _LAP_INWARD = 0.69, 0.02
 _LEVEL_PITCH = np.radians(-4.0)
@@ -59,32 +59,38 @@ def solve_posture(
     fit = fit_seat(person, seat, setting.torso_angle)
     root = seat.vehicle_from_seat(setting) @ fit.seat_from_root
     q = fit.q.copy()
-    room = room_for(person, cabin, seat, setting)
-    missed = {"h_point": fit.h_offset_m}
-    missed |= place_feet(q, person, root, seat, setting, fit, cabin, default_plans(seat, cabin), room)
-    turn_head(q, person.rest, root, head_rotation(seat.facing_yaw, _LEVEL_PITCH))
-    for side, name in enumerate(("lhand", "rhand")):
-        grip = REST_GRIP
-        if hands == "wheel":
+    feet = foot_goals(person, root, seat, setting, fit, cabin, default_plans(seat, cabin))
+    skeleton = frames(q, person.rest, root)
+    palms, holds = [], hands == "wheel"
+    for side in (0, 1):
+        if holds:
             if cabin.steering_wheel is None or not has_wheel:
                 raise SceneError(
                     f"the {seat.slot} seat of the {cabin.name} has no steering wheel", hint="rest the hands in the lap"
                 )
             hold = rim_grip(person, cabin.steering_wheel.rim_section_m)
-            grip = hold.grip
+            q[DOF_INDEX["lr"[side] + "hand.grip"]] = hold.grip
             task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2), hold)
+            palms.append((task, ""))
         else:
-            skeleton = frames(q, person.rest, root)
+            q[DOF_INDEX["lr"[side] + "hand.grip"]] = REST_GRIP
             task = on_thigh(skeleton, fit, person.segment_lengths["thigh"], side, side, _LAP_ALONG, _LAP_INWARD)
-        missed[name] = solve_arm(q, person.rest, root, side, task).position
-        if hands == "wheel" and missed[name] > HAND_MISS_M:
+            palms.append((task, "lr"[side] + "thigh"))
+    head = head_rotation(seat.facing_yaw, _LEVEL_PITCH)
+    who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, (holds, holds))
+    (left,) = solve([who], None)
+    missed = dict(zip(TASKS, left.missed[:, 0].tolist(), strict=True)) | {"h_point": fit.h_offset_m}
+    for side, name in enumerate(("lhand", "rhand")):
+        if holds and missed[name] > HAND_MISS_M:
             raise unreachable(person, seat, cabin, name, "steering wheel", missed[name])
-        q[DOF_INDEX["lr"[side] + "hand.grip"]] = grip
-    return SeatedPosture(q, root, missed, fit)
+        foot = TASKS[2 + side]
+        if feet[side].must and missed[foot] > MISS_M:
+            raise unreachable(person, seat, cabin, foot, "pedals", missed[foot])
+    return SeatedPosture(who.q, who.root, missed, fit)
 
 
 def unreachable(person: Person, seat: Seat, cabin: Cabin, hand: str, target: str, missed: float) -> SceneError:
-    """The error for a hand that does not get to its target (missed: m)."""
+    """The error for a hand or foot that does not get to its target (missed: m)."""
     return SceneError(
         f"{hand} of a person of {person.stature_m:.2f} m misses the {target} by {1e3 * missed:.0f} mm"
         f" in the {seat.slot} seat of the {cabin.name}",

@@ -1,0 +1,38 @@
+"""Where the bones of a posture are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose._native import body as native
+from cabinpose.scene.body.kinematics import RestArrays, main_frames
+from cabinpose.scene.body.rig import BONE_INDEX
+
+Array = NDArray[np.float64]
+
+
+class Frames(NamedTuple):
+    """The skeleton in the vehicle frame: rotation (23, 3, 3) and position (23, 3) of the main bones, palms, soles (2, 4, 4)."""
+
+    rotation: Array
+    position: Array
+    palms: Array
+    soles: Array
+
+    def bone(self, name: str) -> Array:
+        """vehicle_from_bone (4, 4)."""
+        b = BONE_INDEX[name]
+        result = np.eye(4)
+        result[:3, :3], result[:3, 3] = self.rotation[b], self.position[b]
+        return result
+
+
+def frames(q: Array, rest: RestArrays, vehicle_from_root: Array) -> Frames:
+    """Forward kinematics of a posture q (D,) rad."""
+    rotation, position = main_frames(q, rest, vehicle_from_root)
+    palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
+    native.end_frames(rest, rotation, position, palms, soles)
+    return Frames(rotation, position, palms, soles)

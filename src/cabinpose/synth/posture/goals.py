@@ -1,0 +1,101 @@
+"""From places of hands and feet to what the solver seeks: a person's tasks, and how stiffly the rest of the body follows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.frames import Matrix, invert
+from cabinpose.scene.body import DOF_INDEX, DOFS, Person
+from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.cabin import Seat
+from cabinpose.synth.posture.feet import FootGoal
+from cabinpose.synth.posture.frames import Frames
+from cabinpose.synth.posture.hands import LimbTask
+from cabinpose.synth.posture.solver import LOWER, UPPER, Goals, Sitter, solve
+
+Array = NDArray[np.float64]
+
+HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
+TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
+# Weights of departing from the comfortable posture, 1/rad, against those of 1 m: a trunk that follows its hands and gives way.
+_OF_JOINT = {"lumbar": 0.3, "thorax": 0.3, "neck": 0.03, "head": 0.05, "lclavicle": 0.5, "rclavicle": 0.5}
+_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.01])
+_STIFFNESS = np.array([_OF_JOINT.get(dof.name.split(".")[0], 0.0) for dof in DOFS])
+_ROOT_WEIGHT = np.array([10.0, 4.0, 20.0, 1.5, 1.5, 1.0])  # a pelvis hardly leaves its cushion, and slides and turns before
+_STANDING_LEG = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))
+_ON_GROUND = np.array([4.0, 4.0, 4.0, 0.04, 0.05, 0.04])
+_ON_GAZE = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
+_ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in "lr")
+_LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in "lr")
+
+
+def sitter(
+    person: Person,
+    seat: Seat,
+    q: Array,
+    root: Matrix,
+    skeleton: Frames,
+    hands: tuple[tuple[LimbTask, str], tuple[LimbTask, str]],
+    feet: tuple[FootGoal, FootGoal],
+    head: Matrix,
+    holds: tuple[bool, bool],
+) -> Sitter:
+    """Somebody who seeks all this, from the comfortable posture on.
+
+    q: (D,) rad the comfortable trunk; arms and legs are taken from the tasks · root, head: `vehicle_from_root` and
+    `vehicle_from_head` (4, 4) · skeleton: of the trunk in q · hands: each palm's task, and the bone that carries its target ("":
+    the vehicle) · holds: hands that are closed around the wheel.
+    """
+    q, stiffness = q.copy(), _STIFFNESS.copy()
+    rows: list[tuple[str, Matrix, str, Matrix, Array]] = []
+    for side, (task, base) in enumerate(hands):
+        arm = slice(_ARM[side], _ARM[side] + 7)
+        q[arm], stiffness[arm] = task.prior, task.stiffness
+        target = invert(skeleton.bone(base)) @ task.target if base else task.target
+        weight = np.concatenate((task.position_weight, task.rotation_weight))
+        rows.append(("lr"[side] + "hand", person.rest.palms[side], base, target, weight))
+    for side, foot in enumerate(feet):
+        leg = slice(_LEG[side], _LEG[side] + 6)
+        q[leg], stiffness[leg] = foot.prior, _LEG_STIFFNESS
+        rows.append(("lr"[side] + "foot", foot.tool, "", foot.target, foot.weight))
+    rows.append(("head", np.eye(4), "", head, _ON_GAZE))
+    q = np.clip(q, LOWER, UPPER)
+    goals = Goals(q, stiffness, LOWER, UPPER, root, _ROOT_WEIGHT, *_arrays(rows))
+    return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, middle=float(seat.design_h_point[1]))
+
+
+def as_recorded(chosen: Sitter, posture: Array, upper_body: list[int], weight: float) -> Sitter:
+    """The same person with an upper body as near to `posture` (D,) rad as car and body allow, by `weight` (1/rad)."""
+    stiffness, tasks = chosen.goals.stiffness.copy(), chosen.goals.weight.copy()
+    stiffness[upper_body] = weight
+    tasks[[TASKS.index("lhand"), TASKS.index("rhand"), TASKS.index("head")]] = 0.0
+    goals = chosen.goals._replace(posture=posture, stiffness=stiffness, weight=tasks)
+    return chosen._replace(goals=goals, q=posture.copy())
+
+
+def stand_on(person: Person, q: Array, root: Matrix, feet: list[tuple[int, Matrix]]) -> None:
+    """Bring soles to the floor by their legs alone, in place of q (D,) rad. feet: side and floor_from_sole (4, 4) of each."""
+    rows: list[tuple[str, Matrix, str, Matrix, Array]] = []
+    posture, stiffness, lower, upper = q.copy(), np.zeros(len(q)), q.copy(), q.copy()
+    for side, target in feet:
+        leg = slice(_LEG[side], _LEG[side] + 6)
+        posture[leg], stiffness[leg], lower[leg], upper[leg] = _STANDING_LEG, _LEG_STIFFNESS, LOWER[leg], UPPER[leg]
+        rows.append(("lr"[side] + "foot", person.rest.soles[side], "", target, _ON_GROUND))
+    goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
+    start = np.clip(posture, lower, upper)
+    solve([Sitter(person, "", goals, start, root.copy())], None)
+    q[:] = start
+
+
+def _arrays(
+    rows: list[tuple[str, Matrix, str, Matrix, Array]],
+) -> tuple[NDArray[np.int32], Array, NDArray[np.int32], Array, Array]:
+    """bone, tool, base, target and weight of `Goals` from rows of (bone, tool, base or "", target, weight)."""
+    return (
+        np.array([BONE_INDEX[bone] for bone, *_ in rows], np.int32),
+        np.stack([row[1] for row in rows]),
+        np.array([BONE_INDEX[row[2]] if row[2] else -1 for row in rows], np.int32),
+        np.stack([row[3] for row in rows]),
+        np.stack([row[4] for row in rows]),
+    )

@@ -1,0 +1,537 @@
+#include "pose/solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+
+#include "core/math.hpp"
+
+namespace cabinpose {
+namespace {
+
+using namespace rig;
+
+// Weight of a metre too deep, against 1 of a task's. First people go where they want to, through everything; then they are
+// pushed out, gently at first: a hand that met the door on its way would stay there.
+constexpr double pressing[] = {0.0, 8.0, 40.0};
+constexpr int phases = 3, steps[] = {20, 10, 30};
+constexpr double longest_step[] = {1.0, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
+constexpr double near_m = 0.01;                     // from the samples of a solid is outside
+constexpr double still = 3e-4;                      // a step of fewer radians (and metres) ends the search
+constexpr double hardly = 5e-3;                     // and so does, twice, a cost that falls by less than this share
+constexpr double flat = 0.2;                        // a field that grows less steeply tells no way out
+constexpr double beside_m = 0.2, sideways = 0.6;    // walls are farther from a seat's middle, and the way out of them is sideways
+constexpr double across = 0.2;                      // of a way out that leads through: sideways at least so much
+constexpr double past_m = 0.04;                     // more than a depth says that was measured from the wrong side
+constexpr double axis_step_m = 0.04;                // along bones that must stay out of foam
+constexpr double first_damping = 1e-3;
+constexpr int trials = 6;  // dampings tried for a step
+
+struct Touch {
+  Vec3 point, way;  // where, and which way is out
+  double depth = 0.0;
+  int bone = 0, against = -1;  // the own bone that carries the surface, -1 where it is not the own body's
+  Squeeze what;
+};
+
+Vec3 rotation_vector(const Mat3& m) {
+  const Vec3 v{m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]};
+  const double sine = 0.5 * norm(v), cosine = 0.5 * (m[0][0] + m[1][1] + m[2][2] - 1.0);
+  const double angle = atan2(sine, cosine);
+  return (sine > 1e-9 ? 0.5 * angle / sine : 0.5) * v;
+}
+
+Mat3 turned(Vec3 v) {
+  const double angle = norm(v);
+  if (angle < 1e-12) return identity();
+  const Vec3 a = (1.0 / angle) * v;
+  const double c = cos(angle), s = sin(angle), t = 1.0 - c;
+  return {{{c + t * a.x * a.x, t * a.x * a.y - s * a.z, t * a.x * a.z + s * a.y},
+           {t * a.x * a.y + s * a.z, c + t * a.y * a.y, t * a.y * a.z - s * a.x},
+           {t * a.x * a.z - s * a.y, t * a.y * a.z + s * a.x, c + t * a.z * a.z}}};
+}
+
+BoneFrame frame(const double* matrix) { return {mat3(matrix, 4), {matrix[3], matrix[7], matrix[11]}}; }
+
+BoneFrame operator*(const BoneFrame& a, const BoneFrame& b) {
+  return {a.rotation * b.rotation, a.rotation * b.position + a.position};
+}
+
+/// A posture and all that follows from it.
+struct State {
+  double q[n_dofs];
+  BoneFrame root;
+  BoneFrames skeleton;
+  Samples samples;
+  std::vector<Touch> touches;
+  double cost = 0.0;
+};
+
+Vec3 joint(const Mover& who, const State& state, std::int64_t number) {
+  const BoneFrame& bone = state.skeleton.at[who.rest.joint_bone[number]];
+  return bone.rotation * vec3(&who.rest.joint_offset(number, 0)) + bone.position;
+}
+
+/// One person's search.
+class Search {
+ public:
+  Search(const Mover& who, const std::vector<PlacedGrid>& car, const PairArrays& pairs, double between)
+      : who_(who), car_(car), pairs_(pairs), between_(between) {
+    std::copy_n(who.q.data(), n_dofs, now_.q);
+    now_.root = frame(who.root.data());
+  }
+
+  bool done() const { return done_; }
+  const Samples& samples() const { return now_.samples; }
+
+  /// Begin a phase of the search from where it is.
+  void begin(int phase) {
+    pressed_ = pressing[phase];
+    limit_ = longest_step[phase];
+    damping_ = first_damping;
+    hardly_ = 0;
+    done_ = who_.stand == Mover::fixed || (who_.stand == Mover::settled && phase + 1 < phases);
+    pose(now_);
+  }
+
+  /// One accepted step, or none where nothing helps.
+  void step(const std::vector<std::unique_ptr<Search>>& people) {
+    touch(now_, people);
+    now_.cost = cost(now_);
+    linearise();
+    for (int trial = 0; trial < trials; ++trial) {
+      double change[n_unknown];
+      solve(change);
+      advance(change);
+      pose(trial_);
+      touch(trial_, people);
+      trial_.cost = cost(trial_);
+      if (trial_.cost < now_.cost) {
+        double longest = 0.0;
+        for (const double c : change) longest = std::max(longest, std::fabs(c));
+        hardly_ = trial_.cost > (1.0 - hardly) * now_.cost ? hardly_ + 1 : 0;
+        damping_ = std::max(damping_ / 4.0, 1e-6);
+        std::swap(now_, trial_);
+        done_ = longest < still || hardly_ >= 2;
+        return;
+      }
+      damping_ *= 5.0;
+    }
+    done_ = true;
+  }
+
+  /// What is left, and what the tasks miss; the posture goes where it came from.
+  Squeeze finish(const std::vector<std::unique_ptr<Search>>& people, Array<double, any, 2> missed) {
+    if (who_.stand == Mover::fixed) return {};
+    touch(now_, people);
+    Squeeze worst;
+    for (const Touch& t : now_.touches) {
+      if (t.what.kind != Squeeze::none && t.depth > worst.excess) {
+        worst = t.what;
+        worst.excess = t.depth;
+      }
+    }
+    for (Index t = 0; t < who_.goals.bone.size(); ++t) {
+      double error[6];
+      task(now_, t, error);
+      const double* w = &who_.goals.weight(t, 0);
+      for (int half = 0; half < 2; ++half) {
+        double sum = 0.0;
+        for (int i = 3 * half; i < 3 * half + 3; ++i) sum += w[i] > 0.0 ? error[i] * error[i] : 0.0;
+        missed(t, half) = std::sqrt(sum);
+      }
+    }
+    std::copy_n(now_.q, n_dofs, who_.q.data());
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) who_.root(i, j) = now_.root.rotation[i][j];
+      who_.root(i, 3) = now_.root.position[i];
+    }
+    return worst;
+  }
+
+ private:
+  void pose(State& state) const {
+    state.skeleton.move(state.q, who_.rest, state.root);
+    if (pressed_ > 0.0 || who_.stand != Mover::fresh) state.samples.pose(state.q, who_.rest, who_.samples, state.skeleton);
+  }
+
+  BoneFrame target(const State& state, Index t) const {
+    const BoneFrame given = frame(&who_.goals.target(t, 0, 0));
+    const int base = who_.goals.base[t];
+    return base < 0 ? given : state.skeleton.at[base] * given;
+  }
+
+  /// What a task misses, along and about the target's axes.
+  void task(const State& state, Index t, double* error) const {
+    const BoneFrame tool = state.skeleton.at[who_.goals.bone[t]] * frame(&who_.goals.tool(t, 0, 0)), to = target(state, t);
+    const Mat3 back = transposed(to.rotation);
+    const Vec3 off = back * (tool.position - to.position), turn = rotation_vector(back * tool.rotation);
+    for (int i = 0; i < 3; ++i) {
+      error[i] = off[i];
+      error[3 + i] = turn[i];
+    }
+  }
+
+  void root_error(const State& state, double* error) const {
+    const BoneFrame to = frame(who_.goals.root.data());
+    const Mat3 back = transposed(to.rotation);
+    const Vec3 off = back * (state.root.position - to.position), turn = rotation_vector(back * state.root.rotation);
+    for (int i = 0; i < 3; ++i) {
+      error[i] = off[i];
+      error[3 + i] = turn[i];
+    }
+  }
+
+  double cost(const State& state) const {
+    const GoalArrays& g = who_.goals;
+    double total = 0.0, error[6];
+    auto add = [&total](double e) { total += e * e; };
+    for (int k = 0; k < n_dofs; ++k) add(g.stiffness[k] * (state.q[k] - g.posture[k]));
+    root_error(state, error);
+    for (int i = 0; i < 6; ++i) add(g.root_weight[i] * error[i]);
+    for (Index t = 0; t < g.bone.size(); ++t) {
+      task(state, t, error);
+      for (int i = 0; i < 6; ++i) add(g.weight(t, i) * error[i]);
+    }
+    for (const Touch& t : state.touches) add(pressed_ * t.depth);
+    return total;
+  }
+
+  void touch(State& state, const std::vector<std::unique_ptr<Search>>& people) {
+    state.touches.clear();
+    if (pressed_ == 0.0) return;
+    follow(state.samples);
+    touch_car(state);
+    touch_foam(state);
+    touch_self(state);
+    for (std::size_t k = 0; k < people.size(); ++k) {
+      if (people[k].get() != this) touch_other(state, *people[k], k);
+    }
+  }
+
+  /// Adds up how far the samples of each solid have moved at most, from one posture that is looked at to the next.
+  void follow(const Samples& samples) {
+    const auto& rows = who_.samples.rows;
+    const bool known = !last_.empty();
+    last_.resize(static_cast<std::size_t>(who_.samples.rest.size()));
+    for (Index s = 0; s < rows.size(); ++s) {
+      double longest = 0.0;
+      for (Index n = rows(s, 0); n < rows(s, 1); ++n) {
+        Vec3& last = last_[static_cast<std::size_t>(n)];
+        const Vec3 step = samples.point(n) - last;
+        longest = std::max(longest, dot(step, step));
+        last = samples.point(n);
+      }
+      if (known) moved_[s] += std::sqrt(longest);
+    }
+  }
+
+  /// Two things that were so far apart, when what could move had moved so far: until it has moved as far again they do not meet.
+  struct Gap {
+    double width = 0.0, moved = 0.0;
+
+    bool open(double now) const { return width > now - moved; }
+  };
+
+  void touch_car(State& state) {
+    const auto& rows = who_.samples.rows;
+    const std::size_t solids = static_cast<std::size_t>(rows.size());
+    car_gaps_.resize(solids * car_.size());
+    for (std::size_t g = 0; g < car_.size(); ++g) {
+      const PlacedGrid& group = car_[g];
+      const Vec3 way = vec3(&who_.way(static_cast<Index>(g), 0));
+      for (Index s = 0; s < rows.size(); ++s) {
+        Gap& gap = car_gaps_[g * solids + static_cast<std::size_t>(s)];
+        const double leave = who_.leave(s, static_cast<Index>(g));
+        if (gap.open(moved_[s])) continue;
+        gap = {beyond(group, state.samples.ball(s)) + leave, moved_[s]};
+        if (gap.width > 0.0) continue;
+        gap.width = std::numeric_limits<double>::infinity();
+        for (Index n = rows(s, 0); n < rows(s, 1); ++n) {
+          gap.width = std::min(gap.width, press(state, group, state.samples.point(n), leave, way, who_.samples.bone[n],
+                                                {Squeeze::car, s, static_cast<std::int64_t>(g), 0.0}));
+        }
+      }
+    }
+  }
+
+  /// What of clearance from a group every point of a ball has at least; at most 0 where that is not known.
+  static double beyond(const PlacedGrid& group, const Ball& ball) {
+    Vec3 gradient;
+    const double* m = group.group_from_vehicle.data();
+    double outside = 0.0;
+    for (int i = 0; i < 3; ++i) {
+      const double* row = m + 4 * i;
+      const double at = row[0] * ball.centre.x + row[1] * ball.centre.y + row[2] * ball.centre.z + row[3] - group.field.origin[i];
+      const double end = static_cast<double>(group.field.values.size(static_cast<std::size_t>(i)) - 1) * group.field.step;
+      outside = std::max({outside, -at, at - end});
+    }
+    if (outside > 0.0 && group.field.outside <= 0.0) return 0.0;
+    if (outside > ball.radius) return outside - ball.radius;
+    return clearance_at(group.field, group.group_from_vehicle, ball.centre, 0.1, gradient) - ball.radius - group.field.step;
+  }
+
+  /// How much clearance a point has more than it needs; where it is less than 0 the point is pushed out.
+  double press(State& state, const PlacedGrid& group, Vec3 p, double leave, Vec3 only, int bone, Squeeze what) const {
+    Vec3 gradient;
+    const double depth = -leave - clearance_at(group.field, group.group_from_vehicle, p, -leave, gradient);
+    if (depth <= 0.0) return -depth;
+    const double aside = who_.middle - p.y;
+    if (group.walls && std::fabs(aside) > beside_m && gradient.y * aside < -sideways * norm(gradient) * std::fabs(aside)) {
+      only = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
+    }
+    if (dot(gradient, only) < 0.0) {  // past the middle: the near side is farther than the far one
+      state.touches.push_back({p, only, depth + past_m, bone, -1, what});
+      return -depth;
+    }
+    const double slope = norm(gradient);
+    if (slope > flat) state.touches.push_back({p, (1.0 / slope) * gradient, depth, bone, -1, what});
+    return -depth;
+  }
+
+  void touch_foam(State& state) const {
+    for (std::size_t g = 0; g < car_.size(); ++g) {
+      const PlacedGrid& group = car_[g];
+      if (group.give <= 0.0) continue;
+      for (Index a = 0; a < pairs_.axes.size(); ++a) {
+        const std::int64_t solid = pairs_.axes(a, 0);
+        if (beyond(group, state.samples.ball(solid)) > group.give) continue;
+        const Vec3 from = joint(who_, state, pairs_.axes(a, 1)), to = joint(who_, state, pairs_.axes(a, 2));
+        const int pieces = 1 + static_cast<int>(norm(to - from) / axis_step_m);
+        for (int k = 1; k <= pieces; ++k) {
+          const double share = pairs_.axis_from[a] + (1.0 - pairs_.axis_from[a]) * k / pieces;
+          const Vec3 p = from + share * (to - from);
+          press(state, group, p, -group.give, {}, static_cast<int>(who_.rest.joint_bone[pairs_.axes(a, 1)]),
+                {Squeeze::car, solid, static_cast<std::int64_t>(g), 0.0});
+        }
+      }
+    }
+  }
+
+  void touch_self(State& state) {
+    const auto& rows = who_.samples.rows;
+    self_gaps_.resize(static_cast<std::size_t>(pairs_.pairs.size()));
+    for (Index k = 0; k < pairs_.pairs.size(); ++k) {
+      const Index a = pairs_.pairs(k, 0), b = pairs_.pairs(k, 1);
+      const Ball &one = state.samples.ball(a), &two = state.samples.ball(b);
+      Gap& gap = self_gaps_[static_cast<std::size_t>(k)];
+      if (gap.open(moved_[a] + moved_[b])) continue;
+      gap = {norm(one.centre - two.centre) - one.radius - two.radius, moved_[a] + moved_[b]};
+      if (gap.width > 0.0) continue;
+      double zone = 0.0;
+      Vec3 centre;
+      if (pairs_.joint_ends(k, 0) >= 0) {
+        centre = joint(who_, state, pairs_.joint_ends(k, 0));
+        zone = pairs_.zones[k] * norm(joint(who_, state, pairs_.joint_ends(k, 1)) - centre);
+      }
+      const Vec3 outwards = static_cast<double>(pairs_.side[k]) * state.root.rotation.column(1);
+      double least = std::numeric_limits<double>::infinity();
+      for (Index n = rows(a, 0); n < rows(a, 1) && (n < who_.samples.first_end(a) || least < who_.samples.cover[a]); ++n) {
+        const Vec3 p = state.samples.point(n);
+        const Index m = close_sample(state.samples, who_.samples, b, p, least);
+        if (m < 0 || (zone > 0.0 && norm(p - centre) < zone)) continue;
+        Vec3 way = state.samples.normal(m);
+        double depth = dot(way, state.samples.point(m) - p) - pairs_.allowed[k];
+        if (depth <= 0.0) continue;
+        if (dot(way, outwards) < -across) {  // through the other limb
+          way = outwards;
+          depth += past_m;
+        }
+        state.touches.push_back({p, way, depth, who_.samples.bone[n], who_.samples.bone[m], {Squeeze::self, a, b, 0.0}});
+      }
+      gap.width = least - who_.samples.cover[a];
+    }
+  }
+
+  /// The sample of a solid that is nearest to p, -1 where p is surely outside; least: lowered to how far p is away at least.
+  static Index close_sample(const Samples& samples, const SampleArrays& arrays, Index solid, Vec3 p, double& least) {
+    const Index first = arrays.rows(solid, 0), end = arrays.rows(solid, 1);
+    const Ball& ball = samples.ball(solid);
+    double away = norm(p - ball.centre) - ball.radius;
+    if (away < near_m) {
+      const Index rough = samples.nearest(p, first, arrays.first_end(solid));
+      away = norm(p - samples.point(rough)) - arrays.cover[solid];
+    }
+    least = std::min(least, away);
+    return away > near_m ? -1 : samples.nearest(p, first, end);
+  }
+
+  void touch_other(State& state, const Search& other, std::size_t number) {
+    const auto &rows = who_.samples.rows, &theirs = other.who_.samples.rows;
+    const double aside = who_.middle - other.who_.middle;
+    other_gaps_.resize(std::max(other_gaps_.size(), number + 1));
+    std::vector<Gap>& gaps = other_gaps_[number];
+    gaps.resize(static_cast<std::size_t>(rows.size() * theirs.size()));
+    for (Index a = 0; a < rows.size(); ++a) {
+      for (Index b = 0; b < theirs.size(); ++b) {
+        const Ball &one = state.samples.ball(a), &two = other.now_.samples.ball(b);
+        Gap& gap = gaps[static_cast<std::size_t>(a * theirs.size() + b)];
+        if (gap.open(moved_[a] + other.moved_[b])) continue;
+        gap = {norm(one.centre - two.centre) - one.radius - two.radius, moved_[a] + other.moved_[b]};
+        if (gap.width > 0.0) continue;
+        double least = std::numeric_limits<double>::infinity();
+        for (Index n = rows(a, 0); n < rows(a, 1) && (n < who_.samples.first_end(a) || least < who_.samples.cover[a]); ++n) {
+          const Vec3 p = state.samples.point(n);
+          const Index m = close_sample(other.now_.samples, other.who_.samples, b, p, least);
+          if (m < 0) continue;
+          Vec3 way = other.now_.samples.normal(m);
+          double depth = dot(way, other.now_.samples.point(m) - p) - between_;
+          if (depth <= 0.0 || depth > two.radius) continue;
+          if (std::fabs(aside) > beside_m && way.y * aside < -across * std::fabs(aside)) {  // through the other's limb
+            way = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
+            depth += past_m;
+          }
+          state.touches.push_back({p, way, depth, who_.samples.bone[n], -1, {Squeeze::person, a, b, 0.0}});
+        }
+        gap.width = least - who_.samples.cover[a];
+      }
+    }
+  }
+
+  /// The normal equations about the present posture.
+  void linearise() {
+    motion_.set(now_.q, who_.rest, now_.skeleton);
+    std::fill_n(&square_[0][0], n_unknown * n_unknown, 0.0);
+    std::fill_n(slope_, n_unknown, 0.0);
+    const GoalArrays& g = who_.goals;
+    double row[n_unknown], error[6];
+    for (int k = 0; k < n_dofs; ++k) {
+      const double w = g.stiffness[k] * g.stiffness[k];
+      square_[n_root + k][n_root + k] += w;
+      slope_[n_root + k] += w * (now_.q[k] - g.posture[k]);
+    }
+    const BoneFrame root = frame(g.root.data());
+    root_error(now_, error);
+    for (int i = 0; i < 6; ++i) {
+      const double w = g.root_weight[i];
+      if (w == 0.0) continue;
+      std::fill_n(row, n_unknown, 0.0);
+      const Vec3 axis = root.rotation.column(i % 3);
+      for (int k = 0; k < 3; ++k) row[(i < 3 ? 0 : 3) + k] = w * axis[k];
+      add(row, w * error[i]);
+    }
+    for (Index t = 0; t < g.bone.size(); ++t) {
+      const int bone = g.bone[t], base = g.base[t];
+      const Vec3 at = (now_.skeleton.at[bone] * frame(&g.tool(t, 0, 0))).position;
+      const BoneFrame to = target(now_, t);
+      task(now_, t, error);
+      for (int i = 0; i < 6; ++i) {
+        const double w = g.weight(t, i);
+        if (w == 0.0) continue;
+        std::fill_n(row, n_unknown, 0.0);
+        const Vec3 axis = to.rotation.column(i % 3);
+        if (i < 3) {
+          motion_.add_point(row, bone, at, axis, w);
+          if (base >= 0) motion_.add_point(row, base, at, axis, -w);
+        } else {
+          motion_.add_turn(row, bone, axis, w);
+          if (base >= 0) motion_.add_turn(row, base, axis, -w);
+        }
+        add(row, w * error[i]);
+      }
+    }
+    for (const Touch& t : now_.touches) {
+      std::fill_n(row, n_unknown, 0.0);
+      motion_.add_point(row, t.bone, t.point, t.way, -pressed_);
+      if (t.against >= 0) motion_.add_point(row, t.against, t.point, t.way, pressed_);
+      add(row, pressed_ * t.depth);
+    }
+  }
+
+  void add(const double* row, double error) {
+    int used[n_unknown], count = 0;
+    for (int i = 0; i < n_unknown; ++i) {
+      if (row[i] != 0.0) used[count++] = i;
+    }
+    for (int a = 0; a < count; ++a) {
+      const int i = used[a];
+      slope_[i] += row[i] * error;
+      for (int b = 0; b <= a; ++b) square_[i][used[b]] += row[i] * row[used[b]];
+    }
+  }
+
+  /// A damped step by Cholesky's factors; an axis at its limit that is pushed outwards is held.
+  void solve(double* change) const {
+    bool held[n_unknown] = {};
+    for (int k = 0; k < n_dofs; ++k) {
+      const double q = now_.q[k], down = slope_[n_root + k];
+      const bool low = q <= who_.goals.lower[k] && down > 0.0, high = q >= who_.goals.upper[k] && down < 0.0;
+      held[n_root + k] = low || high || k == dof(grip, 0) || k == dof(grip, 1);
+    }
+    double factor[n_unknown][n_unknown];
+    for (int i = 0; i < n_unknown; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        double sum = held[i] || held[j] ? 0.0 : square_[i][j];
+        if (i == j) sum = held[i] ? 1.0 : sum * (1.0 + damping_) + 1e-9;
+        for (int k = 0; k < j; ++k) sum -= factor[i][k] * factor[j][k];
+        factor[i][j] = i == j ? std::sqrt(std::max(sum, 1e-12)) : sum / factor[j][j];
+      }
+    }
+    for (int i = 0; i < n_unknown; ++i) {
+      double sum = held[i] ? 0.0 : -slope_[i];
+      for (int k = 0; k < i; ++k) sum -= factor[i][k] * change[k];
+      change[i] = sum / factor[i][i];
+    }
+    for (int i = n_unknown - 1; i >= 0; --i) {
+      double sum = change[i];
+      for (int k = i + 1; k < n_unknown; ++k) sum -= factor[k][i] * change[k];
+      change[i] = sum / factor[i][i];
+    }
+  }
+
+  void advance(double* change) {
+    double longest = 0.0;
+    for (int i = 0; i < n_unknown; ++i)
+      longest = std::max(longest, (i < 3 ? 10.0 : i < n_root ? 2.0 : 1.0) * std::fabs(change[i]));
+    if (longest > limit_) {
+      for (int i = 0; i < n_unknown; ++i) change[i] *= limit_ / longest;
+    }
+    for (int k = 0; k < n_dofs; ++k) {
+      const double q = std::min(std::max(now_.q[k] + change[n_root + k], who_.goals.lower[k]), who_.goals.upper[k]);
+      change[n_root + k] = q - now_.q[k];
+      trial_.q[k] = q;
+    }
+    trial_.root.rotation = turned(vec3(change + 3)) * now_.root.rotation;
+    trial_.root.position = now_.root.position + vec3(change);
+  }
+
+  const Mover& who_;
+  const std::vector<PlacedGrid>& car_;
+  const PairArrays& pairs_;
+  double between_;
+  State now_, trial_;
+  Motion motion_;
+  std::vector<Vec3> last_;         // the samples where they were looked at last
+  double moved_[max_solids] = {};  // by solid, m
+  std::vector<Gap> self_gaps_, car_gaps_;
+  std::vector<std::vector<Gap>> other_gaps_;
+  double square_[n_unknown][n_unknown], slope_[n_unknown], damping_ = first_damping, pressed_ = 0.0, limit_ = 1.0;
+  int hardly_ = 0;
+  bool done_ = false;
+};
+
+}  // namespace
+
+std::vector<Squeeze> solve_people(const std::vector<Mover>& people, const std::vector<PlacedGrid>& car, const PairArrays& pairs,
+                                  double between, const std::vector<Array<double, any, 2>>& missed) {
+  std::vector<std::unique_ptr<Search>> searches;
+  for (const Mover& who : people) searches.push_back(std::make_unique<Search>(who, car, pairs, between));
+  for (int phase = 0; phase < phases; ++phase) {
+    for (auto& search : searches) search->begin(phase);
+    for (int round = 0; round < steps[phase]; ++round) {
+      bool moved = false;
+      for (auto& search : searches) {
+        if (search->done()) continue;
+        search->step(searches);
+        moved = true;
+      }
+      if (!moved) break;
+    }
+  }
+  std::vector<Squeeze> left;
+  for (std::size_t k = 0; k < searches.size(); ++k) left.push_back(searches[k]->finish(searches, missed[k]));
+  return left;
+}
+
+}  // namespace cabinpose
