@@ -19,13 +19,13 @@ constexpr int phases = 3, steps[] = {20, 10, 30};
 constexpr double longest_step[] = {1.0, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
 constexpr double near_m = 0.01;                     // from the samples of a solid is outside
 constexpr double still = 3e-4;                      // a step of fewer radians (and metres) ends the search
-constexpr double hardly = 5e-3;                     // and so does, twice, a cost that falls by less than this share
+constexpr double hardly[] = {2e-2, 2e-2, 5e-3};  // and so does, twice, a cost that falls by less than this share
 constexpr double flat = 0.2;                        // a field that grows less steeply tells no way out
 constexpr double beside_m = 0.2, sideways = 0.6;    // walls are farther from a seat's middle, and the way out of them is sideways
 constexpr double across = 0.2;                      // of a way out that leads through: sideways at least so much
 constexpr double past_m = 0.04;                     // more than a depth says that was measured from the wrong side
 constexpr double axis_step_m = 0.04;                // along bones that must stay out of foam
-constexpr double first_damping = 1e-3;
+constexpr double first_damping[] = {1e-3, 1e-2, 1e-2};
 constexpr int trials = 6;  // dampings tried for a step
 
 struct Touch {
@@ -89,7 +89,8 @@ class Search {
   void begin(int phase) {
     pressed_ = pressing[phase];
     limit_ = longest_step[phase];
-    damping_ = first_damping;
+    phase_ = phase;
+    damping_ = first_damping[phase];
     hardly_ = 0;
     done_ = who_.stand == Mover::fixed || (who_.stand == Mover::settled && phase + 1 < phases);
     pose(now_);
@@ -110,7 +111,7 @@ class Search {
       if (trial_.cost < now_.cost) {
         double longest = 0.0;
         for (const double c : change) longest = std::max(longest, std::fabs(c));
-        hardly_ = trial_.cost > (1.0 - hardly) * now_.cost ? hardly_ + 1 : 0;
+        hardly_ = trial_.cost > (1.0 - hardly[phase_]) * now_.cost ? hardly_ + 1 : 0;
         damping_ = std::max(damping_ / 4.0, 1e-6);
         std::swap(now_, trial_);
         done_ = longest < still || hardly_ >= 2;
@@ -329,8 +330,12 @@ class Search {
       double least = std::numeric_limits<double>::infinity();
       for (Index n = rows(a, 0); n < rows(a, 1) && (n < who_.samples.first_end(a) || least < who_.samples.cover[a]); ++n) {
         const Vec3 p = state.samples.point(n);
+        if (zone > 0.0 && norm(p - centre) < zone) {  // left to the joints' limits; what is about it may still meet
+          least = 0.0;
+          continue;
+        }
         const Index m = close_sample(state.samples, who_.samples, b, p, least);
-        if (m < 0 || (zone > 0.0 && norm(p - centre) < zone)) continue;
+        if (m < 0) continue;
         Vec3 way = state.samples.normal(m);
         double depth = dot(way, state.samples.point(m) - p) - pairs_.allowed[k];
         if (depth <= 0.0) continue;
@@ -506,8 +511,8 @@ class Search {
   double moved_[max_solids] = {};  // by solid, m
   std::vector<Gap> self_gaps_, car_gaps_;
   std::vector<std::vector<Gap>> other_gaps_;
-  double square_[n_unknown][n_unknown], slope_[n_unknown], damping_ = first_damping, pressed_ = 0.0, limit_ = 1.0;
-  int hardly_ = 0;
+  double square_[n_unknown][n_unknown], slope_[n_unknown], damping_ = 0.0, pressed_ = 0.0, limit_ = 1.0;
+  int hardly_ = 0, phase_ = 0;
   bool done_ = false;
 };
 
