@@ -178,50 +178,48 @@ def test_rejections_are_counted_by_cause_and_detail() -> None:
 
 
 def test_people_admitted_one_by_one_are_judged_like_the_whole_scene(validator: Validator) -> None:
-    """Random scenes of three and a wheel that turns: `admit` says what `check` says of all, to the last bit."""
+    """Random scenes of three and a turned wheel: `admit` says what `check` says of all, to the last bit."""
     rng = np.random.default_rng(5)
     causes: Counter[str | None] = Counter()
-    turned = 0
     for _ in range(40):
         settings = FAR | {"wheel": transform(translation=(0.4, 0.5, 1.3))}
-        seated, held = validator.empty(settings), []
+        angle = float(rng.uniform(0.1, 1.0))
+        seated, held = validator.turned(validator.empty(settings), angle), []
         apart = rng.uniform(1.4, 1.8)
         for slot, y in (("driver", 0.0), ("front_passenger", apart), ("rear_left", -apart)):
             hand = np.array((rng.uniform(0.0, 0.5), rng.uniform(0.0, 0.6), 1.25))
             joints = {"lwrist": tuple(hand), "lhand": tuple(hand + (0.05, -0.05, 0.0))}
             occupant = (slot, *person((0, y, 0.05), **joints))
-            angle = float(rng.uniform(0.1, 1.0)) if rng.random() < 0.5 else None
-            verdict, after = validator.admit(seated, occupant, angle)
-            whole = validator.check([*held, occupant], settings, seated.wheel_angle if angle is None else angle)
+            verdict, after = validator.admit(seated, occupant)
+            whole = validator.check([*held, occupant], settings, angle)
             assert (verdict.ok, verdict.cause, verdict.detail) == (whole.ok, whole.cause, whole.detail)
             assert (verdict.depth_m, verdict.slot) == (whole.depth_m, whole.slot)
             causes[verdict.cause] += 1
             if verdict.ok:
                 held.append(occupant)
-                turned += angle is not None
             else:
                 assert after is seated
             seated = after
         assert [body.slot for body in seated.bodies] == [slot for slot, *_ in held]
     assert min(causes[cause] for cause in (None, "self", "person", "car")) >= 2, causes
-    assert turned
 
 
-def test_a_wheel_that_turns_is_judged_against_those_who_sit_already() -> None:
-    """A knob on the rim: the driver's hand is free of it until somebody who sits down beside him turns the wheel."""
+def test_the_wheel_is_turned_before_anybody_sits() -> None:
+    """A knob on the rim: the driver's hand is free of it at one angle of the wheel and not at another."""
     knob = trimesh.creation.box((0.04, 0.04, 0.04)).apply_translation((0.3, 0, 0))
     validator = Validator(StubCabin((StubPart("knob", surface(knob), group="wheel"),)))
     settings = {"wheel": transform(translation=(-0.3, 0.86, 1.5))}
-    driver, other = ("driver", *person((0, 0, 0.05))), ("front_passenger", *person((0, 2.6, 0.05)))
-    alone, seated = validator.admit(validator.empty(settings, np.pi / 2), driver)
+    driver = ("driver", *person((0, 0, 0.05)))
+    away = validator.empty(settings, np.pi / 2)
+    alone, seated = validator.admit(away, driver)
     assert alone.ok
-    refused, same = validator.admit(seated, other, 0.0)
+    refused, same = validator.admit(validator.turned(away, 0.0), driver)
     assert (refused.cause, refused.slot, refused.detail) == ("car", "driver", "driver: lhand in knob")
-    assert same is seated
-    stays, both = validator.admit(seated, other)
-    assert stays.ok
-    assert [body.slot for body in both.bodies] == ["driver", "front_passenger"]
-    assert (validator.tally.scenes, validator.tally.occupants, validator.tally.accepted) == (3, 3, 2)
+    assert same.bodies == ()
+    assert validator.turned(seated, np.pi / 2) is seated
+    with pytest.raises(ValueError, match="before people sit down"):
+        validator.turned(seated, 0.0)
+    assert (validator.tally.scenes, validator.tally.occupants, validator.tally.accepted) == (2, 2, 1)
 
 
 def test_without_a_cabin_only_bodies_are_judged() -> None:

@@ -24,6 +24,7 @@ from cabinpose.core.skeleton import INDEX, RIGS
 from cabinpose.scene.body import SEGMENTS
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.materials import MATERIALS
+from cabinpose.synth.posture.frames import frames
 
 
 def generator(seed: int) -> np.random.Generator:
@@ -123,7 +124,9 @@ def test_fewer_than_three_markers_are_no_object() -> None:
 
 def test_two_cameras_have_to_see_a_marker_and_a_look_lasts(driving: Motion, actor: Actor) -> None:
     head = driving.joints([0.0])[0, INDEX["head"]]
-    above = head + np.array([(0.7, 0.0, 0.1), (0.7, 0.3, 0.1)])
+    q, root, _ = driving.pose_at(np.zeros(1))
+    ahead, left, _ = frames(q[0], driving.person.rest, root[0]).bone("head")[:3, :3].T
+    above = head + np.array([0.7 * ahead + (0.0, 0.0, 0.1), 0.7 * ahead + 0.3 * left + (0.0, 0.0, 0.1)])
     time = np.arange(0.0, 1.0, 0.01)
     both = Watch(driving, actor.cap, above).over(time)
     assert both[:, 0].all()  # on the brow, before two cameras

@@ -54,7 +54,8 @@ def test_frames_show_the_person_where_the_truth_says(driving: Motion) -> None:
             depth = frame["depth"][v, u]
             if np.isfinite(depth):
                 assert joints[j, 2] - 0.42 < depth < joints[j, 2] + 0.03  # skin lies before its joint
-            assert frame["instance"][v, u] == 1 or not np.isfinite(depth)
+            around = frame["instance"][v - 1 : v + 2, u - 1 : u + 2]  # the person's edge may pass through the pixel
+            assert (around == 1).any() or not np.isfinite(depth)
     assert np.nanmax(np.abs(frames[0]["depth"] - frames[1]["depth"])) > 0.05  # somebody moved
 
 

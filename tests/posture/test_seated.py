@@ -215,9 +215,11 @@ def test_an_offset_moves_the_pelvis_and_hands_stay_on_the_wheel(people: dict[str
             sample_pose(person, seat, setting, cabin, "drive", offset=o, rng=np.random.default_rng(4)) for o in (CENTRED, offset)
         )
         move = (moved.vehicle_from_root - still.vehicle_from_root)[:3, 3]
-        np.testing.assert_allclose(move, (0.02, -0.012, 0.0), atol=1e-12)  # the driver looks along the vehicle's x
+        # The driver looks along the vehicle's x. A pelvis gives way to hands and feet, by fractions of a millimetre.
+        np.testing.assert_allclose(move, (0.02, -0.012, 0.0), atol=1e-3)
         turned = Rotation.from_matrix(moved.vehicle_from_root[:3, :3] @ still.vehicle_from_root[:3, :3].T)
-        np.testing.assert_allclose(turned.as_euler("XYZ"), Rotation.from_euler("zx", (offset.yaw, offset.roll)).as_euler("XYZ"))
+        sought = Rotation.from_euler("zx", (offset.yaw, offset.roll)).as_euler("XYZ")
+        np.testing.assert_allclose(turned.as_euler("XYZ"), sought, atol=5e-3)
         assert max(moved.residuals_m["lhand"], moved.residuals_m["rhand"]) < HAND_M
         assert max(moved.residuals_m["lfoot"], moved.residuals_m["rfoot"]) < FOOT_M
         for palm in person.pose(moved.q, moved.vehicle_from_root).palms.values():

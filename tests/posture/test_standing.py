@@ -12,6 +12,7 @@ from cabinpose.core.errors import MocapError
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
 from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.contact import ContactField
 from cabinpose.store.convert.bvh import read_bvh
 from cabinpose.synth.posture import choose_setting, sample_pose
 from cabinpose.synth.posture.motion import recorded_count
@@ -127,17 +128,22 @@ def test_mocap_on_a_seat_and_in_a_room(real_data: Callable[[str], Path]) -> None
     cabin = build_cabin("sedan")
     seat = cabin.seats["rear_right"]
     setting = choose_setting(person, seat, cabin, rng=None)
-    seated, standing = [], []
+    field, settings = ContactField(cabin), {s: each.default for s, each in cabin.seats.items()} | {seat.slot: setting}
+    seated, standing, free = [], [], []
     for i in range(0, 240, 20):
-        pose = sample_pose(person, seat, setting, cabin, "rest_lap", profile, index=i, rng=np.random.default_rng(0))
+        pose = sample_pose(
+            person, seat, setting, cabin, "rest_lap", profile, index=i, car=lambda angle: field.at(settings, angle),
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
         assert pose.action == "mocap"
         assert np.all(pose.q >= LOWER)
         assert np.all(pose.q <= UPPER)
         seated.append(pose.q)
         palms = person.pose(pose.q, pose.vehicle_from_root).palms
-        assert min(p[2, 3] for p in palms.values()) > seat.h_point(setting)[2]  # hands are above the seat
+        free.append(field.clearance(np.stack([p[:3, 3] for p in palms.values()]), settings, 0.0).min())
         standing.append(sample_standing(person, profile, index=i, rng=np.random.default_rng(0)).q)
     assert np.ptp(np.array(seated), axis=0).max() > 1.0
+    assert min(free) > 0.0  # no palm is in the seat or in the door
     again = sample_standing(person, profile, index=recorded_count(profile), rng=np.random.default_rng(0))
     np.testing.assert_array_equal(again.q, standing[0])  # it begins anew
     late = MocapProfile(path=str(real_data(CMU)), start_s=100)

@@ -120,12 +120,10 @@ def test_a_finished_dataset_is_neither_overwritten_nor_mixed(reference: Path) ->
 
 
 def test_a_scene_that_cannot_be_ends_with_its_cause(tmp_path: Path) -> None:
-    # The forearm goes straight through the chest in every pose.
+    # The upper arm goes down through the chest in every pose.
     axes = {
-        "lshoulder.flexion": {"mean_deg": 30.0, "sigma_deg": 0.0},
-        "lshoulder.abduction": {"mean_deg": 0.0, "sigma_deg": 0.0},
-        "lshoulder.rotation": {"mean_deg": 70.0, "sigma_deg": 0.0},
-        "lelbow.flexion": {"mean_deg": 120.0, "sigma_deg": 0.0},
+        "lshoulder.flexion": {"mean_deg": 0.0, "sigma_deg": 0.0},
+        "lshoulder.abduction": {"mean_deg": -45.0, "sigma_deg": 0.0},
     }
     config = small_config(profile={"kind": "gaussian", "axes": axes})
     config = config.model_copy(update={"limits": Limits(poses_per_person=4, scenes_per_frame=2)})
@@ -162,17 +160,16 @@ def test_a_camera_inside_a_seat_is_refused_before_work(tmp_path: Path) -> None:
 
 
 def test_impossible_combinations_are_left_out(tmp_path: Path) -> None:
-    # The left forearm swings from beside the body (possible) into the chest (not).
-    fixed = {"lshoulder.flexion": 30.0, "lshoulder.abduction": 0.0, "lelbow.flexion": 120.0}
-    axes = {name: {"min_deg": value, "max_deg": value, "step_deg": 1.0} for name, value in fixed.items()}
-    axes["lshoulder.rotation"] = {"min_deg": -30.0, "max_deg": 70.0, "step_deg": 50.0}
+    # The left upper arm swings from within the chest (impossible) out beside it.
+    axes = {"lshoulder.flexion": {"min_deg": 0.0, "max_deg": 0.0, "step_deg": 1.0}}
+    axes["lshoulder.abduction"] = {"min_deg": -45.0, "max_deg": 15.0, "step_deg": 30.0}
     config = small_config(profile={"kind": "incremental", "axes": axes}, motion={"driver": {"rest_lap": 1.0}})
     config = config.model_copy(update={"limits": Limits(poses_per_person=10, scenes_per_frame=4)})
     report = generate(config, 3, tmp_path / "grid", workers=1)
     dataset = open_dataset(tmp_path / "grid")
     assert dataset.attrs["skipped_frames"] == 3 - report.frames > 0
-    assert 2 not in dataset.frame.values
-    assert 1 in dataset.frame.values
+    assert 0 not in dataset.frame.values
+    assert 2 in dataset.frame.values
     assert report.rejections["self"] > 0
 
 

@@ -19,7 +19,7 @@ constexpr int phases = 3, steps[] = {20, 10, 30};
 constexpr double longest_step[] = {1.0, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
 constexpr double near_m = 0.01;                     // from the samples of a solid is outside
 constexpr double still = 3e-4;                      // a step of fewer radians (and metres) ends the search
-constexpr double hardly[] = {2e-2, 2e-2, 5e-3};  // and so does, twice, a cost that falls by less than this share
+constexpr double hardly[] = {2e-2, 2e-2, 5e-3};     // and so does, twice, a cost that falls by less than this share
 constexpr double flat = 0.2;                        // a field that grows less steeply tells no way out
 constexpr double beside_m = 0.2, sideways = 0.6;    // walls are farther from a seat's middle, and the way out of them is sideways
 constexpr double across = 0.2;                      // of a way out that leads through: sideways at least so much
@@ -519,10 +519,10 @@ class Search {
 }  // namespace
 
 std::vector<Squeeze> solve_people(const std::vector<Mover>& people, const std::vector<PlacedGrid>& car, const PairArrays& pairs,
-                                  double between, const std::vector<Array<double, any, 2>>& missed) {
+                                  double between, bool free, const std::vector<Array<double, any, 2>>& missed) {
   std::vector<std::unique_ptr<Search>> searches;
   for (const Mover& who : people) searches.push_back(std::make_unique<Search>(who, car, pairs, between));
-  for (int phase = 0; phase < phases; ++phase) {
+  for (int phase = 0; phase < (free ? 1 : phases); ++phase) {
     for (auto& search : searches) search->begin(phase);
     for (int round = 0; round < steps[phase]; ++round) {
       bool moved = false;

@@ -84,8 +84,8 @@ struct Squeeze {
   double excess = 0.0;
 };
 
-/// Pose everybody at once; missed: (T, 2) for each person, what each task is off by (m, rad).
+/// Pose everybody at once, through everything where `free`; missed: (T, 2) for each person, what each task is off by (m, rad).
 std::vector<Squeeze> solve_people(const std::vector<Mover>& people, const std::vector<PlacedGrid>& car, const PairArrays& pairs,
-                                  double between, const std::vector<Array<double, any, 2>>& missed);
+                                  double between, bool free, const std::vector<Array<double, any, 2>>& missed);
 
 }  // namespace cabinpose

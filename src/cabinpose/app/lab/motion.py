@@ -25,8 +25,9 @@ from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, self_contact, solid_topology
 from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
-from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, turn_head
-from cabinpose.synth.posture.limbs import LOWER, UPPER
+from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation
+from cabinpose.synth.posture.goals import turn_head
+from cabinpose.synth.posture.solver import LOWER, UPPER
 from cabinpose.synth.sample import judged_cabin
 from cabinpose.synth.validate import Validator
 
@@ -292,9 +293,12 @@ def _between(one: Key, two: Key, share: F64) -> tuple[F64, Matrix, F64]:
 
 def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
     """A valid key pose of an action, as the generator draws it. Raises SceneError where the draw does not hold."""
+    contact = stage.validator.contact
+    assert contact is not None  # a car's validator has the car's fields
     pose = sample_pose(
-        stage.person, stage.cabin.seats[SLOT], stage.settings[SLOT], stage.cabin, action, offset=stage.offset, rng=rng
-    )
+        stage.person, stage.cabin.seats[SLOT], stage.settings[SLOT], stage.cabin, action, offset=stage.offset,
+        car=lambda angle: contact.at(stage.settings, angle), rng=rng,
+    )  # fmt: skip
     wheel = pose.wheel_angle or 0.0
     posed = stage.person.pose(pose.q, pose.vehicle_from_root)
     verdict = stage.validator.check([(SLOT, stage.person, posed)], stage.settings, wheel)
@@ -318,7 +322,7 @@ def _look(stage: Stage, key: Key, where: str, rng: np.random.Generator) -> Key:
     yaw, pitch = np.radians(np.array(_LOOKS_DEG[where]) + _LOOK_SIGMA_DEG * np.clip(rng.standard_normal(2), -2.0, 2.0))
     q = key[0].copy()
     heading = stage.cabin.seats[SLOT].facing_yaw
-    turn_head(q, stage.person.rest, key[1], head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch))
+    turn_head(stage.person, q, key[1], head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch))
     return Key((q, key[1], key[2]))
 
 

@@ -84,7 +84,19 @@ def stand_on(person: Person, q: Array, root: Matrix, feet: list[tuple[int, Matri
         rows.append(("lr"[side] + "foot", person.rest.soles[side], "", target, _ON_GROUND))
     goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     start = np.clip(posture, lower, upper)
-    solve([Sitter(person, "", goals, start, root.copy())], None)
+    solve([Sitter(person, "", goals, start, root.copy())], None, free=True)
+    q[:] = start
+
+
+def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
+    """Turn neck and head alone towards `vehicle_from_head` (4, 4), in place of q (D,) rad."""
+    free = [i for i, dof in enumerate(DOFS) if dof.name.startswith(("neck.", "head."))]
+    lower, upper, posture, stiffness = q.copy(), q.copy(), np.zeros(len(q)), np.zeros(len(q))
+    lower[free], upper[free], stiffness[free] = LOWER[free], UPPER[free], _STIFFNESS[free]
+    rows = [("head", np.eye(4), "", head, _ON_GAZE)]
+    goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
+    start = q.copy()
+    solve([Sitter(person, "", goals, start, root.copy())], None, free=True)
     q[:] = start
 
 

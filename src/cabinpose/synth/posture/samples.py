@@ -30,15 +30,15 @@ _MAIN_OF_HELPER = {
 class Samples(NamedTuple):
     """Points of a person's skin for the solver, S solids in the order of `SOLIDS`.
 
-    rest, normal: (N, 3) of the mesh at rest, m, outward · index, weight: (N, K) skinning · bone: (N,) the main bone that moves a
+    rest, normal: (N, 3) of the mesh at rest, m, outward · skin_index, skin_weight: (N, K) · bone: (N,) the main bone that moves a
     point most · rows: (S, 2) first and last-but-one of each solid, whose
     first quarter lies all over it: no sample is farther than `cover` (S,) m from one of these.
     """
 
     rest: Array
     normal: Array
-    index: NDArray[np.uint8]
-    weight: NDArray[np.float32]
+    skin_index: NDArray[np.uint8]
+    skin_weight: NDArray[np.float32]
     bone: NDArray[np.int32]
     rows: NDArray[np.int64]
     cover: Array

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -269,14 +269,15 @@ def _with_profile(drawn: Drawn) -> Sitter:
 def sample_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
-    offset: SeatOffset = CENTRED, placed: PlacedField | None = None, rng: np.random.Generator,
+    offset: SeatOffset = CENTRED, car: Callable[[float], PlacedField] | None = None, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
-    """A pose of `person` alone in `seat`: `draw_pose`, then `settled` in the car as `placed` (None: car and body may touch).
+    """A pose of `person` alone in `seat`: `draw_pose`, then `settled`.
 
+    car: its fields at a wheel angle (rad), such as `ContactField.at` gives; left out, hands and feet may go through it.
     Raises what `draw_pose` does, and SceneError where hands or feet do not reach their places.
     """
     drawn = draw_pose(person, seat, setting, cabin, action, profile, index=index, offset=offset, rng=rng)
-    (pose,) = settled([drawn], placed=placed)
+    (pose,) = settled([drawn], placed=None if car is None else car(drawn.wheel_angle or 0.0))
     if pose.refused:
         raise SceneError(
             f"{pose.refused}: a person of {person.stature_m:.2f} m, '{action}' in the {seat.slot} seat of the {cabin.name}",

@@ -79,7 +79,8 @@ def solve_posture(
     head = head_rotation(seat.facing_yaw, _LEVEL_PITCH)
     who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, (holds, holds))
     (left,) = solve([who], None)
-    missed = dict(zip(TASKS, left.missed[:, 0].tolist(), strict=True)) | {"h_point": fit.h_offset_m}
+    missed = dict(zip(TASKS, left.missed[:, 0].tolist(), strict=True))
+    missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - seat.h_point(setting)))
     for side, name in enumerate(("lhand", "rhand")):
         if holds and missed[name] > HAND_MISS_M:
             raise unreachable(person, seat, cabin, name, "steering wheel", missed[name])

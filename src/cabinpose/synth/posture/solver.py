@@ -119,13 +119,11 @@ def _pairs() -> tuple[Array, ...]:
 _PAIRS = _pairs()
 
 
-def solve(sitters: Sequence[Sitter], placed: PlacedField | None) -> list[Left]:
-    """Pose everybody, in place of their q and root, in the car as `placed` (None: without one)."""
+def solve(sitters: Sequence[Sitter], placed: PlacedField | None, *, free: bool = False) -> list[Left]:
+    """Pose everybody, in place of their q and root, in the car as `placed` (None: without one); `free`: whatever may touch."""
     groups = () if placed is None else placed.groups
     names = [field.name for field, _, _ in groups]
-    car = [
-        (field.grid, back, field.give_m if field.name.endswith("/back") else 0.0, field.interior) for field, _, back in groups
-    ]
+    car = [(field.grid, back, field.give_m if field.name.endswith("/back") else 0.0, field.interior) for field, _, back in groups]
     people, missed = [], []
     for sitter in sitters:
         leave = np.full((len(SOLIDS), len(names)), -_MARGIN_M)
@@ -144,7 +142,7 @@ def solve(sitters: Sequence[Sitter], placed: PlacedField | None) -> list[Left]:
         own = sitter.middle, sitter.q, sitter.root, _STANDS.index(sitter.stand)
         people.append((sitter.person.rest, samples_of(sitter.person), sitter.goals, leave, way, *own))
         missed.append(np.zeros((len(sitter.goals.bone), 2)))
-    found = native.solve_people(people, car, _PAIRS, _BETWEEN_M, missed)
+    found = native.solve_people(people, car, _PAIRS, _BETWEEN_M, free, missed)
     result = []
     for off, (kind, solid, other, excess) in zip(missed, found, strict=True):
         into = "" if kind == 0 else names[other] if kind == _WITH_CAR else SOLIDS[other]
