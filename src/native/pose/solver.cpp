@@ -22,6 +22,7 @@ constexpr double still = 3e-4;                      // a step of fewer radians (
 constexpr double hardly[] = {2e-2, 2e-2, 5e-3};     // and so does, twice, a cost that falls by less than this share
 constexpr double flat = 0.2;                        // a field that grows less steeply tells no way out
 constexpr double beside_m = 0.2, sideways = 0.6;    // walls are farther from a seat's middle, and the way out of them is sideways
+constexpr double deep_m = 0.05;                     // in a thing of one side
 constexpr double across = 0.2;                      // of a way out that leads through: sideways at least so much
 constexpr double past_m = 0.04;                     // more than a depth says that was measured from the wrong side
 constexpr double axis_step_m = 0.04;                // along bones that must stay out of foam
@@ -282,11 +283,11 @@ class Search {
     if (group.walls && std::fabs(aside) > beside_m && gradient.y * aside < -sideways * norm(gradient) * std::fabs(aside)) {
       only = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
     }
-    if (dot(gradient, only) < 0.0) {  // past the middle: the near side is farther than the far one
+    const double slope = norm(gradient);
+    if (dot(only, only) > 0.0 && ((slope < flat && depth > deep_m) || dot(gradient, only) < 0.0)) {  // past the middle
       state.touches.push_back({p, only, depth + past_m, bone, -1, what});
       return -depth;
     }
-    const double slope = norm(gradient);
     if (slope > flat) state.touches.push_back({p, (1.0 / slope) * gradient, depth, bone, -1, what});
     return -depth;
   }
