@@ -19,12 +19,13 @@ Array = NDArray[np.float64]
 HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
 # Weights of departing from the comfortable posture, 1/rad, against those of 1 m: a trunk that follows its hands and gives way.
-_OF_JOINT = {"lumbar": 0.2, "thorax": 0.2, "neck": 0.05, "head": 0.04, "lclavicle": 0.2, "rclavicle": 0.2}
+_OF_JOINT = {"lumbar": 0.2, "thorax": 0.2, "neck": 0.05, "head": 0.04, "head.flexion": 0.09, "lclavicle": 0.2, "rclavicle": 0.2}
 _LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.01])
-_STIFFNESS = np.array([_OF_JOINT.get(dof.name.split(".")[0], 0.0) for dof in DOFS])
+_STIFFNESS = np.array([_OF_JOINT.get(dof.name, _OF_JOINT.get(dof.name.split(".")[0], 0.0)) for dof in DOFS])
 _ROOT_WEIGHT = np.array([10.0, 4.0, 20.0, 1.5, 1.5, 1.0])  # a pelvis hardly leaves its cushion, and slides and turns before
 _STANDING_LEG = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))
 _ON_GROUND = np.array([4.0, 4.0, 4.0, 0.04, 0.05, 0.04])
+_ARM_STIFFER = 2.0  # than for an arm that follows its hand alone
 _ON_GAZE = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
 _ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in "lr")
 _LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in "lr")
@@ -51,7 +52,7 @@ def sitter(
     rows: list[tuple[str, Matrix, str, Matrix, Array]] = []
     for side, (task, base) in enumerate(hands):
         arm = slice(_ARM[side], _ARM[side] + 7)
-        q[arm], stiffness[arm] = task.prior, task.stiffness
+        q[arm], stiffness[arm] = task.prior, _ARM_STIFFER * task.stiffness
         target = invert(skeleton.bone(base)) @ task.target if base else task.target
         weight = np.concatenate((task.position_weight, task.rotation_weight))
         rows.append(("lr"[side] + "hand", person.rest.palms[side], base, target, weight))

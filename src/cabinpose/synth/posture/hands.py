@@ -40,9 +40,9 @@ _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slan
 _OVER_THIGH_M = 0.028  # of the palm's skin: fingers and trousers lie between
 PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
-_STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.003, 0.012, 0.016])
-_RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.003, 0.012, 0.016])  # elbows before the backrest's bolsters
-_STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.003, 0.012, 0.004])
+_STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.010, 0.012, 0.016])
+_RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.010, 0.012, 0.016])  # elbows before the backrest's bolsters
+_STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.006, 0.012, 0.008])
 _FIRM = np.full(3, 5.0)
 _GRASP = np.full(3, 5.0)  # a hand around the rim moves along it, not into it
 
@@ -140,13 +140,13 @@ def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int
     normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
     mine = 1.0 - 2.0 * side
     fingers = down_leg - mine * 0.45 * left
-    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.12, 0.12, 0.04]), LAP_ARM, _RESTING_STIFFNESS)
+    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
 
 
 def on_surface(point: Array, fingers: Array, up: Array, prior: Array = SIDE_ARM) -> LimbTask:
     """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
     target = palm_frame(point + (0.045 - PALM_M) * up, -up, fingers)
-    return LimbTask(target, _FIRM, np.array([0.1, 0.1, 0.03]), prior, _STIFFNESS)
+    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), prior, _STIFFNESS)
 
 
 def at_point(point: Array, shoulder: Array, up: Array, prior: Array = REACH_ARM, finger: float = HAND_M) -> LimbTask:
@@ -168,7 +168,7 @@ def at_ear(person: Person, skeleton: Frames, side: int, gap: float = 0.04) -> Li
     point = head[:3, :3] @ local + head[:3, 3]
     fingers = head[:3, :3] @ np.array([-0.25, 0.0, 1.0])
     target = palm_frame(point, head[:3, :3] @ np.array([0.15, -s, 0.0]), fingers)
-    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.06]), FACE_ARM, _STIFFNESS)
+    return LimbTask(target, _FIRM, np.array([0.04, 0.04, 0.04]), FACE_ARM, _STIFFNESS)
 
 
 def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: float) -> LimbTask:
@@ -178,7 +178,7 @@ def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: fl
     point = thorax[:3, 3] + thorax[:3, :3] @ np.array([forward, s * out, up])
     to_face = skeleton.bone("head")[:3, 3] - point
     fingers = thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35])
-    return LimbTask(palm_frame(point, to_face, fingers), _FIRM, np.array([0.06, 0.06, 0.04]), FACE_ARM, _STIFFNESS)
+    return LimbTask(palm_frame(point, to_face, fingers), _FIRM, np.array([0.04, 0.04, 0.02]), FACE_ARM, _STIFFNESS)
 
 
 def at_belt(person: Person, skeleton: Frames, side: int, upper: Array) -> LimbTask:
