@@ -15,7 +15,6 @@ from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.synth.posture.company import beside_each_other, close_seats, half_breadth
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, settled
-from cabinpose.synth.posture.solver import Sitter
 from cabinpose.synth.validate import Seated, Validator
 
 Draw = Callable[[str], Drawn]
@@ -101,6 +100,3 @@ def pose_people(
             wanted = list(dict.fromkeys(wanted))
         seated, sitting = after, sitting | drawn
     return Posed({slot: poses[slot] for slot in people}, seated), draws
-
-
-__all__ = ["Draw", "Posed", "Sitter", "pose_people", "rows_of", "slimmest_in_the_middle"]

@@ -9,7 +9,11 @@ using namespace rig;
 
 constexpr double step = 1e-6;  // rad
 
-/// What moves a bone: degrees of freedom of the trunk before the first number, and from the second to before the third.
+/// What moves a bone: degrees of freedom of the trunk before `trunk_end`, and of a side from `from` to before `end`.
+struct Movers {
+  int trunk_end, from, end;
+};
+
 Movers movers(int bone) {
   if (bone == pelvis) return {0, 0, 0};
   if (bone <= spine01) return {6, 0, 0};

@@ -11,13 +11,6 @@ inline constexpr int n_root = 6, n_unknown = n_root + rig::n_dofs;
 /// A rigid body's velocity: that of a point p is turn x p + shift.
 struct Twist {
   Vec3 turn, shift;
-
-  Vec3 at(Vec3 p) const { return cross(turn, p) + shift; }
-};
-
-/// First and last-but-one of two runs of degrees of freedom that move a bone: of the trunk, and of a side.
-struct Movers {
-  int trunk_end, from, end;
 };
 
 /// A posture's bones.

@@ -17,7 +17,7 @@ using namespace rig;
 constexpr double pressing[] = {0.0, 8.0, 40.0};
 constexpr int phases = 3, steps[] = {20, 10, 30};
 constexpr double longest_step[] = {1.0, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
-constexpr double near_m = 0.01;                     // from the samples of a solid is outside
+constexpr double near_m = 0.01;                     // what is farther than this from a solid is outside it
 constexpr double still = 3e-4;                      // a step of fewer radians (and metres) ends the search
 constexpr double hardly[] = {2e-2, 2e-2, 5e-3};     // and so does, twice, a cost that falls by less than this share
 constexpr double flat = 0.2;                        // a field that grows less steeply tells no way out
@@ -29,6 +29,7 @@ constexpr double axis_step_m = 0.04;                // along bones that must sta
 constexpr double first_damping[] = {1e-3, 1e-2, 1e-2};
 constexpr int trials = 6;  // dampings tried for a step
 
+/// Somewhere that a person is too deep in something.
 struct Touch {
   Vec3 point, way;  // where, and which way is out
   double depth = 0.0;
