@@ -11,7 +11,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.synth.posture.solver import LOWER, UPPER
+from cabinpose.scene.body.rig import LOWER, UPPER
 
 
 def generator(seed: int) -> np.random.Generator:

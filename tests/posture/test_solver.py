@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from cabinpose.core.frames import apply, invert, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person
+from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.samples import samples_of
 from cabinpose.synth.posture.seat_fit import fit_seat
-from cabinpose.synth.posture.solver import LOWER, UPPER, Goals, Sitter, solve
+from cabinpose.synth.posture.solver import Goals, Sitter, solve
 from cabinpose.synth.validate import Validator
 
 Array = NDArray[np.float64]

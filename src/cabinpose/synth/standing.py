@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.synth.posture.feet import GROUND_M
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.goals import stand_on
 from cabinpose.synth.posture.motion import recorded_pose
-from cabinpose.synth.posture.solver import LOWER, UPPER
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]

@@ -57,14 +57,6 @@ Quaternion quaternion(const Mat3& m) {
   return {w, v.x, v.y, v.z};
 }
 
-/// Rotation by an angle about a unit axis (Rodrigues).
-Mat3 about(Vec3 a, double angle) {
-  const double c = cos(angle), s = sin(angle), t = 1.0 - c;
-  return {{{c + t * a.x * a.x, t * a.x * a.y - s * a.z, t * a.x * a.z + s * a.y},
-           {t * a.x * a.y + s * a.z, c + t * a.y * a.y, t * a.y * a.z - s * a.x},
-           {t * a.x * a.z - s * a.y, t * a.y * a.z + s * a.x, c + t * a.z * a.z}}};
-}
-
 /// The rotation by a share of m's angle about m's axis.
 Mat3 share_of(const Mat3& m, double share) {
   const Quaternion q = quaternion(m);
@@ -112,6 +104,13 @@ Vec3 moved(SkinTransforms transforms, int bone, const double* point) {
 }
 
 }  // namespace
+
+Mat3 about(Vec3 a, double angle) {
+  const double c = cos(angle), s = sin(angle), t = 1.0 - c;
+  return {{{c + t * a.x * a.x, t * a.x * a.y - s * a.z, t * a.x * a.z + s * a.y},
+           {t * a.x * a.y + s * a.z, c + t * a.y * a.y, t * a.y * a.z - s * a.x},
+           {t * a.x * a.z - s * a.y, t * a.y * a.z + s * a.x, c + t * a.z * a.z}}};
+}
 
 void spine_frames(const double* q, const RestArrays& rest, const BoneFrame& root, BoneFrame* out) {
   out[pelvis] = root;

@@ -35,6 +35,9 @@ using Rotations = Array<double, rig::n_main, 3, 3>;        // vehicle_from_bone
 using Positions = Array<double, rig::n_main, 3>;           // origins of the bones
 using SkinTransforms = Array<double, rig::n_bones, 3, 4>;  // vehicle_from_mesh of every bone
 
+/// Rotation by an angle about a unit axis (Rodrigues).
+Mat3 about(Vec3 axis, double angle);
+
 /// A bone's frame, vehicle_from_bone.
 struct BoneFrame {
   Mat3 rotation;

@@ -46,12 +46,7 @@ Vec3 rotation_vector(const Mat3& m) {
 
 Mat3 turned(Vec3 v) {
   const double angle = norm(v);
-  if (angle < 1e-12) return identity();
-  const Vec3 a = (1.0 / angle) * v;
-  const double c = cos(angle), s = sin(angle), t = 1.0 - c;
-  return {{{c + t * a.x * a.x, t * a.x * a.y - s * a.z, t * a.x * a.z + s * a.y},
-           {t * a.x * a.y + s * a.z, c + t * a.y * a.y, t * a.y * a.z - s * a.x},
-           {t * a.x * a.z - s * a.y, t * a.y * a.z + s * a.x, c + t * a.z * a.z}}};
+  return angle < 1e-12 ? identity() : about((1.0 / angle) * v, angle);
 }
 
 BoneFrame frame(const double* matrix) { return {mat3(matrix, 4), {matrix[3], matrix[7], matrix[11]}}; }
@@ -165,26 +160,21 @@ class Search {
     return base < 0 ? given : state.skeleton.at[base] * given;
   }
 
-  /// What a task misses, along and about the target's axes.
-  void task(const State& state, Index t, double* error) const {
-    const BoneFrame tool = state.skeleton.at[who_.goals.bone[t]] * frame(&who_.goals.tool(t, 0, 0)), to = target(state, t);
-    const Mat3 back = transposed(to.rotation);
-    const Vec3 off = back * (tool.position - to.position), turn = rotation_vector(back * tool.rotation);
+  /// How far a frame is from where it shall be, along and about the target's axes.
+  static void miss(const BoneFrame& frame, const BoneFrame& target, double* error) {
+    const Mat3 back = transposed(target.rotation);
+    const Vec3 off = back * (frame.position - target.position), turn = rotation_vector(back * frame.rotation);
     for (int i = 0; i < 3; ++i) {
       error[i] = off[i];
       error[3 + i] = turn[i];
     }
   }
 
-  void root_error(const State& state, double* error) const {
-    const BoneFrame to = frame(who_.goals.root.data());
-    const Mat3 back = transposed(to.rotation);
-    const Vec3 off = back * (state.root.position - to.position), turn = rotation_vector(back * state.root.rotation);
-    for (int i = 0; i < 3; ++i) {
-      error[i] = off[i];
-      error[3 + i] = turn[i];
-    }
+  void task(const State& state, Index t, double* error) const {
+    miss(state.skeleton.at[who_.goals.bone[t]] * frame(&who_.goals.tool(t, 0, 0)), target(state, t), error);
   }
+
+  void root_error(const State& state, double* error) const { miss(state.root, frame(who_.goals.root.data()), error); }
 
   double cost(const State& state) const {
     const GoalArrays& g = who_.goals;

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from cabinpose.app.lab.motion import F64, Motion, Window
 from cabinpose.core.frames import transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
+from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.synth.posture.feet import GROUND_M
-from cabinpose.synth.posture.solver import LOWER, UPPER
 
 PLANES = ("coronal", "sagittal", "transversal")
 NEUTRAL_S = 3.0

@@ -22,12 +22,12 @@ from cabinpose.core.frames import Matrix
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.body.kinematics import main_frames
+from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, self_contact, solid_topology
 from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation
 from cabinpose.synth.posture.goals import turn_head
-from cabinpose.synth.posture.solver import LOWER, UPPER
 from cabinpose.synth.sample import judged_cabin
 from cabinpose.synth.validate import Validator
 

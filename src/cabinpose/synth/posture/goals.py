@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix, invert
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.feet import FootGoal
 from cabinpose.synth.posture.frames import Frames
 from cabinpose.synth.posture.hands import LimbTask
-from cabinpose.synth.posture.solver import LOWER, UPPER, Goals, Sitter, solve
+from cabinpose.synth.posture.solver import Goals, Sitter, solve
 
 Array = NDArray[np.float64]
 
@@ -83,10 +83,7 @@ def stand_on(person: Person, q: Array, root: Matrix, feet: list[tuple[int, Matri
         leg = slice(_LEG[side], _LEG[side] + 6)
         posture[leg], stiffness[leg], lower[leg], upper[leg] = _STANDING_LEG, _LEG_STIFFNESS, LOWER[leg], UPPER[leg]
         rows.append(("lr"[side] + "foot", person.rest.soles[side], "", target, _ON_GROUND))
-    goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
-    start = np.clip(posture, lower, upper)
-    solve([Sitter(person, "", goals, start, root.copy())], None, free=True)
-    q[:] = start
+    q[:] = _reached(person, Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows)), posture)
 
 
 def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
@@ -95,10 +92,14 @@ def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
     lower, upper, posture, stiffness = q.copy(), q.copy(), np.zeros(len(q)), np.zeros(len(q))
     lower[free], upper[free], stiffness[free] = LOWER[free], UPPER[free], _STIFFNESS[free]
     rows = [("head", np.eye(4), "", head, _ON_GAZE)]
-    goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
-    start = q.copy()
-    solve([Sitter(person, "", goals, start, root.copy())], None, free=True)
-    q[:] = start
+    q[:] = _reached(person, Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows)), q)
+
+
+def _reached(person: Person, goals: Goals, start: Array) -> Array:
+    """The posture (D,) rad that these goals lead to from `start` when nothing is in the way."""
+    alone = Sitter(person, "", goals, np.clip(start, goals.lower, goals.upper), goals.root.copy())
+    solve([alone], None, free=True)
+    return alone.q
 
 
 def _arrays(

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix, cross
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
+from cabinpose.scene.body.rig import LOWER
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import SeatFit
-from cabinpose.synth.posture.solver import LOWER
 
 Array = NDArray[np.float64]
 

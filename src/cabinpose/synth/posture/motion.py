@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cabinpose.core.errors import MocapError
 from cabinpose.core.frames import axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
+from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.synth.profiles import MocapProfile
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ _SPINE = tuple(i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in ("lu
 _ARMS = tuple(
     i for i, dof in enumerate(DOFS) if dof.name[1:].split(".")[0] in ("clavicle", "shoulder", "elbow", "wrist")
 )  # fmt: skip
-LOWER, UPPER = np.array([d.lower for d in DOFS]), np.array([d.upper for d in DOFS])
 
 
 class Recorded(NamedTuple):

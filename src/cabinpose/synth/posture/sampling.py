@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import Matrix, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
+from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.contact import PlacedField
 from cabinpose.synth.posture import hands as at
@@ -38,7 +39,7 @@ from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.motion import upper_body_onto
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
-from cabinpose.synth.posture.solver import LOWER, UPPER, Sitter, solve
+from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
 
 Array = NDArray[np.float64]
@@ -144,7 +145,7 @@ def _shares(actions: tuple[str, ...]) -> Array:
 class Drawn:
     """What one person seeks, drawn once, and where the search for it begins: for `settled`.
 
-    must: (T,) m that a task may be missed by · h_point_m: how far the femur heads' middle is to be from the H-point.
+    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame.
     """
 
     sitter: Sitter

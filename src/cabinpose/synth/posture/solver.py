@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cabinpose._native import pose as native
 from cabinpose.core.frames import Matrix
 from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.body import DOFS, Person
+from cabinpose.scene.body import Person
 from cabinpose.scene.contact import PlacedField
 from cabinpose.scene.contact.field import WHEEL_GROUP
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLIDS
@@ -23,8 +23,6 @@ from cabinpose.synth.posture.samples import samples_of
 
 Array = NDArray[np.float64]
 
-LOWER = np.array([dof.lower for dof in DOFS])
-UPPER = np.array([dof.upper for dof in DOFS])
 _OF_TOLERANCE = 0.5  # of what the verdict lets a body's own solids overlap
 _OF_FOLDS = 1.0  # the same between trunk and thighs: sitting makes folds there
 _BETWEEN_M = 0.5 * BOTH_YIELD_M  # the same of two people
