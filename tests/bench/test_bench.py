@@ -23,7 +23,7 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.sensor import SENSORS
-from cabinpose.synth.sample import person_slots
+from cabinpose.synth.plan import person_slots
 from cabinpose.synth.write import FrameMaker
 
 BLENDER = "CABINPOSE_BENCH_CACHE"

@@ -18,7 +18,7 @@ from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import StoredFrames
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.sample import subject_names
+from cabinpose.synth.plan import subject_names
 
 
 def dataset(subjects: list[tuple[str, ...]], seed: int = 7) -> xr.Dataset:

@@ -45,7 +45,7 @@ def test_gaussian_profile_moves_only_its_axes() -> None:
     q = np.zeros(len(DOFS))
     q[DOF_INDEX["lelbow.flexion"]] = 1.0
     rng = np.random.default_rng(5)
-    drawn = np.array([profile.apply(q, rng=rng) for _ in range(4000)])
+    drawn = np.array([profile.apply(q, index=0, rng=rng) for _ in range(4000)])
     moved = {DOFS[i].name for i in np.flatnonzero(np.ptp(drawn, axis=0))}
     assert moved == {"lelbow.flexion", "neck.rotation"}
     elbow = np.degrees(drawn[:, DOF_INDEX["lelbow.flexion"]])
@@ -55,7 +55,7 @@ def test_gaussian_profile_moves_only_its_axes() -> None:
     assert neck.max() <= 30 + 1e-9
     assert neck.mean() == pytest.approx(truncnorm(-20, 2, loc=20, scale=5).mean(), abs=0.3)
     again = np.random.default_rng(5)
-    assert drawn.tobytes() == np.array([profile.apply(q, rng=again) for _ in range(4000)]).tobytes()
+    assert drawn.tobytes() == np.array([profile.apply(q, index=0, rng=again) for _ in range(4000)]).tobytes()
 
 
 def test_incremental_count_and_uniqueness() -> None:
@@ -70,7 +70,7 @@ def test_incremental_count_and_uniqueness() -> None:
     )
     assert profile.count == 5 * 5 * 4
     q = np.zeros(len(DOFS))
-    every = np.array([profile.apply(q, i) for i in range(profile.count)])
+    every = np.array([profile.apply(q, index=i, rng=np.random.default_rng(0)) for i in range(profile.count)])
     assert len(np.unique(every, axis=0)) == profile.count
     names = ("relbow.flexion", "neck.lateral", "lhand.grip")
     table = every[:, [DOF_INDEX[n] for n in names]]
@@ -143,7 +143,7 @@ def test_profiles_travel_to_workers() -> None:
     ):
         profile = PROFILE.validate_python(config)
         if isinstance(profile, GaussianProfile):
-            profile.apply(np.zeros(len(DOFS)), rng=np.random.default_rng(0))
+            profile.apply(np.zeros(len(DOFS)), index=0, rng=np.random.default_rng(0))
         if isinstance(profile, IncrementalProfile):
             assert profile.count > 1
         assert pickle.loads(pickle.dumps(profile)) == profile

@@ -15,7 +15,6 @@ from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.store.convert.bvh import read_bvh
 from cabinpose.synth.posture import choose_setting, sample_pose
-from cabinpose.synth.posture.motion import recorded_count
 from cabinpose.synth.posture.retarget import retarget
 from cabinpose.synth.profiles import GaussianProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
@@ -124,7 +123,7 @@ def test_the_retargeted_recording_makes_the_same_gesture(real_data: Callable[[st
 def test_mocap_on_a_seat_and_in_a_room(real_data: Callable[[str], Path]) -> None:
     profile = MocapProfile(path=str(real_data(CMU)), rate_hz=30)
     person = BodyModel.load().person(*SUBJECTS["S01"])
-    assert recorded_count(profile) == pytest.approx(994 / 4, abs=1)
+    assert profile.count == pytest.approx(994 / 4, abs=1)
     cabin = build_cabin("sedan")
     seat = cabin.seats["rear_right"]
     setting = choose_setting(person, seat, cabin, rng=None)
@@ -144,7 +143,7 @@ def test_mocap_on_a_seat_and_in_a_room(real_data: Callable[[str], Path]) -> None
         standing.append(sample_standing(person, profile, index=i, rng=np.random.default_rng(0)).q)
     assert np.ptp(np.array(seated), axis=0).max() > 1.0
     assert min(free) > 0.0  # no palm is in the seat or in the door
-    again = sample_standing(person, profile, index=recorded_count(profile), rng=np.random.default_rng(0))
+    again = sample_standing(person, profile, index=profile.count, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(again.q, standing[0])  # it begins anew
     late = MocapProfile(path=str(real_data(CMU)), start_s=100)
     with pytest.raises(MocapError, match="ends after"):

@@ -11,10 +11,12 @@ from synth_scenes import PART, fingerprint, small_config, start
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.store import open_dataset
-from cabinpose.synth import sample
+from cabinpose.synth import preflight as preflight_module
 from cabinpose.synth.config import Camera, SynthConfig, frame_rng
 from cabinpose.synth.generate import generate
-from cabinpose.synth.sample import SceneSampler, car_dimensions, car_names, preflight
+from cabinpose.synth.plan import car_dimensions, car_names
+from cabinpose.synth.preflight import preflight
+from cabinpose.synth.sample import SceneSampler
 
 ONLY_RANDOM: dict[str, Any] = {"cars": [], "random_cars": 2}
 DRIVER = {"driver": 1.0}
@@ -45,7 +47,7 @@ def test_frames_show_the_random_cars_whatever_the_number_of_workers(tmp_path: Pa
 def test_a_scene_is_in_the_car_that_it_names() -> None:
     """Named and random cars both appear; the steering wheel is where the dimensions of the car say."""
     sampler, seen = SceneSampler(small_config(random_cars=2), 7), set()
-    for index in (0, 1, 2, 3, 100):  # of two blocks
+    for index in (0, 1, 2, 3, 100):
         scene = sampler.sample(index, rng=frame_rng(7, index))
         assert scene.cabin is not None
         assert scene.cabin.steering_wheel is not None
@@ -122,7 +124,7 @@ def test_cars_are_built_beforehand_where_they_differ(
         built.append(arguments)
         return build_cabin(*arguments, **options)
 
-    monkeypatch.setattr(sample, "build_cabin", counting)
+    monkeypatch.setattr(preflight_module, "build_cabin", counting)
     config = small_config(**({"cars": ["hatchback"], "random_cars": 40, "occupancy": DRIVER} | scene))
     camera = config.camera.model_copy(update={"views": Camera(views=views).views})
     preflight(config.model_copy(update={"camera": camera}), frames=1)

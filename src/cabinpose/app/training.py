@@ -17,7 +17,8 @@ from cabinpose.estimate.training import TrainConfig
 from cabinpose.store.split import read_named_splits, split_datasets
 from cabinpose.store.yaml_file import read_mapping, validated
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.sample import person_slots, preflight
+from cabinpose.synth.plan import person_slots
+from cabinpose.synth.preflight import preflight
 from cabinpose.synth.write import FrameMaker
 
 _HELD_OUT = 0.15  # share of the subjects that validate where no splits are given

@@ -19,7 +19,8 @@ from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.sample import person_slots, preflight
+from cabinpose.synth.plan import person_slots
+from cabinpose.synth.preflight import preflight
 from cabinpose.synth.write import FrameReport, make_frames
 
 

@@ -3,7 +3,7 @@
 Three kinds, chosen by `kind` in a configuration: `gaussian` (a truncated normal distribution per degree of freedom),
 `incremental` (every combination of steps within the range of motion) and `mocap` (a recording, retargeted). Angles are
 degrees here, at the user's edge, and radians in everything that leaves this module. The one degree of freedom without
-a unit, `{l,r}hand.grip` (0 open .. 1 fist), stays as it is.
+a unit, `{l,r}hand.grip` (0 open .. 1 fist), stays as it is. Each has the methods and attributes of `_Profile`.
 """
 
 from __future__ import annotations
@@ -11,17 +11,30 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Annotated, Literal
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cabinpose._native import core as native
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.errors import ConfigError, MocapError, unknown_name
+from cabinpose.core.frames import axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
+from cabinpose.scene.body.rig import LOWER, UPPER
 
+if TYPE_CHECKING:
+    from cabinpose.store.convert.bvh import UpAxis
+    from cabinpose.synth.posture.retarget import Motion
+
+Array = NDArray[np.float64]
+
+_SPINE = tuple(i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in ("lumbar", "thorax", "neck", "head"))
+_ARMS = tuple(
+    i for i, dof in enumerate(DOFS) if dof.name[1:].split(".")[0] in ("clavicle", "shoulder", "elbow", "wrist")
+)  # fmt: skip
+_HALF_OPEN = 0.3  # the grip of hands that no recording tells of
 _LIMIT_SLACK_DEG = 1e-6  # a limit written in degrees may round outwards by this much
 
 
@@ -113,7 +126,44 @@ class _GaussianTable:
     upper: NDArray[np.float64]
 
 
-class GaussianProfile(_Model):
+class Recorded(NamedTuple):
+    """One frame of a recording: q (D,) rad, and the root's rotation (3, 3) where x is the first pose's heading."""
+
+    q: Array
+    root: Array
+
+
+class _Profile(_Model):
+    """What every profile can do.
+
+    may_skip: whether a frame is left out, rather than the run ended, where no scene holds.
+    """
+
+    may_skip: ClassVar[bool] = False
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The degrees of freedom that stand at what `apply` gives them."""
+        return ()
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        """The degrees of freedom that come as near to what `apply` gives them as the car and the body allow."""
+        return ()
+
+    def preflight(self, frames: int) -> None:
+        """Raises before any work starts what `frames` frames would fail of."""
+
+    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+        """A copy of the posture q (D,) rad with this profile's degrees of freedom set, for frame `index`."""
+        raise NotImplementedError
+
+    def whole_body(self, index: int) -> Recorded | None:
+        """The pose of somebody who stands, for frame `index`; None where that is `apply` to a pose of any kind."""
+        return None
+
+
+class GaussianProfile(_Profile):
     """Every named degree of freedom is drawn from its own truncated normal distribution; the others stay."""
 
     kind: Literal["gaussian"] = "gaussian"
@@ -143,8 +193,12 @@ class GaussianProfile(_Model):
         values = np.array(rows, dtype=np.float64).reshape(-1, 4).T * scale
         return _GaussianTable(np.array([DOF_INDEX[n] for n in names], dtype=np.int64), *values)
 
-    def apply(self, q: NDArray[np.float64], *, rng: np.random.Generator) -> NDArray[np.float64]:
-        """A copy of the posture q (D,) rad with this profile's degrees of freedom drawn anew, within their ranges."""
+    @property
+    def held(self) -> tuple[str, ...]:
+        return tuple(self.axes)
+
+    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+        """The degrees of freedom drawn anew, within their ranges."""
         t = self._table
         result = q.copy()
         mean = np.where(np.isnan(t.mean), q[t.index], t.mean)
@@ -152,9 +206,10 @@ class GaussianProfile(_Model):
         return result
 
 
-class IncrementalProfile(_Model):
+class IncrementalProfile(_Profile):
     """Every combination of the axes' values, in lexicographic order: the axis named last varies fastest."""
 
+    may_skip: ClassVar[bool] = True
     kind: Literal["incremental"] = "incremental"
     axes: Mapping[str, IncrementalAxis] = Field(min_length=1, description="By degree of freedom, e.g. lelbow.flexion.")
 
@@ -193,15 +248,27 @@ class IncrementalProfile(_Model):
             result[name] = values[k]
         return dict(reversed(result.items()))
 
-    def apply(self, q: NDArray[np.float64], index: int) -> NDArray[np.float64]:
-        """A copy of the posture q (D,) rad with combination `index` in it."""
+    @property
+    def held(self) -> tuple[str, ...]:
+        return tuple(self.axes)
+
+    def preflight(self, frames: int) -> None:
+        """ConfigError where there are fewer combinations than frames."""
+        if frames > self.count:
+            raise ConfigError(
+                f"{frames} frames from an incremental profile of {self.count} combinations",
+                hint=f"ask for at most {self.count} frames, or make a step smaller",
+            )
+
+    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+        """Combination `index`; ConfigError where it does not exist."""
         result = q.copy()
         for name, value in self.combination(index).items():
             result[DOF_INDEX[name]] = value
         return result
 
 
-class MocapProfile(_Model):
+class MocapProfile(_Profile):
     """A recording in BVH, retargeted: its upper body onto the seated posture, or the whole body where one stands."""
 
     kind: Literal["mocap"] = "mocap"
@@ -217,6 +284,77 @@ class MocapProfile(_Model):
         if self.end_s is not None and self.end_s <= self.start_s:
             raise ConfigError(f"mocap: end_s {self.end_s:g} is not after start_s {self.start_s:g}", hint="choose a later end")
         return self
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        return _UPPER_BODY
+
+    @cached_property
+    def count(self) -> int:
+        """The number of poses taken from the recording before it begins anew; MocapError where there is none."""
+        motion, frame_s, _ = self._motion
+        last = len(motion.q) - 1 if self.end_s is None else min(round(self.end_s / frame_s), len(motion.q) - 1)
+        if last < self._first:
+            raise MocapError(
+                f"the motion begins at {self.start_s:g} s, but {self.path} ends after {len(motion.q) * frame_s:.2f} s",
+                hint="choose an earlier start_s",
+            )
+        return int((last - self._first) / self._step) + 1
+
+    def preflight(self, frames: int) -> None:
+        """MocapError for a file that is missing, broken, not retargetable or too short."""
+        self.whole_body(0)
+
+    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+        """The recording's upper body on a seated posture, from its start again after its end.
+
+        Arms are taken as they are, against the chest. The spine keeps the seat's posture and adds the recording's departure
+        from its own median, so that a dancer's upright back does not leave the backrest.
+        """
+        motion, _, middle = self._motion
+        recorded, result = motion.q[self._frame(index)], q.copy()
+        arms, spine = list(_ARMS), list(_SPINE)
+        result[arms] = recorded[arms]
+        result[spine] += recorded[spine] - middle[spine]
+        for side in "lr":
+            result[DOF_INDEX[side + "hand.grip"]] = _HALF_OPEN
+        return np.clip(result, LOWER, UPPER)
+
+    def whole_body(self, index: int) -> Recorded:
+        """Pose `index` of the recording, from its start again after its end; headings count from the first pose's."""
+        motion, _, _ = self._motion
+        frame = self._frame(index)
+        heading = np.arctan2(motion.root[self._first, 1, 0], motion.root[self._first, 0, 0])
+        return Recorded(motion.q[frame].copy(), axis_rotation("z", -heading) @ motion.root[frame])
+
+    @property
+    def _motion(self) -> tuple[Motion, float, Array]:
+        return _recorded_motion(self.path, self.unit_m, self.up)
+
+    @property
+    def _first(self) -> int:
+        return round(self.start_s / self._motion[1])
+
+    @property
+    def _step(self) -> float:
+        return max(1.0 / (self.rate_hz * self._motion[1]), 1.0)
+
+    def _frame(self, index: int) -> int:
+        return self._first + round((index % self.count) * self._step)
+
+
+_UPPER_BODY = tuple(dof.name for dof in DOFS if not dof.name[1:].startswith(("hip", "knee", "ankle")))
+
+
+@lru_cache(maxsize=8)
+def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[Motion, float, Array]:
+    """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
+    from cabinpose.store.convert.bvh import read_bvh  # noqa: PLC0415 - scipy's rotations, for recordings alone
+    from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise
+
+    clip = read_bvh(path, unit_m=unit_m, up=up).clip()
+    motion = retarget(clip)
+    return motion, clip.frame_s, np.median(motion.q, axis=0)
 
 
 Profile = Annotated[GaussianProfile | IncrementalProfile | MocapProfile, Field(discriminator="kind")]

@@ -11,61 +11,34 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import cabin as native
-from cabinpose.core.errors import ConfigError, SceneError, unknown_name
+from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
-from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Outfit, Person, Phenotype, PosedBody
-from cabinpose.scene.cabin import (
-    PRESETS,
-    SEATS_OF_ALL,
-    VIEWS_OF_ALL,
-    Cabin,
-    CabinDimensions,
-    SeatSetting,
-    belt_surface,
-    build_cabin,
-    random_dimensions,
-)
-from cabinpose.scene.contact import ContactField
+from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
+from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, build_cabin
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, frame_rng, is_car_file
+from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig
+from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, place_name, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
-from cabinpose.synth.posture import actions_for, choose_setting, draw_offset, random_action
+from cabinpose.synth.posture import choose_setting, draw_offset, random_action
 from cabinpose.synth.posture.company import company_of
-from cabinpose.synth.posture.motion import recorded_pose
 from cabinpose.synth.posture.sampling import Drawn, draw_pose
-from cabinpose.synth.profiles import IncrementalProfile, MocapProfile
+from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.validate import Seated, Validator
 
-DriveSide = Literal["left", "right"]
-# Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
-_PEOPLE_STREAM = 2**64 - 1
-_CAR_STREAM = 2**63 + 2**62
-_ROOM_STREAM = 2**63
-_BLOCK_STREAM = 2**62
-# Frames of one block share a few people, cars and rooms, so that a worker prepares few of them for each part. Over a dataset all
-# appear equally often, and a frame still depends on the seed and its number alone.
-_BLOCK = 50  # frames
-_BLOCK_PEOPLE, _BLOCK_CARS, _BLOCK_ROOMS = 8, 2, 4
-_LENS_M = 0.01  # free space a lens needs around it
+_CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
-
-
-def person_slots(config: SynthConfig) -> tuple[str, ...]:
-    """The entries of the dataset's `person` coordinate."""
-    return (STANDING_SLOT,) if config.scene.kind == "room" else OCCUPANT_SLOTS
 
 
 @dataclass(frozen=True)
@@ -141,14 +114,6 @@ class ImpossibleSceneError(SceneError):
         return SceneError, (str(self),), {"hint": self.hint}
 
 
-class _Block(NamedTuple):
-    """Indices of the people, cars and rooms that a block of frames draws from."""
-
-    people: list[int]
-    cars: list[int]
-    rooms: list[int]
-
-
 class SceneSampler:
     """Draws the scenes of one dataset. Holds the bodies, cabins and rooms used last, a bounded number of each."""
 
@@ -156,12 +121,11 @@ class SceneSampler:
         self._config = config
         self._seed = seed
         self._model = BodyModel.load()
-        self._subjects = subject_names(config)
-        self._cars = car_names(config)
+        self._plan = Plan(config, seed)
         self._slots = person_slots(config)
         self._person = cached_once(32)(self._make_person)
-        self._cabin = cached_once(16)(self._make_cabin)
-        self._room = cached_once(16)(self._make_room)
+        self._cabin = cached_once(20)(self._make_cabin)
+        self._room = cached_once(64)(self._make_room)
         self._bodies = Validator(None)
 
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
@@ -179,18 +143,6 @@ class SceneSampler:
                 return replace(found, proposals=proposals, rejections=_by_cause(causes))
         raise ImpossibleSceneError(index, proposals, causes)
 
-    def _block(self, index: int) -> _Block:
-        """Who and what the frames around `index` draw from."""
-        scene = self._config.scene
-        rng = frame_rng(self._seed, _BLOCK_STREAM + index // _BLOCK)
-        rooms = scene.rooms if isinstance(scene, RoomScene) else 0
-        return _Block(
-            *(
-                rng.choice(count, min(count, most), replace=False).tolist()
-                for count, most in ((len(self._subjects), _BLOCK_PEOPLE), (len(self._cars), _BLOCK_CARS), (rooms, _BLOCK_ROOMS))
-            )
-        )
-
     def _make_person(self, subject: str) -> Person:
         if subject in SUBJECTS:
             return _named_person(subject)
@@ -203,15 +155,14 @@ class SceneSampler:
         return cabin, Validator(cabin)
 
     def _make_room(self, number: int) -> Room:
-        return furnish_room(rng=frame_rng(self._seed, _ROOM_STREAM + number))
+        return furnish_room(rng=room_rng(self._seed, number))
 
     def _seated(self, scene: CabinScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
-        block = self._block(index)
-        car = self._cars[block.cars[rng.integers(len(block.cars))]]
-        cabin, validator = self._cabin(car, "right" if rng.random() < scene.right_hand_drive else "left")
+        car, drive_side = self._plan.car(index, rng=rng)
+        cabin, validator = self._cabin(car, drive_side)
         taken = _occupied(scene, cabin, rng)
-        names = [self._subjects[block.people[i]] for i in _distinct(len(block.people), len(taken), rng)]
+        names = self._plan.people(index, len(taken), rng=rng)
         by_slot = slimmest_in_the_middle(dict(zip(taken, names, strict=True)), cabin, self._person)
         people = {slot: self._person(name) for slot, name in by_slot.items()}
         settings = {
@@ -233,13 +184,16 @@ class SceneSampler:
             ScenePerson(slot, by_slot[slot], pose.action, people[slot], body) for slot, (pose, body) in posed.poses.items()
         ]
         seated = posed.seated
-        pov, camera = self._cabin_camera(cabin, rng)
-        if _blocked(camera[:3, 3], people_in, seated):
-            causes["camera"] += 1
+        for _ in range(_CAMERA_DRAWS):
+            pov, camera = self._cabin_camera(cabin, rng)
+            if not _blocked(camera[:3, 3], people_in, seated):
+                break
+        else:
+            causes["camera"] += len(people_in)
             return None, draws
         dressed = tuple(self._dressed(p, scene, cabin, settings, rng) for p in people_in)
         backdrop = cabin.surface(settings, wheel_angle=seated.wheel_angle)
-        valid = Scene(backdrop, dressed, camera, _place_name(car), pov, cabin, settings, seated.wheel_angle)
+        valid = Scene(backdrop, dressed, camera, place_name(car), pov, cabin, settings, seated.wheel_angle)
         return valid, draws
 
     def _draw(
@@ -288,10 +242,9 @@ class SceneSampler:
 
     def _standing(self, scene: RoomScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a person in a room, or None, and the number of poses it took."""
-        block = self._block(index)
-        number = block.rooms[rng.integers(len(block.rooms))]
+        number = self._plan.room(rng=rng)
         room = self._room(number)
-        subject = self._subjects[block.people[rng.integers(len(block.people))]]
+        (subject,) = self._plan.people(index, 1, rng=rng)
         person = self._person(subject)
         camera = place_room_camera(rng=rng)
         spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))
@@ -310,120 +263,12 @@ class SceneSampler:
         return None, self._config.limits.poses_per_person
 
 
-def subject_names(config: SynthConfig) -> tuple[str, ...]:
-    """Everybody who can take part, named people first."""
-    crowd = config.people.random
-    return (*config.people.subjects, *(f"R{i:04d}" for i in range(crowd.count if crowd else 0)))
-
-
-def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
-    """Shape and clothes of a person of this dataset: the same whoever asks, in whatever order."""
-    if subject in SUBJECTS:
-        return SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit
-    crowd = config.people.random
-    if crowd is None or not subject.startswith("R"):
-        raise unknown_name("subject", subject, list(subject_names(config)))
-    rng = frame_rng(seed, _PEOPLE_STREAM - int(subject[1:]))
-    phenotype = Phenotype.random({name: (r.min, r.max) for name, r in crowd.ranges.items()}, rng=rng)
-    return phenotype, Outfit.random(rng=rng)
-
-
-def car_names(config: SynthConfig) -> tuple[str, ...]:
-    """Every car of a dataset, those that its configuration names first; none in a room."""
-    scene = config.scene
-    return (*scene.cars, *(f"C{i:04d}" for i in range(scene.random_cars))) if isinstance(scene, CabinScene) else ()
-
-
-def car_dimensions(seed: int, car: str) -> CabinDimensions:
-    """The dimensions of a random car, "C0000" ..., of the dataset of this seed: the same whoever asks, in whatever order."""
-    return random_dimensions(car, rng=frame_rng(seed, _CAR_STREAM + int(car[1:])))
-
-
-def preflight(config: SynthConfig, *, frames: int) -> None:
-    """Finds before any work starts what would fail in the middle of it: meshes, views, actions, recordings, counts."""
-    scene = config.scene
-    profile = scene.profile
-    if isinstance(profile, IncrementalProfile) and frames > profile.count:
-        raise ConfigError(
-            f"{frames} frames from an incremental profile of {profile.count} combinations",
-            hint=f"ask for at most {profile.count} frames, or make a step smaller",
-        )
-    if isinstance(profile, MocapProfile):
-        recorded_pose(profile, 0)  # MocapError for a file that is missing, broken or not retargetable
-    if isinstance(scene, RoomScene):
-        return
-    unusual = not _every_car_has(config, scene)
-    for car in scene.cars:
-        if unusual or is_car_file(car):
-            cabin = open_cabin(car, "left")
-            _check_car(config, scene, car, cabin, tuple(cabin.seats))
-    if scene.random_cars and unusual:  # their seats' actions and their views are the same in all of them: one stands for all
-        dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
-        cabin = build_cabin(dimensions, drive_side="left")
-        _check_car(config, scene, "a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"))
-
-
-def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
-    """Whether all that is asked of a car is in every one that we build, so that none is built to find out."""
-    taken = any(scene.occupancy.get(slot, 0.0) > 0 for slot in SEATS_OF_ALL)
-    views = config.camera.views.items()
-    ours = all(name in VIEWS_OF_ALL and not isinstance(view, CameraPose) for name, view in views if view != 0)
-    return taken and ours and not scene.motion
-
-
-def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...]) -> None:
-    """Refuses what cannot be done in a car of this kind, of which every one has the seats `sure`."""
-    if not any(scene.occupancy.get(slot, 0.0) > 0 for slot in sure):
-        raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(sure)} an occupancy")
-    for slot, weights in scene.motion.items():
-        if slot in cabin.seats:
-            known = actions_for(cabin.seats[slot], cabin)
-            wrong = [name for name, weight in weights.items() if weight > 0 and name not in known]
-            if wrong:
-                raise ConfigError(
-                    f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
-                )
-    _check_views(config, car, cabin)
-
-
-def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
-    """Refuses a camera that stands inside a part of the car. The own views of cars that we build are known to be free."""
-    eyes: dict[str, NDArray[np.float64]] = {}
-    for name, view in config.camera.views.items():
-        if isinstance(view, CameraPose):
-            eyes[name] = np.asarray(view.position_m, dtype=np.float64)
-        elif view > 0:
-            anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
-            if is_car_file(car):
-                eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
-    if not eyes:
-        return
-    clearance = ContactField(cabin).clearance(
-        np.stack(list(eyes.values())), {slot: s.default for slot, s in cabin.seats.items()}, 0.0
-    )
-    for (name, eye), free in zip(eyes.items(), clearance, strict=True):
-        if free < _LENS_M:
-            raise ConfigError(
-                f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
-                hint="move it into the free space of the cabin",
-            )
-
-
 def _by_cause(causes: Counter[str]) -> dict[str, int]:
     """Rejections by cause alone, without the detail."""
     totals: Counter[str] = Counter()
     for cause, count in causes.items():
         totals[cause.partition(":")[0]] += count
     return dict(sorted(totals.items()))
-
-
-def open_cabin(car: str, drive_side: DriveSide) -> Cabin:
-    """A preset by its name, or a user's own cabin by the path of its YAML file."""
-    if car in PRESETS:
-        return build_cabin(car, drive_side=drive_side)
-    from cabinpose.scene.cabin import load_cabin  # noqa: PLC0415 - trimesh, for a user's own mesh alone
-
-    return load_cabin(car)
 
 
 def judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
@@ -445,10 +290,6 @@ def _named_person(subject: str) -> Person:
     return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
 
 
-def _place_name(car: str) -> str:
-    return Path(car).stem if is_car_file(car) else car
-
-
 def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:
     """A name drawn by weight."""
     names = list(weights)
@@ -464,13 +305,8 @@ def _occupied(scene: CabinScene, cabin: Cabin, rng: np.random.Generator) -> list
     return taken or [_weighted(chances, rng)]
 
 
-def _distinct(available: int, wanted: int, rng: np.random.Generator) -> Sequence[int]:
-    """`wanted` different indices below `available`; with repetition only where there are too few."""
-    return [int(i) for i in rng.choice(available, size=wanted, replace=wanted > available)]
-
-
 def _blocked(eye: NDArray[np.float64], people: Sequence[ScenePerson], seated: Seated) -> bool:
     """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
-    if seated.placed is not None and seated.placed.clearance(eye[None])[0] < _LENS_M:
+    if seated.placed is not None and seated.placed.clearance(eye[None])[0] < LENS_M:
         return True
     return any(native.any_nearer(p.posed.skin, eye.astype(np.float32), _FACE_M) for p in people)

@@ -22,8 +22,7 @@ from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.synth.posture.feet import GROUND_M
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.goals import stand_on
-from cabinpose.synth.posture.motion import recorded_pose
-from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
+from cabinpose.synth.profiles import Profile
 
 Array = NDArray[np.float64]
 Spread = tuple[float, float]  # mean and sigma, degrees
@@ -101,25 +100,18 @@ class StandingPose:
     action: str
 
 
-def sample_standing(
-    person: Person, profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
-    rng: np.random.Generator,
-) -> StandingPose:  # fmt: skip
+def sample_standing(person: Person, profile: Profile | None = None, *, index: int = 0, rng: np.random.Generator) -> StandingPose:
     """A free standing pose, then the profile on top of it; a mocap profile gives the whole body of frame `index`.
 
     Raises ConfigError for an incremental combination that does not exist, MocapError for an unfit recording.
     """
-    if isinstance(profile, MocapProfile):
-        recorded = recorded_pose(profile, index)
+    recorded = None if profile is None else profile.whole_body(index)
+    if recorded is not None:
         return _grounded(person, recorded.q, recorded.root, "mocap")
     q, floor_from_root, action = _gesture(person, rng)
-    if isinstance(profile, IncrementalProfile):
-        q = profile.apply(q, index)
-    elif profile is not None:
-        q = profile.apply(q, rng=rng)
-    else:
+    if profile is None:
         return StandingPose(q, floor_from_root, action)
-    return _grounded(person, q, floor_from_root[:3, :3], action)
+    return _grounded(person, profile.apply(q, index=index, rng=rng), floor_from_root[:3, :3], action)
 
 
 def _grounded(person: Person, q: Array, root: Array, action: str) -> StandingPose:

@@ -24,9 +24,9 @@ from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import SynthConfig, frame_rng
-from cabinpose.synth.profiles import IncrementalProfile
+from cabinpose.synth.plan import person_slots
 from cabinpose.synth.render import Rasteriser
-from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler, person_slots
+from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
 
 Frame = dict[str, Any]
 _AHEAD = 3  # frames that a thread may be ahead of what is written
@@ -146,8 +146,7 @@ def make_frames(
     Threads make frames; this one writes them, in order. They share people and cars, which are those of the `sampler`, made for
     the same configuration and seed, where one is given.
     """
-    # A combination of an incremental profile that no scene allows is left out; any other frame must be found.
-    may_skip = isinstance(config.scene.profile, IncrementalProfile)
+    may_skip = config.scene.profile is not None and config.scene.profile.may_skip
     shared = sampler or SceneSampler(config, manifest.seed)
     local = threading.local()  # a rasteriser's memory belongs to one thread
 

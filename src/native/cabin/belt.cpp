@@ -211,19 +211,17 @@ void at_angles(Workspace& work, std::size_t row, Vec2 goal) {
   const Points& path = work.path;
   work.path_angles.clear();
   for (Vec2 p : path) work.path_angles.push_back(angle_of(p, goal));
+  const Vec2 middle_of_chord = 0.5 * goal;
   std::size_t k = 0;
   for (std::size_t s = 0; s < work.lines.size(); ++s) {
     const double angle = work.angles[s];
     while (k < path.size() - 2 && work.path_angles[k + 1] > angle) ++k;
-    double t = 0.0;
-    if (work.path_angles[k] > work.path_angles[k + 1]) {
-      // Where the ray at this angle meets the piece: bisection keeps it free of singular cases.
-      double a = 0.0, b = 1.0;
-      for (int i = 0; i < 24; ++i) {
-        t = 0.5 * (a + b);
-        (angle_of(path[k] + t * (path[k + 1] - path[k]), goal) > angle ? a : b) = t;
-      }
-    }
+    // Where the ray at this angle, on the side that the piece lies on, meets the piece.
+    const Vec2 from = path[k] - middle_of_chord, to = path[k + 1] - middle_of_chord;
+    const double side = std::fabs(from.y) > std::fabs(to.y) ? from.y : to.y;
+    const Vec2 ray{cos(angle), std::copysign(sin(angle), side)};
+    const double before = ray.x * from.y - ray.y * from.x, after = ray.x * to.y - ray.y * to.x;
+    const double t = before == after ? 0.0 : std::min(std::max(before / (before - after), 0.0), 1.0);
     work.lines[s][row] = path[k] + t * (path[k + 1] - path[k]);
   }
   work.lines.front()[row] = path.front();

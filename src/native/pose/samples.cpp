@@ -63,36 +63,38 @@ void Samples::pose(const double* q, const RestArrays& rest, const SampleArrays& 
   }
 }
 
-Index Samples::nearest(Vec3 p, Index first, Index end) const {
+std::pair<Index, double> Samples::nearest(Vec3 p, Index first, Index end) const {
   // Lane by lane, so that the compiler can do eight at once; of equals the first counts.
   constexpr int lanes = 8;
-  float best[lanes];
+  float best[lanes], second[lanes];
   std::int32_t which[lanes];
   std::fill_n(best, lanes, std::numeric_limits<float>::infinity());
+  std::fill_n(second, lanes, std::numeric_limits<float>::infinity());
   std::fill_n(which, lanes, static_cast<std::int32_t>(first));
   const float px = static_cast<float>(p.x), py = static_cast<float>(p.y), pz = static_cast<float>(p.z);
   const float *x = x_.data(), *y = y_.data(), *z = z_.data();
+  auto look = [&](Index n, int l) {
+    const float u = x[n] - px, v = y[n] - py, w = z[n] - pz, d = u * u + v * v + w * w;
+    const bool nearer = d < best[l];
+    const float farther = nearer ? best[l] : d;
+    second[l] = farther < second[l] ? farther : second[l];
+    best[l] = nearer ? d : best[l];
+    which[l] = nearer ? static_cast<std::int32_t>(n) : which[l];
+  };
   Index n = first;
   for (; n + lanes <= end; n += lanes) {
-    for (int l = 0; l < lanes; ++l) {
-      const float u = x[n + l] - px, v = y[n + l] - py, w = z[n + l] - pz, d = u * u + v * v + w * w;
-      const bool nearer = d < best[l];
-      best[l] = nearer ? d : best[l];
-      which[l] = nearer ? static_cast<std::int32_t>(n) + l : which[l];
-    }
+    for (int l = 0; l < lanes; ++l) look(n + l, l);
   }
-  for (; n < end; ++n) {
-    const float u = x[n] - px, v = y[n] - py, w = z[n] - pz, d = u * u + v * v + w * w;
-    if (d < best[0]) {
-      best[0] = d;
-      which[0] = static_cast<std::int32_t>(n);
-    }
-  }
+  for (; n < end; ++n) look(n, 0);
   int least = 0;
   for (int l = 1; l < lanes; ++l) {
     if (best[l] < best[least] || (best[l] == best[least] && which[l] < which[least])) least = l;
   }
-  return which[least];
+  float next = second[least];
+  for (int l = 0; l < lanes; ++l) {
+    if (l != least) next = std::min(next, best[l]);
+  }
+  return {which[least], 0.5 * (std::sqrt(static_cast<double>(next)) - std::sqrt(static_cast<double>(best[least])))};
 }
 
 }  // namespace cabinpose

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "body/kinematics.hpp"
@@ -43,8 +44,9 @@ class Samples {
   Vec3 point(Index n) const { return points_[static_cast<std::size_t>(n)]; }
   Vec3 normal(Index n) const { return normals_[static_cast<std::size_t>(n)]; }
   const Ball& ball(Index solid) const { return balls_[solid]; }
-  /// The number of the sample from `first` to before `end` that is nearest to p.
-  Index nearest(Vec3 p, Index first, Index end) const;
+  /// The number of the sample from `first` to before `end` that is nearest to p, and how far p and the samples may move against
+  /// each other before another one can be (m).
+  std::pair<Index, double> nearest(Vec3 p, Index first, Index end) const;
 
  private:
   std::vector<Vec3> points_, normals_;

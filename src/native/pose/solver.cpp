@@ -14,20 +14,24 @@ using namespace rig;
 
 // Weight of a metre too deep, against 1 of a task's. First people go where they want to, through everything; then they are
 // pushed out, gently at first: a hand that met the door on its way would stay there.
-constexpr double pressing[] = {0.0, 8.0, 40.0};
-constexpr int phases = 3, steps[] = {20, 10, 30};
-constexpr double longest_step[] = {1.0, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
-constexpr double near_m = 0.01;                     // what is farther than this from a solid is outside it
-constexpr double still = 3e-4;                      // a step of fewer radians (and metres) ends the search
-constexpr double hardly[] = {2e-2, 2e-2, 5e-3};     // and so does, twice, a cost that falls by less than this share
-constexpr double flat = 0.2;                        // a field that grows less steeply tells no way out
-constexpr double beside_m = 0.2, sideways = 0.6;    // walls are farther from a seat's middle, and the way out of them is sideways
-constexpr double deep_m = 0.05;                     // in a thing of one side
-constexpr double across = 0.2;                      // of a way out that leads through: sideways at least so much
-constexpr double past_m = 0.04;                     // more than a depth says that was measured from the wrong side
-constexpr double axis_step_m = 0.04;                // along bones that must stay out of foam
-constexpr double first_damping[] = {1e-3, 1e-2, 1e-2};
+constexpr double pressing[] = {0.0, 8.0, 40.0, 120.0};
+constexpr int phases = 4, steps[] = {20, 10, 30, 15};
+constexpr double longest_step[] = {1.0, 0.2, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
+constexpr double near_m = 0.01;                          // what is farther than this from a solid is outside it
+constexpr double still = 3e-4;                           // a step of fewer radians (and metres) ends the search
+constexpr double hardly[] = {2e-2, 2e-2, 5e-3, 5e-3};    // and so does, twice, a cost that falls by less than this share
+constexpr double flat = 0.2;                             // a field that grows less steeply tells no way out
+constexpr double beside_m = 0.2, sideways = 0.6;  // walls are farther from a seat's middle, and the way out of them is sideways
+constexpr double upwards = 0.7;                   // of a way out that leads off the ground
+constexpr double deep_m = 0.05;                   // in a thing of one side
+constexpr double across = 0.2;                    // of a way out that leads through: sideways at least so much
+constexpr double past_m = 0.04;                   // more than a depth says that was measured from the wrong side
+constexpr double trusted = 0.5;                   // of the way out of a solid that the tangent plane at a sample promises
+constexpr double axis_step_m = 0.04;              // along bones that must stay out of foam
+constexpr double first_damping[] = {1e-3, 1e-2, 1e-2, 1e-2};
 constexpr int trials = 6;  // dampings tried for a step
+constexpr int most_uphill = 4;
+constexpr double uphill = 1.5;
 
 /// Somewhere that a person is too deep in something.
 struct Touch {
@@ -88,7 +92,7 @@ class Search {
     limit_ = longest_step[phase];
     phase_ = phase;
     damping_ = first_damping[phase];
-    hardly_ = 0;
+    hardly_ = uphill_ = 0;
     done_ = who_.stand == Mover::fixed || (who_.stand == Mover::settled && phase + 1 < phases);
     pose(now_);
   }
@@ -115,6 +119,13 @@ class Search {
         return;
       }
       damping_ *= 5.0;
+    }
+    // Where a touch begins or changes sides the cost leaps: past such a place a little uphill leads on.
+    if (pressed_ > 0.0 && uphill_ < most_uphill && trial_.cost < uphill * now_.cost) {
+      ++uphill_;
+      damping_ = first_damping[phase_];
+      std::swap(now_, trial_);
+      return;
     }
     done_ = true;
   }
@@ -220,11 +231,16 @@ class Search {
     }
   }
 
-  /// Two things that were so far apart, when what could move had moved so far: until it has moved as far again they do not meet.
-  struct Gap {
-    double width = 0.0, moved = 0.0;
+  /// What `moved_` has to come to before a sample can meet a thing, and before another sample of the thing is nearest.
+  struct Near {
+    double until = 0.0, until_other = 0.0;
+    Index nearest = -1;
+  };
 
-    bool open(double now) const { return width > now - moved; }
+  /// The samples of a solid and a thing that they may meet: what is far from it is not looked at until enough has moved.
+  struct Gap {
+    double until = 0.0;        // what `moved_` has to come to before any of the samples can meet it
+    std::vector<Near> of_own;  // and each of them
   };
 
   void touch_car(State& state) {
@@ -237,13 +253,19 @@ class Search {
       for (Index s = 0; s < rows.size(); ++s) {
         Gap& gap = car_gaps_[g * solids + static_cast<std::size_t>(s)];
         const double leave = who_.leave(s, static_cast<Index>(g));
-        if (gap.open(moved_[s])) continue;
-        gap = {beyond(group, state.samples.ball(s)) + leave, moved_[s]};
-        if (gap.width > 0.0) continue;
-        gap.width = std::numeric_limits<double>::infinity();
+        const double moved = moved_[s];
+        if (gap.until > moved) continue;
+        gap.until = moved + beyond(group, state.samples.ball(s)) + leave - who_.beside[s];
+        if (gap.until > moved) continue;
+        gap.of_own.resize(static_cast<std::size_t>(rows(s, 1) - rows(s, 0)));
+        gap.until = std::numeric_limits<double>::infinity();
         for (Index n = rows(s, 0); n < rows(s, 1); ++n) {
-          gap.width = std::min(gap.width, press(state, group, state.samples.point(n), leave, way, who_.samples.bone[n],
-                                                {Squeeze::car, s, static_cast<std::int64_t>(g), 0.0}));
+          double& until = gap.of_own[static_cast<std::size_t>(n - rows(s, 0))].until;
+          if (until <= moved) {
+            until = moved + press(state, group, state.samples.point(n), leave, who_.beside[s], way, who_.samples.bone[n],
+                                  {Squeeze::car, s, static_cast<std::int64_t>(g), 0.0});
+          }
+          gap.until = std::min(gap.until, until);
         }
       }
     }
@@ -266,9 +288,11 @@ class Search {
   }
 
   /// How much clearance a point has more than it needs; where it is less than 0 the point is pushed out.
-  double press(State& state, const PlacedGrid& group, Vec3 p, double leave, Vec3 only, int bone, Squeeze what) const {
+  double press(State& state, const PlacedGrid& group, Vec3 p, double leave, double beside, Vec3 only, int bone,
+               Squeeze what) const {
     Vec3 gradient;
-    const double depth = -leave - clearance_at(group.field, group.group_from_vehicle, p, -leave, gradient);
+    const double clear = clearance_at(group.field, group.group_from_vehicle, p, beside - leave, gradient);
+    const double depth = -leave - clear + (gradient.z < upwards * norm(gradient) ? beside : 0.0);
     if (depth <= 0.0) return -depth;
     const double aside = who_.middle - p.y;
     if (group.walls && std::fabs(aside) > beside_m && gradient.y * aside < -sideways * norm(gradient) * std::fabs(aside)) {
@@ -295,7 +319,7 @@ class Search {
         for (int k = 1; k <= pieces; ++k) {
           const double share = pairs_.axis_from[a] + (1.0 - pairs_.axis_from[a]) * k / pieces;
           const Vec3 p = from + share * (to - from);
-          press(state, group, p, -group.give, {}, static_cast<int>(who_.rest.joint_bone[pairs_.axes(a, 1)]),
+          press(state, group, p, -group.give, 0.0, {}, static_cast<int>(who_.rest.joint_bone[pairs_.axes(a, 1)]),
                 {Squeeze::car, solid, static_cast<std::int64_t>(g), 0.0});
         }
       }
@@ -309,9 +333,11 @@ class Search {
       const Index a = pairs_.pairs(k, 0), b = pairs_.pairs(k, 1);
       const Ball &one = state.samples.ball(a), &two = state.samples.ball(b);
       Gap& gap = self_gaps_[static_cast<std::size_t>(k)];
-      if (gap.open(moved_[a] + moved_[b])) continue;
-      gap = {norm(one.centre - two.centre) - one.radius - two.radius, moved_[a] + moved_[b]};
-      if (gap.width > 0.0) continue;
+      const double moved = moved_[a] + moved_[b];
+      if (gap.until > moved) continue;
+      gap.until = moved + norm(one.centre - two.centre) - one.radius - two.radius;
+      if (gap.until > moved) continue;
+      gap.of_own.resize(static_cast<std::size_t>(rows(a, 1) - rows(a, 0)));
       double zone = 0.0;
       Vec3 centre;
       if (pairs_.joint_ends(k, 0) >= 0) {
@@ -326,32 +352,55 @@ class Search {
           least = 0.0;
           continue;
         }
-        const Index m = close_sample(state.samples, who_.samples, b, p, least);
+        auto [m, way, depth] = past(state.samples, who_.samples, b, p, pairs_.allowed[k], moved,
+                                    gap.of_own[static_cast<std::size_t>(n - rows(a, 0))], least);
         if (m < 0) continue;
-        Vec3 way = state.samples.normal(m);
-        double depth = dot(way, state.samples.point(m) - p) - pairs_.allowed[k];
-        if (depth <= 0.0) continue;
         if (dot(way, outwards) < -across) {  // through the other limb
           way = outwards;
           depth += past_m;
         }
         state.touches.push_back({p, way, depth, who_.samples.bone[n], who_.samples.bone[m], {Squeeze::self, a, b, 0.0}});
       }
-      gap.width = least - who_.samples.cover[a];
+      gap.until = moved + least - who_.samples.cover[a];
     }
   }
 
-  /// The sample of a solid that is nearest to p, -1 where p is surely outside; least: lowered to how far p is away at least.
-  static Index close_sample(const Samples& samples, const SampleArrays& arrays, Index solid, Vec3 p, double& least) {
-    const Index first = arrays.rows(solid, 0), end = arrays.rows(solid, 1);
-    const Ball& ball = samples.ball(solid);
-    double away = norm(p - ball.centre) - ball.radius;
-    if (away < near_m) {
-      const Index rough = samples.nearest(p, first, arrays.first_end(solid));
-      away = norm(p - samples.point(rough)) - arrays.cover[solid];
+  /// The sample of a solid that p goes past, which way is out, and how much deeper p is than allowed; none where it is not.
+  struct Past {
+    Index sample = -1;
+    Vec3 way;
+    double depth = 0.0;
+  };
+
+  /// least: lowered to how far p is away from the solid at least · moved: what has moved by now.
+  static Past past(const Samples& samples, const SampleArrays& arrays, Index solid, Vec3 p, double allowed, double moved,
+                   Near& near, double& least) {
+    if (near.until > moved) {
+      least = std::min(least, near.until - moved);
+      return {};
     }
-    least = std::min(least, away);
-    return away > near_m ? -1 : samples.nearest(p, first, end);
+    const Index first = arrays.rows(solid, 0), end = arrays.rows(solid, 1);
+    if (near.until_other <= moved) {
+      const Ball& ball = samples.ball(solid);
+      double away = norm(p - ball.centre) - ball.radius;
+      if (away < near_m) {
+        away = norm(p - samples.point(samples.nearest(p, first, arrays.first_end(solid)).first)) - arrays.cover[solid];
+      }
+      if (away > near_m) {
+        least = std::min(least, away);
+        near.until = moved + away - near_m;
+        return {};
+      }
+      const auto [nearest, margin] = samples.nearest(p, first, end);
+      near.nearest = nearest;
+      near.until_other = moved + margin;
+    }
+    least = 0.0;
+    const Vec3 way = samples.normal(near.nearest);
+    const double depth = dot(way, samples.point(near.nearest) - p) - allowed;
+    if (depth > 0.0) return {near.nearest, way, depth};
+    near.until = moved - trusted * depth;
+    return {};
   }
 
   void touch_other(State& state, const Search& other, std::size_t number) {
@@ -364,24 +413,24 @@ class Search {
       for (Index b = 0; b < theirs.size(); ++b) {
         const Ball &one = state.samples.ball(a), &two = other.now_.samples.ball(b);
         Gap& gap = gaps[static_cast<std::size_t>(a * theirs.size() + b)];
-        if (gap.open(moved_[a] + other.moved_[b])) continue;
-        gap = {norm(one.centre - two.centre) - one.radius - two.radius, moved_[a] + other.moved_[b]};
-        if (gap.width > 0.0) continue;
+        const double moved = moved_[a] + other.moved_[b];
+        if (gap.until > moved) continue;
+        gap.until = moved + norm(one.centre - two.centre) - one.radius - two.radius;
+        if (gap.until > moved) continue;
+        gap.of_own.resize(static_cast<std::size_t>(rows(a, 1) - rows(a, 0)));
         double least = std::numeric_limits<double>::infinity();
         for (Index n = rows(a, 0); n < rows(a, 1) && (n < who_.samples.first_end(a) || least < who_.samples.cover[a]); ++n) {
           const Vec3 p = state.samples.point(n);
-          const Index m = close_sample(other.now_.samples, other.who_.samples, b, p, least);
-          if (m < 0) continue;
-          Vec3 way = other.now_.samples.normal(m);
-          double depth = dot(way, other.now_.samples.point(m) - p) - between_;
-          if (depth <= 0.0 || depth > two.radius) continue;
+          auto [m, way, depth] = past(other.now_.samples, other.who_.samples, b, p, between_, moved,
+                                      gap.of_own[static_cast<std::size_t>(n - rows(a, 0))], least);
+          if (m < 0 || depth > two.radius) continue;
           if (std::fabs(aside) > beside_m && way.y * aside < -across * std::fabs(aside)) {  // through the other's limb
             way = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
             depth += past_m;
           }
           state.touches.push_back({p, way, depth, who_.samples.bone[n], -1, {Squeeze::person, a, b, 0.0}});
         }
-        gap.width = least - who_.samples.cover[a];
+        gap.until = moved + least - who_.samples.cover[a];
       }
     }
   }
@@ -504,7 +553,7 @@ class Search {
   std::vector<Gap> self_gaps_, car_gaps_;
   std::vector<std::vector<Gap>> other_gaps_;
   double square_[n_unknown][n_unknown], slope_[n_unknown], damping_ = 0.0, pressed_ = 0.0, limit_ = 1.0;
-  int hardly_ = 0, phase_ = 0;
+  int hardly_ = 0, uphill_ = 0, phase_ = 0;
   bool done_ = false;
 };
 

@@ -42,13 +42,14 @@ struct Mover {
   SampleArrays samples;
   GoalArrays goals;
   Array<const double, any, any> leave;  // (S, G) m by which a solid may go deeper into a group; inf: it is not tested
+  Array<const double, any> beside;      // (S,) m that a solid keeps from what it does not stand on, beside that
   Array<const double, any, 3> way;      // (G, 3) the only way out of a group that is thin and behind or below; 0: any
   double middle = 0.0;                  // y of the seat's middle
   Array<double, rig::n_dofs> q;
   Array<double, 4, 4> root;
   int stand = fresh;
 
-  auto members() { return std::tie(rest, samples, goals, leave, way, middle, q, root, stand); }
+  auto members() { return std::tie(rest, samples, goals, leave, beside, way, middle, q, root, stand); }
 };
 
 /// A group of the car's parts where it stands; bones must stay out of foam that gives by `give` (0: they are not tested).

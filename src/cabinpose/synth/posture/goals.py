@@ -83,7 +83,8 @@ def stand_on(person: Person, q: Array, root: Matrix, feet: list[tuple[int, Matri
         leg = slice(_LEG[side], _LEG[side] + 6)
         posture[leg], stiffness[leg], lower[leg], upper[leg] = _STANDING_LEG, _LEG_STIFFNESS, LOWER[leg], UPPER[leg]
         rows.append(("lr"[side] + "foot", person.rest.soles[side], "", target, _ON_GROUND))
-    q[:] = _reached(person, Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows)), posture)
+    goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
+    q[:] = at_goals(Sitter(person, "", goals, posture, root))
 
 
 def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
@@ -92,12 +93,13 @@ def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
     lower, upper, posture, stiffness = q.copy(), q.copy(), np.zeros(len(q)), np.zeros(len(q))
     lower[free], upper[free], stiffness[free] = LOWER[free], UPPER[free], _STIFFNESS[free]
     rows = [("head", np.eye(4), "", head, _ON_GAZE)]
-    q[:] = _reached(person, Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows)), q)
+    goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
+    q[:] = at_goals(Sitter(person, "", goals, q, root))
 
 
-def _reached(person: Person, goals: Goals, start: Array) -> Array:
-    """The posture (D,) rad that these goals lead to from `start` when nothing is in the way."""
-    alone = Sitter(person, "", goals, np.clip(start, goals.lower, goals.upper), goals.root.copy())
+def at_goals(who: Sitter) -> Array:
+    """The posture (D,) rad that somebody's goals lead to when nothing is in the way."""
+    alone = who._replace(q=np.clip(who.q, who.goals.lower, who.goals.upper), root=who.root.copy())
     solve([alone], None, free=True)
     return alone.q
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import Matrix, rotation_vector, transform
-from cabinpose.scene.body import DOF_INDEX, DOFS, Person
+from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.contact import PlacedField
@@ -34,13 +34,12 @@ from cabinpose.synth.posture.company import Company
 from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default_plans, foot_goals, tunnel_m
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
-from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, sitter
+from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.hands import LimbTask
-from cabinpose.synth.posture.motion import upper_body_onto
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.posture.solver import Sitter, solve
-from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile, MocapProfile
+from cabinpose.synth.profiles import Profile
 
 Array = NDArray[np.float64]
 
@@ -56,7 +55,6 @@ _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comforta
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
 _CARRIED_BY: Mapping[str, str] = {"thigh": "{side}thigh", "ear": "head", "chest": "spine01", "belt": "spine01"}
-UPPER_BODY = [i for i, dof in enumerate(DOFS) if not dof.name[1:].startswith(("hip", "knee", "ankle"))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,21 +150,19 @@ class Drawn:
     action: str
     wheel_angle: float | None
     must: Array
-    profile: GaussianProfile | IncrementalProfile | MocapProfile | None
-    index: int
     h_point: Array
-    rng: np.random.Generator
 
 
 def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
+    profile: Profile | None = None, *, index: int = 0,
     offset: SeatOffset = CENTRED, company: Company | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """What `person` in `seat` seeks: the action's places for hands, head and trunk, feet on pedals or floor.
 
-    A profile is put on top of it in `settled`. `index` is the combination of an incremental profile, or the pose of a
-    recording; `offset` is how the pelvis sits off the seat's place; `company` are the neighbours.
+    A profile comes on top of it: what it holds stands, and hands of arms that it does not name stay on the rim or in the lap.
+    `index` is the combination of an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the
+    seat's place; `company` are the neighbours.
     Raises ConfigError for an action that makes no sense here, MocapError for an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
@@ -219,25 +215,15 @@ def draw_pose(
     head = _gaze(s, chosen, hands, side_sign, skeleton, rng)
     holds = hands[0].place == "wheel", hands[1].place == "wheel"
     who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, holds)
-    if isinstance(profile, MocapProfile):
-        who, action = as_recorded(who, upper_body_onto(who.q, profile, index), UPPER_BODY, _RECORDED), profile.kind
-    return Drawn(
-        who, action, turned if wheel is not None else None, np.array(must), profile, index, seat.h_point(setting), rng
-    )  # fmt: skip
+    if profile is not None:
+        who, action = _with_profile(who, profile, index, rng), profile.kind if profile.followed else action
+    return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting))
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
-    """The poses of people who sit down together, in the car as `placed`, among those `around` who stay as they are.
-
-    A profile leaves hands where they belong: arms whose own degrees of freedom it does not name are solved again and so stay on
-    the rim or in the lap. With a mocap profile the recording's upper body is what is most comfortable.
-    """
+    """The poses of people who sit down together, in the car as `placed`, among those `around` who stay as they are."""
     sitters = [d.sitter for d in drawn]
     left = solve((*sitters, *around), placed)
-    moved = [_with_profile(d) for d in drawn]
-    if any(new is not d.sitter for new, d in zip(moved, drawn, strict=True)):
-        sitters = moved
-        left = solve((*sitters, *around), placed)
     result = []
     for d, who, found in zip(drawn, sitters, left, strict=False):
         missed = dict(zip(TASKS, found.missed[:, 0].tolist(), strict=True))
@@ -248,28 +234,24 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
     return result
 
 
-def _with_profile(drawn: Drawn) -> Sitter:
-    """Who sits with the profile's axes held at its values, and the goals of arms that it names taken away."""
-    profile, who = drawn.profile, drawn.sitter
-    if profile is None or isinstance(profile, MocapProfile):
-        return who
-    if isinstance(profile, IncrementalProfile):
-        q = profile.apply(who.q, drawn.index)
-    else:
-        q = profile.apply(who.q, rng=drawn.rng)
+def _with_profile(who: Sitter, profile: Profile, index: int, rng: np.random.Generator) -> Sitter:
+    """Who sits with a profile on top: of what is held the bounds close, and arms that it names seek nothing any more."""
+    if profile.followed:
+        return as_recorded(who, profile.apply(who.q, index=index, rng=rng), [DOF_INDEX[n] for n in profile.followed], _RECORDED)
+    q = profile.apply(at_goals(who), index=index, rng=rng)
     lower, upper, weight = who.goals.lower.copy(), who.goals.upper.copy(), who.goals.weight.copy()
-    named = [DOF_INDEX[name] for name in profile.axes]
-    lower[named] = upper[named] = q[named]
+    held = [DOF_INDEX[name] for name in profile.held]
+    lower[held] = upper[held] = q[held]
     for side in (0, 1):
         if _names_arm(profile, side):
             weight[side] = 0.0
     goals = who.goals._replace(lower=lower, upper=upper, weight=weight)
-    return who._replace(goals=goals, q=q)
+    return who._replace(goals=goals, q=np.clip(who.q, lower, upper))
 
 
 def sample_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: GaussianProfile | IncrementalProfile | MocapProfile | None = None, *, index: int = 0,
+    profile: Profile | None = None, *, index: int = 0,
     offset: SeatOffset = CENTRED, car: Callable[[float], PlacedField] | None = None, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
     """A pose of `person` alone in `seat`: `draw_pose`, then `settled`.
@@ -295,9 +277,9 @@ def _draw(spread: Spread, rng: np.random.Generator) -> float:
     return math.radians(spread[0] + spread[1] * float(rng.standard_normal()))
 
 
-def _names_arm(profile: GaussianProfile | IncrementalProfile, side: int) -> bool:
+def _names_arm(profile: Profile, side: int) -> bool:
     joints = tuple("lr"[side] + joint for joint in ("clavicle", "shoulder", "elbow", "wrist"))
-    return any(name.split(".")[0] in joints for name in profile.axes)
+    return any(name.split(".")[0] in joints for name in profile.held)
 
 
 def _intents(

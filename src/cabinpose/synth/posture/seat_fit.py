@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ class SeatFit:
 
     q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above
     the horizontal while the thigh rests on the cushion, rad · h_offset_m: distance of the femur heads' middle from the
-    H-point · shoulders: (2, 3) · front: (N, 3) skin of belly and chest · thigh_top: (11,) height of the skin above
+    H-point · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest · thigh_top: (11,) height of the skin above
     the femur's axis, from hip to knee.
     """
 
@@ -52,7 +53,7 @@ class SeatFit:
     thigh_angle: float
     h_offset_m: float
     shoulders: Array
-    front: Array
+    front: NDArray[np.float32]
     thigh_top: Array
 
 
@@ -82,12 +83,33 @@ def _root(pitch: float, place: Array) -> Matrix:
     return transform(axis_rotation("y", -pitch), place)
 
 
+class _Skin(NamedTuple):
+    """Skin of trunk and thighs, the same for everybody: numbers of the vertices (N,), and which of them are where (N,)."""
+
+    rows: NDArray[np.intp]
+    trunk: NDArray[np.bool_]
+    seated: NDArray[np.bool_]
+    thighs: NDArray[np.bool_]
+    left_thigh: NDArray[np.bool_]
+
+
 @cache
-def _skin() -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
-    """Numbers of the skin vertices of trunk and thighs, and the segment of each; the same for everybody."""
+def _skin() -> _Skin:
     segment = vertex_segments()
-    rows = np.flatnonzero(np.isin(segment, [SEGMENTS.index(s) for s in (*_TRUNK, *_THIGHS)]))
-    return rows, segment[rows]
+    rows = np.flatnonzero(np.isin(segment, _indices(*_TRUNK, *_THIGHS)))
+    where = (_indices(*_TRUNK), _indices("pelvis", *_THIGHS), _indices(*_THIGHS), _indices("lthigh"))
+    return _Skin(rows, *(np.isin(segment[rows], w) for w in where))
+
+
+def _indices(*segments: str) -> list[int]:
+    return [SEGMENTS.index(s) for s in segments]
+
+
+def _lower_half(height: Array, of: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Which of (N,) heights, of those for which `of` holds, are at most the middle one."""
+    which = np.flatnonzero(of)
+    there = height[which]
+    return which[there <= np.partition(there, len(there) // 2)[len(there) // 2]]
 
 
 def _lowest(values: Array, count: int) -> float:
@@ -97,11 +119,7 @@ def _lowest(values: Array, count: int) -> float:
 
 @kept_with_person
 def _fit(person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float) -> SeatFit:
-    rows, segment = _skin()
-    posed = person.skin_part(rows)
-    trunk = np.isin(segment, [SEGMENTS.index(s) for s in _TRUNK])
-    seated = np.isin(segment, [SEGMENTS.index(s) for s in ("pelvis", *_THIGHS)])
-    thighs = np.isin(segment, [SEGMENTS.index(s) for s in _THIGHS])
+    mesh = _skin()
     up = np.array([-np.sin(torso_angle), 0.0, np.cos(torso_angle)])  # along the torso line
     normal = np.array([np.cos(torso_angle), 0.0, np.sin(torso_angle)])  # out of the backrest
     cushion = np.array([-np.sin(cushion_angle), 0.0, np.cos(cushion_angle)])
@@ -111,43 +129,48 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
     slide = float(np.clip(_CUSHION_FRONT_M - 0.01 - femur, 0.0, _MAX_SLIDE_M))  # short thighs: knees to the edge
 
     pitch, thigh, place = torso_angle + 0.20, cushion_angle, np.array([slide, 0.0, 0.0])
+    whole = person.skin_part(mesh.rows)
+    skin = whole(_posture(pitch, thigh), _root(pitch, place))
+    # What meets backrest and cushion lies behind and below from the start: the rest need not be moved along.
+    back = _lower_half(skin @ normal, mesh.trunk & (np.abs(skin[:, 1]) < 0.10 * size))
+    bottom = _lower_half(skin @ cushion, mesh.seated)
+    back_skin, bottom_skin = person.skin_part(mesh.rows[back]), person.skin_part(mesh.rows[bottom])
+    thighs = mesh.thighs[bottom]
     for _ in range(_ROUNDS):
-        skin = posed(_posture(pitch, thigh), _root(pitch, place))
-        middle = trunk & (np.abs(skin[:, 1]) < 0.10 * size)
-        depth, height = skin[middle] @ normal, skin[middle] @ up
+        q, root = _posture(pitch, thigh), _root(pitch, place)
+        skin = back_skin(q, root)
+        depth, height = skin @ normal, skin @ up
         lower = _lowest(depth[(height > -0.02) & (height < 0.17 * size)], 6)
-        upper_band = (height > 0.28 * size) & (height < 0.42 * size)
-        upper = _lowest(depth[upper_band], 6)
+        upper = _lowest(depth[(height > 0.28 * size) & (height < 0.42 * size)], 6)
         wanted = -(behind + BACK_SAG_M)
+        skin = bottom_skin(q, root)
+        above, ahead = skin @ cushion - free_cushion, skin[:, 0] - place[0]
         if slide > 0.0:
             pitch += (upper - wanted) / (0.35 * size)
         else:
             pitch += 0.9 * (upper + 0.006 - lower) / (0.27 * size)
-            place = place + (wanted - lower) * normal * (1.0, 0.0, 0.0) / normal[0]
-        above = skin @ cushion - free_cushion
-        under = seated & (skin[:, 0] > place[0] - 0.16) & (skin[:, 0] < place[0] + 0.08)
-        place[2] -= _lowest(above[under], 8) + CUSHION_SAG_M
-        along = thighs & (skin[:, 0] > 0.45 * femur + place[0]) & (skin[:, 0] < 0.75 * femur + place[0])
-        thigh -= 0.8 * (_lowest(above[along], 8) + THIGH_SAG_M) / (0.6 * femur)
+            place[0] += (wanted - lower) / normal[0]
+        place[2] -= _lowest(above[(ahead > -0.16) & (ahead < 0.08)], 8) + CUSHION_SAG_M
+        thigh -= 0.8 * (_lowest(above[thighs & (ahead > 0.45 * femur) & (ahead < 0.75 * femur)], 8) + THIGH_SAG_M) / (0.6 * femur)
         pitch, thigh = float(np.clip(pitch, -0.2, 1.1)), float(np.clip(thigh, -0.1, 0.7))
 
     q, root = _posture(pitch, thigh), _root(pitch, place)
-    skin = posed(q, root)
+    skin = whole(q, root)
     skeleton = frames(q, person.rest, root)
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
-    front = skin[trunk & (skin @ normal > 0.0)][::4].copy()  # not a view, which would keep the whole
-    return SeatFit(
-        q, root, thigh, float(np.linalg.norm(place)), shoulders, front, _thigh_top(skin, segment, skeleton.bone("lthigh"), femur)
-    )
+    front = skin[mesh.trunk & (skin @ normal > 0.0)][::4].astype(np.float32)
+    thigh_top = _thigh_top(skin[mesh.left_thigh], skeleton.bone("lthigh"), femur)
+    return SeatFit(q, root, thigh, float(np.linalg.norm(place)), shoulders, front, thigh_top)
 
 
-def _thigh_top(skin: Array, segment: NDArray[np.uint8], vehicle_from_thigh: Matrix, femur: float) -> Array:
-    """Height of the skin above the left femur's axis (towards the front of the thigh) at stations from hip to knee."""
-    local = (skin[segment == SEGMENTS.index("lthigh")] - vehicle_from_thigh[:3, 3]) @ vehicle_from_thigh[:3, :3]
-    station = -local[:, 2] / femur
+def _thigh_top(skin: Array, vehicle_from_thigh: Matrix, femur: float) -> Array:
+    """Height of a left thigh's skin (N, 3) above the femur's axis (towards the front) at stations from hip to knee."""
+    local = (skin - vehicle_from_thigh[:3, 3]) @ vehicle_from_thigh[:3, :3]
+    middle = np.abs(local[:, 1]) < 0.05
+    station, height = -local[middle, 2] / femur, local[middle, 0]
     result = np.empty(_FEMUR_STATIONS)
     for k, s in enumerate(np.linspace(0.0, 1.0, _FEMUR_STATIONS)):
-        near = (np.abs(station - s) < 0.08) & (np.abs(local[:, 1]) < 0.05)
-        result[k] = local[near, 0].max() if near.any() else np.nan
+        near = np.abs(station - s) < 0.08
+        result[k] = height[near].max() if near.any() else np.nan
     good = np.isfinite(result)
     return np.interp(np.arange(_FEMUR_STATIONS), np.flatnonzero(good), result[good])

@@ -23,9 +23,9 @@ from cabinpose.synth.posture.samples import samples_of
 
 Array = NDArray[np.float64]
 
-_OF_TOLERANCE = 0.5  # of what the verdict lets a body's own solids overlap
+_OF_TOLERANCE = 0.0  # of what the verdict lets a body's own solids overlap
 _OF_FOLDS = 1.0  # the same between trunk and thighs: sitting makes folds there
-_BETWEEN_M = 0.5 * BOTH_YIELD_M  # the same of two people
+_BETWEEN_M = 0.25 * BOTH_YIELD_M  # the same of two people
 _IN_OWN_SEAT_M = -0.012  # trunk and thighs sink in by this less than cushion and backrest give
 Stand = Literal["fresh", "settled", "fixed"]
 _STANDS: tuple[Stand, ...] = ("fresh", "settled", "fixed")  # as the kernel counts them
@@ -35,6 +35,7 @@ _MARGIN_M = 0.008  # that limbs keep from what gives no more, for the skin betwe
 _UNDER_FEET_M = 0.003  # shoes stand on floor and pedals
 _IN_HAND_M = -0.002  # a hand is closed around the rim
 _FEET = [SOLIDS.index(name) for name in ("lfoot", "rfoot")]
+_BESIDE = np.where(np.isin(np.arange(len(SOLIDS)), _FEET), _MARGIN_M + _UNDER_FEET_M, 0.0)  # feet, from what they do not stand on
 _SITTING = [SOLIDS.index(name) for name in ("torso", "lthigh", "rthigh")]
 
 
@@ -138,7 +139,7 @@ def solve(sitters: Sequence[Sitter], placed: PlacedField | None, *, free: bool =
                     if holds:
                         leave[SOLIDS.index(side + "hand"), g] = _IN_HAND_M
         own = sitter.middle, sitter.q, sitter.root, _STANDS.index(sitter.stand)
-        people.append((sitter.person.rest, samples_of(sitter.person), sitter.goals, leave, way, *own))
+        people.append((sitter.person.rest, samples_of(sitter.person), sitter.goals, leave, _BESIDE, way, *own))
         missed.append(np.zeros((len(sitter.goals.bone), 2)))
     found = native.solve_people(people, car, _PAIRS, _BETWEEN_M, free, missed)
     result = []

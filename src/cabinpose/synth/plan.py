@@ -1,0 +1,119 @@
+"""Which cars, people and rooms a frame of a dataset draws from: a function of the configuration, the seed and the frame's number.
+
+Bodies and cars take time and memory to make. Where a dataset has many, only a few are in play at a time: every now and then one
+leaves and another takes its place, so that each is made once, and all come equally often.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cabinpose.core.errors import unknown_name
+from cabinpose.core.once import cached_once
+from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
+from cabinpose.scene.body import SUBJECTS, Outfit, Phenotype
+from cabinpose.scene.cabin import CabinDimensions, random_dimensions
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig, frame_rng, is_car_file
+
+DriveSide = Literal["left", "right"]
+# Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
+_PEOPLE_STREAM = 2**64 - 1
+_CAR_STREAM = 2**63 + 2**62
+_ROOM_STREAM = 2**63
+_ORDER_STREAM = 2**62
+_ROUNDS = 2**32  # of a kind of thing, a stream each
+PEOPLE_IN_PLAY, CARS_IN_PLAY = 24, 8
+_FRAMES_A_PERSON, _FRAMES_A_CAR = 6, 50  # until one leaves
+
+
+def person_slots(config: SynthConfig) -> tuple[str, ...]:
+    """The entries of the dataset's `person` coordinate."""
+    return (STANDING_SLOT,) if config.scene.kind == "room" else OCCUPANT_SLOTS
+
+
+def subject_names(config: SynthConfig) -> tuple[str, ...]:
+    """Everybody who can take part, named people first."""
+    crowd = config.people.random
+    return (*config.people.subjects, *(f"R{i:04d}" for i in range(crowd.count if crowd else 0)))
+
+
+def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
+    """Shape and clothes of a person of this dataset: the same whoever asks, in whatever order."""
+    if subject in SUBJECTS:
+        return SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit
+    crowd = config.people.random
+    if crowd is None or not subject.startswith("R"):
+        raise unknown_name("subject", subject, list(subject_names(config)))
+    rng = frame_rng(seed, _PEOPLE_STREAM - int(subject[1:]))
+    phenotype = Phenotype.random({name: (r.min, r.max) for name, r in crowd.ranges.items()}, rng=rng)
+    return phenotype, Outfit.random(rng=rng)
+
+
+def car_names(config: SynthConfig) -> tuple[str, ...]:
+    """Every car of a dataset, those that its configuration names first; none in a room."""
+    scene = config.scene
+    return (*scene.cars, *(f"C{i:04d}" for i in range(scene.random_cars))) if isinstance(scene, CabinScene) else ()
+
+
+def car_dimensions(seed: int, car: str) -> CabinDimensions:
+    """The dimensions of a random car, "C0000" ..., of the dataset of this seed: the same whoever asks, in whatever order."""
+    return random_dimensions(car, rng=frame_rng(seed, _CAR_STREAM + int(car[1:])))
+
+
+class Plan:
+    """Who and what the frames of one dataset draw from."""
+
+    def __init__(self, config: SynthConfig, seed: int) -> None:
+        self._config = config
+        self._seed = seed
+        self._subjects = subject_names(config)
+        self._cars = car_names(config)
+        self._order = cached_once(4)(self._make_order)
+
+    def car(self, index: int, *, rng: np.random.Generator) -> tuple[str, DriveSide]:
+        """The car of frame `index`, and where its wheel is: one and the same side in all frames of a random car."""
+        scene = self._config.scene
+        assert isinstance(scene, CabinScene)
+        car = self._cars[_one_of(self._in_play(0, len(self._cars), CARS_IN_PLAY, _FRAMES_A_CAR, index), rng)]
+        chance = rng.random()
+        if car not in scene.cars:
+            chance = frame_rng(self._seed, _CAR_STREAM - 1 - int(car[1:])).random()
+        return car, "right" if chance < scene.right_hand_drive else "left"
+
+    def people(self, index: int, count: int, *, rng: np.random.Generator) -> list[str]:
+        """The people of frame `index`: different ones, as long as there are enough."""
+        among = self._in_play(1, len(self._subjects), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)
+        return [self._subjects[among[i]] for i in rng.choice(len(among), size=count, replace=count > len(among))]
+
+    def room(self, *, rng: np.random.Generator) -> int:
+        """The number of a frame's room."""
+        scene = self._config.scene
+        assert isinstance(scene, RoomScene)
+        return int(rng.integers(scene.rooms))
+
+    def _in_play(self, kind: int, count: int, most: int, frames: int, index: int) -> list[int]:
+        """Numbers below `count` that frame `index` draws from: all, or `most` of them, of which one leaves every few frames."""
+        if count <= most:
+            return list(range(count))
+        turns = range(index // frames, index // frames + most)
+        return list(dict.fromkeys(self._order(kind, count, turn // count)[turn % count] for turn in turns))
+
+    def _make_order(self, kind: int, count: int, round_number: int) -> list[int]:
+        return frame_rng(self._seed, _ORDER_STREAM + kind * _ROUNDS + round_number).permutation(count).tolist()
+
+
+def _one_of(numbers: list[int], rng: np.random.Generator) -> int:
+    return numbers[int(rng.integers(len(numbers)))]
+
+
+def room_rng(seed: int, number: int) -> np.random.Generator:
+    """What the room of this number in the dataset of this seed is drawn with."""
+    return frame_rng(seed, _ROOM_STREAM + number)
+
+
+def place_name(car: str) -> str:
+    """What a car is called in a dataset: the stem of an own mesh's file."""
+    return Path(car).stem if is_car_file(car) else car
