@@ -12,7 +12,7 @@ constexpr double infinite = std::numeric_limits<double>::infinity();
 /// What a search needs and the next one takes over; one a thread.
 struct Workspace {
   std::vector<std::int32_t> inside, over, entries, starts, next, chosen, numbers;
-  std::vector<float> bounds, points;  // (n, 5) x0 x1 y0 y1 z1
+  std::vector<float> bounds, points;  // (n, 5) x0 x1 y0 y1, and the end in z the way the rays go
   std::vector<double> limits;
   std::vector<char> met;
 };
@@ -39,37 +39,50 @@ void find_inside(Points points, Indices index, const float* box, Vector centre, 
   }
 }
 
+/// A box around points, and which way the rays go that tell on which side of a surface they are: the one that meets less of it.
 struct Area {
-  double low_x = infinite, low_y = infinite, low_z = infinite, high_x = -infinite, high_y = -infinite;
+  double low_x = infinite, low_y = infinite, low_z = infinite, high_x = -infinite, high_y = -infinite, high_z = -infinite;
+  bool up = true;
 };
 
 using Faces = Array<const std::int32_t, any, 3>;
 using Leaves = Array<const double, any, 2, 3>;
 
-/// The faces that some vertical ray from the indexed points upwards can meet, with their bounds; and the area of the points.
+/// The faces that some vertical ray from the indexed points can meet, with their bounds; and the area of the points.
 Area find_over(Points points, Points vertices, Faces faces, Leaves leaves, Workspace& work) {
   Area area;
   for (const std::int32_t v : work.inside) {
     const double x = points(v, 0), y = points(v, 1), z = points(v, 2);
-    area = {std::min(area.low_x, x), std::min(area.low_y, y), std::min(area.low_z, z), std::max(area.high_x, x),
-            std::max(area.high_y, y)};
+    area = {std::min(area.low_x, x),  std::min(area.low_y, y),  std::min(area.low_z, z),
+            std::max(area.high_x, x), std::max(area.high_y, y), std::max(area.high_z, z)};
   }
   const float low_x = static_cast<float>(area.low_x), high_x = static_cast<float>(area.high_x);  // exact: they were float32
-  const float low_y = static_cast<float>(area.low_y), high_y = static_cast<float>(area.high_y),
-              low_z = static_cast<float>(area.low_z);
+  const float low_y = static_cast<float>(area.low_y), high_y = static_cast<float>(area.high_y);
+  const float low_z = static_cast<float>(area.low_z), high_z = static_cast<float>(area.high_z);
+  auto beside = [&](const double* box) {
+    return box[3] < area.low_x || box[0] > area.high_x || box[4] < area.low_y || box[1] > area.high_y;
+  };
+  Index above = 0, below = 0;
+  for (Index leaf = 0; leaf < leaves.size(); ++leaf) {
+    const double* box = &leaves(leaf, 0, 0);
+    if (beside(box)) continue;
+    above += box[5] >= area.low_z;
+    below += box[2] <= area.high_z;
+  }
+  area.up = above <= below;
   work.over.clear();
   work.bounds.clear();
   for (Index leaf = 0; leaf < leaves.size(); ++leaf) {
     const double* box = &leaves(leaf, 0, 0);
-    if (box[3] < area.low_x || box[0] > area.high_x || box[4] < area.low_y || box[1] > area.high_y || box[5] < area.low_z)
-      continue;
+    if (beside(box) || (area.up ? box[5] < area.low_z : box[2] > area.high_z)) continue;
     for (Index f = leaf * leaf_faces; f < std::min((leaf + 1) * leaf_faces, faces.size()); ++f) {
       const float *a = &vertices(faces(f, 0), 0), *b = &vertices(faces(f, 1), 0), *c = &vertices(faces(f, 2), 0);
       const float x0 = std::min({a[0], b[0], c[0]}), x1 = std::max({a[0], b[0], c[0]});
-      const float y0 = std::min({a[1], b[1], c[1]}), y1 = std::max({a[1], b[1], c[1]}), z1 = std::max({a[2], b[2], c[2]});
-      if (x1 >= low_x && x0 <= high_x && y1 >= low_y && y0 <= high_y && z1 >= low_z) {
+      const float y0 = std::min({a[1], b[1], c[1]}), y1 = std::max({a[1], b[1], c[1]});
+      const float end = area.up ? std::max({a[2], b[2], c[2]}) : std::min({a[2], b[2], c[2]});
+      if (x1 >= low_x && x0 <= high_x && y1 >= low_y && y0 <= high_y && (area.up ? end >= low_z : end <= high_z)) {
         work.over.push_back(static_cast<std::int32_t>(f));
-        work.bounds.insert(work.bounds.end(), {x0, x1, y0, y1, z1});
+        work.bounds.insert(work.bounds.end(), {x0, x1, y0, y1, end});
       }
     }
   }
@@ -231,12 +244,13 @@ Deepest deepest_in(Points points, Indices index, Index solid, Vector centre, dou
     for (std::int32_t e = work.starts[row]; e < work.starts[row + 1]; ++e) {
       const std::size_t n = at(work.entries[at(e)]);
       const float* b = &work.bounds[5 * n];
-      if (z > b[4] || x < b[0] || x > b[1] || y < b[2] || y > b[3]) continue;
+      if ((area.up ? z > b[4] : z < b[4]) || x < b[0] || x > b[1] || y < b[2] || y > b[3]) continue;
       const Index f = work.over[n];
       const float *p0 = &body.vertices(faces(f, 0), 0), *p1 = &body.vertices(faces(f, 1), 0),
                   *p2 = &body.vertices(faces(f, 2), 0);
       const int sense = crossing(x, y, p0, p1, p2);
-      if (sense != 0 && height_over(x, y, p0, p1, p2) > z) winding += sense;
+      // Of a closed surface as much is crossed upwards as downwards.
+      if (sense != 0 && (height_over(x, y, p0, p1, p2) > z) == area.up) winding += area.up ? sense : -sense;
     }
     if (winding <= 0) continue;
     // The last leaf may hold some of the fan: its box is then larger than it need be.

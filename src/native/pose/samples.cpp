@@ -11,6 +11,7 @@ void Samples::pose(const double* q, const RestArrays& rest, const SampleArrays& 
   points_.resize(count);
   normals_.resize(count);
   for (auto* line : {&x_, &y_, &z_}) line->resize(count);
+  if (reach_.empty()) reach_.assign(arrays.reach.data(), arrays.reach.data() + count);
   constexpr std::size_t main = rig::n_main;
   transforms_.resize(main * 12 + rig::n_bones * 12);
   double* const rotations = transforms_.data();
@@ -63,38 +64,53 @@ void Samples::pose(const double* q, const RestArrays& rest, const SampleArrays& 
   }
 }
 
-std::pair<Index, double> Samples::nearest(Vec3 p, Index first, Index end) const {
-  // Lane by lane, so that the compiler can do eight at once; of equals the first counts.
-  constexpr int lanes = 8;
-  float best[lanes], second[lanes];
-  std::int32_t which[lanes];
-  std::fill_n(best, lanes, std::numeric_limits<float>::infinity());
-  std::fill_n(second, lanes, std::numeric_limits<float>::infinity());
-  std::fill_n(which, lanes, static_cast<std::int32_t>(first));
+Nearest Samples::nearest(Vec3 p, const SampleArrays& arrays, Index solid, double near) const {
+  constexpr int lanes = 8, most = 64;  // first samples of a solid; lane by lane, so that the compiler can do eight at once
+  constexpr float far = std::numeric_limits<float>::infinity();
+  const Index first = arrays.rows(solid, 0);
+  const int count = std::min(static_cast<int>(arrays.first_end(solid) - first), most);
   const float px = static_cast<float>(p.x), py = static_cast<float>(p.y), pz = static_cast<float>(p.z);
   const float *x = x_.data(), *y = y_.data(), *z = z_.data();
-  auto look = [&](Index n, int l) {
-    const float u = x[n] - px, v = y[n] - py, w = z[n] - pz, d = u * u + v * v + w * w;
-    const bool nearer = d < best[l];
-    const float farther = nearer ? best[l] : d;
-    second[l] = farther < second[l] ? farther : second[l];
-    best[l] = nearer ? d : best[l];
-    which[l] = nearer ? static_cast<std::int32_t>(n) : which[l];
+  auto distance = [&](Index n) {
+    const float u = x[n] - px, v = y[n] - py, w = z[n] - pz;
+    return std::sqrt(u * u + v * v + w * w);
   };
-  Index n = first;
-  for (; n + lanes <= end; n += lanes) {
-    for (int l = 0; l < lanes; ++l) look(n + l, l);
+  float to_first[most], at_least[most];
+  for (int h = 0; h < count; ++h) to_first[h] = distance(first + h);
+  for (int h = 0; h < count; ++h) at_least[h] = to_first[h] - reach_[static_cast<std::size_t>(first + h)];
+  const int padded = (count + lanes - 1) / lanes * lanes;
+  for (int h = count; h < padded; ++h) to_first[h] = at_least[h] = far;
+  float least[lanes], closest[lanes];
+  std::fill_n(least, lanes, far);
+  std::fill_n(closest, lanes, far);
+  for (int h = 0; h < padded; h += lanes) {
+    for (int l = 0; l < lanes; ++l) {
+      least[l] = at_least[h + l] < least[l] ? at_least[h + l] : least[l];
+      closest[l] = to_first[h + l] < closest[l] ? to_first[h + l] : closest[l];
+    }
   }
-  for (; n < end; ++n) look(n, 0);
-  int least = 0;
-  for (int l = 1; l < lanes; ++l) {
-    if (best[l] < best[least] || (best[l] == best[least] && which[l] < which[least])) least = l;
+  const float away = *std::min_element(least, least + lanes);
+  if (static_cast<double>(away) > near) return {-1, static_cast<double>(away), 0.0};
+  float best = *std::min_element(closest, closest + lanes), second = far;
+  Index sample = -1;
+  for (int h = 0; h < count; ++h) {
+    if (at_least[h] > best) {
+      second = std::min(second, at_least[h]);
+      continue;
+    }
+    auto look = [&](Index n, float d) {
+      if (d < best || (d == best && sample < 0)) {
+        if (sample >= 0) second = std::min(second, best);
+        best = d;
+        sample = n;
+      } else {
+        second = std::min(second, d);
+      }
+    };
+    look(first + h, to_first[h]);
+    for (Index n = arrays.around(first + h, 0); n < arrays.around(first + h, 1); ++n) look(n, distance(n));
   }
-  float next = second[least];
-  for (int l = 0; l < lanes; ++l) {
-    if (l != least) next = std::min(next, best[l]);
-  }
-  return {which[least], 0.5 * (std::sqrt(static_cast<double>(next)) - std::sqrt(static_cast<double>(best[least])))};
+  return {sample, static_cast<double>(away), 0.5 * std::max(0.0, static_cast<double>(second) - static_cast<double>(best))};
 }
 
 }  // namespace cabinpose

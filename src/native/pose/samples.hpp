@@ -3,7 +3,6 @@
 
 #include <cstdint>
 #include <tuple>
-#include <utility>
 #include <vector>
 
 #include "body/kinematics.hpp"
@@ -21,12 +20,12 @@ struct SampleArrays {
   Array<const float, any, any> weight;
   Array<const std::int32_t, any> bone;
   Array<const std::int64_t, any, 2> rows;
-  Array<const double, any> cover;
+  Array<const std::int64_t, any, 2> around;
+  Array<const double, any> reach;
 
-  auto members() { return std::tie(rest, normal, index, weight, bone, rows, cover); }
+  auto members() { return std::tie(rest, normal, index, weight, bone, rows, around, reach); }
 
-  /// Where the first samples of a solid end, which lie far from each other all over it: no other is farther than `cover` from
-  /// one.
+  /// Where the first samples of a solid end, which lie all over it; the others are `around` these, no farther than `reach`.
   Index first_end(Index solid) const { return rows(solid, 0) + (rows(solid, 1) - rows(solid, 0) + 3) / 4; }
 };
 
@@ -34,6 +33,13 @@ struct SampleArrays {
 struct Ball {
   Vec3 centre;
   double radius = 0.0;
+};
+
+/// The sample nearest to a point, -1 where all are farther than asked for; how far they are away at least; how far point and
+/// samples may move against each other before another one can be nearest (m).
+struct Nearest {
+  Index sample = -1;
+  double away = 0.0, margin = 0.0;
 };
 
 /// The samples in a posture, vehicle frame.
@@ -44,13 +50,12 @@ class Samples {
   Vec3 point(Index n) const { return points_[static_cast<std::size_t>(n)]; }
   Vec3 normal(Index n) const { return normals_[static_cast<std::size_t>(n)]; }
   const Ball& ball(Index solid) const { return balls_[solid]; }
-  /// The number of the sample from `first` to before `end` that is nearest to p, and how far p and the samples may move against
-  /// each other before another one can be (m).
-  std::pair<Index, double> nearest(Vec3 p, Index first, Index end) const;
+  /// The sample of a solid that is nearest to p, where the solid is no farther than `near` (m).
+  Nearest nearest(Vec3 p, const SampleArrays& arrays, Index solid, double near) const;
 
  private:
   std::vector<Vec3> points_, normals_;
-  std::vector<float> x_, y_, z_;
+  std::vector<float> x_, y_, z_, reach_;
   std::vector<double> transforms_;
   Ball balls_[max_solids];
 };

@@ -19,7 +19,7 @@ constexpr int phases = 4, steps[] = {20, 10, 30, 15};
 constexpr double longest_step[] = {1.0, 0.2, 0.2, 0.2};  // rad (a tenth of it m): nobody steps through a backrest
 constexpr double near_m = 0.01;                          // what is farther than this from a solid is outside it
 constexpr double still = 3e-4;                           // a step of fewer radians (and metres) ends the search
-constexpr double hardly[] = {2e-2, 2e-2, 5e-3, 5e-3};    // and so does, twice, a cost that falls by less than this share
+constexpr double hardly[] = {3e-2, 3e-2, 1e-2, 1e-2};    // and so does, twice, a cost that falls by less than this share
 constexpr double flat = 0.2;                             // a field that grows less steeply tells no way out
 constexpr double beside_m = 0.2, sideways = 0.6;  // walls are farther from a seat's middle, and the way out of them is sideways
 constexpr double upwards = 0.7;                   // of a way out that leads off the ground
@@ -28,6 +28,7 @@ constexpr double across = 0.2;                    // of a way out that leads thr
 constexpr double past_m = 0.04;                   // more than a depth says that was measured from the wrong side
 constexpr double trusted = 0.5;                   // of the way out of a solid that the tangent plane at a sample promises
 constexpr double axis_step_m = 0.04;              // along bones that must stay out of foam
+constexpr double slight = 0.002;                  // too deep by less is left
 constexpr double first_damping[] = {1e-3, 1e-2, 1e-2, 1e-2};
 constexpr int trials = 6;  // dampings tried for a step
 constexpr int most_uphill = 4;
@@ -86,14 +87,16 @@ class Search {
   bool done() const { return done_; }
   const Samples& samples() const { return now_.samples; }
 
-  /// Begin a phase of the search from where it is.
+  /// Begin a phase of the search from where it is; the last one only where somebody is still pressed.
   void begin(int phase) {
+    bool pressed = phase + 1 < phases || who_.stand == Mover::settled;
+    for (const Touch& t : now_.touches) pressed = pressed || t.depth > slight;
     pressed_ = pressing[phase];
     limit_ = longest_step[phase];
     phase_ = phase;
     damping_ = first_damping[phase];
     hardly_ = uphill_ = 0;
-    done_ = who_.stand == Mover::fixed || (who_.stand == Mover::settled && phase + 1 < phases);
+    done_ = !pressed || who_.stand == Mover::fixed || (who_.stand == Mover::settled && phase + 1 < phases);
     pose(now_);
   }
 
@@ -327,7 +330,6 @@ class Search {
   }
 
   void touch_self(State& state) {
-    const auto& rows = who_.samples.rows;
     self_gaps_.resize(static_cast<std::size_t>(pairs_.pairs.size()));
     for (Index k = 0; k < pairs_.pairs.size(); ++k) {
       const Index a = pairs_.pairs(k, 0), b = pairs_.pairs(k, 1);
@@ -337,70 +339,66 @@ class Search {
       if (gap.until > moved) continue;
       gap.until = moved + norm(one.centre - two.centre) - one.radius - two.radius;
       if (gap.until > moved) continue;
-      gap.of_own.resize(static_cast<std::size_t>(rows(a, 1) - rows(a, 0)));
-      double zone = 0.0;
+      double zone = 0.0;  // about a joint whose limits answer for what is in it
       Vec3 centre;
       if (pairs_.joint_ends(k, 0) >= 0) {
         centre = joint(who_, state, pairs_.joint_ends(k, 0));
         zone = pairs_.zones[k] * norm(joint(who_, state, pairs_.joint_ends(k, 1)) - centre);
       }
       const Vec3 outwards = static_cast<double>(pairs_.side[k]) * state.root.rotation.column(1);
-      double least = std::numeric_limits<double>::infinity();
-      for (Index n = rows(a, 0); n < rows(a, 1) && (n < who_.samples.first_end(a) || least < who_.samples.cover[a]); ++n) {
-        const Vec3 p = state.samples.point(n);
-        if (zone > 0.0 && norm(p - centre) < zone) {  // left to the joints' limits; what is about it may still meet
-          least = 0.0;
-          continue;
-        }
-        auto [m, way, depth] = past(state.samples, who_.samples, b, p, pairs_.allowed[k], moved,
-                                    gap.of_own[static_cast<std::size_t>(n - rows(a, 0))], least);
-        if (m < 0) continue;
-        if (dot(way, outwards) < -across) {  // through the other limb
-          way = outwards;
-          depth += past_m;
-        }
-        state.touches.push_back({p, way, depth, who_.samples.bone[n], who_.samples.bone[m], {Squeeze::self, a, b, 0.0}});
-      }
-      gap.until = moved + least - who_.samples.cover[a];
+      auto left_out = [&](Vec3 p) { return zone > 0.0 && norm(p - centre) < zone; };
+      meet(state.samples, a, state.samples, who_.samples, b, pairs_.allowed[k], moved, gap, left_out,
+           [&](Touch touch, Index into) {
+             if (dot(touch.way, outwards) < -across) {  // through the other limb
+               touch.way = outwards;
+               touch.depth += past_m;
+             }
+             touch.against = who_.samples.bone[into];
+             touch.what = {Squeeze::self, a, b, 0.0};
+             state.touches.push_back(touch);
+           });
     }
   }
 
-  /// The sample of a solid that p goes past, which way is out, and how much deeper p is than allowed; none where it is not.
-  struct Past {
-    Index sample = -1;
-    Vec3 way;
-    double depth = 0.0;
-  };
-
-  /// least: lowered to how far p is away from the solid at least · moved: what has moved by now.
-  static Past past(const Samples& samples, const SampleArrays& arrays, Index solid, Vec3 p, double allowed, double moved,
-                   Near& near, double& least) {
-    if (near.until > moved) {
-      least = std::min(least, near.until - moved);
-      return {};
-    }
-    const Index first = arrays.rows(solid, 0), end = arrays.rows(solid, 1);
-    if (near.until_other <= moved) {
-      const Ball& ball = samples.ball(solid);
-      double away = norm(p - ball.centre) - ball.radius;
-      if (away < near_m) {
-        away = norm(p - samples.point(samples.nearest(p, first, arrays.first_end(solid)).first)) - arrays.cover[solid];
+  /// Looks at the samples of solid `a` that may be in solid `b` of somebody by now, and tells `push` of those that are.
+  ///
+  /// left_out: which points are not looked at, as long as they are there.
+  template <class LeftOut, class Push>
+  void meet(const Samples& mine, Index a, const Samples& theirs, const SampleArrays& arrays, Index b, double allowed,
+            double moved, Gap& gap, const LeftOut& left_out, const Push& push) const {
+    const Index first = who_.samples.rows(a, 0);
+    gap.of_own.resize(static_cast<std::size_t>(who_.samples.rows(a, 1) - first));
+    auto look = [&](Index n) {  // how far the sample is away at least, with the reserve of `near_m`
+      const Vec3 p = mine.point(n);
+      if (left_out(p)) return 0.0;
+      Near& near = gap.of_own[static_cast<std::size_t>(n - first)];
+      if (near.until > moved) return near.until - moved;
+      if (near.until_other <= moved) {
+        const Nearest found = theirs.nearest(p, arrays, b, near_m);
+        if (found.sample < 0) {
+          near.until = moved + found.away - near_m;
+          return found.away - near_m;
+        }
+        near.nearest = found.sample;
+        near.until_other = moved + found.margin;
       }
-      if (away > near_m) {
-        least = std::min(least, away);
-        near.until = moved + away - near_m;
-        return {};
+      const Vec3 way = theirs.normal(near.nearest);
+      const double depth = dot(way, theirs.point(near.nearest) - p) - allowed;
+      if (depth > 0.0) {
+        push(Touch{p, way, depth, who_.samples.bone[n], -1, {}}, near.nearest);
+        return 0.0;
       }
-      const auto [nearest, margin] = samples.nearest(p, first, end);
-      near.nearest = nearest;
-      near.until_other = moved + margin;
+      near.until = moved - trusted * depth;
+      return -trusted * depth;
+    };
+    double least = std::numeric_limits<double>::infinity();
+    for (Index head = first; head < who_.samples.first_end(a); ++head) {
+      const double away = look(head), reach = who_.samples.reach[head];
+      least = std::min(least, std::max(away - reach, 0.0));
+      if (away > reach) continue;
+      for (Index n = who_.samples.around(head, 0); n < who_.samples.around(head, 1); ++n) least = std::min(least, look(n));
     }
-    least = 0.0;
-    const Vec3 way = samples.normal(near.nearest);
-    const double depth = dot(way, samples.point(near.nearest) - p) - allowed;
-    if (depth > 0.0) return {near.nearest, way, depth};
-    near.until = moved - trusted * depth;
-    return {};
+    gap.until = moved + least;
   }
 
   void touch_other(State& state, const Search& other, std::size_t number) {
@@ -417,20 +415,17 @@ class Search {
         if (gap.until > moved) continue;
         gap.until = moved + norm(one.centre - two.centre) - one.radius - two.radius;
         if (gap.until > moved) continue;
-        gap.of_own.resize(static_cast<std::size_t>(rows(a, 1) - rows(a, 0)));
-        double least = std::numeric_limits<double>::infinity();
-        for (Index n = rows(a, 0); n < rows(a, 1) && (n < who_.samples.first_end(a) || least < who_.samples.cover[a]); ++n) {
-          const Vec3 p = state.samples.point(n);
-          auto [m, way, depth] = past(other.now_.samples, other.who_.samples, b, p, between_, moved,
-                                      gap.of_own[static_cast<std::size_t>(n - rows(a, 0))], least);
-          if (m < 0 || depth > two.radius) continue;
-          if (std::fabs(aside) > beside_m && way.y * aside < -across * std::fabs(aside)) {  // through the other's limb
-            way = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
-            depth += past_m;
-          }
-          state.touches.push_back({p, way, depth, who_.samples.bone[n], -1, {Squeeze::person, a, b, 0.0}});
-        }
-        gap.until = moved + least - who_.samples.cover[a];
+        auto nothing_left_out = [](Vec3) { return false; };
+        meet(state.samples, a, other.now_.samples, other.who_.samples, b, between_, moved, gap, nothing_left_out,
+             [&](Touch touch, Index) {
+               if (touch.depth > two.radius) return;
+               if (std::fabs(aside) > beside_m && touch.way.y * aside < -across * std::fabs(aside)) {  // through the other's limb
+                 touch.way = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
+                 touch.depth += past_m;
+               }
+               touch.what = {Squeeze::person, a, b, 0.0};
+               state.touches.push_back(touch);
+             });
       }
     }
   }
@@ -505,23 +500,27 @@ class Search {
       const bool low = q <= who_.goals.lower[k] && down > 0.0, high = q >= who_.goals.upper[k] && down < 0.0;
       held[n_root + k] = low || high || k == dof(grip, 0) || k == dof(grip, 1);
     }
+    // The upper factor, row by row downwards, and forward substitution with it: inner loops run along rows.
     double factor[n_unknown][n_unknown];
     for (int i = 0; i < n_unknown; ++i) {
-      for (int j = 0; j <= i; ++j) {
-        double sum = held[i] || held[j] ? 0.0 : square_[i][j];
-        if (i == j) sum = held[i] ? 1.0 : sum * (1.0 + damping_) + 1e-9;
-        for (int k = 0; k < j; ++k) sum -= factor[i][k] * factor[j][k];
-        factor[i][j] = i == j ? std::sqrt(std::max(sum, 1e-12)) : sum / factor[j][j];
-      }
+      change[i] = held[i] ? 0.0 : -slope_[i];
+      for (int j = i; j < n_unknown; ++j) factor[i][j] = held[i] || held[j] ? 0.0 : square_[j][i];
+      factor[i][i] = held[i] ? 1.0 : factor[i][i] * (1.0 + damping_) + 1e-9;
     }
-    for (int i = 0; i < n_unknown; ++i) {
-      double sum = held[i] ? 0.0 : -slope_[i];
-      for (int k = 0; k < i; ++k) sum -= factor[i][k] * change[k];
-      change[i] = sum / factor[i][i];
+    for (int k = 0; k < n_unknown; ++k) {
+      const double root = std::sqrt(std::max(factor[k][k], 1e-12));
+      for (int j = k; j < n_unknown; ++j) factor[k][j] /= root;
+      change[k] /= root;
+      for (int i = k + 1; i < n_unknown; ++i) {
+        const double share = factor[k][i];
+        if (share == 0.0) continue;
+        for (int j = i; j < n_unknown; ++j) factor[i][j] -= share * factor[k][j];
+        change[i] -= share * change[k];
+      }
     }
     for (int i = n_unknown - 1; i >= 0; --i) {
       double sum = change[i];
-      for (int k = i + 1; k < n_unknown; ++k) sum -= factor[k][i] * change[k];
+      for (int k = i + 1; k < n_unknown; ++k) sum -= factor[i][k] * change[k];
       change[i] = sum / factor[i][i];
     }
   }

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 # Points of each solid: the median way to the next one is 24 to 28 mm on hands, forearms and feet, up to 54 mm elsewhere.
 _COUNTS = {"torso": 192, "head": 40, "upper_arm": 64, "forearm": 64, "hand": 40, "thigh": 96, "shin": 56, "foot": 72}
+_BENDING = 1.2  # by which samples may move apart from those at rest
 _MAIN_OF_HELPER = {
     "scapula": "clavicle", "shoulder_half": "upperarm", "upperarm_twist": "upperarm", "elbow_half": "forearm",
     "forearm_near": "forearm", "forearm_far": "forearm", "wrist_half": "hand", "hip_half": "thigh", "thigh_twist": "thigh",
@@ -31,8 +32,8 @@ class Samples(NamedTuple):
     """Points of a person's skin for the solver, S solids in the order of `SOLIDS`.
 
     rest, normal: (N, 3) of the mesh at rest, m, outward · skin_index, skin_weight: (N, K) · bone: (N,) the main bone that moves a
-    point most · rows: (S, 2) first and last-but-one of each solid, whose
-    first quarter lies all over it: no sample is farther than `cover` (S,) m from one of these.
+    point most · rows: (S, 2) first and last-but-one of each solid, whose first quarter lies all over it · around, reach: (N, 2)
+    and (N,) m, of these: from and before which sample the others are nearest to it, and how far the farthest is.
     """
 
     rest: Array
@@ -41,7 +42,8 @@ class Samples(NamedTuple):
     skin_weight: NDArray[np.float32]
     bone: NDArray[np.int32]
     rows: NDArray[np.int64]
-    cover: Array
+    around: NDArray[np.int64]
+    reach: Array
 
 
 def _main_bone(bone: int) -> int:
@@ -62,36 +64,49 @@ def spread(points: Array, count: int) -> NDArray[np.int64]:
     return np.array(chosen)
 
 
+class _Chosen(NamedTuple):
+    """What is the same for everybody: vertices (N,), and bone, rows and around of `Samples`."""
+
+    vertices: NDArray[np.int64]
+    bone: NDArray[np.int32]
+    rows: NDArray[np.int64]
+    around: NDArray[np.int64]
+
+
 @cache
-def _vertices() -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
-    """Vertices (N,), the main bone of each, and the rows of each solid; the same for everybody."""
+def _chosen() -> _Chosen:
     rest, segment, space = load_chart().rest, vertex_segments(), load_shape_space()
-    chosen = []
+    chosen, around, total = [], [], 0
     for solid in SOLIDS:
         own = np.flatnonzero(np.isin(segment, [i for i, name in enumerate(SEGMENTS) if SOLID_OF_SEGMENT[name] == solid]))
         count = _COUNTS.get(solid) or _COUNTS[solid[1:]]
-        chosen.append(own[spread(rest[own], count)])
+        mine = own[spread(rest[own], count)]
+        heads = (count + 3) // 4
+        others = mine[heads:]
+        of = ((rest[others][:, None] - rest[mine[:heads]]) ** 2).sum(axis=2).argmin(axis=1)
+        chosen.append(np.concatenate((mine[:heads], others[np.argsort(of, kind="stable")])))
+        ends = total + heads + np.cumsum(np.bincount(of, minlength=heads))
+        rows = np.full((count, 2), total, np.int64)  # nothing is around the others
+        rows[:heads] = np.stack((ends - np.bincount(of, minlength=heads), ends), axis=1)
+        around.append(rows)
+        total += count
     vertices, ends = np.concatenate(chosen), np.cumsum([len(rows) for rows in chosen])
     bone = np.array([_main_bone(int(b)) for b in space.bone_index[vertices, 0]], np.int32)
-    return vertices, bone, np.stack((np.concatenate(([0], ends[:-1])), ends), axis=1)
-
-
-def _cover(points: Array) -> float:
-    """How far the points (N, 3) are from the nearest of their first quarter, at most, with a reserve for bending."""
-    first = points[: (len(points) + 3) // 4]
-    return 1.2 * float(np.sqrt(((points[:, None] - first) ** 2).sum(axis=2).min(axis=1).max()))
+    return _Chosen(vertices, bone, np.stack((np.concatenate(([0], ends[:-1])), ends), axis=1), np.concatenate(around))
 
 
 @kept_with_person
 def samples_of(person: Person) -> Samples:
     """The samples of a person."""
-    vertices, bone, rows = _vertices()
-    space = load_shape_space()
+    chosen, space = _chosen(), load_shape_space()
     normals = np.empty_like(person.rest_skin)
     native.vertex_normals(person.rest_skin, person.skin_faces, normals)
-    rest = person.rest_skin[vertices].astype(np.float64)
+    rest = person.rest_skin[chosen.vertices].astype(np.float64)
+    reach = np.zeros(len(rest))
+    for head in np.flatnonzero(chosen.around[:, 1] > chosen.around[:, 0]):
+        first, end = chosen.around[head]
+        reach[head] = _BENDING * np.linalg.norm(rest[first:end] - rest[head], axis=1).max()
     return Samples(
-        rest, normals[vertices].astype(np.float64), space.bone_index[vertices],
-        space.bone_weight[vertices], bone, rows,
-        np.array([_cover(rest[first:end]) for first, end in rows]),
+        rest, normals[chosen.vertices].astype(np.float64), space.bone_index[chosen.vertices],
+        space.bone_weight[chosen.vertices], chosen.bone, chosen.rows, chosen.around, reach,
     )  # fmt: skip
