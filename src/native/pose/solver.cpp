@@ -23,6 +23,7 @@ constexpr double hardly[] = {3e-2, 3e-2, 1e-2, 1e-2};    // and so does, twice, 
 constexpr double flat = 0.2;                             // a field that grows less steeply tells no way out
 constexpr double beside_m = 0.2, sideways = 0.6;  // walls are farther from a seat's middle, and the way out of them is sideways
 constexpr double upwards = 0.7;                   // of a way out that leads off the ground
+constexpr double roof_m = 0.45, floor_m = 0.15;   // roofs are farther above a pelvis, floors farther below
 constexpr double deep_m = 0.05;                   // in a thing of one side
 constexpr double across = 0.2;                    // of a way out that leads through: sideways at least so much
 constexpr double past_m = 0.04;                   // more than a depth says that was measured from the wrong side
@@ -297,9 +298,13 @@ class Search {
     const double clear = clearance_at(group.field, group.group_from_vehicle, p, beside - leave, gradient);
     const double depth = -leave - clear + (gradient.z < upwards * norm(gradient) ? beside : 0.0);
     if (depth <= 0.0) return -depth;
-    const double aside = who_.middle - p.y;
-    if (group.walls && std::fabs(aside) > beside_m && gradient.y * aside < -sideways * norm(gradient) * std::fabs(aside)) {
-      only = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
+    if (group.walls) {
+      // Past the middle of a thin wall, roof or floor the nearest way out leads away from the person.
+      const double aside = who_.middle - p.y, over = p.z - state.root.position.z, steep = sideways * norm(gradient);
+      if (std::fabs(aside) > beside_m && gradient.y * aside < -steep * std::fabs(aside))
+        only = {0.0, aside > 0.0 ? 1.0 : -1.0, 0.0};
+      if (over > roof_m && gradient.z > steep) only = {0.0, 0.0, -1.0};
+      if (over < -floor_m && gradient.z < -steep) only = {0.0, 0.0, 1.0};
     }
     const double slope = norm(gradient);
     if (dot(only, only) > 0.0 && ((slope < flat && depth > deep_m) || dot(gradient, only) < 0.0)) {  // past the middle
