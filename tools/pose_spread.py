@@ -34,6 +34,7 @@ from cabinpose.scene.body import DOFS, SEGMENTS, Person, PosedBody
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.config import SynthConfig, frame_rng
 from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.validate import by_cause
 
 SEATS = ("driver", "front_passenger", "rear_left", "rear_right", "rear_center")  # the order in which --occupants fills a car
 QUANTILES = (1, 5, 25, 50, 75, 95, 99)  # %
@@ -42,7 +43,7 @@ HANDS, FEET = ("lhand", "rhand"), ("lfoot", "rfoot")
 LIMIT = 0.002  # rad (`hand.grip`: share) from the end of its range of motion an axis counts as at its limit
 _TOUCH_M = {"wheel": 0.03, "thigh": 0.05, "trunk": 0.05, "head": 0.06}  # from a palm's frame, which is 15 mm off its skin
 _BODY = {"thigh": ("lthigh", "rthigh"), "trunk": ("pelvis", "abdomen", "thorax"), "head": ("head", "neck")}
-_APART = 17  # frames of a block share their cars and people: far apart, they meet all of them
+_APART = 17  # frames near each other share people: far apart, they meet all of them
 
 
 def joint_axes(posed: PosedBody) -> dict[str, float]:
@@ -108,7 +109,7 @@ class Spread:
         for group in ("all", f"{people} people"):
             self._scenes[group].append((cpu_ms, people, scene.proposals))
         self._counts["scenes"]["cars"][scene.place] += 1
-        self._counts["scenes"]["rejections"].update(scene.rejections)
+        self._counts["scenes"]["rejections"].update(by_cause(scene.rejections))
         for p in scene.people:
             role = "driver" if p.slot == "driver" and wheel is not None else "passenger"
             row = joint_axes(p.posed) | geometry(p.posed, scene.cabin.seats[p.slot].facing_yaw)

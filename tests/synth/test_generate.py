@@ -130,7 +130,8 @@ def test_a_scene_that_cannot_be_ends_with_its_cause(tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         generate(config, PART, tmp_path / "impossible", workers=1)
     assert re.match(r"frame \d: none of 8 poses", str(caught.value))
-    assert "self" in str(caught.value)
+    assert "driver: lupper_arm in torso" in str(caught.value)
+    assert "Tried: hatchback (S0" in str(caught.value)
     assert not list((tmp_path / "impossible").glob("part-*"))
 
 

@@ -13,6 +13,7 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.store import Manifest, PartPlan
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.validate import Rejection
 from cabinpose.synth.write import FrameReport, make_frames
 
 
@@ -45,7 +46,7 @@ def make_parts(
 def _make_part(plan: PartPlan, *, folder: Path, config: SynthConfig, manifest: Manifest) -> FrameReport:
     """What a worker does with one part."""
     frames, proposals = 0, 0
-    rejections: Counter[str] = Counter()
+    rejections: Counter[Rejection] = Counter()
     seconds: defaultdict[str, float] = defaultdict(float)
     sampler = _sampler(config.model_dump_json(), manifest.seed)
     for report in make_frames(folder, [plan], config, manifest, threads=1, sampler=sampler):

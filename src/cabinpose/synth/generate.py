@@ -21,24 +21,26 @@ from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
+from cabinpose.synth.validate import Rejection, by_cause
 from cabinpose.synth.write import FrameReport, make_frames
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is: frames on disk, and the poses proposed and rejected (by cause) in this run."""
+    """How far a run is: frames on disk, and the poses proposed and rejected in this run."""
 
     frames_done: int
     frames_total: int
     proposals: int
-    rejections: Mapping[str, int]
+    rejections: Mapping[Rejection, int]
 
 
 @dataclass(frozen=True)
 class GenerationReport:
     """What a run made. `frames` were made by this run, `frames_total` are in the dataset.
 
-    acceptance: accepted / proposed poses of people · stages_ms: mean milliseconds of CPU time a frame, by stage.
+    rejections: by cause · acceptance: accepted / proposed poses of people ·
+    stages_ms: mean milliseconds of CPU time a frame, by stage.
     """
 
     out: str
@@ -132,7 +134,7 @@ class _Total:
 
     def __init__(self) -> None:
         self.frames = self.proposals = 0
-        self.rejections: Counter[str] = Counter()
+        self.rejections: Counter[Rejection] = Counter()
         self.stage_seconds: Counter[str] = Counter()
 
     def add(self, report: FrameReport) -> None:
@@ -151,7 +153,7 @@ def _summary(out: Path, total: _Total, before: int, seconds: float) -> Generatio
         seconds=seconds,
         frames_per_s=total.frames / seconds,
         proposals=total.proposals,
-        rejections=dict(total.rejections),
+        rejections=by_cause(total.rejections),
         acceptance=1.0 - rejected / total.proposals if total.proposals else 1.0,
         stages_ms={name: 1000 * s / total.frames for name, s in total.stage_seconds.items()} if total.frames else {},
     )

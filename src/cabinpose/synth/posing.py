@@ -15,7 +15,7 @@ from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.synth.posture.company import beside_each_other, close_seats, half_breadth
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, settled
-from cabinpose.synth.validate import Seated, Validator
+from cabinpose.synth.validate import Rejection, Seated, Validator
 
 Draw = Callable[[str], Drawn]
 
@@ -58,7 +58,7 @@ def pose_people(
     draw: Draw,
     *,
     poses_per_person: int,
-    causes: Counter[str],
+    causes: Counter[Rejection],
 ) -> tuple[Posed | None, int]:
     """Seat everybody, or None; and the number of poses that were drawn for it. Rejections are counted in `causes`, in place.
 
@@ -85,18 +85,18 @@ def pose_people(
             wanted, after = [], before
             for slot, pose in zip(row, found, strict=True):
                 if pose.refused:
-                    causes["reach"] += 1
+                    causes[Rejection("reach", slot, pose.refused, pose.held_up_by)] += 1
                     wanted.append(slot)
                     continue
                 posed = people[slot].pose(pose.q, pose.vehicle_from_root)
                 verdict, after = validator.admit(after, (slot, people[slot], posed))
-                if verdict.ok:
+                if verdict.rejection is None:
                     poses[slot] = (pose, posed)
                     continue
-                causes[f"{verdict.cause}: {verdict.detail}"] += 1
+                causes[verdict.rejection] += 1
                 # Of two who do not fit the one who was drawn less often is drawn anew.
-                other = verdict.other if verdict.other in row and tries[verdict.other] < tries[slot] else slot
-                wanted.append(other)
+                met = verdict.rejection.other
+                wanted.append(met if met in row and tries[met] < tries[slot] else slot)
             wanted = list(dict.fromkeys(wanted))
         seated, sitting = after, sitting | drawn
     return Posed({slot: poses[slot] for slot in people}, seated), draws

@@ -35,7 +35,7 @@ from cabinpose.synth.posture.company import company_of
 from cabinpose.synth.posture.sampling import Drawn, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.standing import sample_standing
-from cabinpose.synth.validate import Seated, Validator
+from cabinpose.synth.validate import Rejection, Seated, Validator, most_common
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
@@ -74,7 +74,7 @@ class Scene:
 
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
     cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
-    proposals, rejections: how many poses were tried for it and why they failed (causes self, person, car, reach, camera).
+    proposals, rejections: how many poses were tried for it and why they failed.
     """
 
     backdrop: Surface
@@ -86,7 +86,7 @@ class Scene:
     settings: Mapping[str, SeatSetting] = field(default_factory=dict)
     wheel_angle: float = 0.0
     proposals: int = 0
-    rejections: Mapping[str, int] = field(default_factory=dict)
+    rejections: Mapping[Rejection, int] = field(default_factory=dict)
 
     @property
     def closed(self) -> bool:
@@ -99,16 +99,20 @@ class Scene:
 
 
 class ImpossibleSceneError(SceneError):
-    """No valid scene was found for a frame. proposals, rejections: poses tried, and why they failed."""
+    """No valid scene was found for a frame.
 
-    def __init__(self, index: int, proposals: int, causes: Counter[str]) -> None:
-        common = "; ".join(f"{cause} ({count})" for cause, count in causes.most_common(4))
+    proposals, rejections: poses tried, and why they failed · tried: the scenes, in words.
+    """
+
+    def __init__(self, index: int, proposals: int, rejections: Counter[Rejection], tried: Sequence[str]) -> None:
+        scenes = Counter(tried).most_common()
+        among = "; ".join(scene for scene, _ in scenes[:3]) + (f" and {len(scenes) - 3} more" if len(scenes) > 3 else "")
         super().__init__(
-            f"frame {index}: none of {proposals} poses made a valid scene: {common}",
+            f"frame {index}: none of {proposals} poses made a valid scene: {most_common(rejections, 4)}. Tried: {among}",
             hint="narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
         )
         self.proposals = proposals
-        self.rejections = _by_cause(causes)
+        self.rejections = rejections
 
     def __reduce__(self) -> tuple[Any, ...]:  # across process borders, where the other arguments are not needed
         return SceneError, (str(self),), {"hint": self.hint}
@@ -131,17 +135,18 @@ class SceneSampler:
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
         """The scene of frame `index`. Raises SceneError where none is found within the configured limits."""
         scene = self._config.scene
-        causes: Counter[str] = Counter()
+        causes: Counter[Rejection] = Counter()
+        tried: list[str] = []
         proposals = 0
         for _ in range(self._config.limits.scenes_per_frame):
             if isinstance(scene, CabinScene):
-                found, tried = self._seated(scene, index, causes, rng)
+                found, draws = self._seated(scene, index, causes, tried, rng)
             else:
-                found, tried = self._standing(scene, index, causes, rng)
-            proposals += tried
+                found, draws = self._standing(scene, index, causes, tried, rng)
+            proposals += draws
             if found is not None:
-                return replace(found, proposals=proposals, rejections=_by_cause(causes))
-        raise ImpossibleSceneError(index, proposals, causes)
+                return replace(found, proposals=proposals, rejections=causes)
+        raise ImpossibleSceneError(index, proposals, causes, tried)
 
     def _make_person(self, subject: str) -> Person:
         if subject in SUBJECTS:
@@ -157,7 +162,9 @@ class SceneSampler:
     def _make_room(self, number: int) -> Room:
         return furnish_room(rng=room_rng(self._seed, number))
 
-    def _seated(self, scene: CabinScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
+    def _seated(
+        self, scene: CabinScene, index: int, causes: Counter[Rejection], tried: list[str], rng: np.random.Generator
+    ) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
         car, drive_side = self._plan.car(index, rng=rng)
         cabin, validator = self._cabin(car, drive_side)
@@ -165,6 +172,7 @@ class SceneSampler:
         names = self._plan.people(index, len(taken), rng=rng)
         by_slot = slimmest_in_the_middle(dict(zip(taken, names, strict=True)), cabin, self._person)
         people = {slot: self._person(name) for slot, name in by_slot.items()}
+        tried.append(f"{place_name(car)} ({', '.join(f'{name} as {slot}' for slot, name in by_slot.items())})")
         settings = {
             slot: choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
             if slot in people
@@ -189,7 +197,7 @@ class SceneSampler:
             if not _blocked(camera[:3, 3], people_in, seated):
                 break
         else:
-            causes["camera"] += len(people_in)
+            causes[Rejection("camera")] += len(people_in)
             return None, draws
         dressed = tuple(self._dressed(p, scene, cabin, settings, rng) for p in people_in)
         backdrop = cabin.surface(settings, wheel_angle=seated.wheel_angle)
@@ -240,12 +248,15 @@ class SceneSampler:
         belt = belt_surface(clothed.vertices, clothed.faces, person.posed.joints, seat, settings[person.slot], cabin)
         return replace(person, surfaces=(clothed, belt))
 
-    def _standing(self, scene: RoomScene, index: int, causes: Counter[str], rng: np.random.Generator) -> tuple[Scene | None, int]:
+    def _standing(
+        self, scene: RoomScene, index: int, causes: Counter[Rejection], tried: list[str], rng: np.random.Generator
+    ) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a person in a room, or None, and the number of poses it took."""
         number = self._plan.room(rng=rng)
         room = self._room(number)
         (subject,) = self._plan.people(index, 1, rng=rng)
         person = self._person(subject)
+        tried.append(f"room {number} ({subject})")
         camera = place_room_camera(rng=rng)
         spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))
         heading = (
@@ -256,19 +267,11 @@ class SceneSampler:
             world_from_root = transform(axis_rotation("z", heading), spot) @ pose.floor_from_root
             posed = person.pose(pose.q, world_from_root)
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
-            if verdict.ok:
+            if verdict.rejection is None:
                 somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed, (posed.surface(1),))
                 return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", "room"), proposals
-            causes[f"{verdict.cause}: {verdict.detail}"] += 1
+            causes[verdict.rejection] += 1
         return None, self._config.limits.poses_per_person
-
-
-def _by_cause(causes: Counter[str]) -> dict[str, int]:
-    """Rejections by cause alone, without the detail."""
-    totals: Counter[str] = Counter()
-    for cause, count in causes.items():
-        totals[cause.partition(":")[0]] += count
-    return dict(sorted(totals.items()))
 
 
 def judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:

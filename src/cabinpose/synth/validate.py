@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from time import perf_counter
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -45,8 +44,7 @@ _AXES = tuple(
 )
 _AXIS_ENDS = np.array([(INDEX[start], INDEX[end]) for _, start, end, _ in _AXES])
 _AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
-STAGES = ("solids", "self", "person", "car")
-Cause = Literal["self", "person", "car"]
+Cause = Literal["self", "person", "car", "reach", "camera"]
 
 
 class Skinned(Protocol):
@@ -78,20 +76,59 @@ class _Body(NamedTuple):
     joints: NDArray[np.float64]
 
 
-class Verdict(NamedTuple):
-    """Whether a scene holds; else why not.
+class Rejection(NamedTuple):
+    """Why a pose was refused, as codes; `str` gives it in words.
 
-    cause: which test failed · detail: who and what, such as "driver: lhand in steering_wheel" · depth_m: of the point
-    found, below the surface it went through · where: (3,) m, vehicle frame · slot: the occupant · other: the one he met.
+    cause: a body with itself, with another person or with the car; a hand or foot that misses its place ("reach"); somebody
+    before the lens ("camera") · slot: the occupant, other: the one who was met · what: the solid or task, into: the solid or part
+    that was in its way, "" where none was · bone: whether it is the limb's bone, to which foam does not give way.
     """
 
-    ok: bool
-    cause: Cause | None = None
-    detail: str = ""
+    cause: Cause
+    slot: str = ""
+    what: str = ""
+    into: str = ""
+    other: str = ""
+    bone: bool = False
+
+    def __str__(self) -> str:
+        if self.cause == "camera":
+            return "somebody is right before the camera"
+        if self.cause == "reach":
+            return f"{self.slot}: {self.what} misses its place" + (f", held up by {self.into}" if self.into else "")
+        who = f"{self.slot}, {self.other}" if self.other else self.slot
+        return f"{who}: {self.what} {'through' if self.bone else 'in'} {self.into}"
+
+
+def by_cause(rejections: Mapping[Rejection, int]) -> dict[str, int]:
+    """Rejections summed up by their causes, in order of name."""
+    totals: Counter[str] = Counter()
+    for rejection, count in rejections.items():
+        totals[rejection.cause] += count
+    return dict(sorted(totals.items()))
+
+
+def most_common(rejections: Mapping[Rejection, int], count: int) -> str:
+    """The most frequent rejections in words, with how often each occurred."""
+    return "; ".join(f"{rejection} ({n})" for rejection, n in Counter(rejections).most_common(count))
+
+
+class Verdict(NamedTuple):
+    """Whether a scene holds; else why not: depth_m of the point found, below the surface it went through, where (3,) m."""
+
+    rejection: Rejection | None = None
     depth_m: float = 0.0
     where: NDArray[np.float64] | None = None
-    slot: str = ""
-    other: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found."""
+        return self.rejection is None
+
+    @property
+    def cause(self) -> Cause | None:
+        """Which test failed."""
+        return None if self.rejection is None else self.rejection.cause
 
 
 @dataclass(frozen=True)
@@ -107,59 +144,24 @@ class Seated:
     bodies: tuple[_Body, ...] = ()
 
 
-@dataclass
-class Tally:
-    """What a validator has done so far: scenes judged, occupants tested, rejections by cause and detail, seconds by test.
-
-    A scene that is built up by `Validator.admit` counts once for each person who is to be admitted, who alone is tested.
-    """
-
-    scenes: int = 0
-    occupants: int = 0
-    accepted: int = 0
-    rejected: Counter[str] = field(default_factory=Counter)
-    details: Counter[str] = field(default_factory=Counter)
-    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
-
-    def add(self, other: Tally) -> None:
-        """Adds what another validator has done."""
-        self.scenes += other.scenes
-        self.occupants += other.occupants
-        self.accepted += other.accepted
-        self.rejected.update(other.rejected)
-        self.details.update(other.details)
-        for stage, spent in other.seconds.items():
-            self.seconds[stage] += spent
-
-
 # People share the faces of their model: one cut serves them all, in every cabin. Known by the array itself, which is kept.
 _TOPOLOGIES: dict[int, tuple[NDArray[np.int32], SolidTopology]] = {}
 
 
 class Validator:
-    """Judges scenes in one cabin (or room). Holds the cabin's fields and the tally of what it judged."""
+    """Judges scenes in one cabin (or room), whose fields it holds."""
 
     def __init__(self, cabin: ContactScene | None, contact: ContactField | None = None) -> None:
         """Builds the cabin's fields, or takes those given; without a cabin only the bodies are tested."""
         self.contact = contact if contact is not None or cabin is None else ContactField(cabin)
-        self.tally = Tally()
 
-    def check(
-        self,
-        occupants: Sequence[Occupant],
-        settings: Mapping[str, Any],
-        wheel_angle: float = 0.0,
-    ) -> Verdict:
+    def check(self, occupants: Sequence[Occupant], settings: Mapping[str, Any], wheel_angle: float = 0.0) -> Verdict:
         """The verdict on occupants (slot, person, posed body) with these seat settings and wheel angle (rad)."""
-        clock = perf_counter()
         bodies = [self._body(occupant) for occupant in occupants]
-        self._lap("solids", clock)
-        verdict = self._among(bodies, 0)
+        verdict = _among(bodies, 0)
         if verdict is None and self.contact is not None and bodies:
-            clock = perf_counter()
-            verdict = self._in_car(self.contact.at(settings, wheel_angle), bodies)
-            self._lap("car", clock)
-        return self._count(verdict or Verdict(True), len(bodies))
+            verdict = _in_car(self.contact.at(settings, wheel_angle), bodies)
+        return verdict or Verdict()
 
     def empty(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> Seated:
         """The cabin so set (wheel angle in rad) with nobody in it yet."""
@@ -178,76 +180,17 @@ class Validator:
 
         Only what the newcomer changes is tested: himself, he and the others, he in the car.
         """
-        clock = perf_counter()
-        new = self._body(occupant)
-        self._lap("solids", clock)
-        bodies = (*seated.bodies, new)
-        verdict = self._among(bodies, len(bodies) - 1)
+        bodies = (*seated.bodies, self._body(occupant))
+        verdict = _among(bodies, len(bodies) - 1)
         if verdict is None and seated.placed is not None:
-            clock = perf_counter()
-            verdict = self._in_car(seated.placed, (new,))
-            self._lap("car", clock)
+            verdict = _in_car(seated.placed, bodies[-1:])
         if verdict is not None:
-            return self._count(verdict, 1), seated
-        return self._count(Verdict(True), 1), Seated(seated.settings, seated.wheel_angle, seated.placed, bodies)
-
-    def _count(self, verdict: Verdict, occupants: int) -> Verdict:
-        self.tally.scenes += 1
-        self.tally.occupants += occupants
-        if verdict.ok:
-            self.tally.accepted += 1
-        else:
-            self.tally.rejected[str(verdict.cause)] += 1
-            self.tally.details[f"{verdict.cause}: {verdict.detail.partition(': ')[2]}"] += 1
-        return verdict
+            return verdict, seated
+        return Verdict(), Seated(seated.settings, seated.wheel_angle, seated.placed, bodies)
 
     def _body(self, occupant: Occupant) -> _Body:
         slot, person, posed = occupant
         return _Body(slot, PosedSolids.of(self._topology(person, posed), posed.skin), posed.joints)
-
-    def _among(self, bodies: Sequence[_Body], first: int) -> Verdict | None:
-        """Why the bodies from number `first` on do not hold by themselves, or with those before them; None where they do."""
-        clock = perf_counter()
-        for slot, body, joints in bodies[first:]:
-            found = self_contact(body, joints)
-            if found is not None:
-                pair, contact = found
-                self._lap("self", clock)
-                return Verdict(False, "self", f"{slot}: {pair.two} in {pair.one}", contact.depth_m, contact.where, slot)
-        clock = self._lap("self", clock)
-        for i in range(first, len(bodies)):
-            slot, body, _ = bodies[i]
-            for other_slot, other, _ in bodies[:i]:
-                crossing = person_contact(body, other)
-                if crossing is not None:
-                    which, contact = crossing
-                    self._lap("person", clock)
-                    detail = f"{slot}, {other_slot}: {which} in {contact.solid}"
-                    return Verdict(False, "person", detail, contact.depth_m, contact.where, slot, other_slot)
-        self._lap("person", clock)
-        return None
-
-    def _in_car(self, placed: PlacedField, bodies: Sequence[_Body]) -> Verdict | None:
-        return next((v for body in bodies if (v := self._against_car(placed, body)) is not None), None)
-
-    def _against_car(self, placed: PlacedField, somebody: _Body) -> Verdict | None:
-        slot, body, joints = somebody
-        points, vertex = body.skin_points()
-        touched = placed.deepest(points, FLESH_M)
-        if touched is not None:
-            solid = body.solid_of(vertex[touched.point])
-            return Verdict(False, "car", f"{slot}: {solid} in {touched.part}", touched.depth_m, touched.where, slot)
-        probed = placed.deepest_probe(body, FLESH_M)
-        if probed is not None:
-            part, contact = probed
-            return Verdict(False, "car", f"{slot}: {contact.solid} in {part}", contact.depth_m, contact.where, slot)
-        # Foam gives way to the flesh of a limb, not to its bone.
-        axis, limb = native.limb_axes(joints, _AXIS_ENDS, _AXIS_SKIPPED, AXIS_STEP_M)
-        pierced = placed.deepest(axis, FLESH_M, give=False)
-        if pierced is not None:
-            detail = f"{slot}: {_AXES[limb[pierced.point]][0]} through {pierced.part}"
-            return Verdict(False, "car", detail, pierced.depth_m, pierced.where, slot)
-        return None
 
     def _topology(self, person: Skinned, posed: Posed) -> SolidTopology:
         known = _TOPOLOGIES.get(id(person.skin_faces))
@@ -256,7 +199,43 @@ class Validator:
             known = _TOPOLOGIES[id(person.skin_faces)] = (person.skin_faces, topology)
         return known[1]
 
-    def _lap(self, stage: str, since: float) -> float:
-        now = perf_counter()
-        self.tally.seconds[stage] += now - since
-        return now
+
+def _among(bodies: Sequence[_Body], first: int) -> Verdict | None:
+    """Why the bodies from number `first` on do not hold by themselves, or with those before them; None where they do."""
+    for slot, body, joints in bodies[first:]:
+        found = self_contact(body, joints)
+        if found is not None:
+            pair, contact = found
+            return Verdict(Rejection("self", slot, pair.two, pair.one), contact.depth_m, contact.where)
+    for i in range(first, len(bodies)):
+        slot, body, _ = bodies[i]
+        for other_slot, other, _ in bodies[:i]:
+            crossing = person_contact(body, other)
+            if crossing is not None:
+                which, contact = crossing
+                return Verdict(Rejection("person", slot, which, contact.solid, other_slot), contact.depth_m, contact.where)
+    return None
+
+
+def _in_car(placed: PlacedField, bodies: Sequence[_Body]) -> Verdict | None:
+    return next((v for body in bodies if (v := _against_car(placed, body)) is not None), None)
+
+
+def _against_car(placed: PlacedField, somebody: _Body) -> Verdict | None:
+    slot, body, joints = somebody
+    points, vertex = body.skin_points()
+    touched = placed.deepest(points, FLESH_M)
+    if touched is not None:
+        solid = body.solid_of(vertex[touched.point])
+        return Verdict(Rejection("car", slot, solid, touched.part), touched.depth_m, touched.where)
+    probed = placed.deepest_probe(body, FLESH_M)
+    if probed is not None:
+        part, contact = probed
+        return Verdict(Rejection("car", slot, contact.solid, part), contact.depth_m, contact.where)
+    # Foam gives way to the flesh of a limb, not to its bone.
+    axis, limb = native.limb_axes(joints, _AXIS_ENDS, _AXIS_SKIPPED, AXIS_STEP_M)
+    pierced = placed.deepest(axis, FLESH_M, give=False)
+    if pierced is not None:
+        rejection = Rejection("car", slot, _AXES[limb[pierced.point]][0], pierced.part, bone=True)
+        return Verdict(rejection, pierced.depth_m, pierced.where)
+    return None

@@ -27,6 +27,7 @@ from cabinpose.synth.config import SynthConfig, frame_rng
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
+from cabinpose.synth.validate import Rejection, by_cause
 
 Frame = dict[str, Any]
 _AHEAD = 3  # frames that a thread may be ahead of what is written
@@ -123,7 +124,7 @@ class FrameReport:
 
     frames: int
     proposals: int
-    rejections: Mapping[str, int]
+    rejections: Mapping[Rejection, int]
     stage_seconds: Mapping[str, float]
 
 
@@ -169,7 +170,7 @@ def make_frames(
     with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads)) as results:
         for plan in plans:
             with PartWriter(folder, plan, manifest) as part:
-                proposals, rejections = 0, Counter[str]()
+                proposals, rejections = 0, Counter[Rejection]()
                 for made in islice(results, plan.frames):
                     if made.frame is None:
                         part.skip()
@@ -180,7 +181,7 @@ def make_frames(
                     if part.missing:
                         yield made.report
                 part.attrs["proposals"] = proposals
-                part.attrs["rejections"] = dict(sorted(rejections.items()))
+                part.attrs["rejections"] = by_cause(rejections)
             _give_memory_back()
             yield made.report  # of the last frame, once its part is whole
 

@@ -12,6 +12,9 @@ from cabinpose.store import read_manifest
 from cabinpose.store.schema import MANIFEST_NAME
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import Progress, generate
+from cabinpose.synth.validate import most_common
+
+_FEW_POSES, _HARDLY_ANY = 100, 0.05  # from so many poses on it is told why so few of them hold
 
 
 def run(command: Synth) -> None:
@@ -23,10 +26,16 @@ def run(command: Synth) -> None:
         )
     config = SynthConfig.load(command.config)
     with progress(command.frames, "frames", start=_frames_there(command)) as report:
+        told = _FEW_POSES
 
         def show(state: Progress) -> None:
-            rejected = sum(state.rejections.values())
-            report(state.frames_done, f"{state.proposals - rejected} poses accepted, {rejected} rejected")
+            nonlocal told
+            accepted = state.proposals - sum(state.rejections.values())
+            report(state.frames_done, f"{accepted} poses accepted, {state.proposals - accepted} rejected")
+            if state.proposals >= told and accepted < _HARDLY_ANY * state.proposals:
+                told = 4 * state.proposals
+                share = 100.0 * accepted / state.proposals
+                print(f"only {share:.1f} % of the poses hold: {most_common(state.rejections, 3)}", file=sys.stderr)
 
         result = generate(
             config,

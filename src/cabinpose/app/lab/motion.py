@@ -303,7 +303,7 @@ def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
     posed = stage.person.pose(pose.q, pose.vehicle_from_root)
     verdict = stage.validator.check([(SLOT, stage.person, posed)], stage.settings, wheel)
     if not verdict.ok:
-        raise SceneError(f"{action}: {verdict.detail}", hint="draw again")
+        raise SceneError(f"{action}: {verdict.rejection}", hint="draw again")
     return Key((pose.q, pose.vehicle_from_root, wheel))
 
 

@@ -63,7 +63,8 @@ class OccupantPose:
 
     q: (D,) rad within the limits · vehicle_from_root: (4, 4) · action: its name, or the profile's kind · wheel_angle:
     rad, + left, None where there is no wheel before the seat · residuals_m: by how much feet and hands miss their places, and
-    how far the femur heads' middle is from the H-point · refused: which of them is too far from its place, "" where none is.
+    how far the femur heads' middle is from the H-point · refused: which of them is too far from its place, "" where none is ·
+    held_up_by: what was most in the way then, "" where nothing was.
     """
 
     q: Array
@@ -72,6 +73,7 @@ class OccupantPose:
     wheel_angle: float | None
     residuals_m: Mapping[str, float]
     refused: str = ""
+    held_up_by: str = ""
 
 
 class _Hand(NamedTuple):
@@ -229,8 +231,8 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
         missed = dict(zip(TASKS, found.missed[:, 0].tolist(), strict=True))
         missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - d.h_point))
         late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
-        refused = f"{TASKS[late[0]]} misses its place by {1e3 * found.missed[late[0], 0]:.0f} mm" if len(late) else ""
-        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused))
+        refused, held_up_by = (TASKS[late[0]], found.into) if len(late) else ("", "")
+        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by))
     return result
 
 
@@ -263,7 +265,8 @@ def sample_pose(
     (pose,) = settled([drawn], placed=None if car is None else car(drawn.wheel_angle or 0.0))
     if pose.refused:
         raise SceneError(
-            f"{pose.refused}: a person of {person.stature_m:.2f} m, '{action}' in the {seat.slot} seat of the {cabin.name}",
+            f"{pose.refused} misses its place by {1e3 * pose.residuals_m[pose.refused]:.0f} mm:"
+            f" a person of {person.stature_m:.2f} m, '{action}' in the {seat.slot} seat of the {cabin.name}",
             hint="choose another action, a taller person or a seat setting further forward",
         )
     return pose
