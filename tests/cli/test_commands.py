@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+import yaml
 
 from cabinpose.app.cli import output
 from cabinpose.store import open_dataset
@@ -301,3 +302,28 @@ def test_version_and_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch, datase
 
     monkeypatch.setattr(summary, "summarise", interrupt)
     assert run("info", dataset_folder) == (130, "", "interrupted\n")
+
+
+def test_synth_says_why_hardly_any_pose_holds(run: Run, tmp_path: Path) -> None:
+    """An upper arm that goes down through the chest, at every turn of it: no frame is found, and all are left out."""
+    axes = {
+        "lshoulder.flexion": {"min_deg": 0.0, "max_deg": 0.0, "step_deg": 1.0},
+        "lshoulder.abduction": {"min_deg": -45.0, "max_deg": -45.0, "step_deg": 1.0},
+        "lshoulder.rotation": {"min_deg": 0.0, "max_deg": 15.0, "step_deg": 1.0},
+    }
+    config = {
+        "scene": {
+            "kind": "cabin",
+            "cars": ["hatchback"],
+            "occupancy": {"driver": 1.0},
+            "profile": {"kind": "incremental", "axes": axes},
+        },
+        "limits": {"poses_per_person": 4, "scenes_per_frame": 2},
+    }
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    done = run("synth", "--config", path, "--frames", "16", "--out", tmp_path / "none", "--workers", "1")
+    assert done.code == 2  # nothing is left to write
+    (line,) = [line for line in done.err.splitlines() if line.startswith("only ")]
+    assert line.startswith("only 0.0 % of the poses hold: ")
+    assert "driver: lupper_arm in torso" in line

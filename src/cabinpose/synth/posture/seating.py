@@ -23,6 +23,7 @@ _ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
 _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
 _THIGH_GAP_M, _THIGH_SPREAD_M = 0.035, 0.012  # between the rim and the thighs
+_MOST_UNEASE = 16.0  # of thighs against the rim: nobody crawls under the wheel, where they would be free
 _PALM_REACH_M = 0.075  # wrist to the rim in the hand
 _HEIGHT_SPREAD_M = 0.02
 _SHORT_M, _TALL_M = 1.50, 1.90  # statures that put the seat at its highest and lowest
@@ -149,7 +150,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
             + unease(recline)
             + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
             + (np.maximum(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
-            + (np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2
+            + np.minimum((np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2, _MOST_UNEASE)
         )
         n = int(np.argmin(cost))
         return float(cost[n]), SeatSetting(float(place[n, 1]), float(place[n, 0]), recline)
