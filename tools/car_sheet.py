@@ -33,7 +33,7 @@ SIDES = {"from the left": (0.0, 1.0, 0.15), "from the front": (1.0, 0.0, 0.4), "
 WIDTH, HEIGHT, GAP, CAPTION, MARGIN = 270, 220, 8, 22, 16
 _AWAY_M = 12.0
 _LIGHT = np.array((0.45, 0.35, 0.82))  # from the front, the left and above
-_BLOCK = 50  # frames that share their people: a car takes its frame from the next block
+_APART = 50  # frames: each car shows other people
 
 
 def outside_view(scene: Scene, side: tuple[float, float, float]) -> Image:
@@ -88,7 +88,7 @@ def main() -> None:
         for number, car in enumerate(PRESETS):
             taken = dict.fromkeys(SEATS[: arguments.occupants], 1.0)
             scene = config.scene.model_copy(update={"cars": (car,), "occupancy": taken})
-            caption, pictures = row(config.model_copy(update={"scene": scene}), arguments.seed, _BLOCK * number)
+            caption, pictures = row(config.model_copy(update={"scene": scene}), arguments.seed, _APART * number)
             top = MARGIN + CAPTION + number * (HEIGHT + CAPTION + GAP)
             text(sheet, caption, (MARGIN, top + 15), size=14)
             for column, picture in enumerate(pictures):
