@@ -32,6 +32,36 @@ def test_an_empty_file_means_the_defaults(tmp_path: Path) -> None:
     assert SynthConfig.load(path) == SynthConfig()
 
 
+def test_overrides_are_put_in_place_of_what_a_file_says(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("scene: {cars: [sedan], occupancy: {driver: 1.0}}\nlimits: {poses_per_person: 3}", encoding="utf-8")
+    config = SynthConfig.load(path, ("scene.cars=[suv, van]", "scene.occupancy.driver=0.5", "camera.sensor=evk75123"))
+    assert config.scene.kind == "cabin"
+    assert config.scene.cars == ("suv", "van")
+    assert config.scene.occupancy == {"driver": 0.5}
+    assert config.camera.sensor == "evk75123"
+    assert config.limits.poses_per_person == 3
+    assert SynthConfig.load(None) == SynthConfig()
+    alone = SynthConfig.load(None, ("scene.occupancy.rear_center=0",)).scene
+    assert alone.kind == "cabin"
+    assert alone.occupancy == SynthConfig().scene.model_dump()["occupancy"] | {"rear_center": 0.0}
+    assert SynthConfig.load(None, ("scene={kind: room, rooms: 3}", "camera.views={room: 1.0}")).scene.kind == "room"
+
+
+@pytest.mark.parametrize("override", ["scene.cars", "=1", "scene..cars=1", "scene.cars=[suv", "version.of=2", "scene.cras=[suv]"])
+def test_overrides_that_say_nothing_are_refused(override: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        SynthConfig.load(None, (override, "version=1", override))
+    assert caught.value.hint
+
+
+def test_paths_in_overrides_are_taken_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = SynthConfig.load(None, ("scene.cars=[mine.yaml]",))
+    assert config.scene.kind == "cabin"
+    assert config.scene.cars == (str((tmp_path / "mine.yaml").resolve()),)
+
+
 def test_unknown_key_names_its_path_and_close_matches() -> None:
     error = refused({"camera": {"sensr": "kinect_v1"}})
     assert "camera.sensr" in str(error)

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch, joined
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.onnx_model import OnnxModel, cameras_of, packaged_models, slices, view_inputs
+
+_FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 
 
 class OnnxPredictor(OnnxModel):
@@ -32,6 +35,62 @@ class OnnxPredictor(OnnxModel):
             seen = self.seen(frames, which, cameras)
             batches.append(self.poses(self.outputs(seen), seen, cameras))
         return joined(batches)
+
+    def __call__(
+        self,
+        depth_m: NDArray[Any],
+        camera_k: NDArray[Any],
+        amplitude: NDArray[Any] | None = None,
+        *,
+        camera_dist: NDArray[Any] | None = None,
+    ) -> PoseBatch:
+        """The joints of one frame or of many, from plain arrays.
+
+        Parameters
+        ----------
+        depth_m
+            (H, W) or (N, H, W), metres along the optical axis, 0 or NaN where the camera saw nothing.
+        camera_k
+            (3, 3), or (N, 3, 3) for one camera a frame: intrinsics, px; an integer pixel is a pixel's centre.
+        amplitude
+            The same shape as the depth: the active infrared light, as the camera gives it (uint16 or float).
+        camera_dist
+            (5,) or (N, 5): OpenCV's k1 k2 p1 p2 k3; default: no distortion.
+
+        Returns
+        -------
+        PoseBatch
+            joints_2d (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots
+            `persons` and the joints `joints`; with N before that for many frames.
+
+        Raises
+        ------
+        ConfigError
+            For shapes that do not fit, depths that are no metres, or amplitudes that are missing.
+        """
+        depth = np.asarray(depth_m)
+        one = depth.ndim == 2
+        if depth.ndim not in (2, 3) or not depth.size:
+            raise ConfigError(f"depth of shape {depth.shape} is no image", hint="give (H, W) for one frame, (N, H, W) for many")
+        k = np.asarray(camera_k, np.float64)
+        count = 1 if one else len(depth)
+        if k.shape not in ((3, 3), (count, 3, 3)):
+            raise ConfigError(f"camera_k of shape {k.shape} is no camera matrix", hint="give (3, 3), or (N, 3, 3) for N frames")
+        valid = depth[np.isfinite(depth) & (depth > 0)]
+        if valid.size and float(np.median(valid)) > _FAR_M:
+            raise ConfigError(f"half of the depths are beyond {_FAR_M:g}", hint="depths are metres: divide millimetres by 1000")
+        dist = np.zeros(5) if camera_dist is None else np.asarray(camera_dist, np.float64)
+        frames = FrameBatch(depth=depth.reshape(count, *depth.shape[-2:]).astype(np.float32), camera_k=k, camera_dist=dist)
+        if amplitude is not None:
+            light = np.asarray(amplitude)
+            if light.shape != depth.shape:
+                raise ConfigError(
+                    f"amplitude of shape {light.shape} does not belong to depth of shape {depth.shape}",
+                    hint="give both of one frame",
+                )
+            frames["amplitude"] = light.reshape(frames["depth"].shape)
+        found = self.predict(frames)
+        return PoseBatch(found.joints_2d[0], found.joints_3d[0], found.score[0], found.presence[0]) if one else found
 
     def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
         """What the model's view sees of some frames by name; the first of the three stages of `predict`."""

@@ -6,9 +6,10 @@ the folder of the file.
 
 from __future__ import annotations
 
+import copy
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -221,27 +222,39 @@ class SynthConfig(Model):
         return self
 
     @classmethod
-    def load(cls, path: Path) -> SynthConfig:
-        """Read and check a YAML file; ConfigError names the key, the reason and the remedy."""
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(
-                f"cannot read {path}: {error.strerror}", hint="`cabinpose config init` writes a first one"
-            ) from error
-        try:
-            data = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ConfigError(
-                f"{path} is not YAML: {error}", hint="`cabinpose config init` writes a file to start from"
-            ) from error
-        return cls.parse(data if data is not None else {}, base=path.parent)
+    def load(cls, path: Path | None, overrides: Sequence[str] = ()) -> SynthConfig:
+        """Read and check a YAML file (None: all defaults); ConfigError names the key, the reason and the remedy.
+
+        overrides: "KEY=VALUE", such as "scene.cars=[suv]", in place of what the file says; the value is YAML.
+        """
+        data: Any = {}
+        if path is not None:
+            try:
+                text = path.read_text(encoding="utf-8")
+            except OSError as error:
+                raise ConfigError(
+                    f"cannot read {path}: {error.strerror}", hint="`cabinpose config init` writes a first one"
+                ) from error
+            try:
+                data = yaml.safe_load(text) or {}
+            except yaml.YAMLError as error:
+                raise ConfigError(
+                    f"{path} is not YAML: {error}", hint="`cabinpose config init` writes a file to start from"
+                ) from error
+            if isinstance(data, dict):
+                data = _with_paths(data, path.parent)
+        return cls.parse(_overridden(data, overrides))
 
     @classmethod
     def parse(cls, data: Any, *, base: Path = Path()) -> SynthConfig:
-        """Check plain data; relative paths of car meshes and recordings are resolved against `base`."""
+        """Check plain data; relative paths of car meshes and recordings are resolved against `base`.
+
+        A scene without a `kind` is a cabin, noise without one is physical.
+        """
         if not isinstance(data, dict):
             raise ConfigError("a configuration is a mapping of keys to values", hint="`cabinpose config schema` lists the keys")
+        kinds = {"scene": "cabin", "noise": "physical"}
+        data = {key: {"kind": kinds[key]} | v if key in kinds and isinstance(v, dict) else v for key, v in data.items()}
         try:
             return cls.model_validate(_with_paths(data, base))
         except ValidationError as error:
@@ -262,6 +275,32 @@ def room_preset() -> SynthConfig:
         camera=Camera(sensor="kinect_v1", views={"room": 1.0}, jitter_m=0.0, jitter_deg=0.0),
         noise=StructuredLightNoise(fill_px=5),
     )
+
+
+def _overridden(data: Any, overrides: Sequence[str]) -> Any:
+    """A copy of plain data with "KEY=VALUE" put in; keys of keys are parted by dots.
+
+    Of a mapping by name that the data lack, such as `scene.occupancy`, the other names keep their defaults.
+    """
+    result = copy.deepcopy(data)
+    defaults = {"occupancy": CabinScene().occupancy, "views": Camera().views}
+    for override in overrides:
+        keys, equals, text = override.partition("=")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError:
+            equals = ""
+        if not equals or not all(keys.split(".")):
+            raise ConfigError(f"'{override}' says nothing of the configuration", hint="write KEY=VALUE, such as scene.cars=[suv]")
+        *path, last = keys.split(".")
+        at = result
+        for depth, key in enumerate(path):
+            at = at.setdefault(key, dict(defaults.get(key, {}))) if isinstance(at, dict) else None
+            if not isinstance(at, dict):
+                where = ".".join(path[: depth + 1])
+                raise ConfigError(f"'{override}': {where} has no keys", hint="`cabinpose config schema` lists the keys")
+        at[last] = value
+    return result
 
 
 def _with_paths(data: dict[str, Any], base: Path) -> dict[str, Any]:

@@ -27,12 +27,14 @@ class Synth:
     Same configuration, seed and frame: same bytes, whatever the number of workers.
     """
 
-    config: Path
-    """Configuration (YAML); `cabinpose config init` writes one."""
     frames: int
     """Number of frames to generate."""
     out: Path
     """Folder of the dataset."""
+    overrides: Annotated[Positional[tuple[str, ...]], arg(metavar="[KEY=VALUE ...]")] = ()
+    """What differs from the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
+    config: Optional[Path] = None
+    """Configuration (YAML), which `cabinpose config init` writes; default: people in all seven cars."""
     workers: Optional[int] = None
     """Threads; default: one per core."""
     scheduler: Optional[str] = None

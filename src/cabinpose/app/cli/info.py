@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from cabinpose.app.cli.commands import Info
-from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.output import listed, print_json, print_rows, progress
 from cabinpose.app.cli.recording_info import recording_info, takes_of
 
 if TYPE_CHECKING:
@@ -58,28 +57,22 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("image", f"{s.width}x{s.height}, {_valid(s.valid_pixels)}"),
         ("variables", ", ".join(s.variables)),
         ("depth", _quantiles(s.depth_histogram)),
-        ("cars", _list(s.by_car, most=12)),
-        ("views", _list(s.by_pov)),
-        ("people", f"{_list(s.by_people)} (people: frames)"),
-        ("seats", _list({seat: count for seat, count in s.by_seat.items() if count})),
-        ("subjects", _list(s.by_subject, most=12)),
-        ("actions", _list(s.by_action, most=12)),
+        ("cars", listed(s.by_car, most=12)),
+        ("views", listed(s.by_pov)),
+        ("people", f"{listed(s.by_people)} (people: frames)"),
+        ("seats", listed({seat: count for seat, count in s.by_seat.items() if count})),
+        ("subjects", listed(s.by_subject, most=12)),
+        ("actions", listed(s.by_action, most=12)),
         ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / max(joints, 1):.1f} %" for name, n in s.visibility.items())),
     ]
     if s.proposals:  # poses were drawn
-        rejected = _list(s.rejections) or "none"
+        rejected = listed(s.rejections) or "none"
         rows.append(("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {rejected}"))
     return rows
 
 
 def _valid(share: float) -> str:
     return "no depth" if math.isnan(share) else f"{100 * share:.1f} % of the pixels valid"
-
-
-def _list(counts: Mapping[str, int], most: int | None = None) -> str:
-    names = list(counts)[:most]
-    more = f", and {len(counts) - len(names)} more" if len(counts) > len(names) else ""
-    return ", ".join(f"{name} {counts[name]}" for name in names) + more
 
 
 def _quantiles(histogram: tuple[float, ...]) -> str:

@@ -39,6 +39,13 @@ def print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> N
         print("  ".join(cells).rstrip())
 
 
+def listed(counts: Mapping[str, int], most: int | None = None) -> str:
+    """Names with their counts, the first `most` of them."""
+    names = list(counts)[:most]
+    more = f", and {len(counts) - len(names)} more" if len(counts) > len(names) else ""
+    return ", ".join(f"{name} {counts[name]}" for name in names) + more
+
+
 class ProgressReport:
     """Progress of `total` items on stderr: a bar on a terminal, a line every ten seconds elsewhere, nothing for short work."""
 

@@ -1,0 +1,171 @@
+"""What a script needs in one line: data without a disk, whatever lies on one, a model on plain arrays, a report.
+
+These are the names that `import cabinpose` offers; each loads what it needs when it is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cabinpose.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from cabinpose.estimate.predictor import OnnxPredictor
+    from cabinpose.evaluate.report import Report
+    from cabinpose.store.predictions import Predictions
+    from cabinpose.store.recording import Recording
+    from cabinpose.synth.config import SynthConfig
+    from cabinpose.synth.write import Frame
+
+
+def load_model(model: str | Path, *, threads: int | None = None) -> OnnxPredictor:
+    """A trained model that is called with plain arrays.
+
+    Parameters
+    ----------
+    model
+        The name of a model of the package ("in_car", "room"), or an ONNX file that `cabinpose export --onnx` wrote.
+    threads
+        Threads of the network; default: ONNX Runtime's.
+
+    Returns
+    -------
+    OnnxPredictor
+        `model(depth_m, camera_k, amplitude)` gives the joints of one frame or of many; see `OnnxPredictor.__call__`.
+
+    Raises
+    ------
+    ModelError
+        For a file that is missing, truncated or not a model of this package.
+    """
+    from cabinpose.estimate.predictor import load_model as load  # noqa: PLC0415 - ONNX Runtime
+
+    return load(model, threads=threads)
+
+
+def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A001 - `cabinpose.open`, as in h5py or xarray
+    """Open what cabinpose has written, by what it is.
+
+    Parameters
+    ----------
+    path
+        The folder of a dataset, a recording (.mcap), or a predictions file (.jsonl, .parquet).
+
+    Returns
+    -------
+    xarray.Dataset, Recording or Predictions
+        A dataset is lazy: nothing of an image is read before it is asked for.
+
+    Raises
+    ------
+    ConfigError
+        For what is none of these; and what the readers raise for damaged files.
+    """
+    place = Path(path)
+    if place.is_dir():
+        from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray and zarr
+
+        return open_dataset(place)
+    if place.suffix == ".mcap":
+        from cabinpose.store.recording import Recording  # noqa: PLC0415 - the extra `record`
+
+        return Recording(place)
+    if place.suffix in (".jsonl", ".parquet"):
+        from cabinpose.store.predictions import read_predictions  # noqa: PLC0415
+
+        return read_predictions(place)
+    raise ConfigError(
+        f"{place} is nothing that cabinpose writes" if place.exists() else f"there is no {place}",
+        hint="give the folder of a dataset, a recording (.mcap) or a predictions file (.jsonl, .parquet)",
+    )
+
+
+def generate(
+    *overrides: str, frames: int, seed: int = 0, config: SynthConfig | Path | str | None = None, first: int = 0
+) -> Iterator[Frame]:
+    """Generated frames one by one, without a disk: the same as `cabinpose synth` writes.
+
+    Parameters
+    ----------
+    *overrides
+        What differs from the configuration, such as "scene.cars=[suv]"; the value is YAML.
+    frames, first
+        How many frames, from which number on.
+    seed
+        Seed of all randomness.
+    config
+        A `SynthConfig` or a YAML file; default: people in all seven cars.
+
+    Yields
+    ------
+    dict
+        Every variable of the dataset standard by name, for one frame: `depth` (H, W) float32 m, `joints_3d` (P, J, 3) m in the
+        camera frame, `camera_k` (3, 3) px, ... (see docs/dataset.md).
+
+    Raises
+    ------
+    ConfigError
+        For a configuration that is wrong, before the first frame.
+    SceneError
+        Where no valid scene is found.
+    """
+    from cabinpose.synth.config import SynthConfig  # noqa: PLC0415 - the generator takes half a second to import
+    from cabinpose.synth.preflight import preflight  # noqa: PLC0415
+    from cabinpose.synth.write import FrameMaker  # noqa: PLC0415
+
+    if frames < 1:
+        raise ConfigError(f"cannot generate {frames} frames", hint="ask for at least 1 frame")
+    if isinstance(config, SynthConfig):
+        if overrides:
+            raise ConfigError("overrides change files and defaults", hint="give either these or a SynthConfig")
+        chosen = config
+    else:
+        chosen = SynthConfig.load(None if config is None else Path(config), overrides)
+    preflight(chosen, frames=first + frames)
+    maker = FrameMaker(chosen, seed)
+    return (maker.make(index)[0] for index in range(first, first + frames))
+
+
+def evaluate_predictions(
+    data: Path | str | xr.Dataset, model: Path | str | Predictions | OnnxPredictor, *, persons: Sequence[str] | None = None
+) -> Report:
+    """How good predictions are on a dataset, by the metrics of `cabinpose evaluate`.
+
+    Parameters
+    ----------
+    data
+        The folder of a dataset, or an open one (a selection of it as well).
+    model
+        A predictions file, predictions, the name of a model of the package, or a model.
+    persons
+        Slots that are evaluated; default: of a model those that it answers for, of predictions all.
+
+    Returns
+    -------
+    Report
+        Its fields hold every metric with unit, threshold and count; `to_dict()` gives plain data.
+
+    Raises
+    ------
+    DatasetError, ModelError, PredictionsError
+        For what is missing, damaged or of another dataset.
+    """
+    from cabinpose.estimate.predictor import OnnxPredictor  # noqa: PLC0415 - ONNX Runtime and xarray
+    from cabinpose.evaluate.offline import check_predictions, evaluate  # noqa: PLC0415
+    from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
+    from cabinpose.store import open_dataset  # noqa: PLC0415
+    from cabinpose.store.predictions import Predictions, read_predictions  # noqa: PLC0415
+
+    name = Path(data).resolve().name if isinstance(data, Path | str) else ""
+    dataset = open_dataset(data) if isinstance(data, Path | str) else data
+    if not isinstance(model, Predictions | OnnxPredictor):
+        model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else load_model(model)
+    if isinstance(model, Predictions):
+        check_predictions(model, dataset)
+    elif persons is None:
+        persons = [slot for slot in model.persons if slot in dataset["person"].values]
+    return evaluate(dataset, model, EvaluationOptions(), persons=persons, name=name)

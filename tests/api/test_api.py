@@ -1,0 +1,108 @@
+"""`import cabinpose`: data without a disk, what lies on one, a model on plain arrays, a report."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cabinpose
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.ports import PoseBatch
+from cabinpose.core.pose import Visibility
+from cabinpose.estimate.predictor import OnnxPredictor
+from cabinpose.store.predictions import Predictions, write_predictions
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import generate as generate_dataset
+from cabinpose.synth.write import Frame
+
+ALONE = ("scene.cars=[suv]", "scene.occupancy={driver: 1.0}", "scene.right_hand_drive=0")
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    return list(cabinpose.generate(*ALONE, frames=3, seed=4))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("api") / "dataset"
+    generate_dataset(SynthConfig.load(None, ALONE), 3, folder, seed=4, workers=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model() -> OnnxPredictor:
+    return cabinpose.load_model("in_car", threads=1)
+
+
+def test_the_package_loads_nothing_before_it_is_asked() -> None:
+    code = "import sys, cabinpose; print(sum(name.startswith(('numpy', 'scipy', 'cabinpose.')) for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "0"
+    assert set(cabinpose.__all__) <= set(dir(cabinpose))
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = cabinpose.nonsense  # type: ignore[attr-defined]
+
+
+def test_generated_frames_are_those_of_a_dataset(frames: list[Frame], dataset: Path) -> None:
+    ds = cabinpose.open(dataset)
+    for i, frame in enumerate(frames):
+        np.testing.assert_allclose(ds["depth"][i].values, frame["depth"], atol=6e-4)  # whole millimetres on disk
+        np.testing.assert_allclose(ds["joints_3d"][i].values, frame["joints_3d"], atol=1e-6)
+    later = next(cabinpose.generate(*ALONE, frames=1, first=2, seed=4))
+    np.testing.assert_array_equal(later["depth"], frames[2]["depth"])
+
+
+def test_a_model_takes_one_frame_or_many(frames: list[Frame], model: OnnxPredictor) -> None:
+    depth, light = (np.stack([frame[name] for frame in frames]) for name in ("depth", "amplitude"))
+    k = frames[0]["camera_k"]
+    many, one = model(depth, k, light), model(depth[1], k, light[1])
+    assert isinstance(one, PoseBatch)
+    assert many.joints_3d.shape == (3, len(model.persons), len(model.joints), 3)
+    np.testing.assert_allclose(many.joints_3d[1], one.joints_3d, atol=1e-4)
+    truth = np.array([frame["joints_3d"][0] for frame in frames])
+    seen = np.array([frame["visibility"][0] == Visibility.VISIBLE for frame in frames])
+    assert np.median(np.linalg.norm(many.joints_3d[:, model.persons.index("driver")] - truth, axis=-1)[seen]) < 0.05
+
+
+def test_wrong_arrays_say_what_is_wrong(frames: list[Frame], model: OnnxPredictor) -> None:
+    depth, light, k = (frames[0][name] for name in ("depth", "amplitude", "camera_k"))
+    for call, words in (
+        (lambda: model(1000.0 * depth, k, light), "beyond 50"),
+        (lambda: model(depth[0], k, light[0]), "no image"),
+        (lambda: model(depth, np.eye(4), light), "no camera matrix"),
+        (lambda: model(depth, k, light[:-1]), "does not belong to"),
+        (lambda: model(depth, k), "amplitudes"),
+        (lambda: cabinpose.generate(frames=0), "0 frames"),
+        (lambda: cabinpose.generate("scene.cars=[tank]", frames=1), "tank"),
+        (lambda: cabinpose.generate("scene.cars=[suv]", frames=1, config=SynthConfig()), "overrides"),
+        (lambda: cabinpose.open("nowhere"), "there is no nowhere"),
+        (lambda: cabinpose.open(__file__), "nothing that cabinpose writes"),
+    ):
+        with pytest.raises(ConfigError, match=words) as caught:
+            call()
+        assert caught.value.hint
+
+
+def test_predictions_are_opened_and_evaluated(dataset: Path, model: OnnxPredictor, frames: list[Frame], tmp_path: Path) -> None:
+    found = [model(frame["depth"], frame["camera_k"], frame["amplitude"]) for frame in frames]
+    arrays = [np.stack([getattr(f, name) for f in found]) for name in ("joints_2d", "joints_3d", "score", "presence")]
+    predictions = Predictions(
+        *arrays,
+        frame=np.arange(3),
+        persons=model.persons,
+        joints=model.joints,
+        model="in_car",
+        skeleton="cabinpose20",
+        dataset=None,
+    )
+    path = write_predictions(tmp_path / "found.jsonl", predictions)
+    assert isinstance(cabinpose.open(path), Predictions)
+    by_file = cabinpose.evaluate_predictions(dataset, path, persons=["driver"])
+    by_model = cabinpose.evaluate_predictions(str(dataset), "in_car", persons=["driver"])
+    assert by_model.to_dict()["frames"] == by_file.to_dict()["frames"] == 3
+    selection = cabinpose.open(dataset).isel(frame=[0])
+    assert cabinpose.evaluate_predictions(selection, model).to_dict()["frames"] == 1
