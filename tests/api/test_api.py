@@ -79,7 +79,7 @@ def test_wrong_arrays_say_what_is_wrong(frames: list[Frame], model: OnnxPredicto
         (lambda: cabinpose.generate(frames=0), "0 frames"),
         (lambda: cabinpose.generate("scene.cars=[tank]", frames=1), "tank"),
         (lambda: cabinpose.generate("scene.cars=[suv]", frames=1, config=SynthConfig()), "overrides"),
-        (lambda: cabinpose.open("nowhere"), "there is no nowhere"),
+        (lambda: cabinpose.open("nowhere"), "nowhere does not exist"),
         (lambda: cabinpose.open(__file__), "nothing that cabinpose writes"),
     ):
         with pytest.raises(ConfigError, match=words) as caught:

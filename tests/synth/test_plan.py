@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import pytest
 from synth_scenes import small_config
 
+from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import PRESETS
-from cabinpose.synth.config import People, RandomPeople, SynthConfig, frame_rng
-from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan
+from cabinpose.synth.config import People, RandomPeople, Range, SynthConfig, frame_rng
+from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan, subject_body, subject_names
 
 SEED = 5
 
@@ -51,6 +53,29 @@ def test_people_differ_within_a_frame_and_all_have_their_turn() -> None:
 def test_too_few_people_are_taken_twice() -> None:
     plan = Plan(SynthConfig(people=People(subjects=("S01", "S02"))), SEED)
     assert set(plan.people(0, 5, rng=frame_rng(SEED, 0))) <= {"S01", "S02"}
+
+
+def test_children_do_not_drive_unless_asked() -> None:
+    """S05 is about ten, S17 about eighteen."""
+    plan, rng = Plan(SynthConfig(people=People(subjects=("S05", "S17", "S02"))), SEED), np.random.default_rng(0)
+    assert plan.driver_first(0, ["S05", "S17"], rng=rng) == ["S17", "S05"]
+    assert plan.driver_first(0, ["S02", "S05"], rng=rng) == ["S02", "S05"]
+    assert plan.driver_first(0, ["S05"], rng=rng) in (["S17"], ["S02"])
+    anyone = Plan(SynthConfig(people=People(subjects=("S05", "S17"), driver_years=0.0)), SEED)
+    assert anyone.driver_first(0, ["S05", "S17"], rng=rng) == ["S05", "S17"]
+    children = Plan(SynthConfig(people=People(subjects=("S05",))), SEED)
+    assert children.driver_first(0, ["S05"], rng=rng) == ["S05"]
+
+
+def test_random_people_by_years() -> None:
+    ranges = {"years": Range(min=20.0, max=40.0)}
+    config = SynthConfig(people=People(subjects=(), random=RandomPeople(count=50, ranges=ranges)))
+    years = [subject_body(config, SEED, name)[0].years for name in subject_names(config)]
+    assert 20.0 <= min(years) < 24.0
+    assert 36.0 < max(years) <= 40.0
+    with pytest.raises(ConfigError, match="age") as caught:
+        RandomPeople(count=3, ranges={"age": Range(min=20.0, max=40.0)})
+    assert "years" in str(caught.value.hint)
 
 
 def test_a_random_car_keeps_its_wheel_on_one_side() -> None:

@@ -140,7 +140,7 @@ def calibrate(session: Session) -> Calibrated:
 
 def _opened(path: Path) -> Recording:
     if not path.exists():
-        raise AlignmentError(f"there is no {path}", hint="the session names the recordings, relative to its own folder")
+        raise AlignmentError(f"{path} does not exist", hint="the session names the recordings, relative to its own folder")
     return Recording(path)
 
 

@@ -79,7 +79,7 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
 
         return read_predictions(place)
     raise ConfigError(
-        f"{place} is nothing that cabinpose writes" if place.exists() else f"there is no {place}",
+        f"{place} is nothing that cabinpose writes" if place.exists() else f"{place} does not exist",
         hint="give the folder of a dataset, a recording (.mcap) or a predictions file (.jsonl, .parquet)",
     )
 

@@ -11,4 +11,7 @@ def require(*modules: str, extra: str) -> None:
     """Raises DependencyError where one of the modules of an extra is not installed."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
-        raise DependencyError(f"{' and '.join(missing)} is not installed", hint=f"pip install 'cabinpose[{extra}]'")
+        one = "is" if len(missing) == 1 else "are"
+        raise DependencyError(
+            f"this needs the extra '{extra}': {', '.join(missing)} {one} not installed", hint=f"pip install 'cabinpose[{extra}]'"
+        )

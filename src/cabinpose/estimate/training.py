@@ -15,6 +15,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Annotated, Any, Literal, cast
 
 import lightning
@@ -285,11 +286,12 @@ def _configuration(path: Path, checkpoint: Mapping[str, Any]) -> TrainConfig:
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Weights and configuration of a checkpoint: {"config": plain data, "state": tensors by name}. Raises ModelError."""
     try:
-        data = torch.load(path, map_location="cpu", weights_only=False)
+        data = torch.load(path, map_location="cpu", weights_only=True)  # plain types and tensors: no code runs
         return {"config": data["hyper_parameters"]["config"], "state": data["state_dict"]}
-    except (OSError, KeyError, RuntimeError, EOFError, ValueError) as error:
+    except (OSError, KeyError, TypeError, RuntimeError, EOFError, ValueError, UnpicklingError) as error:
+        reason = str(error).partition("\n")[0]
         raise ModelError(
-            f"{path} is no checkpoint of `cabinpose train`: {error}", hint="give best.ckpt or last.ckpt of a run"
+            f"{path} is no checkpoint of `cabinpose train`: {reason}", hint="give best.ckpt or last.ckpt of a run"
         ) from error
 
 

@@ -72,9 +72,12 @@ def empty_batch(frames: int, persons: int, joints: int) -> PoseBatch:
 def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
     """Write the file, as Parquet where its name ends in `.parquet`, else as JSON lines; it appears when it is whole.
 
-    A joint gets a row if its position (in px or m) is finite. Raises `PredictionsError` where the file exists.
+    A joint gets a row if its position (in px or m) is finite. Raises `PredictionsError` where the file exists, or where its
+    name ends otherwise.
     """
     file = Path(path)
+    if file.suffix not in (".jsonl", ".parquet"):
+        raise PredictionsError(f"{file.name} is no name of a predictions file", hint="let it end in .jsonl or .parquet")
     if file.exists() and not overwrite:
         raise PredictionsError(f"{file} exists", hint="give another name, or say that it may be overwritten")
     header = {

@@ -69,6 +69,7 @@ class People(Model):
 
     subjects: tuple[str, ...] = Field(tuple(SUBJECTS), description="Named people of the package, S01 .. S18.")
     random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
+    driver_years: float = Field(17.0, ge=0.0, description="Age from which people drive, where anybody is as old; 0: anyone.")
 
     @model_validator(mode="after")
     def _known(self) -> People:

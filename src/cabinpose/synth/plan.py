@@ -72,6 +72,7 @@ class Plan:
         self._subjects = subject_names(config)
         self._cars = car_names(config)
         self._order = cached_once(4)(self._make_order)
+        self._drives = cached_once(1024)(self._old_enough)
 
     def car(self, index: int, *, rng: np.random.Generator) -> tuple[str, DriveSide]:
         """The car of frame `index`, and where its wheel is: one and the same side in all frames of a random car."""
@@ -87,6 +88,21 @@ class Plan:
         """The people of frame `index`: different ones, as long as there are enough."""
         among = self._in_play(1, len(self._subjects), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)
         return [self._subjects[among[i]] for i in rng.choice(len(among), size=count, replace=count > len(among))]
+
+    def driver_first(self, index: int, names: list[str], *, rng: np.random.Generator) -> list[str]:
+        """The same people, the first of whom is old enough to drive; where nobody is, somebody in play takes the first place."""
+        old = [name for name in names if self._drives(name)]
+        if not old:
+            among = self._in_play(1, len(self._subjects), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)
+            others = [self._subjects[i] for i in among if self._drives(self._subjects[i])]
+            return [others[int(rng.integers(len(others)))], *names[1:]] if others else names
+        result = list(names)
+        at = result.index(old[0])
+        result[0], result[at] = result[at], result[0]
+        return result
+
+    def _old_enough(self, name: str) -> bool:
+        return subject_body(self._config, self._seed, name)[0].years >= self._config.people.driver_years
 
     def room(self, *, rng: np.random.Generator) -> int:
         """The number of a frame's room."""

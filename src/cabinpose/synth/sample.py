@@ -170,6 +170,8 @@ class SceneSampler:
         cabin, validator = self._cabin(car, drive_side)
         taken = _occupied(scene, cabin, rng)
         names = self._plan.people(index, len(taken), rng=rng)
+        if taken[0] == "driver" and cabin.steering_wheel is not None:
+            names = self._plan.driver_first(index, names, rng=rng)
         by_slot = slimmest_in_the_middle(dict(zip(taken, names, strict=True)), cabin, self._person)
         people = {slot: self._person(name) for slot, name in by_slot.items()}
         tried.append(f"{place_name(car)} ({', '.join(f'{name} as {slot}' for slot, name in by_slot.items())})")

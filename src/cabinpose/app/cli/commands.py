@@ -135,7 +135,7 @@ class Evaluate:
     model: Annotated[tuple[str, ...], arg(metavar="MODEL [MODEL ...]")] = ()
     """Models to run: names of those in the package, or ONNX files."""
     persons: Annotated[tuple[str, ...], arg(metavar="SLOT [SLOT ...]")] = ()
-    """Only the people in these slots."""
+    """The people in these slots; default: in those that all models answer for."""
     out: Optional[Path] = None
     """Folder for index.html and report.json."""
     splits: Optional[Path] = None

@@ -50,19 +50,18 @@ def run(command: Evaluate) -> None:
     models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(load_model, command.model)]
     dataset = _selected(whole, command)
     joints = common_joints(dataset, models)
+    persons = command.persons or _places(dataset, models)
     frames = dataset.sizes["frame"]
     reports = []
     for model in models:
         with progress(frames, "frames") as show:
-            reports.append(
-                evaluate(dataset, model, options, joints=joints, persons=command.persons or None, name=names[1], progress=show)
-            )
+            reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=show))
     record = {"data": str(command.data), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.frames import frame_figures
         from cabinpose.app.report.page import page_html
 
-        shown = dataset.sel(person=list(command.persons)) if command.persons else dataset
+        shown = dataset.sel(person=list(persons))
         typical, worst = (
             {r.model: frame_figures(shown, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
             for kind in ("typical", "worst")
@@ -132,6 +131,17 @@ def _named_apart(models: Sequence[Predictions], paths: Sequence[Path]) -> list[P
         Predictions(**{**vars(m), "model": f"{m.model} ({path})"}) if m.model in shared else m
         for m, path in zip(models, paths, strict=True)
     ]
+
+
+def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
+    """The slots that all models answer for; what is left out is told. All of them where the models share none."""
+    places = [str(name) for name in dataset["person"].values]
+    shared = tuple(place for place in places if all(place in model.persons for model in models))
+    left = {place: int((dataset["subject"].sel(person=place) != "").sum()) for place in places if place not in shared}
+    if shared and any(left.values()):
+        people = ", ".join(f"{count} in {place}" for place, count in left.items() if count)
+        print(f"not counted, since no model looks there: {people} (--persons counts them)", file=sys.stderr)
+    return shared or tuple(places)
 
 
 def _selected(dataset: xr.Dataset, command: Evaluate) -> xr.Dataset:

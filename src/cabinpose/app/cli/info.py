@@ -59,7 +59,7 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("depth", _quantiles(s.depth_histogram)),
         ("cars", listed(s.by_car, most=12)),
         ("views", listed(s.by_pov)),
-        ("people", f"{listed(s.by_people)} (people: frames)"),
+        ("people", ", ".join(f"{count} frames with {n}" for n, count in s.by_people.items())),
         ("seats", listed({seat: count for seat, count in s.by_seat.items() if count})),
         ("subjects", listed(s.by_subject, most=12)),
         ("actions", listed(s.by_action, most=12)),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+from pydantic import ValidationError
+
 from cabinpose.app.cli.align_commands import Lab
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
@@ -14,19 +16,23 @@ def run(command: Lab) -> None:
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
     from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import Rig
+    from cabinpose.synth.config import explain
 
     rig = load_rig(command.rig) if command.rig is not None else Rig()
     if command.only is not None:
         rig = rig.noise_free() if command.only == "exact" else rig.only(command.only)
-    plan = Plan(
-        views=command.views,
-        seconds=command.seconds,
-        rate_hz=command.rate,
-        car=command.car,
-        subjects=command.subjects,
-        exercises=command.exercises,
-        seed=command.seed,
-    )
+    try:
+        plan = Plan(
+            views=command.views,
+            seconds=command.seconds,
+            rate_hz=command.rate,
+            car=command.car,
+            subjects=command.subjects,
+            exercises=command.exercises,
+            seed=command.seed,
+        )
+    except ValidationError as error:
+        raise explain(error, Plan) from error
     with progress(plan.steps, "takes") as report:
         truths = record_session(command.out, rig, plan, report)
     out, frames = command.out, sum(len(truth.tof_ns) for truth in truths.values())

@@ -26,6 +26,12 @@ def run(command: Predict) -> None:
     dataset = open_dataset(command.data)
     for chosen in split_dataset(dataset, chosen_split(command.splits, command.split)).values():
         dataset = chosen
+    places = [str(name) for name in dataset["person"].values]
+    if not set(places) & set(model.persons):
+        print(
+            f"{model.name} looks for {', '.join(model.persons)}, and the dataset has {', '.join(places)}: nothing can be scored",
+            file=sys.stderr,
+        )
     count = dataset.sizes["frame"]
     batches = []
     with progress(count, "frames") as report:

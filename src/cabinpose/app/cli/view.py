@@ -15,6 +15,8 @@ def run(command: View) -> None:
     """Draw, and name what was written."""
     if command.frames < 1 or command.rows < 1:
         raise ConfigError("a view shows at least one frame", hint="give --frames and --rows of 1 or more")
+    if command.dataset.is_dir() and command.out.resolve().is_relative_to(command.dataset.resolve()):
+        raise ConfigError("the pictures would lie in the dataset", hint="give another folder with --out")
     sheet, page = command.out / "contact_sheet.png", command.out / "index.html"
     there = [path.name for path in (sheet, page) if path.exists()]
     if there and not command.overwrite:

@@ -60,7 +60,7 @@ def read_motion(path: Path, *, source: str | None = None, subject: str | None = 
         with Recording(path) as recording:
             return _recorded(recording, source, subject, origin_ns)
     if not path.exists():
-        raise RecordingError(f"there is no {path}", hint="give a recording (.mcap), or an MVNX, C3D or BVH file")
+        raise RecordingError(f"{path} does not exist", hint="give a recording (.mcap), or an MVNX, C3D or BVH file")
     return _from_rows(path, subject, origin_ns)
 
 
@@ -189,7 +189,7 @@ def _messages(path: Path, source: str | None) -> list[tuple[int, Message]]:
     if suffix not in readers:
         raise RecordingError(f"{path} is no motion that can be read", hint=f"files: {', '.join(FILES)}")
     if not path.exists():
-        raise RecordingError(f"there is no {path}", hint="check the path")
+        raise RecordingError(f"{path} does not exist", hint="check the path")
     return [(host if device is None else device, m) for host, device, m in readers[suffix](path)]
 
 

@@ -22,6 +22,7 @@ DEFAULT_RANGES = MappingProxyType(
 # Fryar et al. 2021 (NHANES 2015-2018), Vital and Health Statistics 3-46.
 _STATURE_M = ((1.754, 0.075), (1.615, 0.071))
 _OF_ADULT = (0.80, 1.0, 0.97)
+_AGES, _YEARS = (0.0, 0.5, 1.0), (10.0, 25.0, 80.0)  # what the body data's `age` stands for
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,16 @@ class Phenotype:
         if self.stature_m is not None and not low <= self.stature_m <= high:
             raise ConfigError(f"a stature of {self.stature_m} m", hint=f"statures from {low} to {high} m")
 
+    @property
+    def years(self) -> float:
+        """The age in years that the body looks like."""
+        return float(np.interp(self.age, _AGES, _YEARS))
+
     @classmethod
     def random(cls, ranges: Mapping[str, tuple[float, float]] | None = None, *, rng: np.random.Generator) -> Phenotype:
         """Parameters drawn evenly from `ranges` (name -> (least, greatest)), from `DEFAULT_RANGES` where none is given.
+
+        `years` may stand for `age`, from 10 to 80.
 
         The stature is normally distributed around the mean of the gender and age within 2.5 standard deviations, unless
         `ranges` has `stature_m`. Eight numbers are drawn whatever the ranges. Raises ConfigError for unknown names, for
@@ -61,14 +69,20 @@ class Phenotype:
         """
         names = tuple(field.name for field in fields(cls))
         chosen = dict(DEFAULT_RANGES)
-        for name, (low, high) in (ranges or {}).items():
+        for given, (low, high) in (ranges or {}).items():
+            name = "age" if given == "years" else given
             if name not in names:
-                raise unknown_name("phenotype parameter", name, names)
-            least, greatest = STATURE_LIMITS_M if name == "stature_m" else (0.0, 1.0)
+                raise unknown_name("phenotype parameter", name, ("years", *names))
+            limits = {"stature_m": STATURE_LIMITS_M, "years": (_YEARS[0], _YEARS[-1])}
+            least, greatest = limits.get(given, (0.0, 1.0))
             if not least <= low <= high <= greatest:
                 raise ConfigError(
-                    f"range of phenotype {name} is ({low}, {high})", hint=f"give {least} <= least <= greatest <= {greatest}"
+                    f"range of phenotype {given} is ({low}, {high})",
+                    hint=f"give {least:g} <= least <= greatest <= {greatest:g}"
+                    + (", or `years`" if given == "age" and high > 1.0 else ""),
                 )
+            if given == "years":
+                low, high = (float(np.interp(v, _YEARS, _AGES)) for v in (low, high))
             chosen[name] = (low, high)
         u, normal = rng.random(7), rng.standard_normal()
         drawn = {name: low + x * (high - low) for x, (name, (low, high)) in zip(u[:6], list(chosen.items())[:6], strict=True)}

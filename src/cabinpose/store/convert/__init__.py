@@ -63,7 +63,7 @@ def open_source(path: Path | str, name: str, options: ImportOptions) -> Source:
         raise unknown_name("format", name, list(IMPORTS))
     source = Path(path)
     if not source.exists():
-        raise DatasetError(f"there is no {source}", hint="give the file or folder to import")
+        raise DatasetError(f"{source} does not exist", hint="give the file or folder to import")
     module: Any = import_module(f"{__name__}.{IMPORTS[name]}")
     found: Source = module.read(source, options)
     return found

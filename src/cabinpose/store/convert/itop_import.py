@@ -112,7 +112,7 @@ def _pairs(path: Path) -> list[tuple[Path, Path]]:
     pairs = [(folder / f"{stem}depth_map.h5", folder / f"{stem}labels.h5") for stem in stems]
     for file in (file for pair in pairs for file in pair):
         if not file.is_file():
-            raise DatasetError(f"there is no {file}", hint="a set of ITOP is a depth_map.h5 and a labels.h5 side by side")
+            raise DatasetError(f"{file} does not exist", hint="a set of ITOP is a depth_map.h5 and a labels.h5 side by side")
     return pairs
 
 

@@ -96,7 +96,7 @@ def import_recording(
     if name not in READERS:
         raise unknown_name("format", name, list(READERS))
     if not path.exists():
-        raise RecordingError(f"there is no {path}", hint="give the file to import")
+        raise RecordingError(f"{path} does not exist", hint="give the file to import")
     if out.exists() and not overwrite:
         raise RecordingError(f"{out} exists", hint="--overwrite replaces it, or give another file with --out")
     temporary = out.with_name(f".{out.name}.import.tmp")
