@@ -53,6 +53,14 @@ inline double interpolate(double x, double y, double z, const double* m, const F
   return low * (1.0 - fw) + high * fw;
 }
 
+/// By how much the way to a segment is shorter than to its start, squared: from the product with its direction, and its length.
+inline double to_segment(double along, double square, double per_square) {
+  const double t = along * per_square, share = t < 0.0 ? 0.0 : t > 1.0 ? 1.0 : t;
+  return share * (2.0 * along - share * square);
+}
+
+constexpr double tiny = 1e-30;
+
 Index ceiled(double x) { return static_cast<Index>(std::ceil(x)); }
 Index floored(double x) { return static_cast<Index>(std::floor(x)); }
 
@@ -73,6 +81,9 @@ void splat(Corners corners, Vector origin, double step, double below, double abo
     const double nx = by * cz - bz * cy, ny = bz * cx - bx * cz, nz = bx * cy - by * cx;
     const double nn = nx * nx + ny * ny + nz * nz;
     const double size = std::sqrt(nn), per_area = nn > 0.0 ? 1.0 / nn : 0.0;
+    const double ee = bb - 2.0 * bc + cc, per_bb = 1.0 / std::max(bb, tiny), per_cc = 1.0 / std::max(cc, tiny),
+                 per_ee = 1.0 / std::max(ee, tiny);
+    const bool has_area = nn > 1e-12 * bb * cc;
     const double lowest = -below * size, highest = above * size, rise = nz * step;
     for (Index i = low[0]; i <= high[0]; ++i) {
       const double x = origin[0] + static_cast<double>(i) * step - a[0];
@@ -90,29 +101,19 @@ void splat(Corners corners, Vector origin, double step, double below, double abo
         }
         if (first > last) continue;
         float* column = &distance(i, j, 0);
-        for (Index k = first; k <= last; ++k) {
-          const double height = over + static_cast<double>(k) * rise, flat = height * height * per_area;
-          if (flat >= static_cast<double>(column[k])) continue;
-          const double z = z0 + static_cast<double>(k) * step;
-          const double d1 = bx * x + by * y + bz * z, d2 = cx * x + cy * y + cz * z;
+        const int from = static_cast<int>(first), to = static_cast<int>(last);
+        for (int k = from; k <= to; ++k) {  // without branches, so that the compiler can do several at once
+          const double height = over + static_cast<double>(k) * rise, z = z0 + static_cast<double>(k) * step;
+          const double d1 = bx * x + by * y + bz * z, d2 = cx * x + cy * y + cz * z, pp = x * x + y * y + z * z;
           const double d3 = d1 - bb, d4 = d2 - bc, d5 = d1 - bc, d6 = d2 - cc;
-          const double pp = x * x + y * y + z * z;
-          double square = flat;
-          if (d1 <= 0.0 && d2 <= 0.0) {
-            square = pp;
-          } else if (d3 >= 0.0 && d4 <= d3) {
-            square = pp - 2.0 * d1 + bb;
-          } else if (d6 >= 0.0 && d5 <= d6) {
-            square = pp - 2.0 * d2 + cc;
-          } else if (d1 >= 0.0 && d3 <= 0.0 && d1 * d4 <= d3 * d2) {
-            square = pp - d1 * d1 / bb;
-          } else if (d2 >= 0.0 && d6 <= 0.0 && d5 * d2 <= d1 * d6) {
-            square = pp - d2 * d2 / cc;
-          } else if (d4 >= d3 && d5 >= d6 && d3 * d6 <= d5 * d4) {
-            const double along = d4 - d3;
-            square = pp - 2.0 * d1 + bb - along * along / (along + d5 - d6);
-          }
-          if (square <= within && square < static_cast<double>(column[k])) column[k] = static_cast<float>(std::max(square, 0.0));
+          const double on_b = to_segment(d1, bb, per_bb), on_c = to_segment(d2, cc, per_cc),
+                       on_e = to_segment(d4 - d3, ee, per_ee);
+          const double from_a = pp - (on_b > on_c ? on_b : on_c), from_b = pp - 2.0 * d1 + bb - on_e;
+          const double aside = from_a < from_b ? from_a : from_b;
+          const bool over_it = has_area & (d1 * d4 >= d3 * d2) & (d5 * d2 >= d1 * d6) & (d3 * d6 >= d5 * d4);
+          const double square = over_it ? height * height * per_area : aside;
+          const float found = static_cast<float>(square > 0.0 ? square : 0.0);
+          column[k] = (square <= within) & (found < column[k]) ? found : column[k];
         }
       }
     }
