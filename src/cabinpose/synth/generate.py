@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import cabinpose
 from cabinpose.core.errors import ConfigError
@@ -22,7 +23,7 @@ from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.write import FrameReport, make_frames
+from cabinpose.synth.write import Content, FrameReport, make_frames
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class GenerationReport:
     """What a run made. `frames` were made by this run, `frames_total` are in the dataset.
 
     rejections: by cause · acceptance: accepted / proposed poses of people ·
-    stages_ms: mean milliseconds of CPU time a frame, by stage.
+    stages_ms: mean milliseconds of CPU time a frame, by stage · content: this run's frames by car and view, its people by name
+    and seat, the most frequent first.
     """
 
     out: str
@@ -52,6 +54,7 @@ class GenerationReport:
     rejections: Mapping[str, int]
     acceptance: float
     stages_ms: Mapping[str, float]
+    content: Mapping[Content, Mapping[str, int]]
 
 
 def generate(
@@ -136,12 +139,14 @@ class _Total:
         self.frames = self.proposals = 0
         self.rejections: Counter[Rejection] = Counter()
         self.stage_seconds: Counter[str] = Counter()
+        self.content: Counter[tuple[Content, str]] = Counter()
 
     def add(self, report: FrameReport) -> None:
         self.frames += report.frames
         self.proposals += report.proposals
         self.rejections.update(report.rejections)
         self.stage_seconds.update(report.stage_seconds)
+        self.content.update(report.content)
 
 
 def _summary(out: Path, total: _Total, before: int, seconds: float) -> GenerationReport:
@@ -155,5 +160,6 @@ def _summary(out: Path, total: _Total, before: int, seconds: float) -> Generatio
         proposals=total.proposals,
         rejections=by_cause(total.rejections),
         acceptance=1.0 - rejected / total.proposals if total.proposals else 1.0,
+        content={kind: {n: c for (k, n), c in total.content.most_common() if k == kind} for kind in get_args(Content)},
         stages_ms={name: 1000 * s / total.frames for name, s in total.stage_seconds.items()} if total.frames else {},
     )

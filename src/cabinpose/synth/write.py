@@ -10,10 +10,10 @@ from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -30,6 +30,7 @@ from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
 from cabinpose.synth.validate import Rejection, by_cause
 
 Frame = dict[str, Any]
+Content = Literal["cars", "people", "seats", "views"]
 _AHEAD = 3  # frames that a thread may be ahead of what is written
 _SWITCH_S = 0.0005  # a thread that comes out of the core waits no longer than this for the interpreter: a frame is 10 ms of work
 
@@ -119,13 +120,14 @@ class FrameMaker:
 @dataclass(frozen=True)
 class FrameReport:
     """What making some frames took. frames: written, without those skipped · proposals, rejections: poses of people ·
-    stage_seconds: CPU time of the threads that made them.
+    stage_seconds: CPU time of the threads that made them · content: frames by car and view, people by name and seat.
     """
 
     frames: int
     proposals: int
     rejections: Mapping[Rejection, int]
     stage_seconds: Mapping[str, float]
+    content: Mapping[tuple[Content, str], int] = field(default_factory=dict)
 
 
 class _Made(NamedTuple):
@@ -164,7 +166,7 @@ def make_frames(
             return _Made(None, FrameReport(0, error.proposals, error.rejections, dict(maker.seconds)))
         with maker.stage("write"):
             encoded = encode_frame(frame, index, manifest)
-        return _Made(encoded, FrameReport(1, scene.proposals, scene.rejections, dict(maker.seconds)))
+        return _Made(encoded, FrameReport(1, scene.proposals, scene.rejections, dict(maker.seconds), _content(scene)))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
     with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads)) as results:
@@ -184,6 +186,14 @@ def make_frames(
                 part.attrs["rejections"] = by_cause(rejections)
             _give_memory_back()
             yield made.report  # of the last frame, once its part is whole
+
+
+def _content(scene: Scene) -> Counter[tuple[Content, str]]:
+    result: Counter[tuple[Content, str]] = Counter({("cars", scene.place): 1, ("views", scene.pov): 1})
+    for person in scene.people:
+        result["people", person.subject] += 1
+        result["seats", person.slot] += 1
+    return result
 
 
 def _give_memory_back() -> None:

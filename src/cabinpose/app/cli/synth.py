@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from pathlib import Path
 
 from cabinpose.app.cli.commands import Synth
 from cabinpose.app.cli.output import listed, print_json, print_rows, progress
-from cabinpose.app.view.summary import counts_of
 from cabinpose.core.errors import ConfigError
-from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store import read_manifest
 from cabinpose.store.schema import MANIFEST_NAME
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import Progress, generate
@@ -60,22 +58,10 @@ def run(command: Synth) -> None:
             ("speed", f"{result.frames_per_s:.1f} frames/s, {result.seconds:.1f} s"),
             ("acceptance", f"{100 * result.acceptance:.1f} % of {result.proposals} poses; rejected: {causes}"),
             ("ms a frame", ", ".join(f"{name} {ms:.2f}" for name, ms in result.stages_ms.items()) or "nothing was left to make"),
-            *_who_and_where(command.out),
+            *((name, listed(counts, most=8)) for name, counts in result.content.items() if counts),
         ]
     )
     print(f"look at it with: cabinpose view {command.out} --out {command.out}-view", file=sys.stderr)
-
-
-def _who_and_where(folder: Path) -> list[tuple[str, str]]:
-    """What is in the dataset: frames by car and view, people by seat and name."""
-    dataset = open_dataset(folder)
-    subject = dataset["subject"].values
-    seats = {str(slot): int((subject[:, i] != "").sum()) for i, slot in enumerate(dataset["person"].values)}
-    return [
-        ("cars", listed(counts_of(dataset["car"].values), most=8)),
-        ("people", f"{listed(counts_of(subject[subject != '']), most=8)}; in {listed({s: n for s, n in seats.items() if n})}"),
-        ("views", listed(counts_of(dataset["pov"].values))),
-    ]
 
 
 def _frames_there(command: Synth) -> int:

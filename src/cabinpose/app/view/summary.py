@@ -73,10 +73,10 @@ def summarise(dataset: xr.Dataset, manifest: Manifest, folder: Path) -> DatasetS
         width=manifest.width,
         height=manifest.height,
         variables=tuple(v.name for v in manifest.stored if not v.coordinate),
-        by_car=counts_of(dataset["car"].values),
-        by_pov=counts_of(dataset["pov"].values),
-        by_subject=counts_of(subjects[present]),
-        by_action=counts_of(dataset["action"].values[present]),
+        by_car=_counts(dataset["car"].values),
+        by_pov=_counts(dataset["pov"].values),
+        by_subject=_counts(subjects[present]),
+        by_action=_counts(dataset["action"].values[present]),
         by_seat={slot: int(present[:, i].sum()) for i, slot in enumerate(manifest.persons)},
         by_people={str(n): int(c) for n, c in enumerate(np.bincount(present.sum(axis=1))) if c},
         visibility={state.name.lower(): int(visibility[state]) for state in Visibility if state != Visibility.ABSENT},
@@ -93,7 +93,7 @@ def spread(total: int, count: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(np.int64))
 
 
-def counts_of(values: NDArray[np.object_]) -> dict[str, int]:
+def _counts(values: NDArray[np.object_]) -> dict[str, int]:
     """Frames by value, most frequent first, then by name."""
     counter = Counter(values.ravel().tolist())
     return {str(name): count for name, count in sorted(counter.items(), key=lambda item: (-item[1], item[0]))}
