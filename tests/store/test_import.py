@@ -168,7 +168,7 @@ def test_unknown_sources(tmp_path: Path) -> None:
     assert all(name in str(error.value.hint) for name in IMPORTS)
     for name in IMPORTS:
         assert name in FORMATS
-        with pytest.raises(DatasetError, match="there is no"):
+        with pytest.raises(DatasetError, match="does not exist"):
             open_source(tmp_path / "none", name, ImportOptions())
         with pytest.raises(DatasetError) as wrong:
             open_source(tmp_path, name, ImportOptions())

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import get_args
 
 import cabinpose
-from cabinpose.core.errors import ConfigError
+from cabinpose.core.errors import ConfigError, DependencyError
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
@@ -126,8 +126,10 @@ def _make(
     """Make the parts and yield reports as frames, or the parts of a cluster, are finished."""
     folder = out.resolve()
     if scheduler is not None:
-        from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - Dask takes a second to import
-
+        try:
+            from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - the extra `cluster`
+        except ModuleNotFoundError as error:
+            raise DependencyError(f"{error.name} is not installed", hint="pip install 'cabinpose[cluster]'") from error
         return make_parts(folder, plans, config, manifest, scheduler)
     return make_frames(folder, plans, config, manifest, threads=workers or os.cpu_count() or 1)
 

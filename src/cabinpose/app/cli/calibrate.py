@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def run(command: Calibrate) -> None:
     """Calibrate, write the file, and say how far each step can be trusted."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
     from cabinpose.align.session import Session, calibrate
 
     if command.out.exists() and not command.overwrite:

@@ -13,7 +13,7 @@ from cabinpose.app.extras import require
 
 def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
     from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import Rig
     from cabinpose.synth.config import explain

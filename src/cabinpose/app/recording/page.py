@@ -9,13 +9,12 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.recording.tables import source_rows, topic_rows
 from cabinpose.app.recording.timeline import interval_chart, timeline
-from cabinpose.app.view.draw import INVALID, Image, amplitude_image, depth_image
+from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, jpeg, resized, text
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers, SegmentPoses, ToFFrame
 from cabinpose.store.convert.frames import write_png
@@ -126,8 +125,7 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
 def _gallery(series: Sequence[_Shot]) -> str:
     figures = []
     for shot in series:
-        encoded = cv2.imencode(".jpg", np.ascontiguousarray(shot.picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
-        data = base64.b64encode(encoded.tobytes()).decode("ascii")
+        data = base64.b64encode(jpeg(shot.picture, 85)).decode("ascii")
         caption = f"{shot.seconds:.2f} s" + ("" if shot.sequence is None else f", number {shot.sequence}")
         image = f'<img src="data:image/jpeg;base64,{data}" alt="">'
         figures.append(f"<figure>{image}<figcaption>{caption}</figcaption></figure>")
@@ -169,7 +167,7 @@ def _frame(frame: ToFFrame) -> Image:
         pictures.append(amplitude_image(frame.amplitude, float(np.percentile(frame.amplitude, 99.5))))
     if not pictures:
         return np.full((_HEIGHT, _HEIGHT, 3), INVALID, np.uint8)
-    sized = [cv2.resize(p, (round(p.shape[1] * _HEIGHT / p.shape[0]), _HEIGHT), interpolation=cv2.INTER_AREA) for p in pictures]
+    sized = [resized(p, (round(p.shape[1] * _HEIGHT / p.shape[0]), _HEIGHT)) for p in pictures]
     return np.concatenate(sized, axis=1).astype(np.uint8)
 
 
@@ -183,15 +181,15 @@ def _points(position_m: NDArray[np.float64]) -> Image:
         view = np.full((_HEIGHT, _HEIGHT, 3), _PAPER, np.uint8)
         u = (seen[:, axis] - middle[axis]) / extent + 0.5
         v = 0.5 - (seen[:, 2] - middle[2]) / extent
-        for x, y in zip(u * _HEIGHT, v * _HEIGHT, strict=True):
-            cv2.circle(view, (round(x * 16), round(y * 16)), 3 * 16, _INK, -1, cv2.LINE_AA, 4)
+        with Strokes(view) as strokes:
+            for at in np.stack((u, v), axis=1) * _HEIGHT:
+                strokes.dot(at, 3.0, _INK)
         views.append(view)
     return np.concatenate(views, axis=1)
 
 
 def _captioned(shot: _Shot) -> Image:
     strip = np.full((22, shot.picture.shape[1], 3), _PAPER, np.uint8)
-    text = f"{shot.source}  {shot.seconds:.2f} s"
-    cv2.putText(strip, text, (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
+    text(strip, f"{shot.source}  {shot.seconds:.2f} s", (6, 15), _INK, 12)
     gap = np.full((_HEIGHT + 22, 6, 3), _PAPER, np.uint8)
     return np.concatenate([np.concatenate([strip, shot.picture]), gap], axis=1)

@@ -6,12 +6,11 @@ import base64
 from collections.abc import Sequence
 from html import escape
 
-import cv2
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.app.view.draw import depth_image
+from cabinpose.app.view.draw import depth_image, jpeg
 from cabinpose.app.view.sheet import caption
 from cabinpose.core.ports import PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
@@ -81,8 +80,7 @@ def _picture(depth_m: NDArray[np.float32]) -> str:
     valid = depth_m[np.isfinite(depth_m)]
     near, far = np.quantile(valid, (0.01, 0.99)).tolist() if valid.size else (0.0, 1.0)
     image = depth_image(depth_m, near, far)
-    encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
-    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii")
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(image, 85)).decode("ascii")
 
 
 def _segment(a: NDArray[np.float32], b: NDArray[np.float32], colour: str, width: float) -> str:

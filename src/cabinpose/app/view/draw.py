@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from functools import lru_cache
 from types import MappingProxyType
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as PilImage
+from PIL import ImageDraw, ImageFont
 
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, LIMBS
@@ -27,13 +29,20 @@ VISIBILITY_COLOUR: MappingProxyType[Visibility, Colour] = MappingProxyType(
 PERSON_COLOUR: tuple[Colour, ...] = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167), (213, 94, 0))
 INVALID: Colour = (38, 40, 46)
 _GAMMA = 0.5
+_VIRIDIS = (
+    (68, 1, 84), (72, 23, 105), (71, 42, 122), (67, 61, 132), (61, 78, 138), (53, 94, 141),
+    (46, 109, 142), (41, 123, 142), (35, 137, 142), (31, 151, 139), (33, 165, 133), (46, 179, 124),
+    (70, 192, 111), (101, 203, 94), (137, 213, 72), (176, 221, 47), (216, 226, 25), (253, 231, 37),
+)  # fmt: skip
+_FINER = 4  # pixels a side that a drawn pixel is averaged over
 
 
 @lru_cache
 def colour_map() -> NDArray[np.uint8]:
-    """(256, 3) viridis, even in lightness, bright = near."""
-    ramp = np.arange(255, -1, -1, dtype=np.uint8)[:, None]
-    return np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]).astype(np.uint8)
+    """(256, 3) viridis (van der Walt and Smith 2015, CC0) between `_VIRIDIS`, even in lightness, bright = near."""
+    ends = np.linspace(0, 255, len(_VIRIDIS)).round()
+    channels = [np.interp(np.arange(255, -1, -1), ends, channel) for channel in np.array(_VIRIDIS, float).T]
+    return np.stack(channels, axis=1).round().astype(np.uint8)
 
 
 def depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> Image:
@@ -52,22 +61,52 @@ def amplitude_image(amplitude: NDArray[np.uint16], white: float) -> Image:
 
 def draw_skeleton(image: Image, uv: NDArray[np.float32], visibility: NDArray[np.uint8], scale: float = 1.0) -> None:
     """Draw one person's limbs, and the joints in the colours of their visibility, into `image`, which is `scale` x the frame."""
-    shift = 4  # OpenCV draws at 1/16 pixel
     points = (uv.astype(np.float64) + 0.5) * scale - 0.5
     usable = np.isfinite(points).all(axis=1) & (np.abs(points) < 8 * max(image.shape)).all(axis=1)
-    fixed = np.where(usable[:, None], points * 2**shift, 0).round().astype(int)
-    for colour, width in (((16, 18, 22), round(3 * scale)), ((235, 238, 242), max(round(1.3 * scale), 1))):
-        for a, b in LIMBS:
-            i, j = INDEX[a], INDEX[b]
-            if usable[i] and usable[j]:
-                cv2.line(image, fixed[i].tolist(), fixed[j].tolist(), colour, width, cv2.LINE_AA, shift)
-    for i in np.flatnonzero(usable).tolist():
-        state = Visibility(int(visibility[i]))
-        if state in VISIBILITY_COLOUR:
-            colour = VISIBILITY_COLOUR[state]
-            radius = round(2.6 * scale * 2**shift)
-            cv2.circle(image, fixed[i].tolist(), radius + 2**shift, (16, 18, 22), -1, cv2.LINE_AA, shift)
-            cv2.circle(image, fixed[i].tolist(), radius, colour, -1, cv2.LINE_AA, shift)
+    if not usable.any():
+        return
+    with Strokes(image) as strokes:
+        for colour, width in (((16, 18, 22), round(3 * scale)), ((235, 238, 242), max(round(1.3 * scale), 1))):
+            for a, b in LIMBS:
+                i, j = INDEX[a], INDEX[b]
+                if usable[i] and usable[j]:
+                    strokes.line(points[i], points[j], colour, width)
+        for i in np.flatnonzero(usable).tolist():
+            state = Visibility(int(visibility[i]))
+            if state in VISIBILITY_COLOUR:
+                strokes.dot(points[i], 2.6 * scale + 1.0, (16, 18, 22))
+                strokes.dot(points[i], 2.6 * scale, VISIBILITY_COLOUR[state])
+
+
+class Strokes:
+    """Lines and dots with smooth edges, drawn over an image in place when the block ends. Places are (x, y) px, middles whole."""
+
+    def __init__(self, image: Image) -> None:
+        self._image = image
+        self._layer = PilImage.new("RGBA", (image.shape[1] * _FINER, image.shape[0] * _FINER))
+        self._draw = ImageDraw.Draw(self._layer)
+
+    def __enter__(self) -> Strokes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        over = np.asarray(self._layer.reduce(_FINER), np.float64)
+        share = over[..., 3:] / 255.0
+        self._image[...] = (over[..., :3] * share + self._image * (1.0 - share)).round()
+
+    def line(self, start: NDArray[np.float64], end: NDArray[np.float64], colour: Colour, width: float) -> None:
+        """A line `width` px wide."""
+        self._draw.line([*self._finer(start), *self._finer(end)], colour, round(width * _FINER))
+
+    def dot(self, at: NDArray[np.float64], radius: float, colour: Colour) -> None:
+        """A filled circle of a radius in px."""
+        x, y = self._finer(at)
+        r = radius * _FINER
+        self._draw.ellipse([x - r, y - r, x + r, y + r], colour)
+
+    @staticmethod
+    def _finer(at: NDArray[np.float64]) -> tuple[float, float]:
+        return float(at[0] + 0.5) * _FINER, float(at[1] + 0.5) * _FINER
 
 
 def cloud_colours(instance: NDArray[np.uint8], amplitude: NDArray[np.uint16], white: float) -> NDArray[np.uint8]:
@@ -118,11 +157,30 @@ def to_view(
     return np.stack((width / 2 + (seen[:, 0] - middle[0]) * scale, height / 2 - (seen[:, 1] - middle[1]) * scale), axis=-1)
 
 
-@lru_cache
-def _font() -> cv2.FontFace:
-    return cv2.FontFace("sans")
-
-
 def text(image: Image, words: str, xy: tuple[int, int], colour: Colour = (32, 36, 44), size: int = 14, weight: int = 400) -> None:
-    """Write words with their baseline's left end at `xy`."""
-    cv2.putText(image, words, xy, colour, _font(), size, weight)
+    """Write words with their baseline's left end at `xy`; a weight above 500 is bold."""
+    picture = PilImage.fromarray(image)
+    draw = ImageDraw.Draw(picture)
+    for shift in (0.0, 0.5) if weight > _BOLD else (0.0,):
+        draw.text((xy[0] + shift, xy[1]), words, colour, _font(size), anchor="ls")
+    image[...] = np.asarray(picture)
+
+
+_BOLD = 500
+
+
+@lru_cache
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)
+
+
+def resized(image: Image, size: tuple[int, int]) -> Image:
+    """An image of another size (width, height), by the mean over what a pixel covers."""
+    return np.asarray(PilImage.fromarray(image).resize(size, PilImage.Resampling.BOX))
+
+
+def jpeg(image: Image, quality: int) -> bytes:
+    """An image as JPEG."""
+    buffer = io.BytesIO()
+    PilImage.fromarray(np.ascontiguousarray(image)).save(buffer, "jpeg", quality=quality)
+    return buffer.getvalue()

@@ -15,14 +15,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.finite import finite
 from cabinpose.app.view.complete import completed
-from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR, amplitude_image, colour_map, depth_image
+from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR, amplitude_image, colour_map, depth_image, jpeg, resized
 from cabinpose.app.view.sheet import contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
 from cabinpose.core.pose import Visibility
@@ -159,5 +158,4 @@ def _base64(data: bytes) -> str:
 
 def _thumbnail(image: NDArray[np.uint8]) -> str:
     size = (120, round(120 * image.shape[0] / image.shape[1]))
-    small = cv2.resize(image[..., ::-1], size, interpolation=cv2.INTER_AREA)
-    return _base64(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())
+    return _base64(jpeg(resized(image, size), 80))

@@ -286,7 +286,7 @@ def _decode_draco(path: Path, data: bytes) -> tuple[NDArray[np.float32], NDArray
         import DracoPy  # noqa: PLC0415 - only such files need it
     except ImportError:
         raise DependencyError(
-            f"{path} is Draco-compressed, and DracoPy, which decodes it, is not installed", hint="pip install DracoPy"
+            f"{path} is Draco-compressed, and DracoPy, which decodes it, is not installed", hint="pip install 'cabinpose[draco]'"
         ) from None
     mesh = DracoPy.decode(data)
     return np.ascontiguousarray(mesh.points, dtype="<f4"), np.ascontiguousarray(mesh.faces, dtype="<u4")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from PIL import Image
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
@@ -92,8 +92,4 @@ def depth_mm(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 def write_png(path: Path, image: NDArray[Any]) -> None:
     """One PNG: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB."""
-    pixels = image[..., ::-1] if image.ndim == 3 else image
-    done, buffer = cv2.imencode(".png", np.ascontiguousarray(pixels))
-    if not done:
-        raise DatasetError(f"{path.name} cannot be encoded as PNG")
-    path.write_bytes(buffer.tobytes())
+    Image.fromarray(np.ascontiguousarray(image)).save(path, "png")

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from cabinpose import __version__
 from cabinpose.core.camera import Camera
@@ -144,15 +144,14 @@ def put_person(
 def read_image(path: Path) -> NDArray[Any]:
     """A PNG or JPEG as it stands: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB. Raises `DatasetError`."""
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except (OSError, cv2.error) as error:
-        raise DatasetError(f"cannot read the image {path}: {error}", hint="the source lacks it, or it is cut short") from error
-    if image is None:
-        raise DatasetError(f"{path} is no whole image", hint="it may be cut short; copy it again")
-    if image.ndim == 3:
-        return np.ascontiguousarray(image[..., 2::-1])  # BGR or BGRA
-    return image
+        with Image.open(path) as image:
+            if image.mode.startswith("I"):  # 16 bits
+                return np.asarray(image).astype(np.uint16)
+            return np.asarray(image if image.mode == "L" else image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, OSError) and error.errno is not None:  # of the file system, not of what is in the file
+            raise DatasetError(f"cannot read the image {path}: {error}", hint="the source lacks it") from error
+        raise DatasetError(f"{path} is no whole image: {error}", hint="it may be cut short; copy it again") from error
 
 
 def read_json(path: Path) -> Any:
