@@ -78,7 +78,8 @@ LOCK_FLAGS := --no-header --no-annotate --no-emit-index-url --no-emit-find-links
 
 # One environment, filled step by step: what the package needs, what training needs, what its developers need.
 $(VENV)/.base: requirements.lock $(VENV)/.native
-	@tools/patiently.sh "installing what cabinpose needs into $(VENV)" tools/install.sh $(VENV) -r requirements.lock
+	@BYTECODE=1 tools/patiently.sh "installing what cabinpose needs into $(VENV)" tools/install.sh $(VENV) -r requirements.lock
+	@$(BIN)/python -m compileall -q src
 	@touch $@
 
 # The extension is built into build/ and installed with the package, which itself is used from src/.

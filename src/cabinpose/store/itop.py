@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
@@ -52,6 +51,8 @@ def read_itop_reference(path: Path | str) -> ItopReference:
     file = Path(path)
     try:
         if file.suffix == ".h5":
+            import h5py  # noqa: PLC0415 - the extra `itop`
+
             with h5py.File(file) as labels:
                 joints = np.asarray(labels["real_world_coordinates"], np.float64)
                 valid = np.asarray(labels["is_valid"]).astype(bool)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cabinpose.estimate.found import Found, sigmoid
 from cabinpose.estimate.paf.assemble import Peaks, assemble, find_peaks
@@ -82,6 +81,8 @@ def slots_of(uv: NDArray[np.float64], score: NDArray[np.float64], config: PafCon
     neck = uv[order, config.joints.index("neck")]
     at = np.where(np.isfinite(neck), neck, np.nanmean(uv[order], axis=1))
     anchors = np.array([config.slot_anchors[slot] for slot in places])
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - takes longer to import than all else here
+
     rows, columns = linear_sum_assignment(np.linalg.norm(at[:, None] - anchors, axis=-1))
     return [(int(order[r]), config.slots.index(places[c])) for r, c in zip(rows, columns, strict=True)]
 
