@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -355,3 +357,29 @@ def test_a_model_that_looks_elsewhere_is_remarked(run: Run, dataset_folder: Path
     done = run("predict", "--data", dataset_folder, "--model", "room", "--out", tmp_path / "found.jsonl")
     assert "looks for standing" in done.err
     assert "nothing can be scored" in done.err
+
+
+@pytest.mark.parametrize(("word", "hint"), [("synt", "did you mean synth?"), ("frobnicate", "`cabinpose --help` lists them")])
+def test_a_misspelt_command_names_the_nearest(run: Run, word: str, hint: str) -> None:
+    done = run(word, "--frames", "1")
+    assert done.code == 2
+    assert done.err.startswith(f"error: there is no command '{word}'\nhint: ")
+    assert hint in done.err
+
+
+def test_ctrl_c_ends_in_one_line_and_leaves_nothing_in_the_way(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cabinpose", "synth", "--frames", "5000", "--workers", "2", "--out", str(tmp_path / "d")]
+    process = subprocess.Popen([*command, "scene.cars=[hatchback]"], stderr=subprocess.PIPE, text=True)
+    try:
+        while not (tmp_path / "d" / "dataset.yaml").exists() and process.poll() is None:
+            time.sleep(0.05)
+        time.sleep(1.0)  # in the middle of the first part
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "interrupted"
+    assert "Traceback" not in err
+    assert "Exception" not in err
+    assert not (tmp_path / "d").exists()

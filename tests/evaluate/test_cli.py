@@ -54,7 +54,12 @@ def test_table(run: Callable[..., Outcome], files: list[Path]) -> None:
     assert [line.split()[0] for line in lines[2:9]] == ["All", "Head", "Shoulder", "Elbow", "Wrist", "Hip", "Hand"]
     assert all(words in lines[1] for words in ("PCKh@0.5 2D %", "AUC 2D %", "mean 3D cm", "found %"))
     assert "95 % interval" in out
-    assert re.search(r"^mAP@10 cm \(among detected\) 3D +\d", out, re.M)
+    assert re.search(r"^MPJPE 3D +\d", out, re.M)
+    assert len(re.findall(r"\d to +\d", out)) == 8
+    assert re.search(r"^and 3\d more with --all$", out, re.M)
+    everything = run(files[0], "--all").out
+    assert re.search(r"^mAP@10 cm \(among detected\) 3D +\d", everything, re.M)
+    assert "--all" not in everything
 
 
 def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_a_scene_that_cannot_be_ends_with_its_cause(tmp_path: Path) -> None:
     assert re.match(r"frame \d: none of 8 poses", str(caught.value))
     assert "driver: lupper_arm in torso" in str(caught.value)
     assert "Tried: hatchback (S0" in str(caught.value)
-    assert not list((tmp_path / "impossible").glob("part-*"))
+    assert not (tmp_path / "impossible").exists()  # nothing is in the way of the next try
 
 
 @pytest.mark.parametrize(

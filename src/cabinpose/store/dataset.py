@@ -21,12 +21,16 @@ _HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
 
 
 class DatasetWriter:
-    """A dataset folder that is being filled; it keeps other writers out until it is closed."""
+    """A dataset folder that is being filled; it keeps other writers out until it is closed.
 
-    def __init__(self, folder: Path, manifest: Manifest, lock: int) -> None:
+    new: there was no dataset in it before; made: there was no folder.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest, lock: int, *, new: bool, made: bool) -> None:
         self.folder = folder
         self.manifest = manifest
         self._lock: int | None = lock
+        self._new, self._made = new, made
 
     def complete(self) -> list[PartPlan]:
         """The parts that stand under their final name, in order."""
@@ -36,10 +40,14 @@ class DatasetWriter:
         """The parts still to be made, in order."""
         return [plan for plan in self.manifest.parts if not (self.folder / plan.name).is_dir()]
 
-    def close(self) -> None:
-        """Remove unfinished parts of dead workers and let other writers in."""
+    def close(self, *, failed: bool = False) -> None:
+        """Remove unfinished parts of dead workers, and all of a run that failed before its first part; let other writers in."""
         if self._lock is not None:
             _remove_temporary(self.folder)
+            if failed and self._new and not self.complete():
+                (self.folder / MANIFEST_NAME).unlink(missing_ok=True)
+                if self._made and not any(self.folder.iterdir()):
+                    self.folder.rmdir()
             os.close(self._lock)
             self._lock = None
 
@@ -47,7 +55,7 @@ class DatasetWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+        self.close(failed=kind is not None)
 
 
 def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = False, resume: bool = False) -> DatasetWriter:
@@ -60,6 +68,7 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
     if overwrite and resume:
         raise DatasetError("a dataset is either resumed or overwritten", hint="give one of --resume and --overwrite")
     path = Path(folder)
+    made = not path.exists()
     try:
         path.mkdir(parents=True, exist_ok=True)
         lock = os.open(path, os.O_RDONLY)
@@ -68,7 +77,8 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
     try:
         _lock(path, lock)
         _prepare(path, manifest, overwrite=overwrite, resume=resume)
-        writer = DatasetWriter(path, manifest, lock)
+        new = not (path / MANIFEST_NAME).exists()
+        writer = DatasetWriter(path, manifest, lock, new=new, made=made)
         for plan in writer.complete():
             check_part(path / plan.name, plan)
         _check_space(writer)

@@ -227,7 +227,9 @@ def read_manifest(folder: Path | str) -> Manifest:
     path = Path(folder) / MANIFEST_NAME
     try:
         text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
+        if not Path(folder).exists():
+            raise DatasetError(f"{folder} does not exist", hint="give the folder of a dataset") from None
         raise DatasetError(
             f"{folder} holds no dataset: {MANIFEST_NAME} is missing", hint="give the folder that holds dataset.yaml"
         ) from None

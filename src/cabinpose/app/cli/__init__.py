@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from importlib import import_module
 
 
@@ -13,13 +14,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     import tyro
 
     import cabinpose
-    from cabinpose.app.cli.commands import RUNNERS, STYLE, command_line
+    from cabinpose.app.cli.commands import RUNNERS, STYLE, VERBS, command_line
     from cabinpose.core.errors import CabinposeError
 
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments == ["--version"]:
         print(cabinpose.__version__)
         return 0
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in VERBS:
+        close = get_close_matches(arguments[0], VERBS, n=1)
+        print(f"error: there is no command '{arguments[0]}'", file=sys.stderr)
+        print("hint: " + (f"did you mean {close[0]}? " if close else "") + "`cabinpose --help` lists them", file=sys.stderr)
+        return 2
     command = tyro.cli(command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE)
     try:
         import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)

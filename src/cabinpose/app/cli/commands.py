@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Optional
+from typing import Annotated, Any, Literal, Optional, get_args
 
 from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
@@ -162,6 +162,8 @@ class Evaluate:
     """Resamples of the bootstrap for the intervals; 0 leaves them out."""
     seed: int = 0
     """Seed of the bootstrap."""
+    everything: Annotated[bool, arg(name="all")] = False
+    """Print every number, not only the usual eight; the page and the JSON always hold all."""
     overwrite: bool = False
     """Replace the report that is in the folder."""
     as_json: JsonFlag = False
@@ -428,6 +430,9 @@ Command = (
     | Annotated[Lab, subcommand("lab")]
     | Annotated[Bench, subcommand("bench")]
 )
+
+
+VERBS = tuple(meta.name for each in get_args(Command) for meta in each.__metadata__)
 
 
 def command_line(command: Annotated[Command, arg(name="")]) -> Any:

@@ -71,7 +71,7 @@ def run(command: Evaluate) -> None:
         print_json(record)
         return
     for report in reports:
-        print_report(report)
+        print_report(report, everything=command.everything)
     if command.out is not None:
         print(f"open {command.out / 'index.html'}", file=sys.stderr)
 
@@ -94,7 +94,7 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
     if command.as_json:
         print_json(itop_summary(labelled) | {"within_10cm_anatomical": within})
     else:
-        print_report(labelled)
+        print_report(labelled, everything=command.everything)
         print(f"where the model puts the joints of the body, not ITOP's labels: {within:.1f} % within 10 cm")
 
 
@@ -187,8 +187,16 @@ def _write(folder: Path, page: str, record: dict[str, Any]) -> None:
         (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
 
 
-def print_report(report: Report) -> None:
-    """The table by joint group, the numbers about all joints with their intervals and denominators, and the notes."""
+_USUAL = (
+    "PCKh@0.5 2D", "AUC of PCKh 2D", "median error 2D", "PCK@10 cm 3D", "MPJPE 3D", "median error 3D", "presence precision",
+    "presence recall",
+)  # fmt: skip
+
+
+def print_report(report: Report, *, everything: bool) -> None:
+    """The table by joint group, numbers about all joints with their intervals and denominators (the usual eight, or every one),
+    and the notes.
+    """
     columns = group_columns([report])
     print(f"{report.model} on {report.dataset}: {report.frames} frames, {report.people} people")
     rows = [["", *(c.title for c in columns)]]
@@ -198,11 +206,15 @@ def print_report(report: Report) -> None:
     print_table(rows)
     print()
     rows = [["", "value", "95 % interval", "samples", "of what; how averaged"]]
+    numbers = list(people_rows(report))
+    shown = [(name, v) for name, v in numbers if everything or name in _USUAL]
     rows += [
         [name, f"{number(v)} {v.unit}".rstrip(), interval(v), str(v.samples), f"{v.denominator}; {v.average}"]
-        for name, v in people_rows(report)
+        for name, v in shown
     ]
     print_table(rows, words=(0, 4))
+    if len(shown) < len(numbers):
+        print(f"and {len(numbers) - len(shown)} more with --all")
     for note in report.notes:
         print(note)
     print()
