@@ -19,7 +19,7 @@ from cabinpose.core.frames import invert
 from cabinpose.store.recording import Recording
 
 pytestmark = pytest.mark.slow
-PLAN = Plan(views=12, frames_per_view=1, pendulum_s=8, seconds=6.5, rate_hz=2, exercises=False, seed=3)
+PLAN = Plan(views=12, frames_per_view=1, pendulum_s=8, seconds=6.5, rate_hz=2, exercises=False, seed=4)
 
 
 @pytest.fixture(scope="module")
