@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,17 @@ def test_wrong_arrays_say_what_is_wrong(frames: list[Frame], model: OnnxPredicto
         with pytest.raises(ConfigError, match=words) as caught:
             call()
         assert caught.value.hint
+
+
+def test_amplitudes_of_another_unit_are_told_once(frames: list[Frame]) -> None:
+    model = cabinpose.load_model("in_car", threads=1)
+    depth, light, k = (frames[0][name] for name in ("depth", "amplitude", "camera_k"))
+    with pytest.warns(UserWarning, match="Scale the amplitudes"):
+        model(depth, k, light / 65535.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model(depth, k, light / 65535.0)
+        cabinpose.load_model("in_car", threads=1)(depth, k, 3.0 * light)
 
 
 def test_predictions_are_opened_and_evaluated(dataset: Path, model: OnnxPredictor, frames: list[Frame], tmp_path: Path) -> None:

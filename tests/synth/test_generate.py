@@ -57,6 +57,14 @@ def test_killed_and_resumed_writes_the_same_bytes(reference: Path, tmp_path: Pat
     assert fingerprint(out) == fingerprint(reference)
 
 
+def test_a_dataset_grows_from_any_number_of_frames(reference: Path, tmp_path: Path) -> None:
+    out = tmp_path / "grown"
+    generate(small_config(), PART + 1, out, seed=7, workers=1)
+    report = generate(small_config(), FRAMES, out, seed=7, workers=1, resume=True)
+    assert (report.frames, report.frames_total) == (FRAMES - PART, FRAMES)
+    assert fingerprint(out) == fingerprint(reference)
+
+
 @pytest.mark.slow
 def test_a_cluster_makes_the_same_bytes_though_a_worker_dies(reference: Path, tmp_path: Path) -> None:
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1"}

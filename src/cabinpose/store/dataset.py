@@ -100,6 +100,9 @@ def _prepare(path: Path, manifest: Manifest, *, overwrite: bool, resume: bool) -
     old = read_manifest(path)
     if resume:
         _check_same(path, old, manifest)
+        last = old.parts[-1]
+        if manifest.frames > old.frames and last.frames < old.frames_per_part and (path / last.name).exists():
+            shutil.rmtree(path / last.name)  # it is made again, the same frames and more
     elif overwrite:
         for part in sorted(path.glob("part-*.zarr")):
             shutil.rmtree(part)
@@ -142,12 +145,6 @@ def _check_same(path: Path, old: Manifest, new: Manifest) -> None:
         raise DatasetError(
             f"{path} is a dataset of {old.frames} frames, which cannot shrink to {new.frames}",
             hint=f"resume with --frames {old.frames} or more",
-        )
-    last = old.parts[-1]
-    if new.frames > old.frames and last.frames < old.frames_per_part and (path / last.name).exists():
-        raise DatasetError(
-            f"{path} ends with a part of {last.frames} frames, which cannot grow",
-            hint=f"a dataset can grow from a multiple of {old.frames_per_part} frames; generate the rest into another folder",
         )
 
 

@@ -60,7 +60,7 @@ class ConfigInit:
 
 @dataclass(frozen=True)
 class ConfigCheck:
-    """Check a configuration as `synth` would, and say what it asks for."""
+    """Check a configuration as `synth` would, meshes, recordings and a few scenes included, and say what it asks for."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """Configuration (YAML)."""

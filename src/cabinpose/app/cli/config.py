@@ -42,15 +42,32 @@ def _init(action: ConfigInit) -> None:
 
 def _check(action: ConfigCheck) -> None:
     config = SynthConfig.load(action.file)
+    tried = _try(config)
     if action.as_json:
-        print(json.dumps({"file": str(action.file), "valid": True, "config": config.model_dump(mode="json")}))
+        print(
+            json.dumps({"file": str(action.file), "valid": True, "poses_tried": tried, "config": config.model_dump(mode="json")})
+        )
         return
-    print(f"{action.file} is valid")
+    print(f"{action.file} is valid: {_FRAMES} frames found their scene in {tried} poses")
     print(f"scene    {_scene(config)}")
     print(f"camera   {config.camera.sensor}, views {', '.join(config.camera.views)}")
     random = f" and {config.people.random.count} drawn at random" if config.people.random else ""
     print(f"people   {len(config.people.subjects)} named{random}")
     print(f"noise    {config.noise.kind}")
+
+
+_FRAMES = 3  # whose scenes a check draws
+
+
+def _try(config: SynthConfig) -> int:
+    """Load what the configuration names, draw a few scenes, and return the number of poses that took; raises as `synth` would."""
+    from cabinpose.synth.config import frame_rng
+    from cabinpose.synth.preflight import preflight
+    from cabinpose.synth.sample import SceneSampler
+
+    preflight(config, frames=1)
+    sampler = SceneSampler(config, 0)
+    return sum(sampler.sample(index, rng=frame_rng(0, index)).proposals for index in range(_FRAMES))
 
 
 def _scene(config: SynthConfig) -> str:
