@@ -278,3 +278,33 @@ def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], check
     c = config("lifting")
     with pytest.raises(ModelError, match=r"another network \(compact\)"):
         fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)
+
+
+def test_every_batch_is_told(tmp_path: Path) -> None:
+    c, told = config("compact", epochs=2, batch=2), []
+    fit(c, frames(c), frames(c), tmp_path, devices=1, progress=lambda *state: told.append(state))
+    done, total, notes = zip(*told, strict=True)
+    assert done == tuple(range(1, total[0] + 1))
+    assert len(set(total)) == 1
+    assert notes[0].startswith("epoch 1 of 2, loss ")
+    assert notes[-1].startswith("epoch 2 of 2, loss ")
+    assert TASKS["joints"].best in notes[-1]
+
+
+class _Spy:
+    """What runs when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self._trace = trace
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self._trace,)
+
+
+def test_code_in_a_checkpoint_does_not_run(checkpoints: dict[str, Path], tmp_path: Path) -> None:
+    data = torch.load(checkpoints["compact"], weights_only=True)
+    torch.save(data | {"extra": _Spy(tmp_path / "ran")}, tmp_path / "crafted.ckpt")
+    with pytest.raises(ModelError, match="no checkpoint") as caught:
+        load_detector(tmp_path / "crafted.ckpt")
+    assert caught.value.hint
+    assert not (tmp_path / "ran").exists()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sized
+from collections.abc import Callable, Iterator, Mapping, Sized
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
@@ -174,6 +174,24 @@ def outputs_of(network: nn.Module, method: Method, settings: Any, seen: Mapping[
     return {name: getattr(values, name).float().cpu().numpy() for name in method.outputs}
 
 
+Progress = Callable[[int, int, str], None]  # batches done, batches in all, and what there is to say of them
+
+
+class _Told(Callback):
+    """Tells of every batch: epoch, loss, and the best figure of the last validation."""
+
+    def __init__(self, progress: Progress, monitor: str) -> None:
+        self._progress, self._monitor = progress, monitor
+
+    def on_train_batch_end(self, trainer: lightning.Trainer, *_: Any) -> None:
+        if not trainer.is_global_zero:
+            return
+        metrics = trainer.callback_metrics
+        figures = [f"{name} {float(metrics[name]):.4g}" for name in ("loss", self._monitor) if name in metrics]
+        note = ", ".join([f"epoch {trainer.current_epoch + 1} of {trainer.max_epochs}", *figures])
+        self._progress(trainer.global_step, int(trainer.estimated_stepping_batches), note)
+
+
 def fit(
     config: TrainConfig,
     training: Frames,
@@ -185,12 +203,14 @@ def fit(
     callbacks: tuple[Callback, ...] = (),
     devices: int | str = "auto",
     nodes: int = 1,
+    progress: Progress | None = None,
 ) -> Path:
     """Train into the folder `out` and return the best epoch's checkpoint.
 
     `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). `init`: checkpoint whose
-    weights a new run begins with. Raises ConfigError where `out` holds another run and `resume` is not asked for, or where there
-    is too little memory for a batch; ModelError where the run to resume, or to begin with, is of another network.
+    weights a new run begins with · progress: told after every batch. Raises ConfigError where `out` holds another run and
+    `resume` is not asked for, or where there is too little memory for a batch; ModelError where the run to resume, or to begin
+    with, is of another network.
     """
     last = out / "last.ckpt"
     if last.exists() and not resume:
@@ -207,18 +227,19 @@ def fit(
     best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [EMAWeightAveraging(decay=config.average)] if config.average else []
+    told = [_Told(progress, monitor)] if progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
-            callbacks=[*average, best, newest, *callbacks], logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10,
-            enable_model_summary=False, reload_dataloaders_every_n_epochs=1,
+            callbacks=[*average, best, newest, *told, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
+            log_every_n_steps=10, enable_model_summary=False, enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
         )  # fmt: skip
         detector = Detector(config)
         if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
             detector.spare_batches = config.epochs * config.workers
         if init is not None and not last.exists():
             begin_with(detector, init)
-        trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=False)
+        trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=True)
     return out / "best.ckpt"
 
 
@@ -232,7 +253,7 @@ def _loggers(out: Path) -> list[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Lightning's advice and its list of devices are left out; its errors and the progress bar stay."""
+    """Lightning's advice and its list of devices are left out; its errors stay."""
     talkers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
     levels = [talker.level for talker in talkers]
     with warnings.catch_warnings():

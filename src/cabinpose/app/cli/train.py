@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 
 from cabinpose.app.cli.commands import Train
-from cabinpose.app.cli.output import print_json
+from cabinpose.app.cli.output import ProgressReport, print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.store import open_dataset
@@ -13,7 +14,7 @@ from cabinpose.synth.config import SynthConfig
 
 
 def run(command: Train) -> None:
-    """Train with Lightning's progress bar and name the best checkpoint."""
+    """Train, tell how far it is, and name the best checkpoint."""
     require("torch", "lightning", extra="train")
     from cabinpose.app.training import generated_frames, read_train_config, stored_frames
     from cabinpose.estimate.data import Frames
@@ -34,16 +35,25 @@ def run(command: Train) -> None:
         training, validation = generated_frames(SynthConfig.load(command.synth), spec, command.frames, config.seed)
     else:
         raise ConfigError("there is nothing to learn from", hint="give one of --data and --synth")
-    best = fit(
-        config,
-        training,
-        validation,
-        command.out,
-        resume=command.resume,
-        init=command.init,
-        devices=_devices(command.devices),
-        nodes=command.nodes,
-    )
+    with ExitStack() as stack:
+        shown: list[ProgressReport] = []
+
+        def tell(done: int, total: int, note: str) -> None:
+            if not shown:
+                shown.append(stack.enter_context(progress(total, "batches", start=done - 1)))
+            shown[0](done, note)
+
+        best = fit(
+            config,
+            training,
+            validation,
+            command.out,
+            resume=command.resume,
+            init=command.init,
+            devices=_devices(command.devices),
+            nodes=command.nodes,
+            progress=tell,
+        )
     if command.as_json:
         print_json({"best": str(best)})
     else:
