@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Optional, get_args
 
-from tyro.conf import FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
+from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from cabinpose.app.cli.align_commands import Align, Calibrate, Lab
 from cabinpose.app.cli.arguments import JsonFlag, ThingArgument
@@ -449,4 +449,4 @@ RUNNERS = MappingProxyType(
     }
 )  # fmt: skip
 
-STYLE = (FlagCreatePairsOff, OmitSubcommandPrefixes)
+STYLE = (DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes)
