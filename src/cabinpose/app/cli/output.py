@@ -54,19 +54,34 @@ class ProgressReport:
         self._task = bar.add_task("", total=total, completed=start, rate="", note="") if bar is not None else None
         self._total, self._unit, self._start = total, unit, start
         self._began = time.monotonic()
+        self._seen = [(self._began, start)]
         self._logged = self._began - LOG_EVERY_S + QUIET_S
 
     def __call__(self, done: int, note: str = "") -> None:
         """`done` of all items are there; `note` is shown beside the rate of those that this run made."""
         now = time.monotonic()
+        if self._bar is None:
+            self._seen.append((now, done))
         rate = (done - self._start) / max(now - self._began, 1e-9)
         text = f"{rate:.1f} {self._unit}/s" if rate >= 1 or rate == 0 else f"{1 / rate:.1f} s each"
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, rate=text, note=note)
         elif now - self._logged >= LOG_EVERY_S:
-            left = f"{(self._total - done) / rate:.0f} s left" if rate > 0 else "waiting"
+            left = self._left(now, done) if rate > 0 else "waiting"
             print(", ".join(filter(None, (f"{done}/{self._total} {self._unit}", text, left, note))), file=sys.stderr)
             self._logged = now
+
+    def _left(self, now: float, done: int) -> str:
+        """The time left by what the last half of the time has brought: the first half prepares. Nothing before it can be told."""
+        if done - self._start < _TELLS * (self._total - self._start):
+            return ""
+        middle = (self._began + now) / 2
+        then, before = max((seen for seen in self._seen if seen[0] <= middle), key=lambda seen: seen[0])
+        self._seen = [seen for seen in self._seen if seen[0] >= then]
+        return f"{(self._total - done) * (now - then) / max(done - before, 1):.0f} s left"
+
+
+_TELLS = 0.02  # of the work, before its time can be told
 
 
 @contextmanager
