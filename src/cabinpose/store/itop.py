@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from cabinpose.core.errors import DatasetError
+from cabinpose.core.optional import optional_module
 from cabinpose.core.ports import FrameBatch
 from cabinpose.core.skeleton import ITOP_JOINTS
 
@@ -43,6 +45,11 @@ class ItopReference:
     valid: NDArray[np.bool_]
 
 
+def hdf5() -> Any:
+    """The library that ITOP's files are read and written with; DependencyError where it is not installed."""
+    return optional_module("h5py", purpose="ITOP's HDF5", hint="pip install 'cabinpose[itop]'")
+
+
 def read_itop_reference(path: Path | str) -> ItopReference:
     """The reference of a `*_labels.h5`, of a `.mat` with `keypoints3D`, or of a `.npz` with `joints_3d` and `frame`.
 
@@ -51,9 +58,7 @@ def read_itop_reference(path: Path | str) -> ItopReference:
     file = Path(path)
     try:
         if file.suffix == ".h5":
-            import h5py  # noqa: PLC0415 - the extra `itop`
-
-            with h5py.File(file) as labels:
+            with hdf5().File(file) as labels:
                 joints = np.asarray(labels["real_world_coordinates"], np.float64)
                 valid = np.asarray(labels["is_valid"]).astype(bool)
             frame = np.arange(len(joints))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -13,8 +12,7 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.store import Manifest, PartPlan
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import SceneSampler
-from cabinpose.synth.validate import Rejection
-from cabinpose.synth.write import Content, FrameReport, make_frames
+from cabinpose.synth.write import FrameReport, FrameTotal, make_frames
 
 
 def make_parts(
@@ -45,19 +43,11 @@ def make_parts(
 
 def _make_part(plan: PartPlan, *, folder: Path, config: SynthConfig, manifest: Manifest) -> FrameReport:
     """What a worker does with one part."""
-    frames, proposals = 0, 0
-    rejections: Counter[Rejection] = Counter()
-    content: Counter[tuple[Content, str]] = Counter()
-    seconds: defaultdict[str, float] = defaultdict(float)
+    total = FrameTotal()
     sampler = _sampler(config.model_dump_json(), manifest.seed)
     for report in make_frames(folder, [plan], config, manifest, threads=1, sampler=sampler):
-        frames += report.frames
-        proposals += report.proposals
-        rejections.update(report.rejections)
-        content.update(report.content)
-        for stage, value in report.stage_seconds.items():
-            seconds[stage] += value
-    return FrameReport(frames, proposals, dict(rejections), dict(seconds), dict(content))
+        total.add(report)
+    return total.report
 
 
 @lru_cache(maxsize=2)

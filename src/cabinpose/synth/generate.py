@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
 import cabinpose
-from cabinpose.core.errors import ConfigError, DependencyError
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.optional import optional_module
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
@@ -23,7 +23,7 @@ from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.write import Content, FrameReport, make_frames
+from cabinpose.synth.write import Content, FrameReport, FrameTotal, make_frames
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def generate(
     preflight(config, frames=frames)
     manifest = build_manifest(config, frames, seed)
     started = time.perf_counter()
-    total = _Total()
+    total = FrameTotal()
     with create_dataset(out, manifest, overwrite=overwrite, resume=resume) as dataset:
         plans = dataset.missing()
         before = sum(plan.frames for plan in dataset.complete())
@@ -126,32 +126,14 @@ def _make(
     """Make the parts and yield reports as frames, or the parts of a cluster, are finished."""
     folder = out.resolve()
     if scheduler is not None:
-        try:
-            from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - the extra `cluster`
-        except ModuleNotFoundError as error:
-            raise DependencyError(f"{error.name} is not installed", hint="pip install 'cabinpose[cluster]'") from error
+        optional_module("distributed", purpose="a cluster", hint="pip install 'cabinpose[cluster]'")
+        from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - the extra `cluster`
+
         return make_parts(folder, plans, config, manifest, scheduler)
     return make_frames(folder, plans, config, manifest, threads=workers or os.cpu_count() or 1)
 
 
-class _Total:
-    """The sum of reports."""
-
-    def __init__(self) -> None:
-        self.frames = self.proposals = 0
-        self.rejections: Counter[Rejection] = Counter()
-        self.stage_seconds: Counter[str] = Counter()
-        self.content: Counter[tuple[Content, str]] = Counter()
-
-    def add(self, report: FrameReport) -> None:
-        self.frames += report.frames
-        self.proposals += report.proposals
-        self.rejections.update(report.rejections)
-        self.stage_seconds.update(report.stage_seconds)
-        self.content.update(report.content)
-
-
-def _summary(out: Path, total: _Total, before: int, seconds: float) -> GenerationReport:
+def _summary(out: Path, total: FrameTotal, before: int, seconds: float) -> GenerationReport:
     rejected = sum(total.rejections.values())
     return GenerationReport(
         out=str(out),

@@ -78,7 +78,8 @@ class Plan:
         """The car of frame `index`, and where its wheel is: one and the same side in all frames of a random car."""
         scene = self._config.scene
         assert isinstance(scene, CabinScene)
-        car = self._cars[_one_of(self._in_play(0, len(self._cars), CARS_IN_PLAY, _FRAMES_A_CAR, index), rng)]
+        among = self._in_play(0, len(self._cars), CARS_IN_PLAY, _FRAMES_A_CAR, index)
+        car = self._cars[among[int(rng.integers(len(among)))]]
         chance = rng.random()
         if car not in scene.cars:
             chance = frame_rng(self._seed, _CAR_STREAM - 1 - int(car[1:])).random()
@@ -86,15 +87,14 @@ class Plan:
 
     def people(self, index: int, count: int, *, rng: np.random.Generator) -> list[str]:
         """The people of frame `index`: different ones, as long as there are enough."""
-        among = self._in_play(1, len(self._subjects), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)
-        return [self._subjects[among[i]] for i in rng.choice(len(among), size=count, replace=count > len(among))]
+        among = self._people_in_play(index)
+        return [among[i] for i in rng.choice(len(among), size=count, replace=count > len(among))]
 
     def driver_first(self, index: int, names: list[str], *, rng: np.random.Generator) -> list[str]:
         """The same people, the first of whom is old enough to drive; where nobody is, somebody in play takes the first place."""
         old = [name for name in names if self._drives(name)]
         if not old:
-            among = self._in_play(1, len(self._subjects), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)
-            others = [self._subjects[i] for i in among if self._drives(self._subjects[i])]
+            others = [name for name in self._people_in_play(index) if self._drives(name)]
             return [others[int(rng.integers(len(others)))], *names[1:]] if others else names
         result = list(names)
         at = result.index(old[0])
@@ -110,6 +110,9 @@ class Plan:
         assert isinstance(scene, RoomScene)
         return int(rng.integers(scene.rooms))
 
+    def _people_in_play(self, index: int) -> list[str]:
+        return [self._subjects[i] for i in self._in_play(1, len(self._subjects), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)]
+
     def _in_play(self, kind: int, count: int, most: int, frames: int, index: int) -> list[int]:
         """Numbers below `count` that frame `index` draws from: all, or `most` of them, of which one leaves every few frames."""
         if count <= most:
@@ -119,10 +122,6 @@ class Plan:
 
     def _make_order(self, kind: int, count: int, round_number: int) -> list[int]:
         return frame_rng(self._seed, _ORDER_STREAM + kind * _ROUNDS + round_number).permutation(count).tolist()
-
-
-def _one_of(numbers: list[int], rng: np.random.Generator) -> int:
-    return numbers[int(rng.integers(len(numbers)))]
 
 
 def room_rng(seed: int, number: int) -> np.random.Generator:

@@ -130,6 +130,29 @@ class FrameReport:
     content: Mapping[tuple[Content, str], int] = field(default_factory=dict)
 
 
+class FrameTotal:
+    """The sum of reports."""
+
+    def __init__(self) -> None:
+        self.frames = self.proposals = 0
+        self.rejections: Counter[Rejection] = Counter()
+        self.stage_seconds: Counter[str] = Counter()
+        self.content: Counter[tuple[Content, str]] = Counter()
+
+    def add(self, report: FrameReport) -> None:
+        """Count a report in."""
+        self.frames += report.frames
+        self.proposals += report.proposals
+        self.rejections.update(report.rejections)
+        self.stage_seconds.update(report.stage_seconds)
+        self.content.update(report.content)
+
+    @property
+    def report(self) -> FrameReport:
+        """The sum as one report."""
+        return FrameReport(self.frames, self.proposals, dict(self.rejections), dict(self.stage_seconds), dict(self.content))
+
+
 class _Made(NamedTuple):
     frame: EncodedFrame | None  # None: of a combination that no scene allows
     report: FrameReport

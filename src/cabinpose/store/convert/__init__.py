@@ -14,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from cabinpose.core.errors import DatasetError, DependencyError, unknown_name
+from cabinpose.core.errors import DatasetError, unknown_name
 from cabinpose.store.dataset import create_dataset
 from cabinpose.store.part import PartWriter, disk_errors
 from cabinpose.store.schema import MANIFEST_NAME
@@ -33,16 +33,6 @@ RECORDING_IMPORTS = ("mvnx", "c3d", "bvh", "adtfdat", "xdf", "azure-mkv", "trc",
 Report = Callable[[int], None]  # called with the number of frames done
 
 
-def _module(name: str) -> Any:
-    """A format's module; `DependencyError` where its library is not installed."""
-    try:
-        return import_module(f"{__name__}.{name}")
-    except ModuleNotFoundError as error:
-        if error.name != "h5py":
-            raise
-        raise DependencyError("h5py is not installed", hint="pip install 'cabinpose[itop]'") from error
-
-
 def export_dataset(
     dataset: xr.Dataset, name: str, out: Path | str, *, overwrite: bool = False, report: Report | None = None
 ) -> Path:
@@ -56,7 +46,7 @@ def export_dataset(
     folder = Path(out)
     if (folder / MANIFEST_NAME).exists():
         raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
-    module: Any = _module(FORMATS[name])
+    module: Any = import_module(f"{__name__}.{FORMATS[name]}")
     with _whole_folder(folder, "export", overwrite=overwrite) as temporary:
         temporary.mkdir(parents=True)
         module.export(dataset, temporary, report or (lambda _: None))
@@ -74,7 +64,7 @@ def open_source(path: Path | str, name: str, options: ImportOptions) -> Source:
     source = Path(path)
     if not source.exists():
         raise DatasetError(f"{source} does not exist", hint="give the file or folder to import")
-    module: Any = _module(IMPORTS[name])
+    module: Any = import_module(f"{__name__}.{IMPORTS[name]}")
     found: Source = module.read(source, options)
     return found
 

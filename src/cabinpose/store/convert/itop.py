@@ -12,7 +12,6 @@ from __future__ import annotations
 from pathlib import Path
 from types import MappingProxyType
 
-import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.store.convert import Report
 from cabinpose.store.convert.frames import frames, label_table, people, require_variables
+from cabinpose.store.itop import hdf5
 from cabinpose.store.lazy import camera_of
 
 # Joint of ours whose visibility stands for one of ITOP's, and whose position does where the dataset has no
@@ -49,6 +49,7 @@ def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
     count, (height, width) = dataset.sizes["frame"], dataset["depth"].shape[1:]
     segmentation_of = segmentation_table(dataset)
     subjects = sorted({str(s) for s in dataset["subject"].values.ravel() if s})
+    h5py = hdf5()
     with h5py.File(folder / "depth_map.h5", "w") as depth_file, h5py.File(folder / "labels.h5", "w") as label_file:
         # Equal datasets give equal bytes: no times in the files, and not LZF, whose output depends on stale memory.
         image = {"shape": (count, height, width), "chunks": (1, height, width), "track_times": False}

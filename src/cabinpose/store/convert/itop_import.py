@@ -15,7 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +23,7 @@ from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.store.convert.source import UNKNOWN, BlankFrame, ImportOptions, Source, make_manifest, put_camera, put_person
-from cabinpose.store.itop import K
+from cabinpose.store.itop import K, hdf5
 from cabinpose.store.schema import LabelRow, Manifest
 
 PERSON = "standing"  # the place of the person in a room, as `synth` calls it
@@ -126,10 +125,10 @@ def _stem(file: Path) -> str:
 
 
 @contextmanager
-def _h5(path: Path) -> Iterator[h5py.File]:
+def _h5(path: Path) -> Iterator[Any]:
     """An HDF5 file whose damage is a `DatasetError`."""
     try:
-        with h5py.File(path) as file:
+        with hdf5().File(path) as file:
             yield file
     except (OSError, RuntimeError, KeyError) as error:
         raise DatasetError(f"{path} is damaged: {error}", hint="it may be cut short; copy or unpack it again") from error
@@ -174,7 +173,7 @@ def _open(depth_path: Path, labels_path: Path, options: ImportOptions) -> _Pair:
 
 
 def _check_axes(
-    depth: h5py.File, labels: h5py.File, path: Path, valid: NDArray[np.int64], size: tuple[int, int], options: ImportOptions
+    depth: Any, labels: Any, path: Path, valid: NDArray[np.int64], size: tuple[int, int], options: ImportOptions
 ) -> None:
     """Both kinds of labels have to tell the same: a file with y down, or in mm, does not."""
     some = valid[:: max(1, len(valid) // 100)]
@@ -193,7 +192,7 @@ def _check_axes(
         )
 
 
-def _camera(depth: h5py.File, index: int, size: tuple[int, int], options: ImportOptions) -> Camera:
+def _camera(depth: Any, index: int, size: tuple[int, int], options: ImportOptions) -> Camera:
     """The user's camera, or the one in the file, or ITOP's."""
     given = options.camera(*size)
     if given is not None:
