@@ -10,7 +10,9 @@ import pytest
 
 from cabinpose.app.training import read_train_config
 from cabinpose.estimate.training import frame_spec
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.preflight import preflight
+from cabinpose.synth.sample import SceneSampler
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 pytestmark = pytest.mark.slow
@@ -66,3 +68,17 @@ def test_the_demos_training_is_a_configuration() -> None:
     config = read_train_config(EXAMPLES / "demo-train.yaml", None)
     assert config.method == "compact"
     assert set(frame_spec(config).slots) == {"driver", "front_passenger"}
+
+
+@pytest.mark.parametrize(("name", "frames"), [("s25k.yaml", 25_200), ("s63k.yaml", 63_000)])
+def test_the_thesis_datasets_have_its_sizes(name: str, frames: int) -> None:
+    config = SynthConfig.load(EXAMPLES / name)
+    assert config.frames == frames
+    preflight(config, frames=frames)
+
+
+def test_who_sits_where() -> None:
+    config = SynthConfig.load(EXAMPLES / "who_sits_where.yaml")
+    scene = SceneSampler(config, 0).sample(0, rng=frame_rng(0, 0))
+    assert [(person.slot, person.subject) for person in scene.people] == [("driver", "anna"), ("front_passenger", "bob")]
+    assert scene.people[1].action == "sleep"

@@ -18,7 +18,6 @@ from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import StoredFrames
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.plan import subject_names
 
 
 def dataset(subjects: list[tuple[str, ...]], seed: int = 7) -> xr.Dataset:
@@ -104,7 +103,7 @@ def test_people_drawn_at_random_are_others_with_every_seed() -> None:
 
 def test_a_crowds_names_are_known() -> None:
     crowd = SynthConfig.model_validate({"people": {"subjects": ["S01"], "random": {"count": 12_000}}})
-    there = alone(*subject_names(crowd)[::1000], seed=3)
+    there = alone(*crowd.people.names[::1000], seed=3)
     assert {seed for name, seed in individuals(there) if name != "S01"} == {3}
     assert ("S01", None) in individuals(there)
     assert len(individuals(there)) == 13

@@ -11,7 +11,7 @@ from synth_scenes import small_config
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.synth.config import People, RandomPeople, Range, SynthConfig, frame_rng
-from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan, subject_body, subject_names
+from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan, subject_body
 
 SEED = 5
 
@@ -70,7 +70,7 @@ def test_children_do_not_drive_unless_asked() -> None:
 def test_random_people_by_years() -> None:
     ranges = {"years": Range(min=20.0, max=40.0)}
     config = SynthConfig(people=People(subjects=(), random=RandomPeople(count=50, ranges=ranges)))
-    years = [subject_body(config, SEED, name)[0].years for name in subject_names(config)]
+    years = [subject_body(config, SEED, name)[0].years for name in config.people.names]
     assert 20.0 <= min(years) < 24.0
     assert 36.0 < max(years) <= 40.0
     with pytest.raises(ConfigError, match="age") as caught:

@@ -85,7 +85,7 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
 
 
 def generate(
-    *overrides: str, frames: int, seed: int = 0, config: SynthConfig | Path | str | None = None, first: int = 0
+    *overrides: str, frames: int | None = None, seed: int = 0, config: SynthConfig | Path | str | None = None, first: int = 0
 ) -> Iterator[Frame]:
     """Generated frames one by one, without a disk: the same as `cabinpose synth` writes.
 
@@ -94,7 +94,7 @@ def generate(
     *overrides
         What differs from the configuration, such as "scene.cars=[suv]"; the value is YAML.
     frames, first
-        How many frames, from which number on.
+        How many frames, from which number on; default: all, of a configuration with a number of combinations.
     seed
         Seed of all randomness.
     config
@@ -117,17 +117,18 @@ def generate(
     from cabinpose.synth.preflight import preflight  # noqa: PLC0415
     from cabinpose.synth.write import FrameMaker  # noqa: PLC0415
 
-    if frames < 1:
-        raise ConfigError(f"cannot generate {frames} frames", hint="ask for at least 1 frame")
     if isinstance(config, SynthConfig):
         if overrides:
             raise ConfigError("overrides change files and defaults", hint="give either these or a SynthConfig")
         chosen = config
     else:
         chosen = SynthConfig.load(None if config is None else Path(config), overrides)
-    preflight(chosen, frames=first + frames)
+    end = first + frames if frames is not None else chosen.frames_or_all(None)
+    if not 0 <= first < end:
+        raise ConfigError(f"cannot generate {end - first} frames from number {first} on", hint="ask for at least 1 frame")
+    preflight(chosen, frames=end)
     maker = FrameMaker(chosen, seed)
-    return (maker.make(index)[0] for index in range(first, first + frames))
+    return (maker.make(index)[0] for index in range(first, end))
 
 
 def evaluate_predictions(

@@ -23,7 +23,7 @@ from cabinpose.synth.write import FrameMaker
 
 _HELD_OUT = 0.15  # share of the subjects that validate where no splits are given
 _NAMES = 5  # of subjects in a message
-_OF_A_CROWD = re.compile(r"R\d{4,}")  # the names that `synth.sample.subject_names` gives
+_OF_A_CROWD = re.compile(r"R\d{4,}")  # the names of random people
 
 
 def read_train_config(path: Path | None, method: str | None) -> TrainConfig:

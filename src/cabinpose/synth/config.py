@@ -15,19 +15,38 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.frames import is_rigid
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.body import SUBJECTS, Phenotype
+from cabinpose.scene.body import SUBJECTS, Outfit, Phenotype
+from cabinpose.scene.body.phenotype import DEFAULT_RANGES, STATURE_LIMITS_M, YEARS_LIMITS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
 from cabinpose.synth.posture import ACTIONS
-from cabinpose.synth.profiles import Profile
+from cabinpose.synth.profiles import IncrementalProfile, Profile, dof_scale, limits_deg, standing
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Vector = tuple[float, float, float]
 _RANDOM_CAR = re.compile(r"C\d{4,}")
+_RANDOM_PERSON = re.compile(r"R\d{4,}")
+_MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
+_LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
+
+
+def is_car_file(car: str) -> bool:
+    """Whether a car of the configuration is a user's own mesh."""
+    return car.endswith((".yaml", ".yml"))
+
+
+def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    if len(rows) != 4 or not is_rigid(np.array(rows)):
+        raise ValueError("Input should be a rigid transform: 4 rows of 4 numbers, the last 0 0 0 1")
+    return rows
+
+
+Matrix4 = Annotated[tuple[tuple[float, float, float, float], ...], AfterValidator(_rigid)]
 
 
 class Model(BaseModel):
@@ -54,7 +73,8 @@ class RandomPeople(Model):
 
     count: int = Field(100, ge=1, le=100_000)
     ranges: Mapping[str, Range] = Field(
-        {}, description="Ranges of gender, age, muscle, weight, height, proportions (0..1) and stature_m, where not the defaults."
+        {},
+        description="Ranges of years, stature_cm, gender, muscle, weight, height, proportions (0..1), where not the defaults.",
     )
 
     @field_validator("ranges")
@@ -63,11 +83,42 @@ class RandomPeople(Model):
         Phenotype.random({n: (r.min, r.max) for n, r in ranges.items()}, rng=frame_rng(0, 0))
         return ranges
 
+    @property
+    def youngest_years(self) -> float:
+        """The least age that is drawn."""
+        if "years" in self.ranges:
+            return self.ranges["years"].min
+        age = self.ranges["age"].min if "age" in self.ranges else DEFAULT_RANGES["age"][0]
+        return Phenotype(age=age).years
+
+
+class OwnPerson(Model):
+    """Somebody of the user's own, in years, centimetres and kilograms."""
+
+    gender: Literal["female", "male"] | Probability = Field(0.5, description="female, male, or from 0 (male) to 1 (female).")
+    years: float = Field(35.0, ge=YEARS_LIMITS[0], le=YEARS_LIMITS[1])
+    stature_cm: float | None = Field(
+        None, ge=100.0 * STATURE_LIMITS_M[0], le=100.0 * STATURE_LIMITS_M[1], description="Left out: the mean of gender and age."
+    )
+    mass_kg: float | None = Field(None, gt=0.0, description="Of the bare body; left out: as `weight` makes it.")
+    weight: Probability | None = Field(None, description="In place of mass_kg, from thin to heavy; 0.65 where both are left out.")
+    muscle: Probability | None = Field(None, description="Left out: 0.3, or as much less as the mass needs.")
+    height: Probability = Field(0.45, description="How much of the stature the legs are; 0.38 to 0.48 are common.")
+    proportions: Probability = Field(0.3, description="From ideal to uncommon.")
+    outfit: Outfit = Field(Outfit(), description="top, bottom, shoes, hair, beard, cap, glasses, fit, folds.")
+
+    @model_validator(mode="after")
+    def _one_weight(self) -> OwnPerson:
+        if self.mass_kg is not None and self.weight is not None:
+            raise ConfigError("mass_kg and weight say the same of a person", hint="give one of the two")
+        return self
+
 
 class People(Model):
     """Who can take part."""
 
     subjects: tuple[str, ...] = Field(tuple(SUBJECTS), description="Named people of the package, S01 .. S18.")
+    own: Mapping[str, OwnPerson] = Field({}, description="People of your own by name, beside them.")
     random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
     driver_years: float = Field(17.0, ge=0.0, description="Age from which people drive, where anybody is as old; 0: anyone.")
 
@@ -75,10 +126,24 @@ class People(Model):
     def _known(self) -> People:
         for name in self.subjects:
             if name not in SUBJECTS:
-                raise unknown_name("subject", name, list(SUBJECTS))
-        if not self.subjects and self.random is None:
-            raise ConfigError("nobody can take part", hint="name subjects, or ask for random people")
+                hint = "people of your own take part without being named here" if name in self.own else None
+                raise ConfigError(str(unknown_name("subject", name, ())), hint=hint or f"known: {', '.join(SUBJECTS)}")
+        for name in self.own:
+            if name in SUBJECTS or _RANDOM_PERSON.fullmatch(name) or not name:
+                raise ConfigError(f"'{name}' is the name of somebody else", hint="give a person of your own another name")
+        if not self.names:
+            raise ConfigError("nobody can take part", hint="name subjects, describe own people, or ask for random ones")
         return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Everybody who can take part, named people first."""
+        return (*self.subjects, *self.own, *(f"R{i:04d}" for i in range(self.random.count if self.random else 0)))
+
+    def knows(self, name: str) -> bool:
+        """Whether there is somebody of this name, whom `subjects` need not list."""
+        drawn = self.random is not None and _RANDOM_PERSON.fullmatch(name) and int(name[1:]) < self.random.count
+        return name in SUBJECTS or name in self.own or bool(drawn)
 
 
 class CameraPose(Model):
@@ -89,6 +154,17 @@ class CameraPose(Model):
     roll_deg: float = 0.0
 
 
+class ExactCameraPose(Model):
+    """A camera pose as `cabinpose config frame` writes it, to the last bit."""
+
+    vehicle_from_camera: Matrix4
+
+    @property
+    def position_m(self) -> Vector:
+        """Where the lens is."""
+        return tuple(row[3] for row in self.vehicle_from_camera[:3])  # type: ignore[return-value]
+
+
 class Camera(Model):
     """Which sensor looks from where."""
 
@@ -96,7 +172,7 @@ class Camera(Model):
         "pico_monstar_105/5",
         description="A preset (use case after a slash), or the mapping of an own sensor: see docs/sensor-model.md.",
     )
-    views: Mapping[str, Probability | CameraPose] = Field(
+    views: Mapping[str, Probability | CameraPose | ExactCameraPose] = Field(
         {"driver": 0.5, "front_row": 0.5},
         description="Weights of the cabin's views (driver, front_row, rear), or own poses by name (each of weight 1).",
     )
@@ -113,10 +189,16 @@ class Camera(Model):
 
     @field_validator("views")
     @classmethod
-    def _some(cls, views: Mapping[str, float | CameraPose]) -> Mapping[str, float | CameraPose]:
-        if not any(isinstance(v, CameraPose) or v > 0 for v in views.values()):
+    def _some(cls, views: Mapping[str, Any]) -> Mapping[str, Any]:
+        if not any(not isinstance(v, float) or v > 0 for v in views.values()):
             raise ConfigError("no view has a weight above 0", hint="give at least one of driver, front_row, rear a weight")
         return views
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """The views that are taken, with their weights; own ones have 1."""
+        weights = {name: view if isinstance(view, float) else 1.0 for name, view in self.views.items()}
+        return {name: weight for name, weight in weights.items() if weight > 0.0}
 
     @property
     def sensor_model(self) -> Sensor:
@@ -124,19 +206,87 @@ class Camera(Model):
         return self.sensor if isinstance(self.sensor, Sensor) else SENSORS[self.sensor]
 
 
+class ExactPose(Model):
+    """How somebody sits, to the last bit, as `cabinpose config frame` writes it: nothing of it is solved, all of it is judged."""
+
+    fore_aft_m: float = Field(description="How the seat is set, from its design position.")
+    height_m: float
+    torso_angle_rad: float
+    vehicle_from_root: Matrix4 = Field(description="The pelvis frame; its origin lies between the femur heads.")
+    angles_rad: Mapping[str, float] = Field(description="By joint axis, e.g. lelbow.flexion (grips: 0..1); left out: 0.")
+    wheel_angle_rad: float | None = Field(None, description="How a driver's wheel is turned, + left.")
+
+    @field_validator("angles_rad")
+    @classmethod
+    def _within(cls, angles: Mapping[str, float]) -> Mapping[str, float]:
+        for name, angle in angles.items():
+            low, high = (limit * dof_scale(name) for limit in limits_deg(name))
+            if not low - _LIMIT_SLACK <= angle <= high + _LIMIT_SLACK:
+                raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"from {low:g} to {high:g}")
+        return angles
+
+
+class Occupant(Model):
+    """Who sits in a seat, and does what; what is left out is drawn as for anybody."""
+
+    subject: str | None = Field(None, description="Named, own or random person (S03, anna, R0007).")
+    action: str | None = Field(None, description="The one thing that this person does.")
+    profile: Profile | None = Field(None, description="This person's motion profile, in place of the scene's.")
+    initial_pose_deg: Mapping[str, float] = Field(
+        {},
+        description="Joint axes that stand at an angle, e.g. lelbow.flexion: 40 (grips: 0..1), unless the profile moves them;"
+        " the rest of the body is solved around them.",
+    )
+    belted: bool | None = Field(None, description="Whether the seat belt is worn.")
+    pose: ExactPose | None = Field(None, description="A whole pose, in place of a solved one.")
+
+    @field_validator("initial_pose_deg")
+    @classmethod
+    def _within(cls, pose: Mapping[str, float]) -> Mapping[str, float]:
+        standing(pose)
+        return pose
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Occupant:
+        if self.pose is not None and (self.profile is not None or self.initial_pose_deg):
+            raise ConfigError(
+                "a whole pose leaves nothing to a profile or an initial pose", hint="leave `pose` or the others out"
+            )
+        if self.action is not None and self.action not in ACTIONS and self.pose is None:
+            raise unknown_name("action", self.action, list(ACTIONS))
+        return self
+
+
+class Factorial(Model):
+    """Every car with every person from every view, each equally often, in place of a random draw of the three.
+
+    Frames go through them in the order of the configuration, poses fastest, then views, people and cars.
+    """
+
+    poses: int = Field(ge=1, description="Frames of each combination.")
+    seat: str = Field("driver", description="Where those people sit; other seats are taken as `occupancy` says.")
+
+
 class CabinScene(Model):
     """People in cars."""
 
     kind: Literal["cabin"] = "cabin"
-    cars: tuple[str, ...] = Field(PRESETS, description="Presets, or paths to YAML files of own car meshes.")
+    cars: tuple[str, ...] = Field(
+        PRESETS, description="Presets, paths to YAML files of own car meshes, or random cars by name (C0007)."
+    )
     random_cars: int = Field(
         0, ge=0, le=10_000, description="Cars drawn at random for the dataset beside them: C0000, C0001, ..."
     )
     right_hand_drive: Probability = Field(0.15, description="Share of cars with the wheel on the right.")
+    occupants: Mapping[str, Occupant] = Field(
+        {}, description="By seat: who sits there and does what. Such seats are always taken, others as `occupancy` says."
+    )
     occupancy: Mapping[str, Probability] = Field(
         {"driver": 0.95, "front_passenger": 0.5, "rear_left": 0.15, "rear_center": 0.05, "rear_right": 0.15},
-        description="How likely each seat is taken, where the car has it; at least one always is.",
+        description="How likely each seat is taken, where the car has it; at least one always is."
+        " Left out beside `occupants` or `factorial`: no others.",
     )
+    factorial: Factorial | None = Field(None, description="Every car with every person from every view, each equally often.")
     motion: Mapping[str, Mapping[str, Probability]] = Field(
         {}, description="Weights of the actions by seat; left out: every action that makes sense there, equally."
     )
@@ -155,19 +305,42 @@ class CabinScene(Model):
     )
     belted: Probability = Field(0.9, description="Share of occupants who wear the seat belt.")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_others(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "occupancy" not in data and (data.get("occupants") or data.get("factorial")):
+            return {**data, "occupancy": {}}
+        return data
+
+    @property
+    def always_taken(self) -> tuple[str, ...]:
+        """The seats in which somebody sits in every frame."""
+        return tuple(dict.fromkeys((*self.occupants, *([self.factorial.seat] if self.factorial else ()))))
+
+    def profile_of(self, slot: str) -> Profile | None:
+        """The motion profile of whoever sits in a seat."""
+        occupant = self.occupants.get(slot)
+        return occupant.profile if occupant is not None and occupant.profile is not None else self.profile
+
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
+        some_random = self.random_cars or any(_RANDOM_CAR.fullmatch(car) for car in self.cars)
         for car in self.cars:
-            if car not in PRESETS and not is_car_file(car):
+            if car not in PRESETS and not is_car_file(car) and not _RANDOM_CAR.fullmatch(car):
                 raise unknown_name("car", car, [*PRESETS, "<path to a .yaml of your own mesh>"])
-            if self.random_cars and _RANDOM_CAR.fullmatch(Path(car).stem):
+            if some_random and is_car_file(car) and _RANDOM_CAR.fullmatch(Path(car).stem):
                 raise ConfigError(f"{Path(car).name} would be taken for a random car", hint="give the file another name")
         if not self.cars and not self.random_cars:
             raise ConfigError("there is no car", hint="name cars, or ask for random_cars")
-        for slot in (*self.occupancy, *self.motion):
+        for slot in (*self.occupancy, *self.motion, *self.always_taken):
             if slot not in OCCUPANT_SLOTS:
                 raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
-        if not any(self.occupancy.values()):
+        if self.factorial is not None and (somebody := self.occupants.get(self.factorial.seat)) and somebody.subject:
+            raise ConfigError(
+                f"people take turns in the {self.factorial.seat} seat of a factorial dataset, where {somebody.subject} is to sit",
+                hint="leave out the occupant's subject, or give factorial.seat another seat",
+            )
+        if not any(self.occupancy.values()) and not self.always_taken:
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
         for weights in self.motion.values():
             for action in weights:
@@ -222,6 +395,37 @@ class SynthConfig(Model):
             )
         return self
 
+    @model_validator(mode="after")
+    def _known_occupants(self) -> SynthConfig:
+        named = [o.subject for o in self.scene.occupants.values() if o.subject] if isinstance(self.scene, CabinScene) else []
+        for name in named:
+            if not self.people.knows(name):
+                raise unknown_name("subject", name, [*SUBJECTS, *self.people.own, *(["R0000 .."] if self.people.random else [])])
+        if len(set(named)) < len(named):
+            raise ConfigError("one person sits in two seats", hint="name different subjects in scene.occupants")
+        return self
+
+    @property
+    def profiles(self) -> tuple[Profile, ...]:
+        """Every motion profile that a frame may follow."""
+        own = [o.profile for o in self.scene.occupants.values()] if isinstance(self.scene, CabinScene) else []
+        return tuple(profile for profile in (self.scene.profile, *own) if profile is not None)
+
+    @property
+    def frames(self) -> int | None:
+        """The number of frames that go through all that is to be combined; None where everything is drawn at random."""
+        counts = [profile.count for profile in self.profiles if isinstance(profile, IncrementalProfile)]
+        if isinstance(self.scene, CabinScene) and self.scene.factorial is not None:
+            cars = len(self.scene.cars) + self.scene.random_cars
+            counts = [cars * len(self.people.names) * len(self.camera.weights) * self.scene.factorial.poses, *counts]
+        return min(counts, default=None)
+
+    def frames_or_all(self, frames: int | None) -> int:
+        """The number of frames that is asked for, or else that of all combinations; ConfigError where there is neither."""
+        if frames is None and self.frames is None:
+            raise ConfigError("it is not said how many frames", hint="give --frames N; scenes are drawn at random without end")
+        return self.frames or 1 if frames is None else frames
+
     @classmethod
     def load(cls, path: Path | None, overrides: Sequence[str] = ()) -> SynthConfig:
         """Read and check a YAML file (None: all defaults); ConfigError names the key, the reason and the remedy.
@@ -262,14 +466,9 @@ class SynthConfig(Model):
             raise explain(error, cls) from error
 
 
-def is_car_file(car: str) -> bool:
-    """Whether a car of the configuration is a user's own mesh."""
-    return car.endswith((".yaml", ".yml"))
-
-
 def room_preset() -> SynthConfig:
     """One person standing in a room before a Kinect-class camera, in ITOP's geometry: adults, as its subjects are."""
-    adults = {"age": Range(min=0.45, max=0.85), "stature_m": Range(min=1.6, max=1.95)}
+    adults = {"age": Range(min=0.45, max=0.85), "stature_cm": Range(min=160.0, max=195.0)}
     return SynthConfig(
         scene=RoomScene(),
         people=People(subjects=(), random=RandomPeople(count=300, ranges=adults)),
@@ -312,10 +511,19 @@ def _with_paths(data: dict[str, Any], base: Path) -> dict[str, Any]:
     scene = dict(scene)
     if isinstance(scene.get("cars"), list):
         scene["cars"] = [str((base / c).resolve()) if isinstance(c, str) and is_car_file(c) else c for c in scene["cars"]]
-    profile = scene.get("profile")
-    if isinstance(profile, dict) and isinstance(profile.get("path"), str):
-        scene["profile"] = {**profile, "path": str((base / profile["path"]).resolve())}
+    _with_path(scene, base)
+    if isinstance(scene.get("occupants"), dict):
+        scene["occupants"] = {slot: dict(o) if isinstance(o, dict) else o for slot, o in scene["occupants"].items()}
+        for occupant in scene["occupants"].values():
+            _with_path(occupant, base)
     return {**data, "scene": scene}
+
+
+def _with_path(owner: Any, base: Path) -> None:
+    """Make the path of a motion profile's recording absolute, in place of what the owner of the profile says."""
+    profile = owner.get("profile") if isinstance(owner, dict) else None
+    if isinstance(profile, dict) and isinstance(profile.get("path"), str):
+        owner["profile"] = {**profile, "path": str((base / profile["path"]).resolve())}
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> ConfigError:
@@ -323,9 +531,9 @@ def explain(error: ValidationError, model: type[BaseModel]) -> ConfigError:
     lines, hint = [], None
     for finding in error.errors():
         where = ".".join(str(p) for p in finding["loc"]) or "configuration"
-        if finding["type"] == "extra_forbidden":
+        if finding["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             key = str(finding["loc"][-1])
-            close = difflib.get_close_matches(key, sorted(_keys(model)), n=3)
+            close = _MEANT.get(key) or difflib.get_close_matches(key, sorted(_keys(model)), n=3)
             lines.append(f"{where}: unknown key")
             hint = hint or (f"did you mean {' or '.join(close)}?" if close else "`cabinpose config schema` lists the keys")
         else:
@@ -343,5 +551,13 @@ def _keys(model: type[BaseModel]) -> set[str]:
 
 
 def frame_rng(seed: int, frame_index: int) -> np.random.Generator:
-    """The generator of one frame: the same numbers whatever made the frame, and when."""
+    """The generator of one frame's scene: the same numbers whatever made the frame, and when."""
     return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64)))
+
+
+def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
+    """The generator of one frame's noise: of the same key, and so far on that no scene's draws reach it.
+
+    A scene that is given, not drawn, so has the noise that it would have had.
+    """
+    return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 1)))

@@ -6,17 +6,21 @@ leaves and another takes its place, so that each is made once, and all come equa
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.errors import unknown_name
+from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
-from cabinpose.scene.body import SUBJECTS, Outfit, Phenotype
-from cabinpose.scene.cabin import CabinDimensions, random_dimensions
-from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig, frame_rng, is_car_file
+from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Phenotype
+from cabinpose.scene.body.phenotype import YEARS_LIMITS, age_of, usual_stature_m
+from cabinpose.scene.cabin import PRESETS, CabinDimensions, random_dimensions
+from cabinpose.synth.config import CabinScene, OwnPerson, RoomScene, SynthConfig, frame_rng, is_car_file
 
 DriveSide = Literal["left", "right"]
 # Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
@@ -27,6 +31,8 @@ _ORDER_STREAM = 2**62
 _ROUNDS = 2**32  # of a kind of thing, a stream each
 PEOPLE_IN_PLAY, CARS_IN_PLAY = 24, 8
 _FRAMES_A_PERSON, _FRAMES_A_CAR = 6, 50  # until one leaves
+_MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
+_WEIGHT = 0.65  # of own people; about the average of S01 .. S18
 
 
 def person_slots(config: SynthConfig) -> tuple[str, ...]:
@@ -34,33 +40,69 @@ def person_slots(config: SynthConfig) -> tuple[str, ...]:
     return (STANDING_SLOT,) if config.scene.kind == "room" else OCCUPANT_SLOTS
 
 
-def subject_names(config: SynthConfig) -> tuple[str, ...]:
-    """Everybody who can take part, named people first."""
-    crowd = config.people.random
-    return (*config.people.subjects, *(f"R{i:04d}" for i in range(crowd.count if crowd else 0)))
-
-
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
     """Shape and clothes of a person of this dataset: the same whoever asks, in whatever order."""
     if subject in SUBJECTS:
         return SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit
+    if subject in config.people.own:
+        try:
+            return _own_body(config.people.own[subject])
+        except ConfigError as error:
+            raise ConfigError(f"{subject}: {error}", hint=error.hint) from None
     crowd = config.people.random
     if crowd is None or not subject.startswith("R"):
-        raise unknown_name("subject", subject, list(subject_names(config)))
+        raise unknown_name("subject", subject, config.people.names)
     rng = frame_rng(seed, _PEOPLE_STREAM - int(subject[1:]))
     phenotype = Phenotype.random({name: (r.min, r.max) for name, r in crowd.ranges.items()}, rng=rng)
     return phenotype, Outfit.random(rng=rng)
 
 
+def drives(config: SynthConfig, seed: int, subject: str) -> bool:
+    """Whether somebody is old enough to drive in this dataset."""
+    least = config.people.driver_years
+    return least <= YEARS_LIMITS[0] or subject_body(config, seed, subject)[0].years >= least
+
+
+def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:
+    """Raises ConfigError where no body has the mass."""
+    gender = {"male": 0.0, "female": 1.0}.get(own.gender, 0.5) if isinstance(own.gender, str) else own.gender
+    age = age_of(own.years)
+    stature = own.stature_cm / 100.0 if own.stature_cm is not None else usual_stature_m(gender, age)[0]
+    muscles = _MUSCLES if own.muscle is None else (own.muscle,)
+    weight = _WEIGHT if own.weight is None else own.weight
+    body = Phenotype(gender, age, muscles[0], weight, own.height, own.proportions, stature)
+    if own.mass_kg is None:
+        return body, own.outfit
+    for muscle in muscles[:-1]:
+        with suppress(ConfigError):
+            return BodyModel.load().with_mass(replace(body, muscle=muscle), own.mass_kg), own.outfit
+    return BodyModel.load().with_mass(replace(body, muscle=muscles[-1]), own.mass_kg), own.outfit
+
+
 def car_names(config: SynthConfig) -> tuple[str, ...]:
     """Every car of a dataset, those that its configuration names first; none in a room."""
     scene = config.scene
-    return (*scene.cars, *(f"C{i:04d}" for i in range(scene.random_cars))) if isinstance(scene, CabinScene) else ()
+    if not isinstance(scene, CabinScene):
+        return ()
+    return (*scene.cars, *(car for i in range(scene.random_cars) if (car := f"C{i:04d}") not in scene.cars))
 
 
 def car_dimensions(seed: int, car: str) -> CabinDimensions:
     """The dimensions of a random car, "C0000" ..., of the dataset of this seed: the same whoever asks, in whatever order."""
     return random_dimensions(car, rng=frame_rng(seed, _CAR_STREAM + int(car[1:])))
+
+
+def is_random_car(car: str) -> bool:
+    """Whether a car of `car_names` is drawn from the dataset's seed."""
+    return car not in PRESETS and not is_car_file(car)
+
+
+class Cell(NamedTuple):
+    """One combination of a factorial dataset."""
+
+    car: str
+    subject: str
+    view: str
 
 
 class Plan:
@@ -69,32 +111,43 @@ class Plan:
     def __init__(self, config: SynthConfig, seed: int) -> None:
         self._config = config
         self._seed = seed
-        self._subjects = subject_names(config)
+        self._subjects = config.people.names
         self._cars = car_names(config)
         self._order = cached_once(4)(self._make_order)
         self._drives = cached_once(1024)(self._old_enough)
+
+    def cell(self, index: int) -> Cell | None:
+        """What frame `index` of a factorial dataset combines; None in one that is drawn at random."""
+        scene = self._config.scene
+        if not isinstance(scene, CabinScene) or scene.factorial is None:
+            return None
+        views = tuple(self._config.camera.weights)
+        rest, view = divmod(index // scene.factorial.poses, len(views))
+        car, subject = divmod(rest, len(self._subjects))
+        return Cell(self._cars[car], self._subjects[subject], views[view])
 
     def car(self, index: int, *, rng: np.random.Generator) -> tuple[str, DriveSide]:
         """The car of frame `index`, and where its wheel is: one and the same side in all frames of a random car."""
         scene = self._config.scene
         assert isinstance(scene, CabinScene)
+        cell = self.cell(index)
         among = self._in_play(0, len(self._cars), CARS_IN_PLAY, _FRAMES_A_CAR, index)
-        car = self._cars[among[int(rng.integers(len(among)))]]
+        car = self._cars[among[int(rng.integers(len(among)))]] if cell is None else cell.car
         chance = rng.random()
-        if car not in scene.cars:
+        if is_random_car(car):
             chance = frame_rng(self._seed, _CAR_STREAM - 1 - int(car[1:])).random()
         return car, "right" if chance < scene.right_hand_drive else "left"
 
-    def people(self, index: int, count: int, *, rng: np.random.Generator) -> list[str]:
-        """The people of frame `index`: different ones, as long as there are enough."""
-        among = self._people_in_play(index)
+    def people(self, index: int, count: int, *, without: Collection[str] = (), rng: np.random.Generator) -> list[str]:
+        """So many people of frame `index`: different ones and none of those `without`, as long as there are enough."""
+        among = [name for name in self._people_in_play(index) if name not in without] or self._people_in_play(index)
         return [among[i] for i in rng.choice(len(among), size=count, replace=count > len(among))]
 
-    def driver_first(self, index: int, names: list[str], *, rng: np.random.Generator) -> list[str]:
+    def driver_first(self, index: int, names: list[str], *, without: Collection[str] = (), rng: np.random.Generator) -> list[str]:
         """The same people, the first of whom is old enough to drive; where nobody is, somebody in play takes the first place."""
         old = [name for name in names if self._drives(name)]
         if not old:
-            others = [name for name in self._people_in_play(index) if self._drives(name)]
+            others = [name for name in self._people_in_play(index) if self._drives(name) and name not in without]
             return [others[int(rng.integers(len(others)))], *names[1:]] if others else names
         result = list(names)
         at = result.index(old[0])
@@ -102,7 +155,7 @@ class Plan:
         return result
 
     def _old_enough(self, name: str) -> bool:
-        return subject_body(self._config, self._seed, name)[0].years >= self._config.people.driver_years
+        return drives(self._config, self._seed, name)
 
     def room(self, *, rng: np.random.Generator) -> int:
         """The number of a frame's room."""

@@ -7,14 +7,18 @@ action and all that goes with it; where it names two, they take turns.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
+from cabinpose.core.errors import SceneError
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.synth.posture.company import beside_each_other, close_seats, half_breadth
+from cabinpose.synth.posture.goals import given as as_given
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, settled
+from cabinpose.synth.posture.solver import Sitter
 from cabinpose.synth.validate import Rejection, Seated, Validator
 
 Draw = Callable[[str], Drawn]
@@ -27,12 +31,14 @@ class Posed(NamedTuple):
     seated: Seated
 
 
-def slimmest_in_the_middle(people: Mapping[str, str], cabin: Cabin, person: Callable[[str], Person]) -> dict[str, str]:
-    """Names by slot, exchanged so that of three in a row the slimmest sits between the others."""
+def slimmest_in_the_middle(
+    people: Mapping[str, str], cabin: Cabin, person: Callable[[str], Person], *, stay: Collection[str] = ()
+) -> dict[str, str]:
+    """Names by slot, exchanged so that of three in a row the slimmest sits between the others; not those in slots that `stay`."""
     result = dict(people)
     for slot in people:
-        close = close_seats(cabin.seats[slot], cabin, tuple(people))
-        if len(close) > 1:
+        close = [s for s in close_seats(cabin.seats[slot], cabin, tuple(people)) if s not in stay]
+        if slot not in stay and len(close) > 1:
             slimmest = min((slot, *close), key=lambda s: half_breadth(person(people[s])))
             result[slot], result[slimmest] = people[slimmest], people[slot]
     return result
@@ -59,31 +65,48 @@ def pose_people(
     *,
     poses_per_person: int,
     causes: Counter[Rejection],
+    given: Mapping[str, OccupantPose] = MappingProxyType({}),
 ) -> tuple[Posed | None, int]:
     """Seat everybody, or None; and the number of poses that were drawn for it. Rejections are counted in `causes`, in place.
 
-    draw: what somebody in a slot seeks, drawn anew at each call.
+    draw: what somebody in a slot seeks, drawn anew at each call · given: poses by slot that stand, and are only judged.
+    Raises SceneError where one of these does not hold, whatever the others do.
     """
-    poses: dict[str, tuple[OccupantPose, PosedBody]] = {}
-    seated, sitting, draws = validator.empty(settings), dict[str, Drawn](), 0
+    poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root)) for slot, pose in given.items()}
+    stay = {slot: as_given(people[slot], cabin.seats[slot], pose.q, pose.vehicle_from_root) for slot, pose in given.items()}
+    seated, sitting, draws = validator.empty(settings), list[Sitter](), 0
     for row in rows_of(tuple(people), cabin):
+        fixed, free = [slot for slot in row if slot in given], [slot for slot in row if slot not in given]
+        around = [*sitting, *(stay[slot] for slot in fixed)]
         tries: Counter[str] = Counter()
         drawn: dict[str, Drawn] = {}
-        wanted: list[str] = list(row)
-        while wanted:
+        wanted: list[str] = free
+        while True:
             for slot in wanted:
                 tries[slot] += 1
                 if tries[slot] > poses_per_person:
                     return None, draws
                 drawn[slot] = draw(slot)
                 draws += 1
-            angle = next((d.wheel_angle for d in drawn.values() if d.wheel_angle is not None), seated.wheel_angle)
-            before = validator.turned(seated, angle)
-            around = [d.sitter._replace(stand="fixed") for d in sitting.values()]
-            found = settled([drawn[slot] for slot in row], around, before.placed)
+            angles = [*(d.wheel_angle for d in drawn.values()), *(given[slot].wheel_angle for slot in fixed)]
+            before = validator.turned(seated, next((a for a in angles if a is not None), seated.wheel_angle))
+            for slot in fixed:
+                verdict, before = validator.admit(before, (slot, people[slot], poses[slot][1]))
+                if verdict.rejection is not None and verdict.rejection.other in (*given, ""):
+                    raise SceneError(
+                        f"{cabin.name}: the given pose does not hold: {verdict.rejection}, {1000 * verdict.depth_m:.0f} mm deep",
+                        hint="change scene.occupants, or leave out `pose` to have one solved",
+                    )
+                if verdict.rejection is not None:  # in the way of somebody who was drawn
+                    causes[verdict.rejection] += 1
+                    return None, draws
+            if not wanted:
+                after = before
+                break
+            found = settled([drawn[slot] for slot in free], around, before.placed)
             drawn = {slot: replace(d, sitter=d.sitter._replace(stand="settled")) for slot, d in drawn.items()}
             wanted, after = [], before
-            for slot, pose in zip(row, found, strict=True):
+            for slot, pose in zip(free, found, strict=True):
                 if pose.refused:
                     causes[Rejection("reach", slot, pose.refused, pose.held_up_by)] += 1
                     wanted.append(slot)
@@ -96,7 +119,9 @@ def pose_people(
                 causes[verdict.rejection] += 1
                 # Of two who do not fit the one who was drawn less often is drawn anew.
                 met = verdict.rejection.other
-                wanted.append(met if met in row and tries[met] < tries[slot] else slot)
+                wanted.append(met if met in free and tries[met] < tries[slot] else slot)
             wanted = list(dict.fromkeys(wanted))
-        seated, sitting = after, sitting | drawn
+            if not wanted:
+                break
+        seated, sitting = after, [*around, *(d.sitter._replace(stand="fixed") for d in drawn.values())]
     return Posed({slot: poses[slot] for slot in people}, seated), draws

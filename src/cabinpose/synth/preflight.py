@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, build_cabin
 from cabinpose.scene.contact import ContactField
-from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig, is_car_file
-from cabinpose.synth.plan import DriveSide, car_dimensions
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig, is_car_file
+from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, is_random_car, subject_body
 from cabinpose.synth.posture import actions_for
 
 LENS_M = 0.01  # free space a lens needs around it
@@ -18,37 +18,71 @@ LENS_M = 0.01  # free space a lens needs around it
 def preflight(config: SynthConfig, *, frames: int) -> None:
     """Raises ConfigError, MocapError or SceneError for what a run of `frames` frames would fail of."""
     scene = config.scene
-    if scene.profile is not None:
-        scene.profile.preflight(frames)
+    if config.frames is not None and frames > config.frames:
+        raise ConfigError(
+            f"{frames} frames are asked for, but all combinations are {config.frames}",
+            hint=f"ask for at most {config.frames} frames, or leave out their number",
+        )
+    for profile in config.profiles:
+        profile.preflight()
+    for name in config.people.own:
+        subject_body(config, 0, name)  # ConfigError where no body has the mass
     if isinstance(scene, RoomScene):
         return
+    if scene.factorial is not None and scene.factorial.seat == "driver":
+        _check_drivers(config)
     unusual = not _every_car_has(config, scene)
     for car in scene.cars:
-        if unusual or is_car_file(car):
+        if is_car_file(car) or (unusual and not is_random_car(car)):
             cabin = open_cabin(car, "left")
             _check_car(config, scene, car, cabin, tuple(cabin.seats))
-    if scene.random_cars and unusual:  # their seats' actions and their views are the same in all of them: one stands for all
+    if unusual and any(
+        is_random_car(car) for car in car_names(config)
+    ):  # their seats' actions and their views are the same in all of them: one stands for all
         dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
         cabin = build_cabin(dimensions, drive_side="left")
         _check_car(config, scene, "a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"))
 
 
+def _check_drivers(config: SynthConfig) -> None:
+    """Refuses people of a factorial dataset who do not drive."""
+    people = config.people
+    young = [name for name in (*people.subjects, *people.own) if not drives(config, 0, name)]
+    if people.random is not None and people.random.youngest_years < people.driver_years:
+        young.append("some of those drawn at random")
+    if young:
+        raise ConfigError(
+            f"too young for the driver's seat of a factorial dataset: {', '.join(young)} (people.driver_years is"
+            f" {people.driver_years:g})",
+            hint="set people.driver_years to 0, leave them out of the people, or give factorial.seat another seat",
+        )
+
+
 def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     """Whether all that is asked of a car is in every one that we build, so that none is built to find out."""
-    taken = any(scene.occupancy.get(slot, 0.0) > 0 for slot in SEATS_OF_ALL)
-    views = config.camera.views.items()
-    ours = all(name in VIEWS_OF_ALL and not isinstance(view, CameraPose) for name, view in views if view != 0)
-    return taken and ours and not scene.motion
+    always = scene.always_taken
+    taken = bool(always) or any(scene.occupancy.get(slot, 0.0) > 0 for slot in SEATS_OF_ALL)
+    ours = all(name in VIEWS_OF_ALL and isinstance(config.camera.views[name], float) for name in config.camera.weights)
+    acting = scene.motion or any(occupant.action for occupant in scene.occupants.values())
+    return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
 def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...]) -> None:
     """Refuses what cannot be done in a car of this kind, of which every one has the seats `sure`."""
-    if not any(scene.occupancy.get(slot, 0.0) > 0 for slot in sure):
+    lacking = [slot for slot in scene.always_taken if slot not in sure]
+    if lacking:
+        raise ConfigError(
+            f"{car} has no {' and no '.join(lacking)} seat, where somebody is to sit in every frame",
+            hint=f"its seats: {', '.join(sure)}; name the cars with scene.cars",
+        )
+    if not scene.always_taken and not any(scene.occupancy.get(slot, 0.0) > 0 for slot in sure):
         raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(sure)} an occupancy")
-    for slot, weights in scene.motion.items():
+    actions = {slot: [name for name, weight in weights.items() if weight > 0] for slot, weights in scene.motion.items()}
+    actions |= {slot: [o.action] for slot, o in scene.occupants.items() if o.action is not None and o.pose is None}
+    for slot, names in actions.items():
         if slot in cabin.seats:
             known = actions_for(cabin.seats[slot], cabin)
-            wrong = [name for name, weight in weights.items() if weight > 0 and name not in known]
+            wrong = [name for name in names if name not in known]
             if wrong:
                 raise ConfigError(
                     f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
@@ -59,10 +93,11 @@ def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, s
 def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
     """Refuses a camera that stands inside a part of the car. The own views of cars that we build are known to be free."""
     eyes: dict[str, NDArray[np.float64]] = {}
-    for name, view in config.camera.views.items():
-        if isinstance(view, CameraPose):
+    for name in config.camera.weights:
+        view = config.camera.views[name]
+        if not isinstance(view, float):
             eyes[name] = np.asarray(view.position_m, dtype=np.float64)
-        elif view > 0:
+        else:
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
             if is_car_file(car):
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)

@@ -151,8 +151,8 @@ class _Profile(_Model):
         """The degrees of freedom that come as near to what `apply` gives them as the car and the body allow."""
         return ()
 
-    def preflight(self, frames: int) -> None:
-        """Raises before any work starts what `frames` frames would fail of."""
+    def preflight(self) -> None:
+        """Raises before any work starts what every frame would fail of."""
 
     def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
         """A copy of the posture q (D,) rad with this profile's degrees of freedom set, for frame `index`."""
@@ -206,6 +206,15 @@ class GaussianProfile(_Profile):
         return result
 
 
+def standing(angles_deg: Mapping[str, float]) -> GaussianProfile:
+    """A profile that holds each of these degrees of freedom at its angle; ConfigError outside the joint's limits."""
+    for name, angle in angles_deg.items():
+        low, high = limits_deg(name)
+        if not low - _LIMIT_SLACK_DEG <= angle <= high + _LIMIT_SLACK_DEG:
+            raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"the range of motion is {low:g} .. {high:g}")
+    return GaussianProfile(axes={name: GaussianAxis(mean_deg=angle, sigma_deg=0.0) for name, angle in angles_deg.items()})
+
+
 class IncrementalProfile(_Profile):
     """Every combination of the axes' values, in lexicographic order: the axis named last varies fastest."""
 
@@ -252,14 +261,6 @@ class IncrementalProfile(_Profile):
     def held(self) -> tuple[str, ...]:
         return tuple(self.axes)
 
-    def preflight(self, frames: int) -> None:
-        """ConfigError where there are fewer combinations than frames."""
-        if frames > self.count:
-            raise ConfigError(
-                f"{frames} frames from an incremental profile of {self.count} combinations",
-                hint=f"ask for at most {self.count} frames, or make a step smaller",
-            )
-
     def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
         """Combination `index`; ConfigError where it does not exist."""
         result = q.copy()
@@ -301,7 +302,7 @@ class MocapProfile(_Profile):
             )
         return int((last - self._first) / self._step) + 1
 
-    def preflight(self, frames: int) -> None:
+    def preflight(self) -> None:
         """MocapError for a file that is missing, broken, not retargetable or too short."""
         self.whole_body(0)
 

@@ -22,22 +22,33 @@ from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
-from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
+from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, build_cabin
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.config import CabinScene, CameraPose, RoomScene, SynthConfig
-from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, place_name, room_rng, subject_body
+from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, ExactPose, Occupant, RoomScene, SynthConfig
+from cabinpose.synth.plan import (
+    DriveSide,
+    Plan,
+    car_dimensions,
+    is_random_car,
+    person_slots,
+    place_name,
+    room_rng,
+    subject_body,
+)
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
 from cabinpose.synth.posture.company import company_of
-from cabinpose.synth.posture.sampling import Drawn, draw_pose
+from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
+from cabinpose.synth.profiles import standing
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.validate import Rejection, Seated, Validator, most_common
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
+_ANYBODY = Occupant()
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
 
 
@@ -154,7 +165,7 @@ class SceneSampler:
         return self._model.person(*subject_body(self._config, self._seed, subject))
 
     def _make_cabin(self, car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-        if isinstance(self._config.scene, CabinScene) and car in self._config.scene.cars:
+        if not is_random_car(car):
             return judged_cabin(car, drive_side)
         cabin = build_cabin(car_dimensions(self._seed, car), drive_side=drive_side)
         return cabin, Validator(cabin)
@@ -168,15 +179,14 @@ class SceneSampler:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
         car, drive_side = self._plan.car(index, rng=rng)
         cabin, validator = self._cabin(car, drive_side)
-        taken = _occupied(scene, cabin, rng)
-        names = self._plan.people(index, len(taken), rng=rng)
-        if taken[0] == "driver" and cabin.steering_wheel is not None:
-            names = self._plan.driver_first(index, names, rng=rng)
-        by_slot = slimmest_in_the_middle(dict(zip(taken, names, strict=True)), cabin, self._person)
+        by_slot = self._who(scene, cabin, index, rng)
         people = {slot: self._person(name) for slot, name in by_slot.items()}
         tried.append(f"{place_name(car)} ({', '.join(f'{name} as {slot}' for slot, name in by_slot.items())})")
+        exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
         settings = {
-            slot: choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
+            slot: _exact_setting(exact[slot])
+            if slot in exact
+            else choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
             if slot in people
             else seat.default
             for slot, seat in cabin.seats.items()
@@ -185,9 +195,9 @@ class SceneSampler:
         def draw(slot: str) -> Drawn:
             return self._draw(scene, index, people, cabin, slot, settings[slot], rng)
 
-        posed, draws = pose_people(
-            people, cabin, validator, settings, draw, poses_per_person=self._config.limits.poses_per_person, causes=causes
-        )
+        given = {slot: _exact_pose(pose, scene.occupants[slot].action or "given") for slot, pose in exact.items()}
+        limit = self._config.limits.poses_per_person
+        posed, draws = pose_people(people, cabin, validator, settings, draw, poses_per_person=limit, causes=causes, given=given)
         if posed is None:
             return None, draws
         people_in = [
@@ -195,7 +205,7 @@ class SceneSampler:
         ]
         seated = posed.seated
         for _ in range(_CAMERA_DRAWS):
-            pov, camera = self._cabin_camera(cabin, rng)
+            pov, camera = self._cabin_camera(cabin, index, rng)
             if not _blocked(camera[:3, 3], people_in, seated):
                 break
         else:
@@ -205,6 +215,20 @@ class SceneSampler:
         backdrop = cabin.surface(settings, wheel_angle=seated.wheel_angle)
         valid = Scene(backdrop, dressed, camera, place_name(car), pov, cabin, settings, seated.wheel_angle)
         return valid, draws
+
+    def _who(self, scene: CabinScene, cabin: Cabin, index: int, rng: np.random.Generator) -> dict[str, str]:
+        """The people of frame `index` by the seats they take: those that are named, others drawn."""
+        taken = _occupied(scene, cabin, rng)
+        named = {slot: o.subject for slot, o in scene.occupants.items() if o.subject is not None}
+        cell = self._plan.cell(index)
+        if cell is not None and scene.factorial is not None:
+            named[scene.factorial.seat] = cell.subject
+        free = [slot for slot in taken if slot not in named]
+        drawn = self._plan.people(index, len(free), without=named.values(), rng=rng)
+        if free[:1] == ["driver"] and cabin.steering_wheel is not None:
+            drawn = self._plan.driver_first(index, drawn, without=named.values(), rng=rng)
+        people = named | dict(zip(free, drawn, strict=True))
+        return slimmest_in_the_middle({slot: people[slot] for slot in taken}, cabin, self._person, stay=named)
 
     def _draw(
         self,
@@ -218,20 +242,25 @@ class SceneSampler:
     ) -> Drawn:
         seat = cabin.seats[slot]
         company = company_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
-        weights = scene.motion.get(slot)
+        occupant = scene.occupants.get(slot, _ANYBODY)
+        weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
         left_out = frozenset[str]() if company is None else company.left_out
         action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
+        initial = standing(occupant.initial_pose_deg) if occupant.initial_pose_deg else None
         return draw_pose(
-            people[slot], seat, setting, cabin, action, scene.profile, index=index, offset=offset, company=company, rng=rng
-        )
+            people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=initial, index=index, offset=offset,
+            company=company, rng=rng,
+        )  # fmt: skip
 
-    def _cabin_camera(self, cabin: Cabin, rng: np.random.Generator) -> tuple[str, Matrix]:
+    def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
         """The view's name and `vehicle_from_camera`, jittered."""
-        camera = self._config.camera
-        name = _weighted({n: 1.0 if isinstance(v, CameraPose) else v for n, v in camera.views.items()}, rng)
+        camera, cell = self._config.camera, self._plan.cell(index)
+        name = cell.view if cell is not None else _weighted(camera.weights, rng)
         jitter = {"translation_jitter": camera.jitter_m, "rotation_jitter": np.radians(camera.jitter_deg)}
         own = camera.views[name]
+        if isinstance(own, ExactCameraPose):
+            return name, jittered(np.array(own.vehicle_from_camera), **jitter, rng=rng)
         if isinstance(own, CameraPose):
             upright = place_camera(own.position_m, own.look_at_m, rng=rng)
             rolled = upright @ transform(axis_rotation("z", math.radians(own.roll_deg)))
@@ -245,7 +274,8 @@ class SceneSampler:
         """The person with clothes on, and with the belt over them for the configured share of people."""
         seat = cabin.seats[person.slot]
         clothed = person.posed.surface(1 + self._slots.index(person.slot))
-        if rng.random() >= scene.belted or seat.belt is None:
+        belted, given = rng.random() < scene.belted, scene.occupants.get(person.slot, _ANYBODY).belted
+        if seat.belt is None or not (belted if given is None else given):
             return replace(person, surfaces=(clothed,))
         belt = belt_surface(clothed.vertices, clothed.faces, person.posed.joints, seat, settings[person.slot], cabin)
         return replace(person, surfaces=(clothed, belt))
@@ -295,6 +325,15 @@ def _named_person(subject: str) -> Person:
     return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
 
 
+def _exact_setting(pose: ExactPose) -> SeatSetting:
+    return SeatSetting(pose.fore_aft_m, pose.height_m, pose.torso_angle_rad)
+
+
+def _exact_pose(pose: ExactPose, action: str) -> OccupantPose:
+    q = np.array([pose.angles_rad.get(dof.name, 0.0) for dof in DOFS])
+    return OccupantPose(q, np.array(pose.vehicle_from_root), action, pose.wheel_angle_rad, {})
+
+
 def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:
     """A name drawn by weight."""
     names = list(weights)
@@ -304,7 +343,7 @@ def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:
 
 def _occupied(scene: CabinScene, cabin: Cabin, rng: np.random.Generator) -> list[str]:
     """The seats taken, in the standard's order: each by its own probability, at least one."""
-    chances = {slot: scene.occupancy.get(slot, 0.0) for slot in cabin.seats}
+    chances = {slot: 1.0 if slot in scene.always_taken else scene.occupancy.get(slot, 0.0) for slot in cabin.seats}
     draws = rng.random(len(OCCUPANT_SLOTS))
     taken = [slot for i, slot in enumerate(OCCUPANT_SLOTS) if draws[i] < chances.get(slot, 0.0)]
     return taken or [_weighted(chances, rng)]

@@ -23,7 +23,7 @@ from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
-from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.config import SynthConfig, frame_rng, noise_rng
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
@@ -61,7 +61,7 @@ class FrameMaker:
         rng = frame_rng(self._seed, index)
         with self.stage("sample_and_validate"):
             scene = self._sampler.sample(index, rng=rng)
-        return self.see(scene, rng=rng), scene
+        return self.see(scene, rng=noise_rng(self._seed, index)), scene
 
     def see(self, scene: Scene, *, rng: np.random.Generator) -> Frame:
         """A scene as the camera delivers it: every variable of the dataset standard."""
@@ -172,7 +172,7 @@ def make_frames(
     Threads make frames; this one writes them, in order. They share people and cars, which are those of the `sampler`, made for
     the same configuration and seed, where one is given.
     """
-    may_skip = config.scene.profile is not None and config.scene.profile.may_skip
+    may_skip = any(profile.may_skip for profile in config.profiles)
     shared = sampler or SceneSampler(config, manifest.seed)
     local = threading.local()  # a rasteriser's memory belongs to one thread
 

@@ -27,10 +27,10 @@ class Synth:
     Same configuration, seed and frame: same bytes, whatever the number of workers.
     """
 
-    frames: int
-    """Number of frames to generate."""
     out: Path
     """Folder of the dataset."""
+    frames: Optional[int] = None
+    """Number of frames to generate; default: all combinations, where the configuration has a number of them."""
     overrides: Annotated[Positional[tuple[str, ...]], arg(metavar="[KEY=VALUE ...]")] = ()
     """What differs from the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
     config: Optional[Path] = None
@@ -68,6 +68,18 @@ class ConfigCheck:
 
 
 @dataclass(frozen=True)
+class ConfigFrame:
+    """Write the scene of a generated dataset's frame as a configuration: who sits how, seen from where, to the last bit."""
+
+    dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
+    """Folder of the dataset."""
+    frame: Annotated[Positional[int], arg(metavar="FRAME")]
+    """Number of the frame."""
+    file: Annotated[Positional[Optional[Path]], arg(metavar="FILE")] = None
+    """File to write; stdout if left out."""
+
+
+@dataclass(frozen=True)
 class ConfigSchema:
     """Print the JSON Schema of the configuration, for editors and validators."""
 
@@ -79,6 +91,7 @@ class Config:
     action: (
         Annotated[ConfigInit, subcommand("init")]
         | Annotated[ConfigCheck, subcommand("check")]
+        | Annotated[ConfigFrame, subcommand("frame")]
         | Annotated[ConfigSchema, subcommand("schema")]
     )
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import yaml
 from pydantic import BaseModel
 
-from cabinpose.app.cli.commands import Config, ConfigCheck, ConfigInit
+import cabinpose
+from cabinpose.app.cli.commands import Config, ConfigCheck, ConfigFrame, ConfigInit
 from cabinpose.core.errors import ConfigError
 from cabinpose.synth.config import SynthConfig, room_preset
 
@@ -21,23 +22,51 @@ def run(command: Config) -> None:
         _init(command.action)
     elif isinstance(command.action, ConfigCheck):
         _check(command.action)
+    elif isinstance(command.action, ConfigFrame):
+        _frame(command.action)
     else:
         print(json.dumps(SynthConfig.model_json_schema(), indent=2))
 
 
 def _init(action: ConfigInit) -> None:
-    text = commented_yaml(room_preset() if action.scene == "room" else SynthConfig())
-    if action.file is None:
+    _write(commented_yaml(room_preset() if action.scene == "room" else SynthConfig()), action.file)
+
+
+def _frame(action: ConfigFrame) -> None:
+    """Write what `exact_config` says of a frame, without what is as by default."""
+    from cabinpose.store import read_manifest
+    from cabinpose.synth.exact import exact_config
+
+    manifest = read_manifest(action.dataset)
+    if manifest.generator != "cabinpose.synth":
+        raise ConfigError(f"{action.dataset} was not generated", hint="give a dataset that `cabinpose synth` wrote")
+    if not 0 <= action.frame < manifest.frames:
+        raise ConfigError(
+            f"{action.dataset} has no frame {action.frame}", hint=f"its frames are numbered from 0 to {manifest.frames - 1}"
+        )
+    if manifest.generator_version != cabinpose.__version__:
+        print(f"warning: {action.dataset} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
+    exact = exact_config(SynthConfig.parse(manifest.config), manifest.seed, action.frame)
+    defaults = SynthConfig().model_dump(mode="json")
+    told = {key: value for key, value in exact.model_dump(mode="json").items() if value != defaults[key]}
+    told["scene"] = exact.scene.model_dump(mode="json", exclude_defaults=True)
+    text = f"# frame {action.frame} of a dataset with seed {manifest.seed}\n"
+    _write(text + yaml.safe_dump(told, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True), action.file)
+
+
+def _write(text: str, to: Path | None) -> None:
+    """Write a new file, or to stdout."""
+    if to is None:
         print(text, end="")
         return
     try:
-        with action.file.open("x", encoding="utf-8") as file:
+        with to.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise ConfigError(f"{action.file} exists", hint="give another name; nothing is overwritten") from None
+        raise ConfigError(f"{to} exists", hint="give another name; nothing is overwritten") from None
     except OSError as error:
-        raise ConfigError(f"cannot write {action.file}: {error.strerror}", hint="give a file in a folder that exists") from error
-    print(f"wrote {action.file}", file=sys.stderr)
+        raise ConfigError(f"cannot write {to}: {error.strerror}", hint="give a file in a folder that exists") from error
+    print(f"wrote {to}", file=sys.stderr)
 
 
 def _check(action: ConfigCheck) -> None:
@@ -49,10 +78,13 @@ def _check(action: ConfigCheck) -> None:
         )
         return
     print(f"{action.file} is valid: {_FRAMES} frames found their scene in {tried} poses")
+    if config.frames is not None:
+        print(f"frames   {config.frames} combinations")
     print(f"scene    {_scene(config)}")
     print(f"camera   {config.camera.sensor}, views {', '.join(config.camera.views)}")
-    random = f" and {config.people.random.count} drawn at random" if config.people.random else ""
-    print(f"people   {len(config.people.subjects)} named{random}")
+    people = config.people
+    kinds = ((len(people.subjects), "named"), (len(people.own), "own"), (people.random.count if people.random else 0, "random"))
+    print(f"people   {', '.join(f'{count} {kind}' for count, kind in kinds if count)}")
     print(f"noise    {config.noise.kind}")
 
 

@@ -25,7 +25,8 @@ def run(command: Synth) -> None:
             hint="give one of --workers and --scheduler",
         )
     config = SynthConfig.load(command.config, command.overrides)
-    with progress(command.frames, "frames", start=_frames_there(command)) as report:
+    frames = config.frames_or_all(command.frames)
+    with progress(frames, "frames", start=_frames_there(command)) as report:
         told = _FEW_POSES
 
         def show(state: Progress) -> None:
@@ -39,7 +40,7 @@ def run(command: Synth) -> None:
 
         result = generate(
             config,
-            command.frames,
+            frames,
             command.out,
             seed=command.seed,
             workers=command.workers,

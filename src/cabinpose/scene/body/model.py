@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, cached_property
 from types import MappingProxyType
 
@@ -10,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import body as native
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
 from cabinpose.scene.body.chart import load_chart, vertex_segments
@@ -199,6 +202,17 @@ class BodyModel:
     def person(self, phenotype: Phenotype, outfit: Outfit | None = None) -> Person:
         """A person of this shape in this outfit (default: `Outfit()`). Deterministic."""
         return Person(self._space, phenotype, outfit or Outfit())
+
+    def with_mass(self, phenotype: Phenotype, mass_kg: float) -> Phenotype:
+        """The phenotype with the `weight` at which the bare body has this mass (within 0.1 kg); ConfigError where none has."""
+        weights = np.linspace(0.0, 1.0, 11)
+        masses = [self.person(replace(phenotype, weight=weight)).mass_kg for weight in weights.tolist()]
+        if not masses[0] <= mass_kg <= masses[-1]:
+            raise ConfigError(
+                f"no body of this age, stature and build weighs {mass_kg:g} kg",
+                hint=f"with muscle {phenotype.muscle:g} from {math.ceil(masses[0])} to {math.floor(masses[-1])} kg",
+            )
+        return replace(phenotype, weight=float(np.interp(mass_kg, masses, weights)))
 
 
 @cache

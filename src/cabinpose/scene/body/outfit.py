@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from pydantic import ConfigDict
 
 from cabinpose.core.errors import ConfigError, unknown_name
 
@@ -22,6 +23,8 @@ class Outfit:
 
     fit: 0 close, 1 loose · folds: number of the pattern of folds. Raises ConfigError for names that do not exist.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")  # where it is part of a configuration
 
     top: Top = "t_shirt"
     bottom: Bottom = "trousers"

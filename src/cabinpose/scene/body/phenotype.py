@@ -23,6 +23,19 @@ DEFAULT_RANGES = MappingProxyType(
 _STATURE_M = ((1.754, 0.075), (1.615, 0.071))
 _OF_ADULT = (0.80, 1.0, 0.97)
 _AGES, _YEARS = (0.0, 0.5, 1.0), (10.0, 25.0, 80.0)  # what the body data's `age` stands for
+YEARS_LIMITS = (_YEARS[0], _YEARS[-1])
+
+
+def age_of(years: float) -> float:
+    """The body data's `age` of somebody of 10 to 80 years."""
+    return float(np.interp(years, _YEARS, _AGES))
+
+
+def usual_stature_m(gender: float, age: float) -> tuple[float, float]:
+    """Mean and standard deviation (m) of the stature of people of this gender and age (both from 0 to 1)."""
+    (male, male_sd), (female, female_sd) = _STATURE_M
+    of_adult = float(np.interp(age, _AGES, _OF_ADULT))
+    return (male + gender * (female - male)) * of_adult, (male_sd + gender * (female_sd - male_sd)) * of_adult
 
 
 @dataclass(frozen=True)
@@ -61,7 +74,7 @@ class Phenotype:
     def random(cls, ranges: Mapping[str, tuple[float, float]] | None = None, *, rng: np.random.Generator) -> Phenotype:
         """Parameters drawn evenly from `ranges` (name -> (least, greatest)), from `DEFAULT_RANGES` where none is given.
 
-        `years` may stand for `age`, from 10 to 80.
+        `years` (10 to 80) may stand for `age`, `stature_cm` for `stature_m`.
 
         The stature is normally distributed around the mean of the gender and age within 2.5 standard deviations, unless
         `ranges` has `stature_m`. Eight numbers are drawn whatever the ranges. Raises ConfigError for unknown names, for
@@ -70,10 +83,11 @@ class Phenotype:
         names = tuple(field.name for field in fields(cls))
         chosen = dict(DEFAULT_RANGES)
         for given, (low, high) in (ranges or {}).items():
-            name = "age" if given == "years" else given
+            name = {"years": "age", "stature_cm": "stature_m"}.get(given, given)
             if name not in names:
-                raise unknown_name("phenotype parameter", name, ("years", *names))
-            limits = {"stature_m": STATURE_LIMITS_M, "years": (_YEARS[0], _YEARS[-1])}
+                raise unknown_name("phenotype parameter", name, ("years", "stature_cm", *names))
+            metres = STATURE_LIMITS_M
+            limits = {"stature_m": metres, "stature_cm": (100.0 * metres[0], 100.0 * metres[1]), "years": YEARS_LIMITS}
             least, greatest = limits.get(given, (0.0, 1.0))
             if not least <= low <= high <= greatest:
                 raise ConfigError(
@@ -82,7 +96,9 @@ class Phenotype:
                     + (", or `years`" if given == "age" and high > 1.0 else ""),
                 )
             if given == "years":
-                low, high = (float(np.interp(v, _YEARS, _AGES)) for v in (low, high))
+                low, high = age_of(low), age_of(high)
+            elif given == "stature_cm":
+                low, high = low / 100.0, high / 100.0
             chosen[name] = (low, high)
         u, normal = rng.random(7), rng.standard_normal()
         drawn = {name: low + x * (high - low) for x, (name, (low, high)) in zip(u[:6], list(chosen.items())[:6], strict=True)}
@@ -90,7 +106,6 @@ class Phenotype:
             low, high = chosen["stature_m"]
             stature = low + u[6] * (high - low)
         else:
-            (male, male_sd), (female, female_sd) = _STATURE_M
-            mean, sd = male + drawn["gender"] * (female - male), male_sd + drawn["gender"] * (female_sd - male_sd)
-            stature = (mean + sd * float(np.clip(normal, -2.5, 2.5))) * float(np.interp(drawn["age"], (0.0, 0.5, 1.0), _OF_ADULT))
+            mean, sd = usual_stature_m(drawn["gender"], drawn["age"])
+            stature = mean + sd * float(np.clip(normal, -2.5, 2.5))
         return cls(**drawn, stature_m=float(np.clip(stature, *STATURE_LIMITS_M)))

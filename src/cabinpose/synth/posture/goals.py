@@ -66,6 +66,12 @@ def sitter(
     return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, middle=float(seat.design_h_point[1]))
 
 
+def given(person: Person, seat: Seat, q: Array, root: Matrix) -> Sitter:
+    """Somebody who stays as they are: q (D,) rad, root `vehicle_from_root` (4, 4)."""
+    goals = Goals(q, np.zeros(len(DOFS)), q, q, root, np.zeros(6), *_arrays([("head", np.eye(4), "", np.eye(4), np.zeros(6))]))
+    return Sitter(person, seat.slot, goals, q.copy(), root.copy(), stand="fixed", middle=float(seat.design_h_point[1]))
+
+
 def as_recorded(chosen: Sitter, posture: Array, upper_body: list[int], weight: float) -> Sitter:
     """The same person with an upper body as near to `posture` (D,) rad as car and body allow, by `weight` (1/rad)."""
     stiffness, tasks = chosen.goals.stiffness.copy(), chosen.goals.weight.copy()

@@ -157,14 +157,14 @@ class Drawn:
 
 def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: Profile | None = None, *, index: int = 0,
+    profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, company: Company | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """What `person` in `seat` seeks: the action's places for hands, head and trunk, feet on pedals or floor.
 
-    A profile comes on top of it: what it holds stands, and hands of arms that it does not name stay on the rim or in the lap.
-    `index` is the combination of an incremental profile, or the pose of a recording; `offset` is how the pelvis sits off the
-    seat's place; `company` are the neighbours.
+    An `initial` pose takes the place of what its degrees of freedom would seek. A profile comes on top of it: what it holds
+    stands, and hands of arms that it does not name stay on the rim or in the lap. `index` is the combination of an incremental
+    profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `company` are the neighbours.
     Raises ConfigError for an action that makes no sense here, MocapError for an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
@@ -217,6 +217,8 @@ def draw_pose(
     head = _gaze(s, chosen, hands, side_sign, skeleton, rng)
     holds = hands[0].place == "wheel", hands[1].place == "wheel"
     who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, holds)
+    if initial is not None:
+        who = _with_profile(who, initial, index, rng)
     if profile is not None:
         who, action = _with_profile(who, profile, index, rng), profile.kind if profile.followed else action
     return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting))

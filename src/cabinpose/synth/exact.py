@@ -1,0 +1,71 @@
+"""A scene that was drawn, as a configuration that says all of it: to keep one, to change one by hand, to make it again."""
+
+from __future__ import annotations
+
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.frames import Matrix
+from cabinpose.scene.body import DOFS
+from cabinpose.synth.config import (
+    CabinScene,
+    ExactCameraPose,
+    ExactPose,
+    Matrix4,
+    Occupant,
+    SynthConfig,
+    frame_rng,
+)
+from cabinpose.synth.plan import car_names, place_name
+from cabinpose.synth.sample import SceneSampler
+
+
+def exact_config(config: SynthConfig, seed: int, index: int) -> SynthConfig:
+    """A configuration whose frames all show the scene of frame `index` of a dataset.
+
+    Made with the same seed, its frame `index` has the same bytes as that one; its other frames differ in their noise.
+
+    Parameters
+    ----------
+    config, seed
+        Of the dataset.
+    index
+        Number of the frame.
+
+    Raises
+    ------
+    ConfigError
+        For scenes in rooms.
+    SceneError
+        Where the frame has none.
+    """
+    if not isinstance(config.scene, CabinScene):
+        raise ConfigError("only scenes in cars are written out", hint="give a dataset of people in cars")
+    scene = SceneSampler(config, seed).sample(index, rng=frame_rng(seed, index))
+    assert scene.cabin is not None  # of a scene in a car
+    occupants = {}
+    for person in scene.people:
+        setting = scene.settings[person.slot]
+        pose = ExactPose(
+            fore_aft_m=setting.fore_aft_m,
+            height_m=setting.height_m,
+            torso_angle_rad=setting.torso_angle,
+            vehicle_from_root=_rows(person.posed.vehicle_from_root),
+            angles_rad={dof.name: float(angle) for dof, angle in zip(DOFS, person.posed.q, strict=True)},
+            wheel_angle_rad=scene.wheel_angle if person.slot == "driver" else None,
+        )
+        belted = len(person.surfaces) > 1
+        occupants[person.slot] = Occupant(subject=person.subject, action=person.action, belted=belted, pose=pose)
+    car = next(car for car in car_names(config) if place_name(car) == scene.place)
+    camera = {scene.pov: ExactCameraPose(vehicle_from_camera=_rows(scene.world_from_camera))}
+    return SynthConfig(
+        scene=CabinScene(
+            cars=(car,), right_hand_drive=1.0 if scene.cabin.drive_side == "right" else 0.0, occupants=occupants, occupancy={}
+        ),
+        people=config.people,
+        camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),
+        noise=config.noise,
+        output=config.output,
+    )
+
+
+def _rows(matrix: Matrix) -> Matrix4:
+    return tuple((a, b, c, d) for a, b, c, d in matrix.tolist())
