@@ -245,6 +245,17 @@ def test_progress_is_silent_for_short_work_and_speaks_for_long(
     ]
 
 
+def test_work_in_which_nothing_is_counted_is_told_of_again_and_again(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, seconds in (("LOG_EVERY_S", 0.3), ("QUIET_S", 0.1), ("_BEAT_S", 0.02)):
+        monkeypatch.setattr(output, name, seconds)
+    with output.progress() as report:
+        report.phase("calibrating")
+        time.sleep(1.5)
+    assert set(capsys.readouterr().err.splitlines()) >= {"0 s, calibrating", "1 s, calibrating"}
+
+
 def test_bench_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     from cabinpose.app.cli import bench
 

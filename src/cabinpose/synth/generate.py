@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import cabinpose
 from cabinpose.core.errors import ConfigError
@@ -28,12 +28,13 @@ from cabinpose.synth.write import Content, FrameReport, FrameTotal, make_frames
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is: frames on disk, and the poses proposed and rejected in this run."""
+    """How far a run is: frames on disk, the poses proposed and rejected in this run, and what is under way."""
 
     frames_done: int
     frames_total: int
     proposals: int
     rejections: Mapping[Rejection, int]
+    phase: Literal["checking the configuration", "preparing cars and people", "posing"]
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def generate(
 
     workers: threads (default: one per core) · scheduler: address of a running Dask cluster instead, whose workers see `out`
     under the same path · resume: go on where a run of the same configuration stopped · overwrite: replace a dataset of ours ·
-    progress: called after every frame, or part of a cluster.
+    progress: called before the work, and after every frame, or part of a cluster.
 
     Raises ConfigError or DatasetError before any work starts where that can be known, SceneError where no valid scene
     is found.
@@ -84,6 +85,8 @@ def generate(
         raise ConfigError(f"seed {seed} is not a 63-bit natural number", hint="choose a seed from 0 to 2**63 - 1")
     if workers is not None and workers < 1:
         raise ConfigError(f"cannot work with {workers} workers", hint="ask for at least 1 worker")
+    tell = progress or (lambda _: None)
+    tell(Progress(0, frames, 0, {}, "checking the configuration"))
     preflight(config, frames=frames)
     manifest = build_manifest(config, frames, seed)
     started = time.perf_counter()
@@ -91,10 +94,10 @@ def generate(
     with create_dataset(out, manifest, overwrite=overwrite, resume=resume) as dataset:
         plans = dataset.missing()
         before = sum(plan.frames for plan in dataset.complete())
+        tell(Progress(before, frames, 0, {}, "preparing cars and people"))
         for report in _make(plans, config, manifest, out, workers, scheduler):
             total.add(report)
-            if progress is not None:
-                progress(Progress(before + total.frames, frames, total.proposals, dict(total.rejections)))
+            tell(Progress(before + total.frames, frames, total.proposals, dict(total.rejections), "posing"))
     return _summary(out, total, before, time.perf_counter() - started)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cabinpose.app.cli.align_commands import Calibrate
-from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 
@@ -23,7 +23,9 @@ def run(command: Calibrate) -> None:
 
     if command.out.exists() and not command.overwrite:
         raise ConfigError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")
-    found = calibrate(Session.load(command.session))
+    with progress() as report:
+        report.phase("calibrating")
+        found = calibrate(Session.load(command.session))
     found.calibration.save(command.out)
     if command.as_json:
         print_json({"out": str(command.out), **found.calibration.model_dump(mode="json", exclude={"names"})})

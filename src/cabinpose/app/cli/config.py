@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 import cabinpose
 from cabinpose.app.cli.commands import Config, ConfigCheck, ConfigFrame, ConfigInit
+from cabinpose.app.cli.output import progress
 from cabinpose.core.errors import ConfigError
 from cabinpose.synth.config import SynthConfig, room_preset
 
@@ -71,7 +72,9 @@ def _write(text: str, to: Path | None) -> None:
 
 def _check(action: ConfigCheck) -> None:
     config = SynthConfig.load(action.file)
-    tried = _try(config)
+    with progress() as report:
+        report.phase("trying scenes")
+        tried = _try(config)
     if action.as_json:
         print(
             json.dumps({"file": str(action.file), "valid": True, "poses_tried": tried, "config": config.model_dump(mode="json")})

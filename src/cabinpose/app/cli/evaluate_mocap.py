@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse, EvaluateMocap, EvaluateSfe, EvaluateSse, MocapReport
-from cabinpose.app.cli.output import print_json, print_table
+from cabinpose.app.cli.output import print_json, print_table, progress
 from cabinpose.app.extras import require
 from cabinpose.app.finite import finite
 from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError
@@ -40,7 +40,9 @@ def run(command: EvaluateMocap) -> None:
     if not chosen.takes:
         raise ConfigError("there is nothing to evaluate", hint="give a recording or a file; --help shows how")
     _check_out(chosen)
-    judgement, drawn, more = _EVALUATIONS[type(chosen)](chosen)
+    with progress() as report:
+        report.phase("reading and comparing")
+        judgement, drawn, more = _EVALUATIONS[type(chosen)](chosen)
     record = judgement.to_dict() | {"takes": list(chosen.takes)} | more
     if chosen.out is not None:
         from cabinpose.app.mocap.page import page_html

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from cabinpose.app.finite import finite
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 QUIET_S = 2.0  # what is over sooner needs no progress
 LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
+_BEAT_S = 0.5  # between looks whether a line is due
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -51,25 +53,41 @@ class ProgressReport:
 
     def __init__(self, bar: Progress | None, total: int, unit: str, start: int) -> None:
         self._bar = bar
-        self._task = bar.add_task("", total=total, completed=start, rate="", note="") if bar is not None else None
+        self._task = bar.add_task("", total=total or None, completed=start, rate="", note="") if bar is not None else None
         self._total, self._unit, self._start = total, unit, start
+        self._done, self._note = start, ""
         self._began = time.monotonic()
         self._seen = [(self._began, start)]
         self._logged = self._began - LOG_EVERY_S + QUIET_S
+        self._lock = Lock()
 
     def __call__(self, done: int, note: str = "") -> None:
         """`done` of all items are there; `note` is shown beside the rate of those that this run made."""
-        now = time.monotonic()
-        if self._bar is None:
-            self._seen.append((now, done))
-        rate = (done - self._start) / max(now - self._began, 1e-9)
-        text = f"{rate:.1f} {self._unit}/s" if rate >= 1 or rate == 0 else f"{1 / rate:.1f} s each"
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, rate=text, note=note)
-        elif now - self._logged >= LOG_EVERY_S:
-            left = self._left(now, done) if rate > 0 else "waiting"
-            print(", ".join(filter(None, (f"{done}/{self._total} {self._unit}", text, left, note))), file=sys.stderr)
-            self._logged = now
+        with self._lock:
+            if self._bar is None:
+                self._seen.append((time.monotonic(), done))
+            self._done, self._note = done, note
+        self.tell()
+
+    def phase(self, name: str) -> None:
+        """What is under way before the first item, after the last, or where nothing is counted."""
+        with self._lock:
+            self._note = name
+        self.tell()
+
+    def tell(self) -> None:
+        """Show the state: on a bar at once, else as a line if the last one is long enough ago."""
+        with self._lock:
+            now = time.monotonic()
+            rate = (self._done - self._start) / max(now - self._began, 1e-9)
+            speed = f"{rate:.1f} {self._unit}/s" if rate >= 1 else f"{1 / rate:.1f} s each" if rate > 0 else ""
+            if self._bar is not None and self._task is not None:
+                self._bar.update(self._task, completed=self._done, rate=speed, note=self._note)
+            elif now - self._logged >= LOG_EVERY_S:
+                count = f"{self._done}/{self._total} {self._unit}" if self._total else ""
+                left = self._left(now, self._done) if rate > 0 else f"{now - self._began:.0f} s"
+                print(", ".join(filter(None, (count, speed, left, self._note))), file=sys.stderr)
+                self._logged = now
 
     def _left(self, now: float, done: int) -> str:
         """The time left by what the last half of the time has brought: the first half prepares. Nothing before it can be told."""
@@ -85,17 +103,32 @@ _TELLS = 0.02  # of the work, before its time can be told
 
 
 @contextmanager
-def progress(total: int, unit: str, *, start: int = 0) -> Iterator[ProgressReport]:
-    """A `ProgressReport` of `total` items, of which `start` were there before; its bar is gone when the block ends."""
+def progress(total: int = 0, unit: str = "", *, start: int = 0) -> Iterator[ProgressReport]:
+    """A `ProgressReport` of `total` items, of which `start` were there before; its bar is gone when the block ends.
+
+    A total of 0 is for work in which nothing is counted, told by its phases.
+    """
     if not sys.stderr.isatty():
-        yield ProgressReport(None, total, unit, start)
+        report, over = ProgressReport(None, total, unit, start), Event()
+
+        def beat() -> None:
+            while not over.wait(_BEAT_S):
+                report.tell()
+
+        thread = Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield report
+        finally:
+            over.set()
+            thread.join()
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
         BarColumn(),
-        MofNCompleteColumn(),
+        *((MofNCompleteColumn(),) if total else ()),
         TextColumn("{task.fields[rate]}"),
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),

@@ -31,6 +31,9 @@ def run(command: Synth) -> None:
 
         def show(state: Progress) -> None:
             nonlocal told
+            if state.phase != "posing":
+                report.phase(state.phase)
+                return
             accepted = state.proposals - sum(state.rejections.values())
             report(state.frames_done, f"{accepted} poses accepted, {state.proposals - accepted} rejected")
             if state.proposals >= told and accepted < _HARDLY_ANY * state.proposals:
