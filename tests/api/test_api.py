@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ import pytest
 
 import cabinpose
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import PoseBatch
+from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.predictor import OnnxPredictor
 from cabinpose.store.predictions import Predictions, write_predictions
 from cabinpose.synth.config import SynthConfig
@@ -118,3 +120,50 @@ def test_predictions_are_opened_and_evaluated(dataset: Path, model: OnnxPredicto
     assert by_model.to_dict()["frames"] == by_file.to_dict()["frames"] == 3
     selection = cabinpose.open(dataset).isel(frame=[0])
     assert cabinpose.evaluate_predictions(selection, model).to_dict()["frames"] == 1
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: cabinpose.generate({"scene": {}}, frames=1), "overrides are texts, such as 'scene.cars=[suv]'"),  # type: ignore[arg-type]
+        (lambda: cabinpose.generate("a.b=1", frames=1, config={}), "overrides change files and defaults"),
+        (lambda: cabinpose.generate(frames=1, seed=-1), "seed -1 is not a 63-bit natural number"),
+        (lambda: cabinpose.generate(frames=1, config={"scene": {"cars": ["tank"]}}), "unknown car 'tank'"),
+    ],
+)
+def test_what_cannot_be_generated_is_told_at_once(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        call()
+    assert message in str(caught.value)
+    assert caught.value.hint
+
+
+def test_plain_data_are_a_configuration(frames: list[Frame]) -> None:
+    scene = {"cars": ["suv"], "occupancy": {"driver": 1.0}, "right_hand_drive": 0}
+    (same,) = cabinpose.generate(frames=1, seed=4, config={"scene": scene})
+    np.testing.assert_array_equal(same["depth"], frames[0]["depth"])
+
+
+class AlwaysAtTheWheel:
+    """A detector of one's own: everybody's joints where the first frame had them."""
+
+    name, persons = "at_the_wheel", ("driver",)
+
+    def __init__(self, frame: Frame) -> None:
+        self.joints = JOINTS
+        self._of = {key: np.asarray(frame[key], np.float32)[:1] for key in ("joints_2d", "joints_3d")}
+
+    def predict(self, frames: FrameBatch) -> PoseBatch:
+        joints_2d, joints_3d = (np.repeat(self._of[key][None], len(frames["depth"]), 0) for key in ("joints_2d", "joints_3d"))
+        sure = np.ones(joints_2d.shape[:3], np.float32)
+        return PoseBatch(joints_2d, joints_3d, sure, sure)
+
+
+def test_a_detector_of_ones_own_is_evaluated(frames: list[Frame], dataset: Path) -> None:
+    first = cabinpose.open(dataset).isel(frame=[0])
+    report = cabinpose.evaluate_predictions(first, AlwaysAtTheWheel(frames[0])).to_dict()
+    assert "at_the_wheel" in str(report["model"])
+    with pytest.raises(ConfigError, match="a function is no detector"):
+        cabinpose.evaluate_predictions(dataset, lambda frames: frames)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="unknown slot 'pilot'"):
+        cabinpose.evaluate_predictions(dataset, "in_car", persons=["pilot"])

@@ -5,15 +5,16 @@ These are the names that `import cabinpose` offers; each loads what it needs whe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cabinpose.core.errors import ConfigError
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from cabinpose.core.ports import Predictor
     from cabinpose.estimate.predictor import OnnxPredictor
     from cabinpose.evaluate.report import Report
     from cabinpose.store.predictions import Predictions
@@ -85,7 +86,11 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
 
 
 def generate(
-    *overrides: str, frames: int | None = None, seed: int = 0, config: SynthConfig | Path | str | None = None, first: int = 0
+    *overrides: str,
+    frames: int | None = None,
+    seed: int = 0,
+    config: SynthConfig | Mapping[str, Any] | Path | str | None = None,
+    first: int = 0,
 ) -> Iterator[Frame]:
     """Generated frames one by one, without a disk: the same as `cabinpose synth` writes.
 
@@ -98,7 +103,7 @@ def generate(
     seed
         Seed of all randomness.
     config
-        A `SynthConfig` or a YAML file; default: people in all seven cars.
+        A `SynthConfig`, its keys and values as plain data, or a YAML file; default: people in all seven cars.
 
     Yields
     ------
@@ -113,26 +118,29 @@ def generate(
     SceneError
         Where no valid scene is found.
     """
-    from cabinpose.synth.config import SynthConfig  # noqa: PLC0415 - the generator takes half a second to import
+    from cabinpose.synth.config import SynthConfig, check_seed  # noqa: PLC0415 - the generator takes half a second to import
     from cabinpose.synth.preflight import preflight  # noqa: PLC0415
     from cabinpose.synth.write import FrameMaker  # noqa: PLC0415
 
-    if isinstance(config, SynthConfig):
+    if not all(isinstance(override, str) for override in overrides):
+        raise ConfigError("overrides are texts, such as 'scene.cars=[suv]'", hint="give a whole configuration as config=...")
+    if isinstance(config, SynthConfig | Mapping):
         if overrides:
-            raise ConfigError("overrides change files and defaults", hint="give either these or a SynthConfig")
-        chosen = config
+            raise ConfigError("overrides change files and defaults", hint="write them into the configuration")
+        chosen = config if isinstance(config, SynthConfig) else SynthConfig.parse(dict(config))
     else:
         chosen = SynthConfig.load(None if config is None else Path(config), overrides)
     end = first + frames if frames is not None else chosen.frames_or_all(None)
     if not 0 <= first < end:
         raise ConfigError(f"cannot generate {end - first} frames from number {first} on", hint="ask for at least 1 frame")
+    check_seed(seed)
     preflight(chosen, frames=end)
     maker = FrameMaker(chosen, seed)
     return (maker.make(index)[0] for index in range(first, end))
 
 
 def evaluate_predictions(
-    data: Path | str | xr.Dataset, model: Path | str | Predictions | OnnxPredictor, *, persons: Sequence[str] | None = None
+    data: Path | str | xr.Dataset, model: Path | str | Predictions | Predictor, *, persons: Sequence[str] | None = None
 ) -> Report:
     """How good predictions are on a dataset, by the metrics of `cabinpose evaluate`.
 
@@ -141,7 +149,8 @@ def evaluate_predictions(
     data
         The folder of a dataset, or an open one (a selection of it as well).
     model
-        A predictions file, predictions, the name of a model of the package, or a model.
+        A predictions file, predictions, the name of a model of the package, or any detector: an object with `name`, `joints`,
+        `persons` and `predict`, as `cabinpose.core.ports.Predictor` says.
     persons
         Slots that are evaluated; default: of a model those that it answers for, of predictions all.
 
@@ -155,7 +164,7 @@ def evaluate_predictions(
     DatasetError, ModelError, PredictionsError
         For what is missing, damaged or of another dataset.
     """
-    from cabinpose.estimate.predictor import OnnxPredictor  # noqa: PLC0415 - ONNX Runtime and xarray
+    from cabinpose.core.ports import Predictor  # noqa: PLC0415 - the package imports in no time
     from cabinpose.evaluate.offline import check_predictions, evaluate  # noqa: PLC0415
     from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
     from cabinpose.store import open_dataset  # noqa: PLC0415
@@ -163,10 +172,15 @@ def evaluate_predictions(
 
     name = Path(data).resolve().name if isinstance(data, Path | str) else ""
     dataset = open_dataset(data) if isinstance(data, Path | str) else data
-    if not isinstance(model, Predictions | OnnxPredictor):
+    if isinstance(model, Path | str):
         model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else load_model(model)
     if isinstance(model, Predictions):
         check_predictions(model, dataset)
+    elif not isinstance(model, Predictor):
+        raise ConfigError(
+            f"a {type(model).__name__} is no detector",
+            hint="it needs name, joints, persons and predict; see core.ports.Predictor",
+        )
     elif persons is None:
         persons = [slot for slot in model.persons if slot in dataset["person"].values]
     return evaluate(dataset, model, EvaluationOptions(), persons=persons, name=name)

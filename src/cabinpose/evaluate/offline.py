@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError, PredictionsError
+from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
@@ -85,6 +85,9 @@ def evaluate(
     chosen = tuple(joints) if joints is not None else common_joints(dataset, [model])
     predicted = model.persons
     if persons is not None:
+        for place in persons:
+            if place not in dataset["person"].values:
+                raise unknown_name("slot", place, [str(p) for p in dataset["person"].values])
         dataset, predicted = dataset.sel(person=list(persons)), tuple(p for p in model.persons if p in persons)
     true = [str(p) for p in dataset["person"].values]
     chunks = _chunks(dataset, model, chosen, predicted, progress or (lambda _: None))

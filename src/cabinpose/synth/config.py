@@ -550,6 +550,12 @@ def _keys(model: type[BaseModel]) -> set[str]:
     return keys
 
 
+def check_seed(seed: int) -> None:
+    """Raises ConfigError for what cannot be a dataset's seed."""
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"seed {seed} is not a 63-bit natural number", hint="choose a seed from 0 to 2**63 - 1")
+
+
 def frame_rng(seed: int, frame_index: int) -> np.random.Generator:
     """The generator of one frame's scene: the same numbers whatever made the frame, and when."""
     return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64)))

@@ -19,7 +19,7 @@ from cabinpose.core.optional import optional_module
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import SynthConfig, check_seed
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.validate import Rejection, by_cause
@@ -81,8 +81,7 @@ def generate(
     """
     if frames < 1:
         raise ConfigError(f"cannot generate {frames} frames", hint="ask for at least 1 frame")
-    if not 0 <= seed < 2**63:
-        raise ConfigError(f"seed {seed} is not a 63-bit natural number", hint="choose a seed from 0 to 2**63 - 1")
+    check_seed(seed)
     if workers is not None and workers < 1:
         raise ConfigError(f"cannot work with {workers} workers", hint="ask for at least 1 worker")
     tell = progress or (lambda _: None)
