@@ -30,7 +30,7 @@ def run(capsys: pytest.CaptureFixture[str], dataset_folder: Path) -> Callable[..
     """`run(file, "--json")`: the outcome of `cabinpose evaluate` on the sphere people, with few resamples."""
 
     def call(*arguments: object, data: Path = dataset_folder) -> Outcome:
-        code = main(["evaluate", "--data", str(data), "--resamples", "5", "--predictions", *map(str, arguments)])
+        code = main(["evaluate", str(data), "--resamples", "5", "--predictions", *map(str, arguments)])
         captured = capsys.readouterr()
         return Outcome(code, captured.out, captured.err)
 

@@ -69,6 +69,14 @@ def empty_batch(frames: int, persons: int, joints: int) -> PoseBatch:
     )
 
 
+def check_new_predictions(file: Path, *, overwrite: bool) -> None:
+    """Raise `PredictionsError` unless a predictions file may be written under this name."""
+    if file.suffix not in (".jsonl", ".parquet"):
+        raise PredictionsError(f"{file.name} is no name of a predictions file", hint="let it end in .jsonl or .parquet")
+    if file.exists() and not overwrite:
+        raise PredictionsError(f"{file} exists", hint="--overwrite replaces it, or give another name")
+
+
 def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
     """Write the file, as Parquet where its name ends in `.parquet`, else as JSON lines; it appears when it is whole.
 
@@ -76,10 +84,7 @@ def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: 
     name ends otherwise.
     """
     file = Path(path)
-    if file.suffix not in (".jsonl", ".parquet"):
-        raise PredictionsError(f"{file.name} is no name of a predictions file", hint="let it end in .jsonl or .parquet")
-    if file.exists() and not overwrite:
-        raise PredictionsError(f"{file} exists", hint="give another name, or say that it may be overwritten")
+    check_new_predictions(file, overwrite=overwrite)
     header = {
         "format": FORMAT,
         "version": VERSION,

@@ -26,6 +26,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: there is no command '{arguments[0]}'", file=sys.stderr)
         print("hint: " + (f"did you mean {close[0]}? " if close else "") + "`cabinpose --help` lists them", file=sys.stderr)
         return 2
+    if any(word == "--data" or word.startswith("--data=") for word in arguments):
+        print("error: there is no flag --data", file=sys.stderr)
+        print(f"hint: the dataset is given behind the verb: cabinpose {arguments[0]} DATASET", file=sys.stderr)
+        return 2
     command = tyro.cli(command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE)
     try:
         import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
