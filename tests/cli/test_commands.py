@@ -331,6 +331,13 @@ def test_synth_says_why_hardly_any_pose_holds(run: Run, tmp_path: Path) -> None:
     assert "driver: lupper_arm in torso" in line
 
 
+def test_an_override_without_a_value(run: Run, tmp_path: Path) -> None:
+    done = run("synth", "scene.cars", "--frames", "1", "--out", tmp_path / "x")
+    assert done.code == 2
+    assert "'scene.cars'" in done.err
+    assert "hint: write KEY=VALUE" in done.err
+
+
 def test_ctrl_c_ends_in_one_line_and_leaves_nothing_in_the_way(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cabinpose", "synth", "--frames", "5000", "--workers", "2", "--out", str(tmp_path / "d")]
     process = subprocess.Popen([*command, "scene.cars=[hatchback]"], stderr=subprocess.PIPE, text=True)

@@ -160,6 +160,10 @@ def _read_lines(file: Path) -> tuple[dict[str, Any], Any]:
             try:
                 row = json.loads(line)
             except json.JSONDecodeError as error:
+                if error.msg == "Extra data":
+                    raise PredictionsError(
+                        f"{file}:{number}: the line goes on after its JSON object", hint=f"write one object a line; {_DESCRIBED}"
+                    ) from error
                 raise PredictionsError(
                     f"{file}:{number}: not a line of JSON ({error.msg})", hint=f"the file may be cut short; {_DESCRIBED}"
                 ) from error

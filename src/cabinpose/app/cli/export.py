@@ -13,9 +13,9 @@ from cabinpose.app.cli.output import listed, print_json, progress
 from cabinpose.app.cli.recording_exchange import export_recording
 from cabinpose.app.cli.selection import frames_with, selected, selection
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.errors import ConfigError
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import FORMATS, IMAGE_KINDS, RECORDING_EXPORTS, export_dataset, export_parts
+from cabinpose.store.convert import IMAGE_KINDS, check_export, export_dataset, export_parts
 from cabinpose.store.split import Splits, read_named_splits, read_splits
 from cabinpose.store.yaml_file import read_mapping
 
@@ -29,10 +29,9 @@ def run(command: Export) -> None:
         raise ConfigError("there is nothing to export", hint="give DATASET or RECORDING and --format, or --onnx CHECKPOINT")
     if export_recording(command, command.dataset, command.format):
         return
-    if command.format not in FORMATS:
-        raise unknown_name("format", command.format, (*FORMATS, *RECORDING_EXPORTS))
+    check_export(command.format, command.images)
     dataset, splits = _frames(command, command.dataset, command.format)
-    parts = export_parts(dataset, command.format, splits) if command.format in IMAGE_KINDS else {"": dataset}
+    parts = export_parts(dataset, command.format, splits)
     counts = {name: part.sizes["frame"] for name, part in parts.items()}
     frames = sum(counts.values())
     with progress(frames, "frames") as report:
@@ -51,7 +50,7 @@ def run(command: Export) -> None:
         return
     print(f"{folder}: {frames} frames as {command.format}" + (f": {listed(counts)}" if by_split else ""))
     left = dataset.sizes["frame"] - frames
-    if left:
+    if left and command.split is None:
         print(f"{left} frames belong to no split and are left out", file=sys.stderr)
 
 

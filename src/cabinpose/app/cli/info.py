@@ -10,6 +10,7 @@ from cabinpose.app.cli.arguments import is_recording, refuse_selection
 from cabinpose.app.cli.commands import Info
 from cabinpose.app.cli.output import listed, print_json, print_rows, progress
 from cabinpose.app.cli.recording_info import recording_info, takes_of
+from cabinpose.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from cabinpose.app.view.summary import DatasetSummary
@@ -18,6 +19,11 @@ if TYPE_CHECKING:
 def run(command: Info) -> None:
     """Print the summary; with `verify`, after every frame was read."""
     if command.subject is not None:
+        if (command.dataset / "dataset.yaml").exists():
+            raise ConfigError(
+                f"{command.dataset} is a dataset, and --subject lists recordings",
+                hint=f"count its frames with --select subject={command.subject}",
+            )
         refuse_selection(command, "{} is of datasets, and --subject lists recordings")
         takes_of(command.dataset, command.subject, as_json=command.as_json)
     elif is_recording(command.dataset):
@@ -54,7 +60,7 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
     """Names and values for people to read."""
     s = summary
     whole = "" if s.parts == s.planned_parts else f" of {s.planned_frames} planned: go on with --resume"
-    chosen = "" if s.selected == s.frames else f"; {s.selected} of them are selected, and counted below"
+    chosen = "" if s.selected == s.frames else f"; {s.selected} selected, counted below"
     joints = sum(s.visibility.values())
     rows = [
         ("dataset", s.folder),

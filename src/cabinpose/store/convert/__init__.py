@@ -80,15 +80,8 @@ def export_dataset(
         Where `out` exists and `overwrite` is not given, where the format cannot hold the dataset, or where the disk is full;
         then nothing is left behind.
     """
-    if name not in FORMATS:
-        raise unknown_name("format", name, list(FORMATS))
-    kinds = IMAGE_KINDS.get(name, ())
-    if images is not None and images not in kinds:
-        others = [each for each in IMAGE_KINDS if images in IMAGE_KINDS[each]]
-        raise ConfigError(
-            f"{name} has no images of the kind {images}",
-            hint=f"choose one of {', '.join(kinds)}" if kinds else f"leave out --images, which is of {', '.join(others)}",
-        )
+    check_export(name, images)
+    parts = export_parts(dataset, name, splits or {})
     folder = Path(out)
     if (folder / MANIFEST_NAME).exists():
         raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
@@ -96,19 +89,32 @@ def export_dataset(
     with _whole_folder(folder, "export", overwrite=overwrite) as temporary:
         temporary.mkdir(parents=True)
         tell = report or (lambda _: None)
-        if kinds:
-            module.export(export_parts(dataset, name, splits or {}), temporary, tell, images or kinds[0])
+        if name in IMAGE_KINDS:
+            module.export(parts, temporary, tell, images or IMAGE_KINDS[name][0])
         else:
-            module.export(dataset, temporary, tell)
+            module.export(parts[""], temporary, tell)
     return folder
+
+
+def check_export(name: str, images: str | None) -> None:
+    """Raise `ConfigError` unless `name` is a format of datasets and can have such images."""
+    if name not in FORMATS:
+        raise unknown_name("format", name, (*FORMATS, *RECORDING_EXPORTS))
+    kinds = IMAGE_KINDS.get(name, ())
+    if images is not None and images not in kinds:
+        hint = f"choose one of {', '.join(kinds)}" if kinds else f"leave out --images, which is of {', '.join(IMAGE_KINDS)}"
+        raise ConfigError(f"{name} has no images of the kind {images}", hint=hint)
 
 
 def export_parts(dataset: xr.Dataset, name: str, splits: Splits) -> dict[str, xr.Dataset]:
     """The frames that an export writes, by the name of their split; "" is all of them, where there are no splits.
 
     For yolo, which always has the splits train and val, some of the subjects are held out as in training. Raises `ConfigError`
-    for the name of a split that is no name of a folder, `DatasetError` where a split is empty.
+    for a format that tells no splits apart and for the name of a split that is no name of a folder, `DatasetError` where a split
+    is empty.
     """
+    if splits and name not in IMAGE_KINDS:
+        raise ConfigError(f"{name} tells no splits apart", hint="export them one by one")
     if not splits:
         return dict(zip(("train", "val"), held_out(dataset, "train", "val"), strict=True)) if name == "yolo" else {"": dataset}
     for split in splits:
