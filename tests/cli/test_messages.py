@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -190,6 +192,14 @@ def test_no_help_shows_an_empty_default(run: Run) -> None:
         assert f"usage: cabinpose {' '.join(verb)}" in text
         assert "(default: )" not in text, verb
         assert "{None}" not in text, verb
+
+
+def test_a_reader_that_leaves_gets_no_traceback() -> None:
+    """As of `cabinpose evaluate --help | head -1`."""
+    command = [sys.executable, "-m", "cabinpose", "evaluate", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()  # before anything is printed
+        assert process.stderr.read() == ""
 
 
 CHOICES = [(("--select", "car=sedan,van", "pov=driver"), 3), (("--splits", "splits.yaml", "--split", "test"), 1)]

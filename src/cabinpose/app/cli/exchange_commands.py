@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Optional
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import JsonFlag, SelectFlag, SplitFlag, SplitsFlag, several
+from cabinpose.app.cli.arguments import JsonFlag, SelectFlag, SplitFlag, several
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Export:
     """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
     images: Optional[Literal["depth8", "amplitude8", "depth16"]] = None
     """coco, yolo: what the pictures show, in 8 bits of grey or (coco) 16 bits of millimetres; default: depth8."""
-    splits: SplitsFlag = None
+    splits: Annotated[Optional[Path], arg(metavar="FILE")] = None
     """YAML file of splits, of which --split names one; coco, yolo: without --split all of them, each by itself."""
     split: SplitFlag = None
     select: SelectFlag = ()
