@@ -51,10 +51,10 @@ def main() -> None:
     run("calibrate", str(LAB / "session.yaml"), "--out", "calibration.yaml")
     run("align", *takes, "--calibration", "calibration.yaml", "--out", "aligned")
     run("view", "aligned", "--out", "aligned-view")
-    run("evaluate", "--data", "aligned", "--model", "in_car", "--persons", "driver", "--resamples", "0")
+    run("evaluate", "aligned", "--model", "in_car", "--persons", "driver", "--resamples", "0")
     if find_spec("lightning") is not None:  # the extra `train`; one epoch shows the way, no more
         Path("train.yaml").write_text(TRAINING)
-        run("train", "--data", "aligned", "--config", "train.yaml", "--out", "run")
+        run("train", "aligned", "--config", "train.yaml", "--out", "run")
 
 
 if __name__ == "__main__":

@@ -342,40 +342,11 @@ def test_synth_says_why_hardly_any_pose_holds(run: Run, tmp_path: Path) -> None:
     assert "driver: lupper_arm in torso" in line
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words", "hint"),
-    [
-        (("view", "{data}", "--out", "{data}"), "in the dataset", "another folder"),
-        (("view", "{data}", "--out", "{data}/part-00000.zarr/view"), "in the dataset", "another folder"),
-        (("predict", "--data", "{data}", "--model", "in_car", "--out", "q.csv"), "q.csv is no name", ".jsonl or .parquet"),
-        (("lab", "--out", "x", "--seconds", "-2"), "seconds", "greater than 1"),
-        (("export", "--onnx", "{yaml}", "--out", "x.onnx"), "is no checkpoint", "best.ckpt"),
-        (("synth", "scene.cars", "--frames", "1", "--out", "x"), "scene.cars", "KEY=VALUE"),
-    ],
-)
-def test_mistakes_of_the_first_hour(
-    run: Run, dataset_folder: Path, tmp_path: Path, arguments: tuple[str, ...], words: str, hint: str
-) -> None:
-    (tmp_path / "scene.yaml").write_text("version: 1\n", encoding="utf-8")
-    done = run(*(a.format(data=dataset_folder, yaml=tmp_path / "scene.yaml") for a in arguments))
+def test_an_override_without_a_value(run: Run, tmp_path: Path) -> None:
+    done = run("synth", "scene.cars", "--frames", "1", "--out", tmp_path / "x")
     assert done.code == 2
-    assert words in done.err
-    assert hint in done.err
-    assert "Traceback" not in done.err
-
-
-def test_a_model_that_looks_elsewhere_is_remarked(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
-    done = run("predict", "--data", dataset_folder, "--model", "room", "--out", tmp_path / "found.jsonl")
-    assert "looks for standing" in done.err
-    assert "nothing can be scored" in done.err
-
-
-@pytest.mark.parametrize(("word", "hint"), [("synt", "did you mean synth?"), ("frobnicate", "`cabinpose --help` lists them")])
-def test_a_misspelt_command_names_the_nearest(run: Run, word: str, hint: str) -> None:
-    done = run(word, "--frames", "1")
-    assert done.code == 2
-    assert done.err.startswith(f"error: there is no command '{word}'\nhint: ")
-    assert hint in done.err
+    assert "'scene.cars'" in done.err
+    assert "hint: write KEY=VALUE" in done.err
 
 
 def test_ctrl_c_ends_in_one_line_and_leaves_nothing_in_the_way(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_joints_only(run: Run, tmp_path: Path) -> None:
             truth.frame.values, tuple(truth.person.values), joints, "made up",
         ),
     )  # fmt: skip
-    code, out, err = run("evaluate", "--data", data, "--predictions", tmp_path / "p.jsonl", "--json", "--resamples", "0")
+    code, out, err = run("evaluate", data, "--predictions", tmp_path / "p.jsonl", "--json", "--resamples", "0")
     assert (code, err) == (0, "")
     values = [v for v in json.loads(out)["models"][0]["values"] if v["metric"] == "PCK" and v["joints"] == "All"]
     found = {v["space"]: (v["value"], v["samples"]) for v in values if v["visibility"] == "any" and v["average"] == "pooled"}
@@ -143,7 +143,7 @@ def test_depth_without_segmentation_or_extrinsics(run: Run, tmp_path: Path) -> N
 
 
 def test_depth_without_intrinsics(run: Run, tmp_path: Path, dataset_folder: Path) -> None:
-    exported = export_dataset(open_dataset(dataset_folder), "coco", tmp_path / "exported")
+    exported = export_dataset(open_dataset(dataset_folder), "coco", tmp_path / "exported", images="depth16")
     file = exported / "annotations" / "person_keypoints.json"
     content = json.loads(file.read_text())
     for image in content["images"]:

@@ -34,7 +34,7 @@ def test_train_and_export(method: str, data: Path, tmp_path: Path, capsys: pytes
     out = tmp_path / "run"
     splits = tmp_path / "splits.yaml"
     splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
-    arguments = ["train", "--method", method, "--config", str(config), "--data", str(data), "--out", str(out), "--json"]
+    arguments = ["train", str(data), "--method", method, "--config", str(config), "--out", str(out), "--json"]
     assert run(*arguments, "--devices", "1", "--splits", str(splits)) == 0
     said = capsys.readouterr()
     best = json.loads(said.out.strip().splitlines()[-1])["best"]
@@ -49,14 +49,14 @@ def test_a_run_learns_from_several_datasets(data: Path, tmp_path: Path, capsys: 
     config.write_text(yaml.safe_dump({"settings": json.loads(json.dumps(small.TINY["compact"])), "epochs": 1, "batch": 4}))
     splits = tmp_path / "splits.yaml"
     splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
-    arguments = ["train", "--config", str(config), "--out", str(tmp_path / "run"), "--devices", "1", "--splits", str(splits)]
-    assert run(*arguments, "--data", str(data), str(other)) == 0
+    arguments = ["--config", str(config), "--out", str(tmp_path / "run"), "--devices", "1", "--splits", str(splits)]
+    assert run("train", str(data), str(other), *arguments) == 0
     assert (tmp_path / "run" / "best.ckpt").exists()
     capsys.readouterr()
-    assert run(*arguments, "--data", str(other), str(other)) == 2
-    assert "--data names a dataset twice" in capsys.readouterr().err
+    assert run("train", str(other), str(other), *arguments) == 2
+    assert "a dataset is named twice" in capsys.readouterr().err
 
 
 def test_a_run_needs_one_source_of_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("train", "--out", str(tmp_path)) == 2
-    assert "hint: give one of --data and --synth" in capsys.readouterr().err
+    assert "hint: give DATASET or --synth SCENE.yaml" in capsys.readouterr().err

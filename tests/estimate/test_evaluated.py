@@ -58,7 +58,7 @@ def test_a_model_scores_as_its_predictions_do(
             persons=model.persons, joints=model.joints, skeleton="cabinpose", dataset=None,
         ),
     )  # fmt: skip
-    options = ("--data", str(data), "--presence", "0.0", "--resamples", "0")
+    options = (str(data), "--presence", "0.0", "--resamples", "0")
     ran = numbers(capsys, *options, "--model", str(trained["compact"]), "--out", str(tmp_path / "page"))
     read = numbers(capsys, *options, "--predictions", str(file))
     first, second = (r["models"][0] for r in (ran, read))  # type: ignore[index]

@@ -32,7 +32,7 @@ def test_predictions_are_the_models_answers(
     data: Path, trained: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "found.jsonl"
-    arguments = ["predict", "--data", str(data), "--model", str(trained["compact"]), "--out", str(out)]
+    arguments = ["predict", str(data), "--model", str(trained["compact"]), "--out", str(out)]
     assert main(arguments) == 0
     assert capsys.readouterr().out.strip() == str(out)
     read = read_predictions(out)
@@ -48,14 +48,14 @@ def test_predictions_are_the_models_answers(
     assert "--overwrite" in capsys.readouterr().err
     assert out.read_bytes() == before
     # Evaluation accepts them as of this dataset.
-    assert main(["evaluate", "--data", str(data), "--predictions", str(out), "--resamples", "0", "--json"]) == 0
+    assert main(["evaluate", str(data), "--predictions", str(out), "--resamples", "0", "--json"]) == 0
 
 
 def test_a_split_is_run_alone(data: Path, trained: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     car = str(open_dataset(data)["car"].values[0])
     splits, out = tmp_path / "splits.yaml", tmp_path / "found.jsonl"
     splits.write_text(f"one: {{car: [{car}]}}\n")
-    arguments = ["predict", "--data", str(data), "--model", str(trained["compact"]), "--out", str(out), "--splits", str(splits)]
+    arguments = ["predict", str(data), "--model", str(trained["compact"]), "--out", str(out), "--splits", str(splits)]
     assert main([*arguments, "--split", "one", "--json"]) == 0
     cars = open_dataset(data)["car"].values
     assert json.loads(capsys.readouterr().out)["frames"] == (cars == car).sum() < FRAMES

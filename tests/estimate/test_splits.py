@@ -13,10 +13,11 @@ import pytest
 import small
 import xarray as xr
 
-from cabinpose.app.training import individuals, people_of, read_train_config, stored_frames, training_split
+from cabinpose.app.training import individuals, read_train_config, stored_frames, training_split
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import StoredFrames
 from cabinpose.estimate.training import TrainConfig, frame_spec
+from cabinpose.store.split import people_of
 from cabinpose.synth.config import SynthConfig
 
 

@@ -30,7 +30,7 @@ def run(capsys: pytest.CaptureFixture[str], dataset_folder: Path) -> Callable[..
     """`run(file, "--json")`: the outcome of `cabinpose evaluate` on the sphere people, with few resamples."""
 
     def call(*arguments: object, data: Path = dataset_folder) -> Outcome:
-        code = main(["evaluate", "--data", str(data), "--resamples", "5", "--predictions", *map(str, arguments)])
+        code = main(["evaluate", str(data), "--resamples", "5", "--predictions", *map(str, arguments)])
         captured = capsys.readouterr()
         return Outcome(code, captured.out, captured.err)
 
@@ -55,6 +55,10 @@ def test_table(run: Callable[..., Outcome], files: list[Path]) -> None:
     assert all(words in lines[1] for words in ("PCKh@0.5 2D %", "AUC 2D %", "mean 3D cm", "found %"))
     assert "95 % interval" in out
     assert re.search(r"^MPJPE 3D +\d", out, re.M)
+    assert [line.split("  ")[0] for line in lines[11:19]] == [
+        "PCKh@0.5 2D", "AUC of PCKh 2D", "PCK@10 cm 3D", "MPJPE 3D", "presence precision", "presence recall", "median error 2D",
+        "median error 3D",
+    ]  # fmt: skip
     assert len(re.findall(r"\d to +\d", out)) == 8
     assert re.search(r"^and 3\d more with --all$", out, re.M)
     everything = run(files[0], "--all").out

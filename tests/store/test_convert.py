@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from pathlib import Path
 from types import ModuleType
@@ -11,13 +13,14 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from hypothesis import given
 from hypothesis.extra import numpy as hnp
 
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS, JOINTS
+from cabinpose.core.skeleton import INDEX, ITOP_JOINTS, JOINTS, RIGS
 from cabinpose.store import open_dataset, points_m
-from cabinpose.store.convert import FORMATS, export_dataset
+from cabinpose.store.convert import FORMATS, IMAGE_KINDS, export_dataset
 from cabinpose.store.convert.coco import run_lengths
 from cabinpose.store.convert.itop import segmentation_table
 
@@ -77,6 +80,157 @@ def test_coco(spheres: ModuleType, dataset_folder: Path, tmp_path: Path) -> None
             labelled = points[:, 2] > 0
             np.testing.assert_allclose(points[labelled, :2], want["joints_2d"][person][labelled], atol=1e-3)
     assert people == sum(len(np.unique(spheres.frame(i, spheres.manifest())["instance"])) - 1 for i in range(5))
+
+
+SPLITS = {"train": {"car": ("sedan", "van")}, "test": {"car": ("coupe",)}}
+
+
+@pytest.mark.parametrize("kind", IMAGE_KINDS["coco"])
+def test_coco_images_say_their_scale(spheres: ModuleType, dataset_folder: Path, tmp_path: Path, kind: str) -> None:
+    """What the file says of the greys leads back to the variable, as far as the steps of the greys allow."""
+    dataset = open_dataset(dataset_folder)
+    out = export_dataset(dataset, "coco", tmp_path / "out", images=kind)
+    said = json.loads((out / "annotations" / "person_keypoints.json").read_text())["info"]["images"]
+    assert said["kind"] == kind
+    for i in range(5):
+        grey = cv2.imread(str(out / "images" / f"{i:08d}.png"), cv2.IMREAD_UNCHANGED)
+        assert grey.dtype == (np.uint16 if kind == "depth16" else np.uint8)
+        first, last = said["grey"]
+        low, high = said["amplitude" if kind == "amplitude8" else "depth_m"]
+        value = low + (grey.astype(float) - first) / (last - first) * (high - low)
+        want = dataset["amplitude" if kind == "amplitude8" else "depth"][i].values.astype(float)
+        valid = np.isfinite(want)
+        if kind != "amplitude8":
+            np.testing.assert_array_equal(grey == said["invalid"], ~valid)
+        step = abs((high - low) / (last - first))
+        np.testing.assert_allclose(value[valid], np.clip(want[valid], low, high), atol=0.51 * step + 1e-6)
+        assert np.median(grey[valid]) > (900 if kind == "depth16" else 60)  # it does not open black
+
+
+def test_depth8_of_what_is_far(tmp_path: Path) -> None:
+    from cabinpose.store.convert.pictures import PICTURES
+
+    grey = PICTURES["depth8"].pixels(np.array([[np.nan, 0.0, 2.0, 4.0, 6.5]], np.float32))
+    assert grey.tolist() == [[0, 255, 128, 1, 1]]
+
+
+def test_coco_of_splits(dataset_folder: Path, tmp_path: Path) -> None:
+    """A file a split, as COCO 2017 has them; each names its own images alone."""
+    dataset = open_dataset(dataset_folder)
+    out = export_dataset(dataset, "coco", tmp_path / "out", splits=SPLITS)
+    files = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
+    names = {"train": [0, 1, 3, 4], "test": [2]}
+    images = {f"images/{split}/{i:08d}.png" for split, frames in names.items() for i in frames}
+    assert files == images | {f"annotations/person_keypoints_{split}.json" for split in names}
+    for split, frames in names.items():
+        content = json.loads((out / "annotations" / f"person_keypoints_{split}.json").read_text())
+        assert [image["id"] for image in content["images"]] == frames
+        assert [image["file_name"] for image in content["images"]] == [f"{i:08d}.png" for i in frames]
+        assert {a["image_id"] for a in content["annotations"]} <= set(frames)
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools under numpy 2
+def test_coco_is_evaluated_by_coco(dataset_folder: Path, tmp_path: Path) -> None:
+    """Perfect predictions have an AP of 1 with the sigmas of the file; those of COCO's 17 keypoints do not fit 20 joints."""
+    coco_api = pytest.importorskip("pycocotools.coco", reason="COCO's own reader is not installed (extra dev)")
+    from pycocotools.cocoeval import COCOeval
+
+    out = export_dataset(open_dataset(dataset_folder), "coco", tmp_path / "out")
+
+    def average_precision(shift: float = 0.0, *, own: bool = True) -> float:
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints
+            truth = coco_api.COCO(str(out / "annotations" / "person_keypoints.json"))
+            people = [a for a in truth.anns.values() if a["num_keypoints"]]
+            found = [
+                {"image_id": a["image_id"], "category_id": 1, "score": 1.0, "keypoints": [x + shift for x in a["keypoints"]]}
+                for a in people
+            ]
+            evaluation = COCOeval(truth, truth.loadRes(found), "keypoints")
+            if own:
+                evaluation.params.kpt_oks_sigmas = np.array(truth.loadCats(1)[0]["sigmas"])
+            evaluation.evaluate()
+            evaluation.accumulate()
+            evaluation.summarize()
+        return float(evaluation.stats[0])
+
+    assert average_precision() == 1.0
+    assert average_precision(3.0) < 0.9
+    with pytest.raises(ValueError, match="broadcast"):
+        average_precision(own=False)
+
+
+def test_sigmas_are_those_of_coco_where_it_has_them(dataset_folder: Path, tmp_path: Path) -> None:
+    cocoeval = pytest.importorskip("pycocotools.cocoeval", reason="COCO's own reader is not installed (extra dev)")
+    out = export_dataset(open_dataset(dataset_folder), "coco", tmp_path / "out")
+    category = json.loads((out / "annotations" / "person_keypoints.json").read_text())["categories"][0]
+    ours = dict(zip(category["keypoints"], category["sigmas"], strict=True))
+    names = [f"{side}_{joint}" for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")]
+    theirs = dict(zip(names, cocoeval.Params("keypoints").kpt_oks_sigmas[5:], strict=True))
+    for joint, name in RIGS["coco"].items():
+        assert ours[joint] == pytest.approx(theirs[name])
+
+
+def test_yolo(spheres: ModuleType, dataset_folder: Path, tmp_path: Path) -> None:
+    """Read by the rules of Ultralytics: labels beside images, 5 + 20 x 3 numbers a line, all of them shares of the image."""
+    dataset = open_dataset(dataset_folder)
+    splits = {"train": {"car": ("sedan",)}, "validate": {"car": ("coupe",)}, "test": {"car": ("van",)}}
+    out = export_dataset(dataset, "yolo", tmp_path / "out", splits=splits, images="amplitude8")
+    data = yaml.safe_load((out / "data.yaml").read_text())
+    assert {key: data[key] for key in ("train", "val", "test", "names", "kpt_shape")} == {
+        "train": "images/train", "val": "images/validate", "test": "images/test", "names": {0: "person"}, "kpt_shape": [20, 3],
+    }  # fmt: skip
+    assert data["kpt_names"] == {0: list(JOINTS)}
+    flipped = [JOINTS[i] for i in data["flip_idx"]]
+    assert [(a, b) for a, b in zip(JOINTS, flipped, strict=True) if a == b] == [(j, j) for j in ("head", "neck", "chest", "hip")]
+    assert dict(zip(JOINTS, flipped, strict=True))["lelbow"] == "relbow"
+    for key, frames in (("train", [0, 3]), ("val", [2]), ("test", [1, 4])):
+        images = sorted((out / data[key]).glob("*.png"))
+        assert [int(path.stem) for path in images] == frames
+        for path, i in zip(images, frames, strict=True):
+            assert cv2.imread(str(path), cv2.IMREAD_UNCHANGED).dtype == np.uint8
+            text = Path(str(path).replace("/images/", "/labels/")).with_suffix(".txt").read_text()
+            rows = np.array([line.split() for line in text.splitlines()], float)
+            want = spheres.frame(i, spheres.manifest())
+            people = [p for p in range(5) if (want["instance"] == p + 1).any()]
+            assert rows.shape == (len(people), 5 + 20 * 3)
+            assert (rows[:, 0] == 0).all()
+            points = rows[:, 5:].reshape(-1, 20, 3)
+            assert (rows[:, 1:5] >= 0).all()
+            assert (points[..., :2] >= 0).all()
+            assert (points[..., :2] <= 1).all()
+            for row, joints, person in zip(rows, points, people, strict=True):
+                v, u = np.nonzero(want["instance"] == person + 1)
+                left, right, top, bottom = u.min() / 64, (u.max() + 1) / 64, v.min() / 48, (v.max() + 1) / 48
+                box = ((left + right) / 2, (top + bottom) / 2, right - left, bottom - top)
+                np.testing.assert_allclose(row[1:5], box, atol=1e-6)
+                assert joints[:, 2].tolist() == [{0: 0, 1: 0, 2: 1, 3: 1, 4: 2}[s] for s in want["visibility"][person].tolist()]
+                labelled = joints[:, 2] > 0
+                pixels = joints[labelled, :2] * (64, 48) - 0.5
+                np.testing.assert_allclose(pixels, want["joints_2d"][person][labelled], atol=1e-3)
+
+
+def test_yolo_holds_people_out(dataset_folder: Path, tmp_path: Path) -> None:
+    """Without splits: subjects by frame are {S01}, {S02 S03}, {S03 S04 S01}, {S04}, {S01 S02}, and S04 validates."""
+    out = export_dataset(open_dataset(dataset_folder), "yolo", tmp_path / "out")
+    shown = {split: sorted(int(p.stem) for p in (out / "images" / split).iterdir()) for split in ("train", "val")}
+    assert shown == {"train": [0, 1, 4], "val": [3]}
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("yolo", {"splits": SPLITS}, "yolo needs the splits train and val, not train, test"),
+        ("yolo", {"images": "depth16"}, "yolo has no images of the kind depth16"),
+        ("ply", {"images": "depth8"}, "ply has no images of the kind depth8"),
+        ("ply", {"splits": SPLITS}, "ply tells no splits apart"),
+        ("coco", {"splits": {"../x": {"car": ("van",)}}}, "the split '../x' cannot name a folder"),
+    ],
+)
+def test_what_a_format_does_not_have(dataset_folder: Path, tmp_path: Path, name: str, options: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as error:
+        export_dataset(open_dataset(dataset_folder), name, tmp_path / "out", **options)
+    assert error.value.hint
+    assert list(tmp_path.iterdir()) == []
 
 
 @given(hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)))
@@ -197,7 +351,7 @@ def test_ply(spheres: ModuleType, dataset_folder: Path, tmp_path: Path) -> None:
         assert (colours[labels == 29][:, :3] == (0xAA, 0x55, 0xAA)).all()
 
 
-@pytest.mark.parametrize("name", ["png-json", "coco", "ply"])
+@pytest.mark.parametrize("name", ["png-json", "coco", "yolo", "ply"])
 def test_export_is_deterministic_and_overwrites_nothing(dataset_folder: Path, tmp_path: Path, name: str) -> None:
     dataset = open_dataset(dataset_folder)
     first = export_dataset(dataset, name, tmp_path / "a")

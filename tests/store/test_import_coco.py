@@ -136,7 +136,7 @@ def test_images_from_elsewhere(tmp_path: Path) -> None:
 
 def test_round_trip_of_our_export(dataset_folder: Path, tmp_path: Path) -> None:
     before = open_dataset(dataset_folder)
-    out = export_dataset(before, "coco", tmp_path / "exported")
+    out = export_dataset(before, "coco", tmp_path / "exported", images="depth16")
     after = imported(out, tmp_path / "back")
     assert set(after.data_vars) >= {"depth", "instance"}
     np.testing.assert_allclose(after.depth.values, before.depth.values, atol=0.00051)
@@ -151,10 +151,39 @@ def test_round_trip_of_our_export(dataset_folder: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(after[name].values, before[name].values)
     for name in ("subject", "action"):
         np.testing.assert_array_equal(after[name].values, np.where(shown, before[name].values, ""))
-    again = json.loads((export_dataset(after, "coco", tmp_path / "again") / "annotations" / "person_keypoints.json").read_text())
+    exported = export_dataset(after, "coco", tmp_path / "again", images="depth16")
+    again = json.loads((exported / "annotations" / "person_keypoints.json").read_text())
     first = json.loads((out / "annotations" / "person_keypoints.json").read_text())
     assert again["annotations"] == first["annotations"]
     assert again["images"] == first["images"]
+
+
+@pytest.mark.parametrize("kind", ["depth8", "amplitude8"])
+def test_grey_images_of_our_export_are_not_taken_for_depth(dataset_folder: Path, tmp_path: Path, kind: str) -> None:
+    """Joints and masks come back; the images do only where they are named, as the grey pictures that they are."""
+    before = open_dataset(dataset_folder)
+    out = export_dataset(before, "coco", tmp_path / "exported", images=kind)
+    source = open_source(out, "coco", ImportOptions())
+    assert source.note.startswith(f"the images are {kind}, too coarse for a dataset")
+    after = open_dataset(import_source(source, tmp_path / "back"))
+    assert [name for name in after.data_vars if "y" in after[name].dims] == ["instance"]
+    np.testing.assert_array_equal(after.instance.values, before.instance.values)
+    known = after.visibility.values > 0
+    assert known.sum() > 40
+    np.testing.assert_allclose(after.joints_2d.values[known], before.joints_2d.values[known], atol=5.1e-4)
+    named = open_source(out, "coco", ImportOptions(images=out / "images"))
+    assert (named.note, named.manifest.variables) == ("", ("rgb", "instance"))
+    assert open_source(export_dataset(before, "coco", tmp_path / "d", images="depth16"), "coco", ImportOptions()).note == ""
+
+
+def test_a_split_of_our_export(dataset_folder: Path, tmp_path: Path) -> None:
+    before = open_dataset(dataset_folder)
+    splits = {"train": {"car": ("sedan", "van")}, "test": {"car": ("coupe",)}}
+    out = export_dataset(before, "coco", tmp_path / "exported", images="depth16", splits=splits)
+    with pytest.raises(DatasetError, match="has 2 files person_keypoints"):
+        imported(out, tmp_path / "both")
+    after = imported(out / "annotations" / "person_keypoints_train.json", tmp_path / "train")
+    np.testing.assert_allclose(after.depth.values, before.depth.values[[0, 1, 3, 4]], atol=0.00051)
 
 
 def change(**changes: Any) -> Callable[[dict[str, Any]], None]:

@@ -14,14 +14,13 @@ import xarray as xr
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
 from cabinpose.estimate.training import TrainConfig
-from cabinpose.store.split import read_named_splits, split_datasets
+from cabinpose.store.split import held_out, read_named_splits, split_datasets
 from cabinpose.store.yaml_file import read_mapping, validated
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.write import FrameMaker
 
-_HELD_OUT = 0.15  # share of the subjects that validate where no splits are given
 _NAMES = 5  # of subjects in a message
 _OF_A_CROWD = re.compile(r"R\d{4,}")  # the names of random people
 
@@ -53,7 +52,7 @@ def training_split(
         pairs = []
         for name, dataset in datasets.items():
             with _said_of(name):
-                pairs.append(_held_out(dataset, train, validate))
+                pairs.append(held_out(dataset, train, validate))
     sides: tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]] = {}, {}
     for name, pair in zip(datasets, pairs, strict=True):
         for side, part in zip(sides, pair, strict=True):
@@ -62,7 +61,7 @@ def training_split(
         if all(name not in side for side in sides):
             raise DatasetError(
                 f"{name}: no frame belongs to '{train}' or '{validate}'",
-                hint="leave it out of --data, or mend the file of --splits",
+                hint="leave this dataset out, or mend the file of --splits",
             )
     learnt, judged = (set().union(*map(individuals, side.values())) for side in sides)
     shared = sorted({name for name, _ in learnt & judged})
@@ -73,32 +72,6 @@ def training_split(
             hint="split by subject" if len(datasets) == 1 else "name the same people of every dataset with --splits, by subject",
         )
     return sides
-
-
-def _held_out(dataset: xr.Dataset, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """The sides of one dataset, by its own subjects; DatasetError where one of them is empty."""
-    subjects = sorted(people_of(dataset))
-    count = max(1, round(_HELD_OUT * len(subjects)))
-    if len(subjects) < 2:
-        raise DatasetError(
-            f"{len(subjects)} subject cannot be split into training and validation",
-            hint="generate more people, or name the splits with --splits",
-        )
-    held = np.isin(dataset["subject"].values, subjects[-count:])
-    there = dataset["subject"].values != ""
-    only_held = (held | ~there).all(axis=1) & there.any(axis=1)
-    sides = dataset.isel(frame=np.flatnonzero(~held.any(axis=1))), dataset.isel(frame=np.flatnonzero(only_held))
-    for name, side in zip((train, validate), sides, strict=True):
-        if not side.sizes["frame"]:
-            raise DatasetError(
-                f"there is no frame in '{name}'", hint="`cabinpose info` counts frames by subject; name splits with --splits"
-            )
-    return sides
-
-
-def people_of(dataset: xr.Dataset) -> set[str]:
-    """The subjects that appear in a dataset."""
-    return {str(name) for name in np.unique(dataset["subject"].values.astype(str)) if name}
 
 
 def individuals(dataset: xr.Dataset) -> set[tuple[str, int | None]]:

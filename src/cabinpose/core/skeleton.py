@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from types import MappingProxyType
 
+from cabinpose.core.errors import unknown_name
+
 JOINTS: tuple[str, ...] = (
     "head", "neck", "chest", "lshoulder", "rshoulder", "lelbow", "relbow", "lwrist", "rwrist", "lhand", "rhand",
     "hip", "lpelvis", "rpelvis", "lknee", "rknee", "lankle", "rankle", "lfoot", "rfoot",
@@ -34,6 +36,16 @@ _REACH_M = {
     "pelvis": 0.30, "knee": 0.18, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
 REACH_M = MappingProxyType({joint: _REACH_M[joint if joint in _REACH_M else joint[1:]] for joint in JOINTS})
+
+# OKS falloff sigma by stem of a joint's name (without l or r). Shoulder to ankle: COCO (cocodataset.org, keypoint evaluation).
+# Head and neck: CrowdPose (Li et al. 2019). Feet: COCO-WholeBody's toes (Jin et al. 2020). The trunk has none published: COCO's
+# hip, the loosest; hands: COCO's wrist.
+OKS_SIGMA = MappingProxyType(
+    {
+        "head": 0.079, "neck": 0.079, "chest": 0.107, "torso": 0.107, "hip": 0.107, "pelvis": 0.107, "shoulder": 0.079,
+        "elbow": 0.072, "wrist": 0.062, "hand": 0.062, "knee": 0.087, "ankle": 0.089, "foot": 0.068,
+    }
+)  # fmt: skip
 
 # The groups of the reports (the thesis' five, and a hand group beside them).
 GROUPS = MappingProxyType(
@@ -164,6 +176,14 @@ ITOP_JOINTS: tuple[str, ...] = (
 def indices(names: Sequence[str]) -> list[int]:
     """Positions of joints in `JOINTS`."""
     return [INDEX[name] for name in names]
+
+
+def oks_sigma(joint: str) -> float:
+    """The OKS falloff of a joint of ours or of ITOP's; `ConfigError` for an unknown one."""
+    for name in (joint, joint[1:]):
+        if name in OKS_SIGMA:
+            return OKS_SIGMA[name]
+    raise unknown_name("joint", joint, list(OKS_SIGMA))
 
 
 def mirrored() -> list[int]:

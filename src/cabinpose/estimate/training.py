@@ -309,10 +309,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)  # plain types and tensors: no code runs
         return {"config": data["hyper_parameters"]["config"], "state": data["state_dict"]}
-    except (OSError, KeyError, TypeError, RuntimeError, EOFError, ValueError, UnpicklingError) as error:
-        reason = str(error).partition("\n")[0]
+    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
+        raise ModelError(f"cannot read {path}: {error.strerror}", hint="give best.ckpt or last.ckpt of a run") from error
+    except (OSError, KeyError, TypeError, RuntimeError, EOFError, ValueError, UnpicklingError) as error:  # torch's words mislead
         raise ModelError(
-            f"{path} is no checkpoint of `cabinpose train`: {reason}", hint="give best.ckpt or last.ckpt of a run"
+            f"{path} is no checkpoint of `cabinpose train`, or it is cut short", hint="give best.ckpt or last.ckpt of a run"
         ) from error
 
 

@@ -55,7 +55,7 @@ def check_predictions(predictions: Predictions, dataset: xr.Dataset, names: Sequ
     if predictions.dataset is not None and names and predictions.dataset not in names:
         raise PredictionsError(
             f"{predictions.model}: the predictions are of the dataset '{predictions.dataset}'",
-            hint=f"this one is {' or '.join(names)}; give the right --data, or write `dataset` as null",
+            hint=f"this one is {' or '.join(names)}; give the right dataset, or write `dataset` as null",
         )
     frames = dataset["frame"].values
     wrong = predictions.frame[~np.isin(predictions.frame, frames)]

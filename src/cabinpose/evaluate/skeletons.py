@@ -9,18 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import unknown_name
-from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, LIMBS, SYMMETRIC_PAIRS
-
-# OKS falloff sigma by stem of a joint's name (without l or r). Shoulder to ankle: COCO (cocodataset.org, keypoint evaluation).
-# Head and neck: CrowdPose (Li et al. 2019). Feet: COCO-WholeBody's toes (Jin et al. 2020). The trunk has none published: COCO's
-# hip, the loosest; hands: COCO's wrist.
-OKS_SIGMA = MappingProxyType(
-    {
-        "head": 0.079, "neck": 0.079, "chest": 0.107, "torso": 0.107, "hip": 0.107, "pelvis": 0.107, "shoulder": 0.079,
-        "elbow": 0.072, "wrist": 0.062, "hand": 0.062, "knee": 0.087, "ankle": 0.089, "foot": 0.068,
-    }
-)  # fmt: skip
+from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, LIMBS, SYMMETRIC_PAIRS, oks_sigma
 
 _ITOP_GROUPS = MappingProxyType(
     {
@@ -68,13 +57,6 @@ def evaluated_skeleton(joints: Sequence[str]) -> EvaluatedSkeleton:
         groups=MappingProxyType({name: members for name, members in chosen.items() if members}),
         limbs=tuple((index[a], index[b]) for a, b in limbs if a in index and b in index),
         pairs=tuple((index[a], index[b]) for a, b in pairs if a in index and b in index),
-        sigma=np.array([_sigma(name) for name in joints]),
+        sigma=np.array([oks_sigma(name) for name in joints]),
         head=(index["head"], index["neck"]) if {"head", "neck"} <= index.keys() else None,
     )
-
-
-def _sigma(joint: str) -> float:
-    for name in (joint, joint[1:]):
-        if name in OKS_SIGMA:
-            return OKS_SIGMA[name]
-    raise unknown_name("joint", joint, list(OKS_SIGMA))

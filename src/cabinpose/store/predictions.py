@@ -69,6 +69,14 @@ def empty_batch(frames: int, persons: int, joints: int) -> PoseBatch:
     )
 
 
+def check_new_predictions(file: Path, *, overwrite: bool) -> None:
+    """Raise `PredictionsError` unless a predictions file may be written under this name."""
+    if file.suffix not in (".jsonl", ".parquet"):
+        raise PredictionsError(f"{file.name} is no name of a predictions file", hint="let it end in .jsonl or .parquet")
+    if file.exists() and not overwrite:
+        raise PredictionsError(f"{file} exists", hint="--overwrite replaces it, or give another name")
+
+
 def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
     """Write the file, as Parquet where its name ends in `.parquet`, else as JSON lines; it appears when it is whole.
 
@@ -76,10 +84,7 @@ def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: 
     name ends otherwise.
     """
     file = Path(path)
-    if file.suffix not in (".jsonl", ".parquet"):
-        raise PredictionsError(f"{file.name} is no name of a predictions file", hint="let it end in .jsonl or .parquet")
-    if file.exists() and not overwrite:
-        raise PredictionsError(f"{file} exists", hint="give another name, or say that it may be overwritten")
+    check_new_predictions(file, overwrite=overwrite)
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -155,6 +160,10 @@ def _read_lines(file: Path) -> tuple[dict[str, Any], Any]:
             try:
                 row = json.loads(line)
             except json.JSONDecodeError as error:
+                if error.msg == "Extra data":
+                    raise PredictionsError(
+                        f"{file}:{number}: the line goes on after its JSON object", hint=f"write one object a line; {_DESCRIBED}"
+                    ) from error
                 raise PredictionsError(
                     f"{file}:{number}: not a line of JSON ({error.msg})", hint=f"the file may be cut short; {_DESCRIBED}"
                 ) from error

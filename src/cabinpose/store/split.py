@@ -25,6 +25,8 @@ from cabinpose.core.errors import DatasetError, unknown_name
 
 COORDINATES = ("subject", "car", "pov", "action", "sequence")
 
+_HELD_OUT = 0.15  # share of the subjects that validate where no splits are given
+
 Selection = Mapping[str, tuple[Any, ...]]
 Splits = Mapping[str, Selection]
 
@@ -118,6 +120,38 @@ def _mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
         else:
             mask &= chosen
     return mask
+
+
+def held_out(dataset: xr.Dataset, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:
+    """Frames to learn from and frames to validate on, of which nobody is in both; train, validate: what messages call them.
+
+    The subjects held out are 15 % of them, those last in the order of names. Frames that show one of them beside others are on
+    no side. `DatasetError` where a side is empty.
+    """
+    subjects = sorted(people_of(dataset))
+    count = max(1, round(_HELD_OUT * len(subjects)))
+    if len(subjects) < 2:
+        raise DatasetError(
+            f"{len(subjects)} subject cannot be split into training and validation",
+            hint="generate more people, or name the splits with --splits",
+        )
+    chosen = subjects[-count:]
+    held = np.isin(dataset["subject"].values, chosen)
+    there = dataset["subject"].values != ""
+    only_held = (held | ~there).all(axis=1) & there.any(axis=1)
+    sides = dataset.isel(frame=np.flatnonzero(~held.any(axis=1))), dataset.isel(frame=np.flatnonzero(only_held))
+    for name, side in zip((train, validate), sides, strict=True):
+        if not side.sizes["frame"]:
+            raise DatasetError(
+                f"there is no frame in '{name}' with {', '.join(chosen)} held out to validate",
+                hint="generate more frames, or name the splits with --splits",
+            )
+    return sides
+
+
+def people_of(dataset: xr.Dataset) -> set[str]:
+    """The subjects that appear in a dataset."""
+    return {str(name) for name in np.unique(dataset["subject"].values.astype(str)) if name}
 
 
 def split_dataset(dataset: xr.Dataset, splits: Splits) -> dict[str, xr.Dataset]:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
 
+_OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # the dataset is what stands behind them
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code: 0 done, 2 a mistake the user can mend, 130 interrupted."""
@@ -26,8 +28,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: there is no command '{arguments[0]}'", file=sys.stderr)
         print("hint: " + (f"did you mean {close[0]}? " if close else "") + "`cabinpose --help` lists them", file=sys.stderr)
         return 2
-    command = tyro.cli(command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE)
+    if arguments and arguments[0] in _OF_DATASETS and any(w == "--data" or w.startswith("--data=") for w in arguments):
+        print("error: there is no flag --data", file=sys.stderr)
+        print(f"hint: the dataset is given behind the verb: cabinpose {arguments[0]} DATASET", file=sys.stderr)
+        return 2
     try:
+        command = tyro.cli(
+            command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE
+        )
         import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
     except CabinposeError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import Annotated, Optional
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import JsonFlag
+from cabinpose.app.cli.arguments import JsonFlag, several
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Align:
     Frames in which the pose is not known are left out, counted by reason; nothing is interpolated across gaps.
     """
 
-    recordings: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORDING")]
+    recordings: Annotated[Positional[tuple[Path, ...]], several("RECORDING [RECORDING ...]")]
     """Recordings of the rig, one person each."""
     calibration: Path
     """Calibration of the rig (YAML), made by `cabinpose calibrate`."""

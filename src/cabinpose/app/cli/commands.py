@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Optional, get_args
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from cabinpose.app.cli.align_commands import Align, Calibrate, Lab
-from cabinpose.app.cli.arguments import JsonFlag, ThingArgument
+from cabinpose.app.cli.arguments import DatasetArgument, JsonFlag, SelectFlag, SplitFlag, SplitsFlag, ThingArgument, several
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
@@ -31,7 +31,7 @@ class Synth:
     """Folder of the dataset."""
     frames: Optional[int] = None
     """Number of frames to generate; default: all combinations, where the configuration has a number of them."""
-    overrides: Annotated[Positional[tuple[str, ...]], arg(metavar="[KEY=VALUE ...]")] = ()
+    overrides: Annotated[Positional[tuple[str, ...]], several("[KEY=VALUE ...]")] = ()
     """What differs from the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
     config: Optional[Path] = None
     """Configuration (YAML), which `cabinpose config init` writes; default: people in all seven cars."""
@@ -71,8 +71,7 @@ class ConfigCheck:
 class ConfigFrame:
     """Write the scene of a generated dataset's frame as a configuration: who sits how, seen from where, to the last bit."""
 
-    dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
-    """Folder of the dataset."""
+    dataset: DatasetArgument
     frame: Annotated[Positional[int], arg(metavar="FRAME")]
     """Number of the frame."""
     file: Annotated[Positional[Optional[Path]], arg(metavar="FILE")] = None
@@ -107,6 +106,9 @@ class Info:
     """Folder of the dataset, or a recording (.mcap)."""
     verify: bool = False
     """Read every frame of a dataset, and so compare every checksum; of a recording they always are."""
+    splits: SplitsFlag = None
+    split: SplitFlag = None
+    select: SelectFlag = ()
     subject: Optional[str] = None
     """List the takes of this subject code in the folder."""
     as_json: JsonFlag = False
@@ -127,6 +129,9 @@ class View:
     """Frames on the page, spread evenly over the dataset or take."""
     rows: int = 8
     """Frames on the contact sheet."""
+    splits: SplitsFlag = None
+    split: SplitFlag = None
+    select: SelectFlag = ()
     overwrite: bool = False
     """Replace the pictures that are in the folder."""
     as_json: JsonFlag = False
@@ -139,24 +144,21 @@ class Evaluate:
     Several predictions files and models are set side by side, on the joints that all of them answer for.
     """
 
-    data: Optional[Path] = None
+    dataset: Annotated[Positional[Optional[Path]], arg(metavar="[DATASET]")] = None
     """Folder of the dataset."""
     itop_npz: Optional[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
-    predictions: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
+    predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one a model."""
-    model: Annotated[tuple[str, ...], arg(metavar="MODEL [MODEL ...]")] = ()
+    model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
     """Models to run: names of those in the package, or ONNX files."""
-    persons: Annotated[tuple[str, ...], arg(metavar="SLOT [SLOT ...]")] = ()
+    persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """The people in these slots; default: in those that all models answer for."""
     out: Optional[Path] = None
     """Folder for index.html and report.json."""
-    splits: Optional[Path] = None
-    """YAML file of splits, of which one is evaluated."""
-    split: Optional[str] = None
-    """Name of the split to evaluate."""
-    select: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE[,VALUE] ...")] = ()
-    """Only frames with these values of subject, action, car, pov or sequence."""
+    splits: SplitsFlag = None
+    split: SplitFlag = None
+    select: SelectFlag = ()
     min_visibility: Literal["outside_image", "occluded", "self_occluded", "visible"] = "occluded"
     """Joints at least so visible count."""
     head: Literal["thesis", "true"] = "thesis"
@@ -191,12 +193,12 @@ class Train:
 
     out: Path
     """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv."""
+    datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
+    """Folders of the datasets to train on."""
     method: Optional[str] = None
     """Method, if the configuration names none: compact, paf, lifting, unet."""
     config: Optional[Path] = None
     """Configuration of the run (YAML); every key has a default."""
-    data: Annotated[tuple[Path, ...], arg(metavar="FOLDER [FOLDER ...]")] = ()
-    """Folders of the datasets to train on."""
     synth: Optional[Path] = None
     """Scene configuration (YAML) to generate frames from while training, in place of datasets."""
     frames: int = 2000
@@ -231,16 +233,14 @@ class Models:
 class Predict:
     """Run a model over a dataset and write the joints that it finds, as a predictions file."""
 
-    data: Path
-    """Folder of the dataset."""
+    dataset: DatasetArgument
     model: str
     """Name of a packaged model, or an ONNX file."""
     out: Path
     """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
-    splits: Optional[Path] = None
-    """YAML file of splits, of which one is run."""
-    split: Optional[str] = None
-    """Name of the split to run."""
+    splits: SplitsFlag = None
+    split: SplitFlag = None
+    select: SelectFlag = ()
     overwrite: bool = False
     """Replace the file."""
     as_json: JsonFlag = False
@@ -270,7 +270,7 @@ class BenchDetect:
     The packaged models; and, with the extra `train`, `compact` and `paf` with default settings and fresh weights.
     """
 
-    model: Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")] = ()
+    model: Annotated[tuple[str, ...], several("FILE [FILE ...]")] = ()
     """ONNX files of models to measure as well."""
     frames: int = 100
     """Frames of each timed run."""
@@ -302,7 +302,7 @@ class BenchRecord:
 class BenchLab:
     """Measure ground truth: a virtual rig's errors, all together and each alone, in its calibration and in the joints."""
 
-    errors: tuple[str, ...] = ()
+    errors: Annotated[tuple[str, ...], several("[ERROR [ERROR ...]]")] = ()
     """Errors to look at alone; default: all that the rig has."""
     views: int = 40
     """Poses of the checkerboard."""

@@ -9,12 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from cabinpose.app.cli.commands import Evaluate
 from cabinpose.app.cli.output import print_json, print_table, progress
-from cabinpose.app.cli.splits import chosen_split
+from cabinpose.app.cli.selection import selected
 from cabinpose.app.finite import finite
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
@@ -28,7 +27,6 @@ from cabinpose.evaluate.report import Report
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.part import disk_errors
 from cabinpose.store.predictions import Predictions, read_predictions
-from cabinpose.store.split import COORDINATES, Selection, frame_mask
 
 
 def run(command: Evaluate) -> None:
@@ -37,18 +35,19 @@ def run(command: Evaluate) -> None:
     if command.itop_npz is not None:
         _run_itop(command, command.itop_npz, options)
         return
-    if command.data is None or not (command.predictions or command.model):
+    if command.dataset is None or not (command.predictions or command.model):
         raise ConfigError(
-            "there is nothing to evaluate", hint="give --data with --predictions or --model, or --itop-npz with --model"
+            "there is nothing to evaluate", hint="give DATASET with --predictions or --model, or --itop-npz with --model"
         )
     _check_out(command)
-    whole = open_dataset(command.data)
+    whole = open_dataset(command.dataset)
     files = [read_predictions(path) for path in command.predictions]
-    names = (dataset_id(read_manifest(command.data)), command.data.resolve().name)
+    names = (dataset_id(read_manifest(command.dataset)), command.dataset.resolve().name)
     for file in files:
         check_predictions(file, whole, names)
     models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(load_model, command.model)]
-    dataset = _selected(whole, command)
+    _check_persons(whole, command.persons)
+    dataset = selected(whole, command)
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
     frames = dataset.sizes["frame"]
@@ -56,7 +55,7 @@ def run(command: Evaluate) -> None:
     for model in models:
         with progress(frames, "frames") as show:
             reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=show))
-    record = {"data": str(command.data), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
+    record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.frames import frame_figures
         from cabinpose.app.report.page import page_html
@@ -81,7 +80,7 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
     from cabinpose.evaluate.itop import evaluate_itop, itop_summary
     from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
 
-    if len(command.model) != 1 or command.predictions or command.data is not None:
+    if len(command.model) != 1 or command.predictions or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
     model = load_model(command.model[0])
     if model.joints != ITOP_JOINTS or len(model.persons) != 1:
@@ -144,37 +143,11 @@ def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> t
     return shared or tuple(places)
 
 
-def _selected(dataset: xr.Dataset, command: Evaluate) -> xr.Dataset:
-    """The frames of the split and of every selection."""
-    mask = np.ones(dataset.sizes["frame"], bool)
-    for selection in (*chosen_split(command.splits, command.split).values(), _selection(command.select)):
-        mask &= frame_mask(dataset, selection)
-    if command.persons:
-        known = [str(name) for name in dataset["person"].values]
-        for name in command.persons:
-            if name not in known:
-                raise unknown_name("slot", name, known)
-    if not mask.any():
-        raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
-    return dataset.isel(frame=np.flatnonzero(mask))
-
-
-def _selection(words: Sequence[str]) -> Selection:
-    selection: dict[str, tuple[Any, ...]] = {}
-    for word in words:
-        name, equals, values = word.partition("=")
-        if not equals or not values:
-            raise ConfigError(f"'{word}' selects nothing", hint="write --select car=sedan,van subject=S01")
-        if name not in COORDINATES:
-            raise unknown_name("coordinate", name, COORDINATES)
-        chosen = tuple(values.split(","))
-        if name == "sequence":
-            if not all(value.isdigit() for value in chosen):
-                raise ConfigError(f"'{word}': sequences are numbers", hint="write --select sequence=0,1")
-            selection[name] = tuple(int(value) for value in chosen)
-        else:
-            selection[name] = chosen
-    return selection
+def _check_persons(dataset: xr.Dataset, persons: Sequence[str]) -> None:
+    known = [str(name) for name in dataset["person"].values]
+    for name in persons:
+        if name not in known:
+            raise unknown_name("slot", name, known)
 
 
 def _write(folder: Path, page: str, record: dict[str, Any]) -> None:

@@ -8,14 +8,14 @@ from typing import Annotated, Literal, Optional
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import JsonFlag
+from cabinpose.app.cli.arguments import JsonFlag, SelectFlag, SplitFlag, several
 
 
 @dataclass(frozen=True)
 class Export:
     """Write a dataset or a recording in another format, or a trained model as ONNX.
 
-    Datasets: png-json, coco, itop, ntu, ply. Recordings: c3d, bvh, trc, sto, mvnx, csv, adtfdat, xdf.
+    Datasets: png-json, coco, yolo, itop, ntu, ply. Recordings: c3d, bvh, trc, sto, mvnx, csv, adtfdat, xdf.
     """
 
     out: Path
@@ -32,11 +32,13 @@ class Export:
     """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
     mirrored: bool = False
     """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
-    splits: Optional[Path] = None
-    """Datasets: YAML file of splits, of which one is exported."""
-    split: Optional[str] = None
-    """Datasets: name of the split to export."""
-    source: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
+    images: Optional[Literal["depth8", "amplitude8", "depth16"]] = None
+    """coco, yolo: what the pictures show, in 8 bits of grey or (coco) 16 bits of millimetres; default: depth8."""
+    splits: Annotated[Optional[Path], arg(metavar="FILE")] = None
+    """YAML file of splits, of which --split names one; coco, yolo: without --split all of them, each by itself."""
+    split: SplitFlag = None
+    select: SelectFlag = ()
+    source: Annotated[tuple[str, ...], several("NAME [NAME ...]")] = ()
     """Recordings: sources to export; default: all, or the only one that has what the format holds."""
     subject: Optional[str] = None
     """Recordings: whose data (c3d, bvh, trc, sto, mvnx); needed where there are several."""
@@ -72,7 +74,7 @@ class Import:
     """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
     licence: Optional[str] = None
     """Datasets: licence of the data; default: what the source says."""
-    subject: Annotated[tuple[str, ...], arg(metavar="CODE [CODE ...]")] = ()
+    subject: Annotated[tuple[str, ...], several("CODE [CODE ...]")] = ()
     """Recordings: codes of the subjects, in the order of the file."""
     action: Optional[str] = None
     """Recordings: what is done, as a short word."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
+import xarray as xr
+
 from cabinpose.app.cli.exchange_commands import Export
-from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.output import listed, print_json, progress
 from cabinpose.app.cli.recording_exchange import export_recording
-from cabinpose.app.cli.splits import chosen_split
+from cabinpose.app.cli.selection import frames_with, selected, selection
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.errors import ConfigError
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import FORMATS, RECORDING_EXPORTS, export_dataset
-from cabinpose.store.split import split_dataset
+from cabinpose.store.convert import IMAGE_KINDS, check_export, export_dataset, export_parts
+from cabinpose.store.split import Splits, read_named_splits, read_splits
 from cabinpose.store.yaml_file import read_mapping
 
 
@@ -26,19 +29,38 @@ def run(command: Export) -> None:
         raise ConfigError("there is nothing to export", hint="give DATASET or RECORDING and --format, or --onnx CHECKPOINT")
     if export_recording(command, command.dataset, command.format):
         return
-    if command.format not in FORMATS:
-        raise unknown_name("format", command.format, (*FORMATS, *RECORDING_EXPORTS))
-    split = chosen_split(command.splits, command.split)
-    dataset = open_dataset(command.dataset)
-    for chosen in split_dataset(dataset, split).values():
-        dataset = chosen
-    frames = dataset.sizes["frame"]
+    check_export(command.format, command.images)
+    dataset, splits = _frames(command, command.dataset, command.format)
+    parts = export_parts(dataset, command.format, splits)
+    counts = {name: part.sizes["frame"] for name, part in parts.items()}
+    frames = sum(counts.values())
     with progress(frames, "frames") as report:
-        folder = export_dataset(dataset, command.format, command.out, overwrite=command.overwrite, report=report)
+        folder = export_dataset(
+            dataset,
+            command.format,
+            command.out,
+            images=command.images,
+            splits=splits,
+            overwrite=command.overwrite,
+            report=report,
+        )
+    by_split = {} if "" in counts else {"splits": counts}
     if command.as_json:
-        print_json({"out": str(folder), "format": command.format, "frames": frames})
-    else:
-        print(f"{folder}: {frames} frames as {command.format}")
+        print_json({"out": str(folder), "format": command.format, "frames": frames} | by_split)
+        return
+    print(f"{folder}: {frames} frames as {command.format}" + (f": {listed(counts)}" if by_split else ""))
+    left = dataset.sizes["frame"] - frames
+    if left and command.split is None:
+        print(f"{left} frames belong to no split and are left out", file=sys.stderr)
+
+
+def _frames(command: Export, folder: Path, name: str) -> tuple[xr.Dataset, Splits]:
+    """The frames to export, and the splits to write them by: one that is named or all, where the format can tell splits apart."""
+    dataset = open_dataset(folder)
+    if command.splits is None or name not in IMAGE_KINDS:
+        return selected(dataset, command), {}
+    splits = read_splits(command.splits) if command.split is None else read_named_splits(command.splits, [command.split])
+    return frames_with(dataset, [selection(command.select)]), splits
 
 
 def _export_model(command: Export, checkpoint: Path) -> None:

@@ -24,6 +24,8 @@ def run(command: Import) -> None:
     check_new_dataset(command.out, overwrite=command.overwrite)
     options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
     source = open_source(command.source, command.format, options)
+    if source.note:
+        print(source.note, file=sys.stderr)
     frames = source.manifest.frames
     with progress(frames, "frames") as report:
         folder = import_source(source, command.out, overwrite=command.overwrite, report=report)

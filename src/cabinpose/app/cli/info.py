@@ -6,9 +6,11 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
+from cabinpose.app.cli.arguments import is_recording, refuse_selection
 from cabinpose.app.cli.commands import Info
 from cabinpose.app.cli.output import listed, print_json, print_rows, progress
 from cabinpose.app.cli.recording_info import recording_info, takes_of
+from cabinpose.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from cabinpose.app.view.summary import DatasetSummary
@@ -17,49 +19,60 @@ if TYPE_CHECKING:
 def run(command: Info) -> None:
     """Print the summary; with `verify`, after every frame was read."""
     if command.subject is not None:
+        if (command.dataset / "dataset.yaml").exists():
+            raise ConfigError(
+                f"{command.dataset} is a dataset, and --subject lists recordings",
+                hint=f"count its frames with --select subject={command.subject}",
+            )
+        refuse_selection(command, "{} is of datasets, and --subject lists recordings")
         takes_of(command.dataset, command.subject, as_json=command.as_json)
-    elif command.dataset.is_file():
+    elif is_recording(command.dataset):
+        refuse_selection(command, "{} is of datasets, and this is a recording")
         recording_info(command.dataset, as_json=command.as_json)
     else:
         _dataset_info(command)
 
 
 def _dataset_info(command: Info) -> None:
+    from cabinpose.app.cli.selection import selected
     from cabinpose.app.view.summary import summarise
     from cabinpose.store import open_dataset, read_manifest
 
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset, missing="ignore")
+    chosen = selected(dataset, command)
+    count = chosen.sizes["frame"]
     if command.verify:
-        with progress(dataset.sizes["frame"], "frames") as report:
-            for i in range(dataset.sizes["frame"]):
-                dataset.isel(frame=i).load()
+        with progress(count, "frames") as report:
+            for i in range(count):
+                chosen.isel(frame=i).load()
                 report(i + 1)
-    summary = summarise(dataset, manifest, command.dataset)
+    summary = summarise(dataset, manifest, command.dataset, chosen)
     if command.as_json:
         print_json(dataclasses.asdict(summary) | {"verified": command.verify})
         return
     print_rows(summary_rows(summary))
     if command.verify:
-        print("every frame was read; all checksums are right")
+        print(f"{count} frames were read; all checksums are right")
 
 
 def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
     """Names and values for people to read."""
     s = summary
     whole = "" if s.parts == s.planned_parts else f" of {s.planned_frames} planned: go on with --resume"
+    chosen = "" if s.selected == s.frames else f"; {s.selected} selected, counted below"
     joints = sum(s.visibility.values())
     rows = [
         ("dataset", s.folder),
         ("made by", f"{s.generator}, seed {s.seed}, licence {s.licence}"),
-        ("frames", f"{s.frames} in {s.parts} of {s.planned_parts} parts{whole}"),
+        ("frames", f"{s.frames} in {s.parts} of {s.planned_parts} parts{whole}{chosen}"),
         ("size", f"{s.bytes_on_disk / 1e6:.1f} MB, {s.bytes_on_disk / max(s.frames, 1) / 1e3:.0f} kB a frame"),
         ("image", f"{s.width}x{s.height}, {_valid(s.valid_pixels)}"),
         ("variables", ", ".join(s.variables)),
         ("depth", _quantiles(s.depth_histogram)),
         ("cars", listed(s.by_car, most=12)),
         ("views", listed(s.by_pov)),
-        ("people", ", ".join(f"{count} frames with {n}" for n, count in s.by_people.items())),
+        ("people a frame", ", ".join(f"{n} in {_frames(count)}" for n, count in s.by_people.items())),
         ("seats", listed({seat: count for seat, count in s.by_seat.items() if count})),
         ("subjects", listed(s.by_subject, most=12)),
         ("actions", listed(s.by_action, most=12)),
@@ -69,6 +82,10 @@ def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
         rejected = listed(s.rejections) or "none"
         rows.append(("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {rejected}"))
     return rows
+
+
+def _frames(count: int) -> str:
+    return "1 frame" if count == 1 else f"{count} frames"
 
 
 def _valid(share: float) -> str:

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from cabinpose.app.cli.align_commands import Lab
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
+from cabinpose.core.errors import ConfigError
 
 
 def run(command: Lab) -> None:
@@ -16,7 +17,6 @@ def run(command: Lab) -> None:
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
     from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import Rig
-    from cabinpose.synth.config import explain
 
     rig = load_rig(command.rig) if command.rig is not None else Rig()
     if command.only is not None:
@@ -32,7 +32,12 @@ def run(command: Lab) -> None:
             seed=command.seed,
         )
     except ValidationError as error:
-        raise explain(error, Plan) from error
+        first = error.errors()[0]
+        flag = str(first["loc"][0]).removesuffix("_hz")
+        reason = first["msg"][0].lower() + first["msg"][1:]
+        raise ConfigError(
+            f"--{flag}: {reason}, not {first['input']}", hint="`cabinpose lab --help` says what each flag takes"
+        ) from error
     with progress(plan.steps, "takes") as report:
         truths = record_session(command.out, rig, plan, report)
     out, frames = command.out, sum(len(truth.tof_ns) for truth in truths.values())

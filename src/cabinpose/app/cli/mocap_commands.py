@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Optional
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, subcommand
 
-from cabinpose.app.cli.arguments import JsonFlag
+from cabinpose.app.cli.arguments import JsonFlag, several
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class MocapReport:
 class EvaluateSse(MocapReport):
     """One sensor, turned in known steps about each of its axes: the error about the axis, mean and deviation."""
 
-    takes: Annotated[Positional[tuple[str, ...]], arg(metavar="AXIS=FILE")] = ()
+    takes: Annotated[Positional[tuple[str, ...]], several("AXIS=FILE")] = ()
     """roll=FILE, pitch=FILE, yaw=FILE: recordings (.mcap) or MVNX files, one axis each."""
     sensor: Optional[str] = None
     """Name of the sensor (or segment); default: the only one."""
@@ -56,7 +56,7 @@ class EvaluateSse(MocapReport):
 class EvaluateSfe(MocapReport):
     """The whole body: the first N-pose against the last, before and after a drive, joints relative to the pelvis."""
 
-    takes: Annotated[Positional[tuple[str, ...]], arg(metavar="[DRIVE=]FILE")] = ()
+    takes: Annotated[Positional[tuple[str, ...]], several("[DRIVE=]FILE")] = ()
     """Recordings (.mcap), MVNX, BVH or C3D files, one a drive."""
     source: Optional[str] = None
     """Source of the suit in a recording; default: suit where there is one, else the only one that gives a body."""
@@ -80,7 +80,7 @@ class EvaluateSfe(MocapReport):
 class _AgainstOptical(MocapReport):
     """What both evaluations against an optical system can be told."""
 
-    takes: Annotated[Positional[tuple[str, ...]], arg(metavar="[PLANE=]RECORDING")] = ()
+    takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]RECORDING")] = ()
     """Recordings (.mcap) of suit and optical system; default label: the take's action."""
     suit: str = "suit"
     """Source of the suit."""
@@ -90,9 +90,9 @@ class _AgainstOptical(MocapReport):
     """Subject code in the suit's stream; default: the only one."""
     optical_subject: Optional[str] = None
     """Subject in the optical system's stream; default: the suit's, if it has it, else the only one."""
-    windows: tuple[str, ...] = ()
+    windows: Annotated[tuple[str, ...], several("[WINDOW [WINDOW ...]]")] = ()
     """PLANE=START:END in seconds of the take, to tell planes of motion in one recording apart."""
-    pairs: tuple[str, ...] = ()
+    pairs: Annotated[tuple[str, ...], several("[PAIR [PAIR ...]]")] = ()
     """NAME=SEGMENT of the optical system, where its model names something differently."""
     rate: Optional[float] = None
     """Samples a second of the common clock; default: the slower system's."""

@@ -8,28 +8,24 @@ import numpy as np
 
 from cabinpose.app.cli.commands import Predict
 from cabinpose.app.cli.output import print_json, progress
-from cabinpose.app.cli.splits import chosen_split
-from cabinpose.core.errors import PredictionsError
+from cabinpose.app.cli.selection import selected
 from cabinpose.core.ports import joined
 from cabinpose.estimate.predictor import load_model
 from cabinpose.evaluate.offline import BATCH, dataset_id, frame_batch
 from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.predictions import Predictions, write_predictions
-from cabinpose.store.split import split_dataset
+from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
 
 
 def run(command: Predict) -> None:
     """Run the model over the frames in their order and write what it finds."""
-    if command.out.exists() and not command.overwrite:
-        raise PredictionsError(f"{command.out} exists", hint="--overwrite replaces it")
+    check_new_predictions(command.out, overwrite=command.overwrite)  # before the work, not at its end
     model = load_model(command.model)
-    dataset = open_dataset(command.data)
-    for chosen in split_dataset(dataset, chosen_split(command.splits, command.split)).values():
-        dataset = chosen
+    dataset = selected(open_dataset(command.dataset), command)
     places = [str(name) for name in dataset["person"].values]
     if not set(places) & set(model.persons):
         print(
-            f"{model.name} looks for {', '.join(model.persons)}, and the dataset has {', '.join(places)}: nothing can be scored",
+            f"the model {model.name} looks at {', '.join(model.persons)}, and the dataset has {', '.join(places)}: "
+            "`evaluate` cannot score what it finds",
             file=sys.stderr,
         )
     count = dataset.sizes["frame"]
@@ -42,11 +38,11 @@ def run(command: Predict) -> None:
     predictions = Predictions(
         found.joints_2d, found.joints_3d, found.score, found.presence, frame=dataset["frame"].values.astype(np.int64),
         persons=model.persons, joints=model.joints, model=model.name, skeleton=model.config.skeleton,
-        dataset=dataset_id(read_manifest(command.data)),
+        dataset=dataset_id(read_manifest(command.dataset)),
     )  # fmt: skip
     write_predictions(command.out, predictions, overwrite=command.overwrite)
     if command.as_json:
         print_json({"predictions": str(command.out), "model": model.name, "frames": count})
     else:
         print(command.out)
-        print(f"score it with: cabinpose evaluate --data {command.data} --predictions {command.out}", file=sys.stderr)
+        print(f"score it with: cabinpose evaluate {command.dataset} --predictions {command.out}", file=sys.stderr)

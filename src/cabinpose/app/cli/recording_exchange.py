@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.app.extras import require
@@ -33,7 +33,7 @@ def import_recording(command: Import) -> bool:
     if command.format not in RECORDING_IMPORTS:
         if command.format not in IMPORTS:
             return False
-        _refuse(of_recording, f"{command.format} gives a dataset; {{}} is of recordings")
+        refuse(of_recording, f"{command.format} gives a dataset; {{}} is of recordings")
         if command.out.suffix == ".mcap":
             raise ConfigError(
                 f"{command.format} gives a dataset, a folder; {command.out.name} is the name of a recording",
@@ -50,10 +50,10 @@ def import_recording(command: Import) -> bool:
         "--images": command.images, "--keep-invalid": command.keep_invalid, "--intrinsics": command.intrinsics,
         "--licence": command.licence,
     }  # fmt: skip
-    _refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
+    refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
     for flag, formats in (("--begun", _NO_TIME_OF_DAY), ("--name", _ONE_SOURCE), ("--unit-m", ("bvh",)), ("--up", ("bvh",))):
         if name not in formats:
-            _refuse({flag: of_recording[flag]}, f"{{}} is of {', '.join(formats)}, not of {name}")
+            refuse({flag: of_recording[flag]}, f"{{}} is of {', '.join(formats)}, not of {name}")
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
     from cabinpose.store.convert.recordings import RecordingOptions, import_recording
 
@@ -76,20 +76,21 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
         "--source": command.source, "--subject": command.subject, "--span": command.span, "--rate": command.rate,
         "--angles": command.angles,
     }  # fmt: skip
-    if not path.is_file() and path.suffix != ".mcap":
+    if not is_recording(path):
         if name in RECORDING_EXPORTS:
             raise ConfigError(
                 f"{name} is a format of recordings, and {path} is no recording", hint=f"datasets go to {', '.join(FORMATS)}"
             )
-        _refuse(of_recording, f"{{}} is of recordings, and {path} is none")
+        refuse(of_recording, f"{{}} is of recordings, and {path} is none")
         return False
     if name in FORMATS:
         raise ConfigError(
             f"{name} is a format of datasets, and {path} is no dataset", hint=f"recordings go to {', '.join(RECORDING_EXPORTS)}"
         )
-    _refuse({"--splits": command.splits, "--split": command.split}, "{} is of datasets, and this is a recording")
+    refuse_selection(command, "{} is of datasets, and this is a recording")
+    refuse({"--images": command.images}, "{} is of datasets, and this is a recording")
     if name not in _RATED:
-        _refuse({"--rate": command.rate}, f"{{}} is of {', '.join(_RATED)}, not of {name}")
+        refuse({"--rate": command.rate}, f"{{}} is of {', '.join(_RATED)}, not of {name}")
     if command.rate is not None and not command.rate > 0:
         raise ConfigError(f"{command.rate:g} frames a second are none", hint="give --rate more than 0")
     if command.out.resolve() == path.resolve():
@@ -107,20 +108,13 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
     return True
 
 
-def _refuse(flags: Mapping[str, object], message: str) -> None:
-    """ConfigError for the first flag that was given."""
-    for flag, value in flags.items():
-        if value not in (None, False, ()):
-            raise ConfigError(message.format(flag), hint=f"leave out {flag}")
-
-
 def _take(command: Import) -> Take:
     from cabinpose.record.config import load_take
     from cabinpose.store.recording import Take
 
     if command.take is not None:
         given = {"--subject": command.subject, "--action": command.action, "--car": command.car}
-        _refuse(given, f"{{}} is told by {command.take.name} already")
+        refuse(given, f"{{}} is told by {command.take.name} already")
         return load_take(command.take)
     subjects = [{"code": code} for code in command.subject]
     try:

@@ -20,21 +20,21 @@ def run(command: Train) -> None:
     from cabinpose.estimate.data import Frames
     from cabinpose.estimate.training import fit, frame_spec
 
-    if command.data and command.synth is not None:
-        raise ConfigError("a detector learns from datasets or from generated scenes", hint="give one of --data and --synth")
+    if command.datasets and command.synth is not None:
+        raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
     config = read_train_config(command.config, command.method)
     spec = frame_spec(config)
     training: Frames
     validation: Frames
-    if command.data:
-        datasets = {str(folder): open_dataset(folder) for folder in command.data}
-        if len(datasets) < len(command.data):
-            raise ConfigError("--data names a dataset twice", hint="give each of them once")
+    if command.datasets:
+        datasets = {str(folder): open_dataset(folder) for folder in command.datasets}
+        if len(datasets) < len(command.datasets):
+            raise ConfigError("a dataset is named twice", hint="give each of them once")
         training, validation = stored_frames(datasets, spec, command.splits, command.train, command.validate)
     elif command.synth is not None:
         training, validation = generated_frames(SynthConfig.load(command.synth), spec, command.frames, config.seed)
     else:
-        raise ConfigError("there is nothing to learn from", hint="give one of --data and --synth")
+        raise ConfigError("there is nothing to learn from", hint="give DATASET or --synth SCENE.yaml")
     with ExitStack() as stack:
         shown: list[ProgressReport] = []
 

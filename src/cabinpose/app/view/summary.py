@@ -22,6 +22,7 @@ BIN_M = 0.05
 class DatasetSummary:
     """A dataset in numbers; counts are frames, except `rejections` and `proposals` (poses) and `visibility` (joints).
 
+    The `by_…` counts, `visibility` and the depths are those of the `selected` frames, all else is of the whole dataset.
     depth_histogram: share of the valid pixels of a sample of frames in bins of 50 mm from 0 m.
     """
 
@@ -30,6 +31,7 @@ class DatasetSummary:
     seed: int
     licence: str
     frames: int
+    selected: int
     planned_frames: int
     parts: int
     planned_parts: int
@@ -51,9 +53,9 @@ class DatasetSummary:
     depth_histogram: tuple[float, ...]
 
 
-def summarise(dataset: xr.Dataset, manifest: Manifest, folder: Path) -> DatasetSummary:
-    """Count what is in an open dataset."""
-    frames = dataset.sizes["frame"]
+def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.Dataset | None = None) -> DatasetSummary:
+    """Count what is in an open dataset, or in a selection of its frames, `dataset`."""
+    dataset = whole if dataset is None else dataset
     subjects = dataset["subject"].values
     present = subjects != ""
     visibility = np.bincount(dataset["visibility"].values.ravel(), minlength=len(Visibility))
@@ -65,7 +67,8 @@ def summarise(dataset: xr.Dataset, manifest: Manifest, folder: Path) -> DatasetS
         generator=f"{manifest.generator} {manifest.generator_version}",
         seed=manifest.seed,
         licence=manifest.licence,
-        frames=frames,
+        frames=whole.sizes["frame"],
+        selected=dataset.sizes["frame"],
         planned_frames=manifest.frames,
         parts=sum((folder / plan.name).is_dir() for plan in manifest.parts),
         planned_parts=len(manifest.parts),

@@ -5,6 +5,8 @@ v = 0 is absent, 1 occluded, 2 visible. Keypoints are taken as pixels of ours (a
 COCO's 17 that the skeleton has; nose, eyes and ears are left out. Crowds (`iscrowd`), boxes without keypoints and people
 without a labelled joint are no people here; an image without anybody is a frame with nobody.
 
+Our own exports with images of 8 bits come back without images: a depth in steps of 16 mm is none that a dataset can vouch for.
+
 The file is read element by element. What is kept of a person are keypoints and run lengths, about 1 kB.
 """
 
@@ -62,6 +64,7 @@ class _File:
 
     path: Path
     slots: tuple[str, ...] = ()
+    images_kind: str = ""  # of an export of ours
     licences: list[str] = field(default_factory=list)
     names: dict[int, list[str]] = field(default_factory=dict)  # keypoints by category
     images: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -71,9 +74,10 @@ class _File:
 def read(path: Path, options: ImportOptions) -> Source:
     """The images of a COCO file, in its order, from the file or a folder with `annotations/`.
 
-    Pixels are imported from `options.images`, or from an `images/` beside `annotations/`: 16-bit images as depth in mm, others
-    as rgb; smaller ones than the largest are filled up to the right and below with 0. Raises `DatasetError` for a file that
-    is no COCO, names no joint that the skeleton has, or contradicts itself.
+    Pixels are imported from `options.images`, or from an `images/` (or `images/<split>/`) beside `annotations/`: 16-bit images as
+    depth in mm, others as rgb, those of 8 bits of our own export only where `options.images` names them. Smaller images than the
+    largest are filled up to the right and below with 0. Raises `DatasetError` for a file that is no COCO, names no joint that
+    the skeleton has, or contradicts itself.
     """
     file = _read_file(_annotations(path))
     people = [person for group in file.people.values() for person in group]
@@ -83,7 +87,8 @@ def read(path: Path, options: ImportOptions) -> Source:
     if not persons:
         persons = tuple(f"person_{i + 1}" for i in range(max(map(len, file.people.values()), default=1)))
     size = max(i["width"] for i in file.images.values()), max(i["height"] for i in file.images.values())
-    folder = options.images or _images_beside(file.path)
+    grey = options.images is None and file.images_kind.endswith("8")
+    folder = None if grey else options.images or _images_beside(file.path)
     variables = [_kind(folder, next(iter(file.images.values())))] if folder is not None else []
     if people and len(persons) <= _MOST_INSTANCES and all(person.counts is not None for person in people):
         variables.append("instance")
@@ -97,7 +102,11 @@ def read(path: Path, options: ImportOptions) -> Source:
         variables=tuple(variables),
         licence=", ".join(file.licences) or UNKNOWN,
     )
-    return Source(path, manifest, lambda: _frames(file, folder, manifest, options))
+    note = (
+        f"the images are {file.images_kind}, too coarse for a dataset: joints and masks are imported without them "
+        "(`export --images depth16` keeps the depth)"
+    )
+    return Source(path, manifest, lambda: _frames(file, folder, manifest, options), note if grey else "")
 
 
 def _annotations(path: Path) -> Path:
@@ -111,7 +120,9 @@ def _annotations(path: Path) -> Path:
 
 
 def _images_beside(annotations: Path) -> Path | None:
-    folder = annotations.parent.parent / "images"
+    images = annotations.parent.parent / "images"
+    split = images / annotations.stem.removeprefix("person_keypoints").removeprefix("_")
+    folder = split if split.is_dir() else images
     return folder if annotations.parent.name == "annotations" and folder.is_dir() else None
 
 
@@ -134,6 +145,7 @@ def _read_file(path: Path) -> _File:
                 file.licences.append(str(element["name"]))
             elif key == "info" and isinstance(element, dict):
                 file.slots = tuple(map(str, element.get("slots", ())))
+                file.images_kind = str(element.get("images", {}).get("kind", ""))
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             what = element.get("id") if isinstance(element, dict) else element
             raise DatasetError(f"{path}: {key} {what} is not COCO's ({error!r})", hint=_HINT) from error

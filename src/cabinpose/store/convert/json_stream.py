@@ -52,7 +52,7 @@ class _Reader:
                 if self._expect(",}") == "}":
                     break
         if self._peek():
-            raise ValueError("there is more behind the object")
+            raise ValueError("it goes on after the end of the object")
 
     def _array(self) -> Iterator[Any]:
         self._expect("[")

@@ -54,12 +54,14 @@ class ImportOptions:
 class Source:
     """A foreign dataset: where it is, the manifest of what becomes of it, and its frames in order, made one by one.
 
-    A frame has a value for each of `manifest.stored`. Iterating raises `DatasetError` where the source is damaged.
+    A frame has a value for each of `manifest.stored`. Iterating raises `DatasetError` where the source is damaged. note: what the
+    source has and the dataset will not, for the user to know.
     """
 
     path: Path
     manifest: Manifest
     frames: Callable[[], Iterator[dict[str, Any]]]
+    note: str = ""
 
 
 def make_manifest(

@@ -251,7 +251,7 @@ async function show(k, keepView) {
 }
 function listFrames() {
   const list = shown();
-  $("position").textContent = `${list.indexOf(state.frame) + 1 || "–"} of ${list.length} frames on this page, ${data.summary.frames} in the dataset`;
+  $("position").textContent = `${list.indexOf(state.frame) + 1 || "–"} of ${list.length} frames on this page, ${data.summary.frames} in all`;
   for (const button of $("strip").children) {
     button.hidden = !list.includes(Number(button.dataset.k));
     button.classList.toggle("on", Number(button.dataset.k) === state.frame);

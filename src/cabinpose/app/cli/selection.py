@@ -1,0 +1,57 @@
+"""The flags --splits FILE, --split NAME and --select NAME=VALUE, which choose frames of a dataset for every command alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from cabinpose.app.cli.commands import Evaluate, Info, Predict, View
+from cabinpose.app.cli.exchange_commands import Export
+from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
+from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_named_splits
+
+
+def selected(dataset: xr.Dataset, command: Info | View | Export | Evaluate | Predict) -> xr.Dataset:
+    """The frames of the split that a command names and of its --select; ConfigError or DatasetError where there is none."""
+    return frames_with(dataset, [*_split(command.splits, command.split), selection(command.select)])
+
+
+def frames_with(dataset: xr.Dataset, selections: Sequence[Selection]) -> xr.Dataset:
+    """The frames that belong to all selections; DatasetError where there is none."""
+    mask = np.ones(dataset.sizes["frame"], bool)
+    for each in selections:
+        mask &= frame_mask(dataset, each)
+    if not mask.any():
+        raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
+    return dataset if mask.all() else dataset.isel(frame=np.flatnonzero(mask))
+
+
+def selection(words: Sequence[str]) -> Selection:
+    """What the words behind --select ask for; ConfigError for one that is not NAME=VALUE[,VALUE]."""
+    found: dict[str, tuple[Any, ...]] = {}
+    for word in words:
+        name, equals, values = word.partition("=")
+        if not equals or not values:
+            raise ConfigError(f"'{word}' selects nothing", hint="write --select car=sedan,van subject=S01")
+        if name not in COORDINATES:
+            raise unknown_name("coordinate", name, COORDINATES)
+        chosen = tuple(values.split(","))
+        if name == "sequence":
+            if not all(value.isdigit() for value in chosen):
+                raise ConfigError(f"'{word}': sequences are numbers", hint="write --select sequence=0,1")
+            found[name] = tuple(int(value) for value in chosen)
+        else:
+            found[name] = chosen
+    return found
+
+
+def _split(file: Path | None, name: str | None) -> list[Selection]:
+    if file is None and name is None:
+        return []
+    if file is None or name is None:
+        raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
+    return list(read_named_splits(file, [name]).values())

@@ -1,0 +1,63 @@
+"""Ultralytics' pose format: `data.yaml`, `images/<split>/` and, for every image, `labels/<split>/<name>.txt`.
+
+A line of a label is a person: class 0, the box about the visible pixels (centre and size), and u, v and COCO's visibility of each
+joint. All of it is in shares of the image, whose left edge is 0 and right edge 1: our pixel u is at (u + 1/2) / width.
+
+`data.yaml` has no `path`: Ultralytics then takes the folder that the file is in, wherever that is moved to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import yaml
+
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.skeleton import SYMMETRIC_PAIRS
+from cabinpose.store.convert import Report
+from cabinpose.store.convert.coco import frame_annotations
+from cabinpose.store.convert.frames import file_stem, require_variables
+from cabinpose.store.convert.pictures import PICTURES, pictured
+
+
+def export(parts: Mapping[str, xr.Dataset], folder: Path, report: Report, images: str) -> None:
+    """Write the frames of every split; `ConfigError` where train or val is not among them, `DatasetError` without instances."""
+    keys = ["val" if name == "validate" else name for name in parts]
+    if not {"train", "val"} <= set(keys) or len(set(keys)) < len(keys):
+        raise ConfigError(
+            f"yolo needs the splits train and val, not {', '.join(parts)}",
+            hint="name them train and val (or validate) in the file of --splits, and leave out --split",
+        )
+    done = 0
+    for name, dataset in parts.items():
+        require_variables(dataset, "YOLO", ("instance", PICTURES[images].variable))
+        (folder / "labels" / name).mkdir(parents=True)
+        for frame in pictured(dataset, folder / "images" / name, images):
+            lines = [label(person, *frame["instance"].shape) + "\n" for person in frame_annotations(frame)]
+            (folder / "labels" / name / f"{file_stem(frame)}.txt").write_text("".join(lines), encoding="utf-8")
+            done += 1
+            report(done)
+    joints = [str(joint) for joint in dataset["joint"].values]
+    other = dict(SYMMETRIC_PAIRS) | {right: left for left, right in SYMMETRIC_PAIRS}
+    content = {key: f"images/{name}" for key, name in zip(keys, parts, strict=True)} | {
+        "names": {0: "person"},
+        "kpt_shape": [len(joints), 3],
+        "flip_idx": [joints.index(other.get(joint, joint)) for joint in joints],
+        "kpt_names": {0: joints},
+    }
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    (folder / "data.yaml").write_text(text, encoding="utf-8")
+
+
+def label(person: Mapping[str, Any], height: int, width: int) -> str:
+    """The line of a person, of whom a COCO annotation tells, in an image of a size."""
+    left, top, wide, high = person["bbox"]
+    box = np.array([left + wide / 2, top + high / 2, wide, high]) / (width, height, width, height)
+    u, v, flag = np.reshape(person["keypoints"], (-1, 3)).T
+    u, v = (np.where(flag > 0, (x + 0.5) / size, 0.0) for x, size in ((u, width), (v, height)))
+    joints = (f"{a:.6f} {b:.6f} {c:.0f}" for a, b, c in zip(u, v, flag, strict=True))
+    return " ".join(["0", *(f"{x:.6f}" for x in box), *joints])

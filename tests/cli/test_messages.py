@@ -1,0 +1,257 @@
+"""What the command line says, word for word: the mistakes of the first hour, and that every verb chooses frames alike."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import pytest
+
+from cabinpose.app.cli.commands import VERBS, Command
+
+Run = Callable[..., Any]
+
+HEADER = '{"format": "cabinpose-predictions", "version": 1, "model": "m", "joints": ["head"], "persons": ["driver"]}'
+ROW = '{"frame": 0, "person": "driver", "joint": "head", "u": 1, "v": 2}'
+
+
+@pytest.fixture
+def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder but for the dataset `d` and some files that are none."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "d").symlink_to(dataset_folder)
+    (tmp_path / "scene.yaml").write_text("version: 1\n", encoding="utf-8")
+    (tmp_path / "two.jsonl").write_text(f'{HEADER}\n{ROW} {ROW}\n{{"rows": 2}}\n', encoding="utf-8")
+    (tmp_path / "splits.yaml").write_text("train: {car: [sedan, van]}\ntest: {car: [coupe]}\n", encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("line", "error", "hint"),
+    [
+        ("synt --frames 1", "there is no command 'synt'", "did you mean synth? `cabinpose --help` lists them"),
+        ("frobnicate", "there is no command 'frobnicate'", "`cabinpose --help` lists them"),
+        (
+            "predict --data d --model in_car --out f.jsonl",
+            "there is no flag --data",
+            "the dataset is given behind the verb: cabinpose predict DATASET",
+        ),
+        (
+            "evaluate --data=d --model in_car",
+            "there is no flag --data",
+            "the dataset is given behind the verb: cabinpose evaluate DATASET",
+        ),
+        (
+            "train --config c.yaml --data d e",
+            "there is no flag --data",
+            "the dataset is given behind the verb: cabinpose train DATASET",
+        ),
+        (
+            "export --onnx scene.yaml --out x.onnx",
+            "scene.yaml is no checkpoint of `cabinpose train`, or it is cut short",
+            "give best.ckpt or last.ckpt of a run",
+        ),
+        (
+            "export --onnx nope.ckpt --out x.onnx",
+            "cannot read nope.ckpt: No such file or directory",
+            "give best.ckpt or last.ckpt of a run",
+        ),
+        (
+            "lab --seconds -2 --out l",
+            "--seconds: input should be greater than 1, not -2.0",
+            "`cabinpose lab --help` says what each flag takes",
+        ),
+        (
+            "lab --rate 0 --out l",
+            "--rate: input should be greater than 0, not 0.0",
+            "`cabinpose lab --help` says what each flag takes",
+        ),
+        ("predict d --model in_car --out q.csv", "q.csv is no name of a predictions file", "let it end in .jsonl or .parquet"),
+        ("predict d --model in_car --out two.jsonl", "two.jsonl exists", "--overwrite replaces it, or give another name"),
+        (
+            "predict d --model nope --out f.jsonl",
+            "there is no model nope",
+            "give an ONNX file, or a packaged model (in_car, room)",
+        ),
+        ("predict nope --model in_car --out f.jsonl", "nope does not exist", "give the folder of a dataset"),
+        ("view d --out d", "the pictures would lie in the dataset", "give another folder with --out"),
+        ("view d --out d/part-00000.zarr/view", "the pictures would lie in the dataset", "give another folder with --out"),
+        (
+            "info scene.yaml",
+            "scene.yaml is neither a dataset nor a recording",
+            "give the folder that holds dataset.yaml, or a recording (.mcap)",
+        ),
+        (
+            "view scene.yaml --out v",
+            "scene.yaml is neither a dataset nor a recording",
+            "give the folder that holds dataset.yaml, or a recording (.mcap)",
+        ),
+        (
+            "export scene.yaml --format csv --out t",
+            "scene.yaml is neither a dataset nor a recording",
+            "give the folder that holds dataset.yaml, or a recording (.mcap)",
+        ),
+        ("info nope", "nope does not exist", "give the folder of a dataset"),
+        ("info d --subject S01", "d is a dataset, and --subject lists recordings", "count its frames with --select subject=S01"),
+        (
+            "evaluate d --predictions two.jsonl",
+            "two.jsonl:2: the line goes on after its JSON object",
+            "write one object a line; docs/evaluation.md describes the format",
+        ),
+        (
+            "import two.jsonl --format coco --out z",
+            "two.jsonl is no whole JSON object (it goes on after the end of the object)",
+            "it may be cut short; copy it again, or give another file",
+        ),
+        ("evaluate d", "there is nothing to evaluate", "give DATASET with --predictions or --model, or --itop-npz with --model"),
+        (
+            "train d --synth scene.yaml --out run",
+            "a detector learns from datasets or from generated scenes",
+            "give DATASET or --synth, not both",
+        ),
+        (
+            "export d --format nope --out z",
+            "unknown format 'nope'",
+            "known: adtfdat, bvh, c3d, coco, csv, itop, mvnx, ntu, ply, png-json, sto, trc, xdf, yolo",
+        ),
+        (
+            "export d --format ply --images depth8 --out z",
+            "ply has no images of the kind depth8",
+            "leave out --images, which is of coco, yolo",
+        ),
+        (
+            "export d --format yolo --images depth16 --out z",
+            "yolo has no images of the kind depth16",
+            "choose one of depth8, amplitude8",
+        ),
+        (
+            "export d --format yolo --splits splits.yaml --split test --out z",
+            "yolo needs the splits train and val, not test",
+            "name them train and val (or validate) in the file of --splits, and leave out --split",
+        ),
+    ],
+)
+def test_mistakes_of_the_first_hour(run: Run, here: Path, line: str, error: str, hint: str) -> None:
+    before = sorted(path.name for path in here.iterdir())
+    assert run(*line.split()) == (2, "", f"error: {error}\nhint: {hint}\n")
+    assert sorted(path.name for path in here.iterdir()) == before
+
+
+def test_what_a_yaml_file_is_not_is_said_without_the_extra(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cabinpose.app.extras.find_spec", lambda _: None)  # a base install
+    assert run("info", "scene.yaml").err.startswith("error: scene.yaml is neither a dataset nor a recording\n")
+
+
+def test_predict_refuses_a_name_before_it_runs_the_model(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cabinpose.app.cli.predict.load_model", lambda _: pytest.fail("the model was loaded"))
+    assert run("predict", "d", "--model", "in_car", "--out", "q.csv").code == 2
+
+
+def test_a_model_that_looks_elsewhere_is_remarked(run: Run, here: Path) -> None:
+    assert run("predict", "d", "--model", "room", "--out", "f.jsonl").err == (
+        "the model room looks at standing, and the dataset has driver, front_passenger, rear_left, rear_center, rear_right: "
+        "`evaluate` cannot score what it finds\n"
+        "score it with: cabinpose evaluate d --predictions f.jsonl\n"
+    )
+
+
+def test_info_says_how_many_people_a_frame_has(run: Run, here: Path) -> None:
+    lines = run("info", "d").out.splitlines()
+    assert "people a frame  1 in 2 frames, 2 in 2 frames, 3 in 1 frame" in lines
+    lines = run("info", "d", "--select", "car=sedan", "--verify").out.splitlines()
+    assert "frames          5 in 3 of 3 parts; 2 selected, counted below" in lines
+    assert "cars            sedan 2" in lines
+    assert lines[-1] == "2 frames were read; all checksums are right"
+
+
+def helps(commands: Any = Command) -> list[tuple[str, ...]]:
+    """Every verb, and every verb of a verb."""
+    found: list[tuple[str, ...]] = []
+    for each in get_args(commands):
+        name = each.__metadata__[0].name
+        within = [hint for hint in get_type_hints(each.__origin__, include_extras=True).values() if len(get_args(hint)) > 1]
+        verbs = [
+            hint
+            for hint in within
+            if all(hasattr(a, "__metadata__") and hasattr(a.__metadata__[0], "name") for a in get_args(hint))
+        ]
+        found += [(name, *inner) for hint in verbs for inner in helps(hint)] or [(name,)]
+    return found
+
+
+def test_no_help_shows_an_empty_default(run: Run) -> None:
+    verbs = helps()
+    assert {verb[0] for verb in verbs} == set(VERBS)
+    assert {("bench", "lab"), ("evaluate-mocap", "dfe"), ("config", "init")} <= set(verbs)
+    for verb in verbs:
+        text = " ".join(run(*verb, "--help").out.split())
+        assert f"usage: cabinpose {' '.join(verb)}" in text
+        assert "(default: )" not in text, verb
+        assert "{None}" not in text, verb
+
+
+def test_a_reader_that_leaves_gets_no_traceback() -> None:
+    """As of `cabinpose evaluate --help | head -1`."""
+    command = [sys.executable, "-m", "cabinpose", "evaluate", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()  # before anything is printed
+        assert process.stderr.read() == ""
+
+
+CHOICES = [(("--select", "car=sedan,van", "pov=driver"), 3), (("--splits", "splits.yaml", "--split", "test"), 1)]
+
+
+@pytest.mark.parametrize(("flags", "count"), CHOICES)
+def test_every_verb_chooses_frames_alike(run: Run, here: Path, flags: tuple[str, ...], count: int) -> None:
+    assert json.loads(run("info", "d", "--json", *flags).out)["selected"] == count
+    assert json.loads(run("export", "d", "--format", "ply", "--out", "clouds", "--json", *flags).out)["frames"] == count
+    assert len(list(Path("clouds").glob("*.ply"))) == count
+    found = json.loads(run("predict", "d", "--model", "in_car", "--out", "f.jsonl", "--json", *flags).out)
+    assert found["frames"] == count
+    judged = run("evaluate", "d", "--predictions", "f.jsonl", "--resamples", "0", "--json", *flags)
+    assert json.loads(judged.out)["frames"] == count
+    assert run("view", "d", "--out", "v", "--frames", "1", "--rows", "1", *flags).code == 0
+    assert f'"frames":{count},' in Path("v/index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "verb", ["info d", "view d --out v", "predict d --model in_car --out f.jsonl", "evaluate d --model in_car"]
+)
+@pytest.mark.parametrize(
+    ("flags", "error", "hint"),
+    [
+        (
+            "--select car=coupe pov=driver",
+            "no frame has all that is selected",
+            "`cabinpose info` counts the frames by coordinate",
+        ),
+        ("--select colour=red", "unknown coordinate 'colour'", "known: action, car, pov, sequence, subject"),
+        ("--split test", "a split needs its file and its name", "give both --splits FILE and --split NAME"),
+    ],
+)
+def test_selections_fail_alike(run: Run, here: Path, verb: str, flags: str, error: str, hint: str) -> None:
+    assert run(*verb.split(), *flags.split()) == (2, "", f"error: {error}\nhint: {hint}\n")
+
+
+def test_export_of_all_splits(run: Run, here: Path) -> None:
+    Path("some.yaml").write_text("train: {car: [sedan]}\nval: {car: [coupe]}\n")
+    done = run("export", "d", "--format", "coco", "--splits", "some.yaml", "--out", "c")
+    assert done == (0, "c: 3 frames as coco: train 2, val 1\n", "2 frames belong to no split and are left out\n")
+    one = run("export", "d", "--format", "coco", "--splits", "some.yaml", "--split", "val", "--out", "one", "--json")
+    assert json.loads(one.out) == {"out": "one", "format": "coco", "frames": 1, "splits": {"val": 1}}
+    assert [path.name for path in Path("one/annotations").iterdir()] == ["person_keypoints_val.json"]
+    held = run("export", "d", "--format", "yolo", "--out", "y")
+    assert held == (0, "y: 4 frames as yolo: train 3, val 1\n", "1 frames belong to no split and are left out\n")
+
+
+def test_an_import_of_grey_images_says_what_is_missing(run: Run, here: Path) -> None:
+    assert run("export", "d", "--format", "coco", "--out", "c").code == 0
+    assert run("import", "c", "--format", "coco", "--out", "z").err == (
+        "the images are depth8, too coarse for a dataset: joints and masks are imported without them "
+        "(`export --images depth16` keeps the depth)\n"
+        "see what it holds with: cabinpose info z\n"
+    )
