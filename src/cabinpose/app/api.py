@@ -152,7 +152,7 @@ def evaluate_predictions(
         A predictions file, predictions, the name of a model of the package, or any detector: an object with `name`, `joints`,
         `persons` and `predict`, as `cabinpose.core.ports.Predictor` says.
     persons
-        Slots that are evaluated; default: of a model those that it answers for, of predictions all.
+        Slots that are evaluated; default: those that the model answers for.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def evaluate_predictions(
         For what is missing, damaged or of another dataset.
     """
     from cabinpose.core.ports import Predictor  # noqa: PLC0415 - the package imports in no time
-    from cabinpose.evaluate.offline import check_predictions, evaluate  # noqa: PLC0415
+    from cabinpose.evaluate.offline import check_predictions, evaluate, shared_places  # noqa: PLC0415
     from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
     from cabinpose.store import open_dataset  # noqa: PLC0415
     from cabinpose.store.predictions import Predictions, read_predictions  # noqa: PLC0415
@@ -181,6 +181,4 @@ def evaluate_predictions(
             f"a {type(model).__name__} is no detector",
             hint="it needs name, joints, persons and predict; see core.ports.Predictor",
         )
-    elif persons is None:
-        persons = [slot for slot in model.persons if slot in dataset["person"].values]
-    return evaluate(dataset, model, EvaluationOptions(), persons=persons, name=name)
+    return evaluate(dataset, model, EvaluationOptions(), persons=persons or shared_places(dataset, [model]), name=name)

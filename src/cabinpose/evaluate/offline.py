@@ -67,6 +67,12 @@ def check_predictions(predictions: Predictions, dataset: xr.Dataset, names: Sequ
         )
 
 
+def shared_places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
+    """The dataset's slots that all models answer for; all of them where the models share none."""
+    places = [str(name) for name in dataset["person"].values]
+    return tuple(place for place in places if all(place in model.persons for model in models)) or tuple(places)
+
+
 def evaluate(
     dataset: xr.Dataset,
     model: Predictions | Predictor,

@@ -12,16 +12,16 @@ from typing import Any
 import xarray as xr
 
 from cabinpose.app.cli.commands import Evaluate
-from cabinpose.app.cli.output import print_json, print_table, progress
+from cabinpose.app.cli.output import ProgressReport, print_json, print_table, progress
 from cabinpose.app.cli.selection import selected
 from cabinpose.app.finite import finite
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
-from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
+from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.core.ports import Predictor
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import ITOP_JOINTS
 from cabinpose.estimate.predictor import load_model
-from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name
+from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
 from cabinpose.store import open_dataset, read_manifest
@@ -46,7 +46,6 @@ def run(command: Evaluate) -> None:
     for file in files:
         check_predictions(file, whole, names)
     models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(load_model, command.model)]
-    _check_persons(whole, command.persons)
     dataset = selected(whole, command)
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
@@ -54,7 +53,11 @@ def run(command: Evaluate) -> None:
     reports = []
     for model in models:
         with progress(frames, "frames") as show:
-            reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=show))
+
+            def told(done: int, show: ProgressReport = show) -> None:
+                show(done, "" if done < frames else "intervals")
+
+            reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=told))
     record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.frames import frame_figures
@@ -133,21 +136,14 @@ def _named_apart(models: Sequence[Predictions], paths: Sequence[Path]) -> list[P
 
 
 def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
-    """The slots that all models answer for; what is left out is told. All of them where the models share none."""
-    places = [str(name) for name in dataset["person"].values]
-    shared = tuple(place for place in places if all(place in model.persons for model in models))
-    left = {place: int((dataset["subject"].sel(person=place) != "").sum()) for place in places if place not in shared}
-    if shared and any(left.values()):
+    """`shared_places`; what is left out is told."""
+    shared = shared_places(dataset, models)
+    places = [place for place in dataset["person"].values.tolist() if place not in shared]
+    left = {place: int((dataset["subject"].sel(person=place) != "").sum()) for place in places}
+    if any(left.values()):
         people = ", ".join(f"{count} in {place}" for place, count in left.items() if count)
         print(f"not counted, since no model looks there: {people} (--persons counts them)", file=sys.stderr)
-    return shared or tuple(places)
-
-
-def _check_persons(dataset: xr.Dataset, persons: Sequence[str]) -> None:
-    known = [str(name) for name in dataset["person"].values]
-    for name in persons:
-        if name not in known:
-            raise unknown_name("slot", name, known)
+    return shared
 
 
 def _write(folder: Path, page: str, record: dict[str, Any]) -> None:

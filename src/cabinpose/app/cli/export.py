@@ -70,9 +70,11 @@ def _export_model(command: Export, checkpoint: Path) -> None:
     from cabinpose.estimate.export import export_onnx
 
     name = command.name or command.out.stem
-    difference = export_onnx(
-        checkpoint, command.out, name=name, card=_card(command.card), mirrored=command.mirrored, overwrite=command.overwrite
-    )
+    with progress() as report:
+        report.phase("exporting and comparing with torch")
+        difference = export_onnx(
+            checkpoint, command.out, name=name, card=_card(command.card), mirrored=command.mirrored, overwrite=command.overwrite
+        )
     if command.as_json:
         print_json({"out": str(command.out), "format": "onnx", "difference": difference})
     else:
