@@ -191,6 +191,7 @@ def test_no_help_shows_an_empty_default(run: Run) -> None:
         text = " ".join(run(*verb, "--help").out.split())
         assert f"usage: cabinpose {' '.join(verb)}" in text
         assert "(default: )" not in text, verb
+        assert "None" not in text, verb
         assert "{None}" not in text, verb
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import JsonFlag, several
+from cabinpose.app.cli.arguments import JsonFlag, Maybe, several
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Align:
     """Calibration of the rig (YAML), made by `cabinpose calibrate`."""
     out: Path
     """Folder of the dataset."""
-    subject: Optional[str] = None
+    subject: Maybe[str] = None
     """Subject code, where a take does not name it."""
     max_lag: float = 2.0
     """Greatest delay between suit and optical system that is looked for, s."""
@@ -60,13 +60,13 @@ class Lab:
 
     out: Path
     """Folder of the session; it has to be new or empty."""
-    rig: Optional[Path] = None
+    rig: Maybe[Path] = None
     """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of a real one."""
-    only: Optional[str] = None
+    only: Maybe[str] = None
     """One error of the rig alone, all others off; `exact`: none at all."""
     seconds: float = 20.0
     """Length of the driver's take."""
-    rate: Optional[float] = None
+    rate: Maybe[float] = None
     """Frames per second of the camera in it; default: the rig's."""
     views: int = 50
     """Poses of the checkerboard."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Optional, TypeVar
 
 from tyro.conf import Positional, arg
 
@@ -16,15 +16,17 @@ if TYPE_CHECKING:
 
 
 def several(metavar: str) -> object:
-    """How a flag that takes any number of words shows in the help: without an empty default behind it."""
+    """How what may be left out, or takes any number of words, shows in the help: without an empty default behind it."""
     return arg(metavar=metavar, help_behavior_hint="")
 
 
+T = TypeVar("T")
+Maybe = Annotated[Optional[T], arg(help_behavior_hint="")]  # a flag that may be left out; its help says what then
 ThingArgument = Annotated[Positional[Path], arg(metavar="DATASET|RECORDING")]
 RecordingArgument = Annotated[Positional[Path], arg(metavar="RECORDING")]
 DatasetArgument = Annotated[Positional[Path], arg(metavar="DATASET", help="Folder of the dataset.")]
-SplitsFlag = Annotated[Optional[Path], arg(metavar="FILE", help="YAML file of splits, of which --split names one.")]
-SplitFlag = Annotated[Optional[str], arg(metavar="NAME", help="Only the frames of this split.")]
+SplitsFlag = Annotated[Maybe[Path], arg(metavar="FILE", help="YAML file of splits, of which --split names one.")]
+SplitFlag = Annotated[Maybe[str], arg(metavar="NAME", help="Only the frames of this split.")]
 SelectFlag = Annotated[
     tuple[str, ...],
     arg(

@@ -14,7 +14,16 @@ from typing import Annotated, Any, Literal, Optional, get_args
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from cabinpose.app.cli.align_commands import Align, Calibrate, Lab
-from cabinpose.app.cli.arguments import DatasetArgument, JsonFlag, SelectFlag, SplitFlag, SplitsFlag, ThingArgument, several
+from cabinpose.app.cli.arguments import (
+    DatasetArgument,
+    JsonFlag,
+    Maybe,
+    SelectFlag,
+    SplitFlag,
+    SplitsFlag,
+    ThingArgument,
+    several,
+)
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
@@ -29,15 +38,15 @@ class Synth:
 
     out: Path
     """Folder of the dataset."""
-    frames: Optional[int] = None
+    frames: Maybe[int] = None
     """Number of frames to generate; default: all combinations, where the configuration has a number of them."""
     overrides: Annotated[Positional[tuple[str, ...]], several("[KEY=VALUE ...]")] = ()
     """What differs from the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
-    config: Optional[Path] = None
+    config: Maybe[Path] = None
     """Configuration (YAML), which `cabinpose config init` writes; default: people in all seven cars."""
-    workers: Optional[int] = None
+    workers: Maybe[int] = None
     """Threads; default: one per core."""
-    scheduler: Optional[str] = None
+    scheduler: Maybe[str] = None
     """Address of a running Dask scheduler, whose workers make the parts; exclusive with --workers."""
     seed: int = 0
     """Seed of all randomness."""
@@ -52,7 +61,7 @@ class Synth:
 class ConfigInit:
     """Write a configuration to start from, every key with its default."""
 
-    file: Annotated[Positional[Optional[Path]], arg(metavar="FILE")] = None
+    file: Annotated[Positional[Optional[Path]], several("FILE")] = None
     """File to write; stdout if left out."""
     scene: Literal["cabin", "room"] = "cabin"
     """People in cars, or one person standing in a room in ITOP's geometry."""
@@ -74,7 +83,7 @@ class ConfigFrame:
     dataset: DatasetArgument
     frame: Annotated[Positional[int], arg(metavar="FRAME")]
     """Number of the frame."""
-    file: Annotated[Positional[Optional[Path]], arg(metavar="FILE")] = None
+    file: Annotated[Positional[Optional[Path]], several("FILE")] = None
     """File to write; stdout if left out."""
 
 
@@ -109,7 +118,7 @@ class Info:
     splits: SplitsFlag = None
     split: SplitFlag = None
     select: SelectFlag = ()
-    subject: Optional[str] = None
+    subject: Maybe[str] = None
     """List the takes of this subject code in the folder."""
     as_json: JsonFlag = False
 
@@ -144,9 +153,9 @@ class Evaluate:
     Several predictions files and models are set side by side, on the joints that all of them answer for.
     """
 
-    dataset: Annotated[Positional[Optional[Path]], arg(metavar="[DATASET]")] = None
+    dataset: Annotated[Positional[Optional[Path]], several("[DATASET]")] = None
     """Folder of the dataset."""
-    itop_npz: Optional[Path] = None
+    itop_npz: Maybe[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one a model."""
@@ -154,7 +163,7 @@ class Evaluate:
     """Models to run: names of those in the package, or ONNX files."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """The people in these slots; default: in those that all models answer for."""
-    out: Optional[Path] = None
+    out: Maybe[Path] = None
     """Folder for index.html and report.json."""
     splits: SplitsFlag = None
     split: SplitFlag = None
@@ -195,15 +204,15 @@ class Train:
     """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv."""
     datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
-    method: Optional[str] = None
+    method: Maybe[str] = None
     """Method, if the configuration names none: compact, paf, lifting, unet."""
-    config: Optional[Path] = None
+    config: Maybe[Path] = None
     """Configuration of the run (YAML); every key has a default."""
-    synth: Optional[Path] = None
+    synth: Maybe[Path] = None
     """Scene configuration (YAML) to generate frames from while training, in place of datasets."""
     frames: int = 2000
     """Frames an epoch with --synth."""
-    splits: Optional[Path] = None
+    splits: Maybe[Path] = None
     """YAML file of splits; without it some of the subjects of each dataset are held out to validate on."""
     train: str = "train"
     """Name of the split to learn from."""
@@ -213,7 +222,7 @@ class Train:
     """Devices a machine, as Lightning understands them."""
     nodes: int = 1
     """Machines, started by Lightning's launchers."""
-    init: Optional[Path] = None
+    init: Maybe[Path] = None
     """Checkpoint of an earlier run of the same network, whose weights this one begins with."""
     resume: bool = False
     """Go on with the run in the folder."""
@@ -224,7 +233,7 @@ class Train:
 class Models:
     """List the trained models that come with the package, or say all that is known of one."""
 
-    model: Annotated[Positional[Optional[str]], arg(metavar="MODEL")] = None
+    model: Annotated[Positional[Optional[str]], several("MODEL")] = None
     """Name of a packaged model, or an ONNX file."""
     as_json: JsonFlag = False
 
@@ -293,7 +302,7 @@ class BenchRecord:
     """Length of the take."""
     rate_mb: float = 160.0
     """MB/s that the sources give."""
-    folder: Optional[Path] = None
+    folder: Maybe[Path] = None
     """Folder on the disk to measure; default: that of temporary files. The recording is deleted again."""
     as_json: JsonFlag = False
 
@@ -341,7 +350,7 @@ class EmulateMvn:
     """Types of datagrams: 1 2 3 5 20 21 22 23 24 25. Names and scales (12, 13) come every second."""
     rate: float = 60.0
     """Samples a second."""
-    capture_rate: Optional[float] = None
+    capture_rate: Maybe[float] = None
     """Samples a second that the sample counter counts; default: the rate."""
     characters: int = 1
     """People, side by side."""
@@ -349,7 +358,7 @@ class EmulateMvn:
     """Props of each."""
     fingers: bool = False
     """With 40 finger segments."""
-    items_per_datagram: Optional[int] = None
+    items_per_datagram: Maybe[int] = None
     """Split samples over datagrams of so many items."""
     latency: float = 0.0
     """Seconds from taking a sample to sending it."""
@@ -363,9 +372,9 @@ class EmulateMvn:
     """Share of datagrams that arrive twice."""
     reorder: float = 0.0
     """Share of datagrams that arrive late."""
-    seconds: Optional[float] = None
+    seconds: Maybe[float] = None
     """How long; default: until Ctrl-C."""
-    log: Optional[Path] = None
+    log: Maybe[Path] = None
     """File for a line of JSON on each datagram and its fate."""
     seed: int = 0
     """Seed of what the network does."""
@@ -382,7 +391,7 @@ class EmulateVicon:
     """Address to listen on."""
     port: int = 8801
     """Port to listen on; 0 takes a free one. Vicon's own is 801, which most systems keep for the administrator."""
-    rate: Optional[float] = None
+    rate: Maybe[float] = None
     """Frames a second; default: the motion's (generated: 100)."""
     subjects: int = 1
     """People of a generated motion, side by side."""
@@ -400,15 +409,15 @@ class EmulateVicon:
     """Share of segments that are not solved."""
     up: Literal["z", "y"] = "z"
     """The server's vertical axis."""
-    die_after: Optional[float] = None
+    die_after: Maybe[float] = None
     """Die after so many seconds, and return."""
     dead_for: float = 2.0
     """Seconds until it returns."""
     anew: bool = False
     """When it returns, number frames from the first again."""
-    seconds: Optional[float] = None
+    seconds: Maybe[float] = None
     """How long; default: until Ctrl-C."""
-    log: Optional[Path] = None
+    log: Maybe[Path] = None
     """File for a line of JSON on each frame for each client, and its fate."""
     seed: int = 0
     """Seed of the motion, and of what is dropped and occluded."""

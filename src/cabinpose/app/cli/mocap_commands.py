@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Optional
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, subcommand
 
-from cabinpose.app.cli.arguments import JsonFlag, several
+from cabinpose.app.cli.arguments import JsonFlag, Maybe, several
 
 
 @dataclass(frozen=True)
 class MocapReport:
     """What all four evaluations can be told about their report."""
 
-    out: Optional[Path] = None
+    out: Maybe[Path] = None
     """Folder for the page (index.html) and its numbers (report.json)."""
     resamples: int = 1000
     """Resamples of the bootstrap; 0: no intervals."""
-    block_s: Optional[float] = None
+    block_s: Maybe[float] = None
     """Seconds of a block of the bootstrap; default: by how long the errors remember themselves."""
     seed: int = 0
     """Seed of the bootstrap."""
@@ -34,9 +34,9 @@ class EvaluateSse(MocapReport):
 
     takes: Annotated[Positional[tuple[str, ...]], several("AXIS=FILE")] = ()
     """roll=FILE, pitch=FILE, yaw=FILE: recordings (.mcap) or MVNX files, one axis each."""
-    sensor: Optional[str] = None
+    sensor: Maybe[str] = None
     """Name of the sensor (or segment); default: the only one."""
-    source: Optional[str] = None
+    source: Maybe[str] = None
     """Source of the sensor in a recording."""
     step_deg: float = 11.25
     """Degrees that the motor turns at a step."""
@@ -48,7 +48,7 @@ class EvaluateSse(MocapReport):
     """Degrees a second under which the sensor stands still."""
     still_s: float = 0.5
     """Seconds that it does so at least."""
-    motor: Optional[str] = None
+    motor: Maybe[str] = None
     """SOURCE/CHANNEL that recorded the motor's angle in degrees, in place of steps."""
 
 
@@ -58,13 +58,13 @@ class EvaluateSfe(MocapReport):
 
     takes: Annotated[Positional[tuple[str, ...]], several("[DRIVE=]FILE")] = ()
     """Recordings (.mcap), MVNX, BVH or C3D files, one a drive."""
-    source: Optional[str] = None
+    source: Maybe[str] = None
     """Source of the suit in a recording; default: suit where there is one, else the only one that gives a body."""
-    subject: Optional[str] = None
+    subject: Maybe[str] = None
     """Subject code; default: the only one."""
-    first: Optional[tuple[float, float]] = None
+    first: Maybe[tuple[float, float]] = None
     """Seconds from and to, of the first pose; default: where the person stands still in an N-pose for the first time."""
-    last: Optional[tuple[float, float]] = None
+    last: Maybe[tuple[float, float]] = None
     """Seconds from and to, of the last pose; default: the last time."""
     still_m_s: float = 0.05
     """Metres a second under which every segment stands still."""
@@ -86,19 +86,19 @@ class _AgainstOptical(MocapReport):
     """Source of the suit."""
     optical: str = "optical"
     """Source of the optical system."""
-    subject: Optional[str] = None
+    subject: Maybe[str] = None
     """Subject code in the suit's stream; default: the only one."""
-    optical_subject: Optional[str] = None
+    optical_subject: Maybe[str] = None
     """Subject in the optical system's stream; default: the suit's, if it has it, else the only one."""
     windows: Annotated[tuple[str, ...], several("[WINDOW [WINDOW ...]]")] = ()
     """PLANE=START:END in seconds of the take, to tell planes of motion in one recording apart."""
     pairs: Annotated[tuple[str, ...], several("[PAIR [PAIR ...]]")] = ()
     """NAME=SEGMENT of the optical system, where its model names something differently."""
-    rate: Optional[float] = None
+    rate: Maybe[float] = None
     """Samples a second of the common clock; default: the slower system's."""
     max_gap_s: float = 0.1
     """Longest pause of a stream that is interpolated over."""
-    delay_ms: Optional[float] = None
+    delay_ms: Maybe[float] = None
     """By how much the suit's stamps are late against the optical system's; default: from how both see the segments turn."""
 
 
@@ -108,7 +108,7 @@ class EvaluateDse(_AgainstOptical):
 
     sensors: bool = False
     """Take the orientations of the suit's sensors, not of its segments."""
-    heading_deg: Optional[float] = None
+    heading_deg: Maybe[float] = None
     """Heading of the optical world seen from the suit's; default: fitted."""
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import JsonFlag, RecordingArgument
+from cabinpose.app.cli.arguments import JsonFlag, Maybe, RecordingArgument
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,13 @@ class Record:
 
     config: Path
     """The rig (YAML): its sources, how to write, and the take."""
-    out: Optional[Path] = None
+    out: Maybe[Path] = None
     """Recording to write (.mcap)."""
-    take: Optional[Path] = None
+    take: Maybe[Path] = None
     """YAML file of the take (subjects, action, car), in place of the rig's."""
     check: bool = False
     """Say what is missing, of the disk and of each source, and record nothing."""
-    duration: Optional[float] = None
+    duration: Maybe[float] = None
     """Stop after so many seconds."""
     as_json: JsonFlag = False
 
