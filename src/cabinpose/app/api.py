@@ -14,6 +14,7 @@ from cabinpose.core.errors import ConfigError
 if TYPE_CHECKING:
     import xarray as xr
 
+    from cabinpose.core.ports import Predictor
     from cabinpose.estimate.predictor import OnnxPredictor
     from cabinpose.evaluate.report import Report
     from cabinpose.store.predictions import Predictions
@@ -131,7 +132,7 @@ def generate(
 
 
 def evaluate_predictions(
-    data: Path | str | xr.Dataset, model: Path | str | Predictions | OnnxPredictor, *, persons: Sequence[str] | None = None
+    data: Path | str | xr.Dataset, model: Path | str | Predictions | Predictor, *, persons: Sequence[str] | None = None
 ) -> Report:
     """How good predictions are on a dataset, by the metrics of `cabinpose evaluate`.
 
@@ -140,7 +141,8 @@ def evaluate_predictions(
     data
         The folder of a dataset, or an open one (a selection of it as well).
     model
-        A predictions file, predictions, the name of a model of the package, or a model.
+        A predictions file, predictions, the name of a model of the package, or any detector that fulfils
+        `cabinpose.core.ports.Predictor`.
     persons
         Slots that are evaluated; default: of a model those that it answers for, of predictions all.
 
@@ -154,15 +156,14 @@ def evaluate_predictions(
     DatasetError, ModelError, PredictionsError
         For what is missing, damaged or of another dataset.
     """
-    from cabinpose.estimate.predictor import OnnxPredictor  # noqa: PLC0415 - ONNX Runtime and xarray
-    from cabinpose.evaluate.offline import check_predictions, evaluate  # noqa: PLC0415
+    from cabinpose.evaluate.offline import check_predictions, evaluate  # noqa: PLC0415 - xarray
     from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
     from cabinpose.store import open_dataset  # noqa: PLC0415
     from cabinpose.store.predictions import Predictions, read_predictions  # noqa: PLC0415
 
     name = Path(data).resolve().name if isinstance(data, Path | str) else ""
     dataset = open_dataset(data) if isinstance(data, Path | str) else data
-    if not isinstance(model, Predictions | OnnxPredictor):
+    if isinstance(model, Path | str):
         model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else load_model(model)
     if isinstance(model, Predictions):
         check_predictions(model, dataset)
