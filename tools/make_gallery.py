@@ -2,8 +2,9 @@
 
     python tools/make_gallery.py --out docs/images/gallery
 
-A picture is a grid of frames. Depth is bright where it is near, dark grey where the sensor saw nothing; amplitude is grey, with the skeletons of
-everybody, the joints in the colours of their visibility: green visible, yellow hidden by the own body, red by something else.
+A picture is a grid of frames. Depth is bright where it is near, dark grey where the sensor saw nothing; amplitude is grey, with
+the skeletons of everybody, the joints in the colours of their visibility: green visible, yellow hidden by the own body, red by
+something else.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What `mkdocs build` does beside its plugins: notebooks become pages with their outputs, test marks of fences go.
 
-A notebook runs in an empty folder while the site is built; one that fails ends the build. Its page is Markdown like any other, so that
-style, search and the check of links are those of the site and no script of another host is needed.
+A notebook runs in an empty folder while the site is built; one that fails ends the build. Its page is Markdown like any other, so
+that style, search and the check of links are those of the site and no script of another host is needed.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 SECONDS = 300  # a cell
+QUIET = "--log-level=ERROR"  # kernels warn of the port on this machine that they are asked through
 _MARKED = re.compile(r"^```(python|console) run$", re.M)
 _NOTEBOOK = re.compile(r"(\]\([^)\s]*)\.ipynb\)")
 
@@ -45,7 +46,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
     """A notebook run from its first cell to its last in an empty folder, with its outputs."""
     notebook = nbformat.read(path, as_version=4)
     with TemporaryDirectory() as folder:
-        nbclient.NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": folder}}).execute()
+        resources = {"metadata": {"path": folder}}
+        nbclient.NotebookClient(notebook, timeout=SECONDS, resources=resources, extra_arguments=[QUIET]).execute()
     return notebook
 
 
