@@ -12,7 +12,7 @@ import pytest
 
 import cabinpose
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import PoseBatch
+from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
 from cabinpose.estimate.predictor import OnnxPredictor
 from cabinpose.store.predictions import Predictions, write_predictions
@@ -118,3 +118,21 @@ def test_predictions_are_opened_and_evaluated(dataset: Path, model: OnnxPredicto
     assert by_model.to_dict()["frames"] == by_file.to_dict()["frames"] == 3
     selection = cabinpose.open(dataset).isel(frame=[0])
     assert cabinpose.evaluate_predictions(selection, model).to_dict()["frames"] == 1
+
+
+def test_any_detector_is_evaluated(dataset: Path) -> None:
+    class Truth:
+        """Knows the answers of the driver's head, and no more."""
+
+        name, persons, joints = "truth", ("driver",), ("head",)
+
+        def predict(self, frames: FrameBatch) -> PoseBatch:
+            head = cabinpose.open(dataset).sel(person=["driver"], joint=["head"]).isel(frame=slice(len(frames["depth"])))
+            certain = np.ones(head.visibility.shape, np.float32)
+            return PoseBatch(head.joints_2d.values, head.joints_3d.values, certain, certain)
+
+    report = cabinpose.evaluate_predictions(dataset, Truth())
+    error = report.value("MPJPE", "3d")
+    assert report.model == "truth"
+    assert error is not None
+    assert (error.value, error.samples) == (0.0, 3)
