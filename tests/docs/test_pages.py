@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+import yaml
+
+from cabinpose.synth.config import SynthConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -131,6 +134,15 @@ def test_named_things_exist(page: Path) -> None:
         except (ImportError, AttributeError):
             missing.append(dotted)
     assert missing == []
+
+
+@pytest.mark.parametrize("guide", ["own-people", "own-camera"])
+def test_the_yaml_of_a_guide_is_a_configuration(guide: str) -> None:
+    text = (ROOT / "docs" / "guides" / f"{guide}.md").read_text("utf-8")
+    found = re.findall(r"^```yaml\n(.*?)^```$", text, re.M | re.S)
+    assert found
+    for block in found:
+        SynthConfig.parse(yaml.safe_load(block))
 
 
 def test_the_checks_find_what_is_wrong() -> None:
