@@ -60,8 +60,10 @@ bench: $(VENV)/.dev  ## the figures of docs/benchmarks.md, as two lines of JSON 
 	$(BIN)/cabinpose bench synth --json
 	$(BIN)/cabinpose bench detect --json
 
-docs: $(VENV)/.dev  ## run every command and example of the documentation, follow its links
-	$(BIN)/pytest -q tests/docs
+docs: $(VENV)/.dev  ## build the site into out/site; run every command, example and notebook of the documentation, follow its links
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	CABINPOSE_SITE=out/site $(BIN)/pytest -q -n $(WORKERS) tests/docs
+	@echo "python -m http.server -d out/site shows the site"
 
 lock: $(VENV)/.dev  ## pin the newest versions that pyproject.toml allows
 	$(BIN)/uv pip compile -q --universal --upgrade $(LOCK_FLAGS) pyproject.toml -o requirements.lock

@@ -15,7 +15,6 @@ import cabinpose
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.predictor import OnnxPredictor
 from cabinpose.store.predictions import Predictions, write_predictions
 from cabinpose.synth.config import SynthConfig
@@ -144,25 +143,25 @@ def test_plain_data_are_a_configuration(frames: list[Frame]) -> None:
     np.testing.assert_array_equal(same["depth"], frames[0]["depth"])
 
 
-class AlwaysAtTheWheel:
-    """A detector of one's own: everybody's joints where the first frame had them."""
+def test_any_detector_is_evaluated(dataset: Path) -> None:
+    class Truth:
+        """Knows the answers of the driver's head, and no more."""
 
-    name, persons = "at_the_wheel", ("driver",)
+        name, persons, joints = "truth", ("driver",), ("head",)
 
-    def __init__(self, frame: Frame) -> None:
-        self.joints = JOINTS
-        self._of = {key: np.asarray(frame[key], np.float32)[:1] for key in ("joints_2d", "joints_3d")}
+        def predict(self, frames: FrameBatch) -> PoseBatch:
+            head = cabinpose.open(dataset).sel(person=["driver"], joint=["head"]).isel(frame=slice(len(frames["depth"])))
+            certain = np.ones(head.visibility.shape, np.float32)
+            return PoseBatch(head.joints_2d.values, head.joints_3d.values, certain, certain)
 
-    def predict(self, frames: FrameBatch) -> PoseBatch:
-        joints_2d, joints_3d = (np.repeat(self._of[key][None], len(frames["depth"]), 0) for key in ("joints_2d", "joints_3d"))
-        sure = np.ones(joints_2d.shape[:3], np.float32)
-        return PoseBatch(joints_2d, joints_3d, sure, sure)
+    report = cabinpose.evaluate_predictions(dataset, Truth())
+    error = report.value("MPJPE", "3d")
+    assert report.model == "truth"
+    assert error is not None
+    assert (error.value, error.samples) == (0.0, 3)
 
 
-def test_a_detector_of_ones_own_is_evaluated(frames: list[Frame], dataset: Path) -> None:
-    first = cabinpose.open(dataset).isel(frame=[0])
-    report = cabinpose.evaluate_predictions(first, AlwaysAtTheWheel(frames[0])).to_dict()
-    assert "at_the_wheel" in str(report["model"])
+def test_what_cannot_be_evaluated_is_told(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="a function is no detector"):
         cabinpose.evaluate_predictions(dataset, lambda frames: frames)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="unknown slot 'pilot'"):

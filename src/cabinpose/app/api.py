@@ -149,8 +149,8 @@ def evaluate_predictions(
     data
         The folder of a dataset, or an open one (a selection of it as well).
     model
-        A predictions file, predictions, the name of a model of the package, or any detector: an object with `name`, `joints`,
-        `persons` and `predict`, as `cabinpose.core.ports.Predictor` says.
+        A predictions file, predictions, the name of a model of the package, or any detector that fulfils
+        `cabinpose.core.ports.Predictor`.
     persons
         Slots that are evaluated; default: those that the model answers for.
 

@@ -18,7 +18,7 @@ from cabinpose.estimate.onnx_model import METADATA_KEY, open_session
 from cabinpose.estimate.tasks import TASKS
 from cabinpose.estimate.training import Detector, load_detector, load_symbol
 
-TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime, in units of the outputs (px, m, logits)
+TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime: px, m or logits; of values above 1 their share
 _OPSET = 18
 
 
@@ -93,12 +93,16 @@ def write_graph(network: nn.Module, examples: Mapping[str, Tensor], outputs: Seq
 
 @torch.no_grad()
 def _difference(network: nn.Module, path: Path, examples: Mapping[str, Tensor], outputs: Sequence[str]) -> float:
-    """The greatest difference between torch and ONNX Runtime over all outputs, for all examples and for the first alone."""
+    """The greatest difference between torch and ONNX Runtime over all outputs, for all examples and for the first alone.
+
+    Of values above 1 it is their share: a joint at 150 px in float32 is known to no more than 1e-5 px, less what sums lose.
+    """
     session = open_session(path)
     greatest = 0.0
     for count in (None, 1):  # a network that has only learnt its example's size fails here
         some = {name: value[:count] for name, value in examples.items()}
         theirs = session.run(list(outputs), {name: value.numpy() for name, value in some.items()})
         ours = network(*some.values())
-        greatest = max(greatest, *(float(np.abs(a.numpy() - b).max()) for a, b in zip(ours, theirs, strict=True)))
+        apart = [np.abs(a.numpy() - b) / np.maximum(np.abs(b), 1.0) for a, b in zip(ours, theirs, strict=True)]
+        greatest = max(greatest, *(float(a.max()) for a in apart))
     return greatest

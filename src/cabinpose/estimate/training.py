@@ -205,12 +205,36 @@ def fit(
     nodes: int = 1,
     progress: Progress | None = None,
 ) -> Path:
-    """Train into the folder `out` and return the best epoch's checkpoint.
+    """Train into the folder `out`, which gets last.ckpt, best.ckpt and metrics.csv (TensorBoard's files where it is installed).
 
-    `out` gets last.ckpt, best.ckpt and metrics.csv (and TensorBoard's files where it is installed). `init`: checkpoint whose
-    weights a new run begins with · progress: told after every batch. Raises ConfigError where `out` holds another run and
-    `resume` is not asked for, or where there is too little memory for a batch; ModelError where the run to resume, or to begin
-    with, is of another network.
+    Parameters
+    ----------
+    config
+        Method, settings, augmentation, optimiser.
+    training, validation
+        Frames to learn from, and frames that decide on the best epoch.
+    out
+        The folder of the run.
+    resume
+        Go on with the run in `out` from its last whole epoch.
+    init
+        Checkpoint whose weights a new run begins with.
+    callbacks, devices, nodes
+        Lightning's.
+    progress
+        Told after every batch.
+
+    Returns
+    -------
+    Path
+        The checkpoint of the best epoch.
+
+    Raises
+    ------
+    ConfigError
+        Where `out` holds another run and `resume` is not asked for, or where there is too little memory for a batch.
+    ModelError
+        Where the run to resume, or to begin with, is of another network.
     """
     last = out / "last.ckpt"
     if last.exists() and not resume:

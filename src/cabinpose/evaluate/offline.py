@@ -83,10 +83,29 @@ def evaluate(
     name: str = "",
     progress: Progress | None = None,
 ) -> Report:
-    """The report of one model on a dataset or a selection of it (`name` is what the report calls it).
+    """The report of one model on a dataset or a selection of it. Frames without an answer count as missed.
 
-    joints: those that are evaluated; all that both have, where left out. persons: the slots that are evaluated, true and
-    predicted; all of them, where left out. Frames without an answer count as missed.
+    Parameters
+    ----------
+    dataset
+        An open dataset.
+    model
+        Predictions, or a detector that is run on the dataset's images in batches.
+    options
+        What counts, thresholds, intervals.
+    joints
+        Those that are evaluated; default: all that both have.
+    persons
+        The slots that are evaluated, true and predicted; default: all of them.
+    name
+        What the report calls the dataset.
+    progress
+        Called with the number of frames done.
+
+    Returns
+    -------
+    Report
+        Every number with unit, threshold, denominator, sample count and interval.
     """
     chosen = tuple(joints) if joints is not None else common_joints(dataset, [model])
     predicted = model.persons

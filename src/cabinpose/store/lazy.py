@@ -31,8 +31,24 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
     """All complete parts of a folder as one lazy dataset; depths are float32 metres with NaN where invalid.
 
     Images are read frame by frame when they are asked for and not kept; `ds.chunk({"frame": 100})` makes dask arrays
-    of them. `frame` holds the frames' indices, so that gaps show. Missing parts raise a `UserWarning` or a
-    `DatasetError` as `missing` says; unfinished ones are ignored. Raises `DatasetError` naming the part that is damaged.
+    of them.
+
+    Parameters
+    ----------
+    folder
+        The folder of a dataset.
+    missing
+        Whether missing parts raise a `UserWarning`, a `DatasetError` or nothing; unfinished ones are ignored.
+
+    Returns
+    -------
+    xarray.Dataset
+        The variables of the dataset standard; `frame` holds the frames' indices, so that gaps show.
+
+    Raises
+    ------
+    DatasetError
+        For a folder without a complete part, and for a part that is damaged, by its name.
     """
     path = Path(folder)
     manifest = read_manifest(path)

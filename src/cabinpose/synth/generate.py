@@ -70,14 +70,40 @@ def generate(
     overwrite: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> GenerationReport:
-    """Generate `frames` frames into the dataset folder `out`.
+    """Generate frames into a dataset folder.
 
-    workers: threads (default: one per core) · scheduler: address of a running Dask cluster instead, whose workers see `out`
-    under the same path · resume: go on where a run of the same configuration stopped · overwrite: replace a dataset of ours ·
-    progress: called before the work, and after every frame, or part of a cluster.
+    Parameters
+    ----------
+    config
+        What the frames show.
+    frames
+        How many the dataset has in the end.
+    out
+        The folder.
+    seed
+        Seed of all randomness.
+    workers
+        Threads; default: one per core.
+    scheduler
+        Address of a running Dask cluster instead, whose workers see `out` under the same path.
+    resume
+        Go on where a run of the same configuration stopped.
+    overwrite
+        Replace a dataset of ours.
+    progress
+        Called before the work, and after every frame, or part of a cluster.
 
-    Raises ConfigError or DatasetError before any work starts where that can be known, SceneError where no valid scene
-    is found.
+    Returns
+    -------
+    GenerationReport
+        What this run made.
+
+    Raises
+    ------
+    ConfigError, DatasetError
+        Before any work starts where that can be known.
+    SceneError
+        Where no valid scene is found.
     """
     if frames < 1:
         raise ConfigError(f"cannot generate {frames} frames", hint="ask for at least 1 frame")

@@ -1,0 +1,55 @@
+"""Notebooks are stored without outputs, small, and run from their first cell to their last in an empty folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import nbclient
+import nbformat
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "docs" / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+QUICK = {"1-generate", "5-own-car"}
+LARGEST_BYTES = 16_000
+SECONDS = 300  # a cell
+
+
+def not_clean(notebook: Any) -> list[str]:
+    """Cells of a notebook (plain JSON) that carry what a run has left in them."""
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    return [cell["id"] for cell in cells if cell["outputs"] or cell["execution_count"] is not None]
+
+
+def test_there_are_notebooks() -> None:
+    assert [path.stem[0] for path in NOTEBOOKS] == list("123456")
+    assert {path.stem for path in NOTEBOOKS} >= QUICK
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_stored_clean(path: Path) -> None:
+    assert path.stat().st_size < LARGEST_BYTES
+    notebook = json.loads(path.read_text("utf-8"))
+    nbformat.validate(notebook)
+    assert not_clean(notebook) == []
+    assert set(notebook["metadata"]) == {"kernelspec", "language_info"}  # nothing of the machine it was written on
+
+
+def test_what_a_run_leaves_is_seen() -> None:
+    cell = {"cell_type": "code", "id": "a", "outputs": [], "execution_count": None}
+    assert not_clean({"cells": [cell]}) == []
+    assert not_clean({"cells": [cell | {"execution_count": 1}]}) == ["a"]
+    assert not_clean({"cells": [cell | {"outputs": [{"output_type": "stream"}]}]}) == ["a"]
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=p.stem, marks=[] if p.stem in QUICK else pytest.mark.slow) for p in NOTEBOOKS]
+)
+def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    nbclient.NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert outputs
+    assert [o.text for o in outputs if o.get("name") == "stderr" and "Traceback" in o.text] == []

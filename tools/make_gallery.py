@@ -1,0 +1,155 @@
+"""The pictures of docs/gallery.md: generated frames, chosen by configuration and seed alone and not by hand.
+
+    python tools/make_gallery.py --out docs/images/gallery
+
+A picture is a grid of frames. Depth is bright where it is near, dark grey where the sensor saw nothing; amplitude is grey, with
+the skeletons of everybody, the joints in the colours of their visibility: green visible, yellow hidden by the own body, red by
+something else.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image as PilImage
+
+import cabinpose
+from cabinpose.app.view.draw import Image, amplitude_image, depth_image, draw_skeleton, resized, text
+from cabinpose.scene.cabin import PRESETS
+
+WIDTH, HEIGHT, GAP, CAPTION = 264, 216, 6, 20
+SENSOR = "camera.sensor=pico_monstar_105/4"
+LEFT = "scene.right_hand_drive=0"
+FRONT_ROW, DRIVER = "camera.views={front_row: 1}", "camera.views={driver: 1}"
+PAIR, ALONE = "scene.occupancy={driver: 1, front_passenger: 1}", "scene.occupancy={driver: 1}"
+FULL = "scene.occupancy={driver: 1, front_passenger: 1, rear_left: 1, rear_center: 1, rear_right: 1}"
+ACTIONS = ("drive", "drive_one_hand", "reach_infotainment", "gear", "phone_text", "phone_ear_outer", "rest_lap", "armrest")
+PEOPLE = ("S01", "S02", "S03", "S04", "S06", "S07", "S08", "S10", "S11", "S12", "S13", "S15")
+SENSORS = ("pico_monstar_105/3", "pico_monstar_105/4", "pico_monstar_105/5", "evk75023", "evk75123")
+
+
+class Cell(NamedTuple):
+    """One frame of the gallery: what stands above it, and how it is generated."""
+
+    caption: str
+    overrides: tuple[str, ...]
+    seed: int = 3
+
+
+def cars() -> list[Cell]:
+    """The seven presets, and one drawn at random."""
+    scene = (LEFT, PAIR, FRONT_ROW, SENSOR)
+    cells = [Cell(car.replace("_", " "), (f"scene.cars=[{car}]", *scene), seed) for seed, car in enumerate(PRESETS)]
+    return [*cells, Cell("drawn at random", ("scene.cars=[]", "scene.random_cars=1", *scene), len(PRESETS))]
+
+
+def views() -> list[Cell]:
+    """One car from its places of a camera, with the wheel on either side, and full."""
+    suv = ("scene.cars=[suv]", SENSOR)
+    return [
+        Cell("driver's view", (*suv, LEFT, ALONE, DRIVER), 1),
+        Cell("front row's view", (*suv, LEFT, PAIR, FRONT_ROW), 5),
+        Cell("the same, wheel on the right", (*suv, "scene.right_hand_drive=1", PAIR, FRONT_ROW), 5),
+        Cell("five people", (*suv, LEFT, FULL, FRONT_ROW)),
+        Cell("rear view", (*suv, LEFT, FULL, "camera.views={rear: 1}")),
+        Cell("shuttle, facing benches", ("scene.cars=[shuttle]", SENSOR, FULL, FRONT_ROW), 1),
+    ]
+
+
+def actions() -> list[Cell]:
+    """What drivers do."""
+    scene = ("scene.cars=[sedan]", LEFT, ALONE, "people.subjects=[S01]", FRONT_ROW, SENSOR)
+    return [Cell(name.replace("_", " "), (*scene, f"scene.motion={{driver: {{{name}: 1}}}}")) for name in ACTIONS]
+
+
+def people() -> list[Cell]:
+    """Twelve of the named people."""
+    scene = ("scene.cars=[hatchback]", LEFT, ALONE, DRIVER, SENSOR)
+    return [Cell(name, (*scene, f"people.subjects=[{name}]"), seed) for seed, name in enumerate(PEOPLE)]
+
+
+def sensors() -> list[Cell]:
+    """One scene, seen by several cameras."""
+    scene = ("scene.cars=[van]", LEFT, PAIR, FRONT_ROW)
+    return [Cell(name, (*scene, f"camera.sensor={name}")) for name in SENSORS]
+
+
+def frame_of(cell: Cell) -> dict[str, Any]:
+    """The first frame of a cell's configuration."""
+    return next(cabinpose.generate(*cell.overrides, frames=1, seed=cell.seed))
+
+
+def depth_panel(frame: dict[str, Any]) -> Image:
+    """Depth in colours between its own 1st and 99th percentile."""
+    near, far = np.nanquantile(frame["depth"], (0.01, 0.99))
+    return depth_image(frame["depth"], float(near), float(far))
+
+
+def skeleton_panel(frame: dict[str, Any]) -> Image:
+    """Amplitude with everybody's skeleton; depth where the camera has no amplitude."""
+    bright = float(np.quantile(frame["amplitude"], 0.97))
+    image = amplitude_image(frame["amplitude"], bright) if bright > 0 else depth_panel(frame)
+    for joints, visibility in zip(frame["joints_2d"], frame["visibility"], strict=True):
+        if np.isfinite(joints).any():
+            draw_skeleton(image, joints, visibility)
+    return image
+
+
+def grid(rows: Sequence[Sequence[tuple[str, Image]]]) -> Image:
+    """Captioned pictures in rows, on white."""
+    tops = np.cumsum([CAPTION * any(caption for caption, _ in row) + (HEIGHT + GAP if r else 0) for r, row in enumerate(rows)])
+    columns = max(len(row) for row in rows)
+    sheet = np.full((int(tops[-1]) + HEIGHT, columns * (WIDTH + GAP) - GAP, 3), 255, np.uint8)
+    for top, row in zip(tops.tolist(), rows, strict=True):
+        for c, (caption, picture) in enumerate(row):
+            left = c * (WIDTH + GAP)
+            text(sheet, caption, (left + 2, top - 6), size=14)
+            sheet[top : top + HEIGHT, left : left + WIDTH] = resized(picture, (WIDTH, HEIGHT))
+    return sheet
+
+
+def wrapped(cells: Sequence[tuple[str, Image]], columns: int = 4) -> list[Sequence[tuple[str, Image]]]:
+    """Cells in rows of so many."""
+    return [cells[i : i + columns] for i in range(0, len(cells), columns)]
+
+
+def pair_rows(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
+    """A row of depth, and below it one of amplitude with skeletons."""
+    frames = [(cell.caption, frame_of(cell)) for cell in cells]
+    return [[(name, depth_panel(f)) for name, f in frames], [("", skeleton_panel(f)) for _, f in frames]]
+
+
+def room() -> Image:
+    """People standing before a Kinect-class camera, by the configuration of `cabinpose config init --scene room`."""
+    from cabinpose.synth.config import room_preset
+
+    frames = list(cabinpose.generate(frames=4, seed=3, config=room_preset()))
+    return grid([[("", depth_panel(f)) for f in frames], [("", skeleton_panel(f)) for f in frames]])
+
+
+def main() -> None:
+    """Make all pictures."""
+    parser = argparse.ArgumentParser(description="The pictures of docs/gallery.md.")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the pictures (WebP)")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    pictures = {
+        "cars": grid([row for half in wrapped(cars()) for row in pair_rows(half)]),
+        "views": grid([row for half in wrapped(views(), 3) for row in pair_rows(half)]),
+        "actions": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in actions()])),
+        "people": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in people()])),
+        "sensors": grid(pair_rows(sensors())),
+        "room": room(),
+    }
+    for name, picture in pictures.items():
+        path = arguments.out / f"{name}.webp"
+        PilImage.fromarray(picture).save(path, quality=82, method=6)
+        print(f"{path}: {picture.shape[1]} x {picture.shape[0]}, {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
