@@ -1,0 +1,178 @@
+"""From the meshes of a file to the parts of a cabin: which rule each belongs to, what is a solid, what is open or broken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import MeshError
+from cabinpose.core.frames import Matrix, invert
+from cabinpose.scene.cabin.car_file import COMMON_RULES, Point, Rule
+from cabinpose.scene.cabin.meshfile import NamedMesh
+from cabinpose.scene.cabin.model import STATIC_GROUP, Part
+from cabinpose.scene.cabin.shading import to_surface
+from cabinpose.scene.cabin.shapes import Solid
+
+Floats = NDArray[np.float64]
+_WHOLE = 0.5  # from this share of what is in a box on, the pieces that lie in it are all that it means
+_MANY_HOLES = 0.03  # holes a triangle: the windows of a car are far fewer, a mesh with every tenth triangle gone has more
+_MANY_OPEN = 0.15  # of the edges, where a tenth of the triangles is gone
+_OPEN_SEAT = 0.04  # of a seat's surface, as the area of its holes
+
+
+class Openness(NamedTuple):
+    """How open a mesh is.
+
+    open_edges: share of its edges that have one triangle only · holes: a triangle, by Euler's formula ·
+    missing: the share of triangles whose loss at random leaves as many open edges ·
+    gap: area of the holes as a share of the surface, by the sum of area vectors, which is zero for a closed surface.
+    """
+
+    open_edges: float
+    holes: float
+    missing: float
+    gap: float
+
+
+def openness(vertices: Floats, faces: NDArray[np.integer]) -> Openness:
+    """`Openness` of vertices (V, 3) m and faces (F, 3), doubled vertices merged.
+
+    Of triangles lost at random with probability p, 2p / (1 + p) of the edges left have one neighbour: so p is told.
+    """
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices()
+    edges, uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    share = float((uses == 1).mean())
+    if share == 0.0:
+        return Openness(0.0, 0.0, 0.0, 0.0)
+    used = np.unique(edges)
+    pieces = len(trimesh.graph.connected_components(edges))
+    euler = len(used) - len(edges) + len(mesh.faces)
+    vector = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
+    gap = np.linalg.norm(vector.sum(axis=0)) / max(np.linalg.norm(vector, axis=1).sum(), 1e-12)
+    return Openness(share, max(2 * pieces - euler, 0) / len(mesh.faces), share / (2.0 - share), float(gap))
+
+
+def open_warning(name: str, found: Openness, *, is_seat: bool) -> str:
+    """What to tell of an open mesh; "" where it is as open as meshes of cars are: panes, panels, a shell with windows."""
+    if found.holes > _MANY_HOLES and found.open_edges > _MANY_OPEN:
+        return (
+            f"{name}: {100 * found.open_edges:.0f} % of its edges are open, as if {100 * found.missing:.0f} % of its triangles"
+            " were missing: people pass through the holes; export it anew"
+        )
+    if is_seat and found.gap > _OPEN_SEAT:
+        return (
+            f"{name}: a seat with holes of {100 * found.gap:.0f} % of its surface counts as a sheet,"
+            " not as a solid with foam inside; close it"
+        )
+    return ""
+
+
+def mesh_parts(
+    path: Path,
+    meshes: Sequence[NamedMesh],
+    rules: Sequence[tuple[Rule, tuple[Floats, Floats] | None]],
+    groups: Mapping[str, Matrix],
+    h_points: Floats,
+    shell_m: float,
+) -> tuple[list[Part], list[str], list[str]]:
+    """Parts, notes and warnings.
+
+    rules: the user's, with the box (low, high: (3,) m, vehicle frame) of those that have `within` ·
+    groups: vehicle_from_group by name · h_points: (S, 3) m, vehicle frame.
+    """
+    parts, notes, warnings = [], [], []
+    every = (*rules, *((rule, None) for rule in COMMON_RULES))
+    for mesh in meshes:
+        for rule, faces in _shares(mesh, every):
+            if rule.hide:
+                continue
+            name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
+            solid, closed, remark = _cleaned(mesh.vertices, faces, h_points)
+            if remark:
+                notes.append(f"{name}: {remark}")
+            if len(solid.faces) == 0:
+                continue
+            if rule.within is None and not closed:
+                is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
+                warning = open_warning(name, openness(mesh.vertices, mesh.faces), is_seat=is_seat)
+                warnings += [warning] if warning else []
+            surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
+            parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
+    if not parts:
+        raise MeshError(f"{path}: every mesh is hidden by a rule", hint="leave at least the seats and the floor")
+    return parts, notes, warnings
+
+
+def _shares(
+    mesh: NamedMesh, rules: Sequence[tuple[Rule, tuple[Floats, Floats] | None]]
+) -> Iterator[tuple[Rule, NDArray[np.int32]]]:
+    """The rules that a mesh falls under, each with its faces."""
+    left = mesh.faces
+    for rule, box in rules:
+        if not rule.names(mesh.name) or not len(left):
+            continue
+        if box is None:
+            yield rule, left
+            return
+        taken = faces_within(mesh.vertices, left, *box)
+        if taken.any():
+            yield rule, left[taken]
+            left = left[~taken]
+
+
+def faces_within(vertices: Floats, faces: NDArray[np.int32], low: Floats, high: Floats) -> NDArray[np.bool_]:
+    """Which faces (F, 3) a box (corners (3,) m, vehicle frame) means.
+
+    Connected pieces of which most lies in it, so that they stay closed; where these are not most of what is in the box, as
+    with a seat that is one with the body, all triangles whose middle is in it.
+    """
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    middle = corners.mean(axis=1)
+    inside = ((middle >= low) & (middle <= high)).all(axis=1)
+    if not inside.any():
+        return np.asarray(inside)
+    _, merged = np.unique(np.round(vertices / 1e-5), axis=0, return_inverse=True)
+    welded = merged.reshape(-1)[faces]
+    piece = trimesh.graph.connected_component_labels(welded[:, [0, 1, 1, 2]].reshape(-1, 2), merged.max() + 1)[welded[:, 0]]
+    of_piece = np.bincount(piece, area)
+    share = np.bincount(piece, area * inside) / np.maximum(of_piece, 1e-12)
+    whole = share[piece] > _WHOLE
+    return np.asarray(whole if area[whole & inside].sum() >= _WHOLE * area[inside].sum() else inside)
+
+
+def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tuple[Solid, bool, str]:
+    """The mesh without doubled and degenerate triangles, whether it is a solid, and what was done to it."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices()
+    f = np.asarray(mesh.faces)
+    f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
+    _, first = np.unique(np.sort(f, axis=1), axis=0, return_index=True)
+    doubled = len(f) - len(first)
+    remarks = [f"{doubled} triangles lay twice in one place: one of each kept"] if doubled else []
+    single = trimesh.Trimesh(mesh.vertices, f[np.sort(first)], process=False)
+    solid = Solid(np.asarray(single.vertices, dtype=np.float64), np.asarray(single.faces, dtype=np.int32))
+    if not (len(solid.faces) and single.is_watertight and single.is_winding_consistent):
+        return solid, False, "; ".join(remarks)
+    if solid.volume() < 0:
+        solid = solid.flipped()
+        remarks.append("faces looked inwards: turned")
+    if any(_winding_number(solid, p) > 0.5 for p in h_points):
+        remarks.append("closed around an occupant: taken as a shell")
+        return solid, False, "; ".join(remarks)
+    return solid, True, "; ".join(remarks)
+
+
+def _winding_number(solid: Solid, point: Floats) -> float:
+    """1 inside, 0 outside a closed mesh (van Oosterom and Strackee 1983, the solid angle of a triangle)."""
+    a, b, c = (solid.vertices[solid.faces[:, i]] - point for i in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
+    denominator = la * lb * lc + np.sum(a * b, 1) * lc + np.sum(b * c, 1) * la + np.sum(c * a, 1) * lb
+    return float(np.sum(np.arctan2(numerator, denominator)) / (2 * np.pi))
