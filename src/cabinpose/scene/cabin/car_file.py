@@ -98,7 +98,10 @@ class PedalSpec(_Strict):
 
     point: Point = Field(description="Where the ball of the foot touches the pad.")
     angle_deg: float | None = Field(
-        None, ge=10, le=90, description="The pad's plane from the horizontal; default: SAE J1516's A47 for the driver's seat height."
+        None,
+        ge=10,
+        le=90,
+        description="The pad's plane from the horizontal; default: SAE J1516's A47 for the driver's seat height.",
     )
 
 

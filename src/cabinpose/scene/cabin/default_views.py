@@ -11,7 +11,8 @@ from cabinpose.scene.cabin.model import Cabin, Seat, ViewAnchor
 from cabinpose.scene.contact import ContactField
 
 CLEAR_OF_CAMERA = 0.05  # m from an eye that is chosen here to the nearest surface
-_ABOVE, _AHEAD = (0.72, 0.66, 0.60, 0.54), (0.70, 0.62, 0.78, 0.54)  # m from the H-points, the best first
+# Places to try, the best first: m above and ahead of the H-points, and which share of their way from the centre line.
+_ABOVE, _AHEAD, _ASIDE = (0.72, 0.66, 0.60, 0.54, 0.48), (0.70, 0.62, 0.78, 0.54, 0.46), (1.0, 0.6, 0.3)
 _VIEWS: Mapping[str, tuple[str, ...]] = {
     "driver": ("driver",),
     "front_row": ("driver", "front_passenger"),
@@ -34,7 +35,9 @@ def default_views(cabin: Cabin, given: frozenset[str]) -> tuple[dict[str, ViewAn
     for name, seats in wanted.items():
         middle = np.mean([s.design_h_point for s in seats], axis=0)
         forward = seats[0].vehicle_from_seat(seats[0].default)[:3, 0]
-        eyes = np.array([middle + ahead * forward + (0, 0, above) for above in _ABOVE for ahead in _AHEAD])
+        eyes = np.array(
+            [middle * (1, aside, 1) + ahead * forward + (0, 0, up) for aside in _ASIDE for up in _ABOVE for ahead in _AHEAD]
+        )
         free = np.flatnonzero(placed.clearance(eyes) >= CLEAR_OF_CAMERA)
         if len(free):
             views[name] = ViewAnchor(eyes[free[0]], middle - 0.10 * forward + (0, 0, 0.32))

@@ -180,5 +180,3 @@ def _pedals(spec: CabinFile, place: _Placer, seats: Mapping[str, Seat]) -> dict[
         pose[:3, 2], pose[:3, 3] = (-np.sin(angle), 0, np.cos(angle)), place.point(pedal.point)
         poses[str(name)] = pose
     return poses
-
-

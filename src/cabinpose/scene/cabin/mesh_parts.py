@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from cabinpose.core.errors import MeshError
 from cabinpose.core.frames import Matrix, invert
-from cabinpose.scene.cabin.car_file import COMMON_RULES, Point, Rule
+from cabinpose.scene.cabin.car_file import COMMON_RULES, Rule
 from cabinpose.scene.cabin.meshfile import NamedMesh
 from cabinpose.scene.cabin.model import STATIC_GROUP, Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import Solid
 
 Floats = NDArray[np.float64]
-_WHOLE = 0.5  # from this share of what is in a box on, the pieces that lie in it are all that it means
+_WELD_M = 1e-5  # vertices closer than this are one
+_MOST, _ENOUGH = 0.5, 0.25  # of a piece, to lie in a box; of what is in the box, for such pieces to be all that it means
 _MANY_HOLES = 0.03  # holes a triangle: the windows of a car are far fewer, a mesh with every tenth triangle gone has more
 _MANY_OPEN = 0.15  # of the edges, where a tenth of the triangles is gone
 _OPEN_SEAT = 0.04  # of a seat's surface, as the area of its holes
@@ -87,64 +88,78 @@ def mesh_parts(
     groups: vehicle_from_group by name · h_points: (S, 3) m, vehicle frame.
     """
     parts, notes, warnings = [], [], []
-    every = (*rules, *((rule, None) for rule in COMMON_RULES))
-    for mesh in meshes:
-        for rule, faces in _shares(mesh, every):
-            if rule.hide:
-                continue
-            name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
-            solid, closed, remark = _cleaned(mesh.vertices, faces, h_points)
-            if remark:
-                notes.append(f"{name}: {remark}")
-            if len(solid.faces) == 0:
-                continue
-            if rule.within is None and not closed:
-                is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
-                warning = open_warning(name, openness(mesh.vertices, mesh.faces), is_seat=is_seat)
-                warnings += [warning] if warning else []
-            surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
-            parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
+    for mesh, rule, faces in _shares(meshes, (*rules, *((rule, None) for rule in COMMON_RULES))):
+        if rule.hide:
+            continue
+        name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
+        solid, closed, remark = _cleaned(mesh.vertices, faces, h_points)
+        if remark:
+            notes.append(f"{name}: {remark}")
+        if len(solid.faces) == 0:
+            continue
+        if rule.within is None and not closed:
+            is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
+            warning = open_warning(name, openness(mesh.vertices, mesh.faces), is_seat=is_seat)
+            warnings += [warning] if warning else []
+        surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
+        parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
     if not parts:
         raise MeshError(f"{path}: every mesh is hidden by a rule", hint="leave at least the seats and the floor")
     return parts, notes, warnings
 
 
 def _shares(
-    mesh: NamedMesh, rules: Sequence[tuple[Rule, tuple[Floats, Floats] | None]]
-) -> Iterator[tuple[Rule, NDArray[np.int32]]]:
-    """The rules that a mesh falls under, each with its faces."""
-    left = mesh.faces
+    meshes: Sequence[NamedMesh], rules: Sequence[tuple[Rule, tuple[Floats, Floats] | None]]
+) -> Iterator[tuple[NamedMesh, Rule, NDArray[np.int32]]]:
+    """Each mesh with the rules that it falls under, and its faces of each."""
+    left = [mesh.faces for mesh in meshes]
+    shares: list[list[tuple[Rule, NDArray[np.int32]]]] = [[] for _ in meshes]
     for rule, box in rules:
-        if not rule.names(mesh.name) or not len(left):
-            continue
-        if box is None:
-            yield rule, left
-            return
-        taken = faces_within(mesh.vertices, left, *box)
-        if taken.any():
-            yield rule, left[taken]
-            left = left[~taken]
+        named = [i for i, mesh in enumerate(meshes) if len(left[i]) and rule.names(mesh.name)]
+        taken = (
+            [np.ones(len(left[i]), np.bool_) for i in named]
+            if box is None
+            else faces_within([(meshes[i].vertices, left[i]) for i in named], *box)
+        )
+        for i, these in zip(named, taken, strict=True):
+            if these.any():
+                shares[i].append((rule, left[i][these]))
+                left[i] = left[i][~these]
+    for mesh, several in zip(meshes, shares, strict=True):
+        yield from ((mesh, rule, faces) for rule, faces in several)
 
 
-def faces_within(vertices: Floats, faces: NDArray[np.int32], low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """Which faces (F, 3) a box (corners (3,) m, vehicle frame) means.
+def faces_within(meshes: Sequence[tuple[Floats, NDArray[np.int32]]], low: Floats, high: Floats) -> list[NDArray[np.bool_]]:
+    """Which faces of meshes (vertices (V, 3) m, faces (F, 3)) a box means; low, high: its corners (3,) m, the same frame.
 
-    Connected pieces of which most lies in it, so that they stay closed; where these are not most of what is in the box, as
-    with a seat that is one with the body, all triangles whose middle is in it.
+    Connected pieces of which most lies in it, so that they stay closed; where these are little of what is in the box, as with
+    a seat that is one with the body, all triangles whose middle is in it.
     """
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    middle = corners.mean(axis=1)
-    inside = ((middle >= low) & (middle <= high)).all(axis=1)
-    if not inside.any():
-        return np.asarray(inside)
-    _, merged = np.unique(np.round(vertices / 1e-5), axis=0, return_inverse=True)
+    pieces, cuts = [], []
+    in_pieces = in_box = 0.0
+    for vertices, faces in meshes:
+        corners = vertices[faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        middle = corners.mean(axis=1)
+        inside = ((middle >= low) & (middle <= high)).all(axis=1)
+        cuts.append(inside)
+        if not inside.any():
+            pieces.append(inside)
+            continue
+        piece = piece_of_face(vertices, faces)
+        share = np.bincount(piece, area * inside) / np.maximum(np.bincount(piece, area), 1e-12)
+        pieces.append(share[piece] > _MOST)
+        in_pieces += float(area[pieces[-1] & inside].sum())
+        in_box += float(area[inside].sum())
+    return pieces if in_pieces >= _ENOUGH * in_box else cuts
+
+
+def piece_of_face(vertices: Floats, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(F,) number of the connected piece that each face (F, 3) of vertices (V, 3) m belongs to, doubled vertices merged."""
+    _, merged = np.unique(np.round(vertices / _WELD_M), axis=0, return_inverse=True)
     welded = merged.reshape(-1)[faces]
-    piece = trimesh.graph.connected_component_labels(welded[:, [0, 1, 1, 2]].reshape(-1, 2), merged.max() + 1)[welded[:, 0]]
-    of_piece = np.bincount(piece, area)
-    share = np.bincount(piece, area * inside) / np.maximum(of_piece, 1e-12)
-    whole = share[piece] > _WHOLE
-    return np.asarray(whole if area[whole & inside].sum() >= _WHOLE * area[inside].sum() else inside)
+    ends = welded[:, [0, 1, 1, 2]].reshape(-1, 2)
+    return np.asarray(trimesh.graph.connected_component_labels(ends, merged.max() + 1)[welded[:, 0]], np.int64)
 
 
 def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tuple[Solid, bool, str]:

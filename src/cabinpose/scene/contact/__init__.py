@@ -10,6 +10,7 @@ from cabinpose.scene.contact.solids import (
     self_contact,
     solid_topology,
 )
+from cabinpose.scene.contact.triangles import sampled_surface
 
 __all__ = [
     "BAND_M",
@@ -27,6 +28,7 @@ __all__ = [
     "SolidContact",
     "SolidTopology",
     "person_contact",
+    "sampled_surface",
     "self_contact",
     "solid_topology",
 ]

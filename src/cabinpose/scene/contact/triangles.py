@@ -98,3 +98,19 @@ def _pseudo_normals(corners: NDArray[np.float64], faces: NDArray[np.int32], coun
     edge = np.zeros((edge_of.max() + 1, 3))
     np.add.at(edge, edge_of, np.broadcast_to(face[:, None], (*faces.shape, 3)))
     return np.concatenate((face[:, None], vertex[faces], edge[edge_of]), axis=1)
+
+
+def sampled_surface(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    """Points (N, 3) over triangles (F, 3, 3), no farther apart than `spacing` (all in m), those on shared edges once."""
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    pieces = np.ceil(longest / spacing).astype(int)
+    points = []
+    for n in np.unique(pieces):
+        i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
+        weights = np.stack((n - i - j, i, j), axis=1) / n
+        points.append((weights @ corners[pieces == n]).reshape(-1, 3))
+    every = np.concatenate(points)
+    _, first = np.unique(np.round(every / WELD_M), axis=0, return_index=True)
+    # In order of place: the nearest triangle of one point is then a good guess for the next.
+    every = every[np.sort(first)]
+    return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]
