@@ -16,14 +16,11 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin.find_seats import FoundSeat, find_seats
 from cabinpose.scene.cabin.find_wheel import FoundWheel, find_wheel
 from cabinpose.scene.cabin.meshfile import UNITS, MeshFile, NamedMesh, read_mesh
+from cabinpose.scene.cabin.seats import BACK_BOX, BACK_GIVE, CUSHION_BOX, CUSHION_GIVE
 
 Floats = NDArray[np.float64]
 _ROW_M = 0.35  # seats whose H-points are nearer along the car stand in one row
 _REAR_HEEL_M = 0.44  # a rear sitter's heels ahead of the H-point
-_CUSHION_GIVE_MM, _BACK_GIVE_MM = 55, 50
-_WIDTH_M = 0.60  # of a single seat, no more
-# Boxes about a seat's parts from its H-point: x and z from, to (m).
-_CUSHION_BOX, _BACK_BOX = (-0.30, -0.21, 0.45, 0.10), (-0.62, -0.14, 0.02, 0.80)  # with the headrest
 
 
 class Draft(NamedTuple):
@@ -62,10 +59,10 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
     front = slots["driver"]
     everything = np.concatenate([m.vertices for m in file.meshes])
     sides = [s.h_point[1] for s in (front, slots.get("front_passenger")) if s is not None]
-    middle = np.mean(sides) if len(sides) == 2 else (everything[:, 1].max() + everything[:, 1].min()) / 2
+    middle = float(np.mean(sides) if len(sides) == 2 else (everything[:, 1].max() + everything[:, 1].min()) / 2)
     forward = -1.0 if front.backward else 1.0
     height = float(front.h_point[2]) - front.floor_z
-    origin = np.array((front.h_point[0] + forward * _heel_ahead(height), middle, front.floor_z))
+    origin: Floats = np.array((front.h_point[0] + forward * _heel_ahead(height), middle, front.floor_z))
     slots = {slot: _moved(seat, -origin) for slot, seat in slots.items()}
     if wheel is not None:
         wheel = wheel._replace(centre=wheel.centre - origin)
@@ -73,7 +70,7 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
     text = "".join(
         f"{line}\n"
         for line in (
-            *_file_lines(mesh, out, file, apply(np.linalg.inv(file.vehicle_from_mesh), origin), notes),
+            *_file_lines(mesh, out, file, apply(np.asarray(np.linalg.inv(file.vehicle_from_mesh), np.float64), origin), notes),
             f"drive_side: {'right' if slots['driver'].h_point[1] < 0 else 'left'}  # "
             + ("the wheel is there" if wheel is not None else "no steering wheel was found: check it"),
             "",
@@ -245,15 +242,17 @@ def _rule_lines(slots: Mapping[str, FoundSeat], wheel: FoundWheel | None) -> Ite
             "the steering wheel", wheel.centre - half, wheel.centre + half, "wheel", "steering_wheel", "steering_leather", 0
         )
     for slot, seat in slots.items():
-        sign = np.array((-1.0, 1.0, 1.0)) if seat.backward else np.ones(3)
-        half_width = min(seat.width_m, _WIDTH_M) / 2
-        for part, group, (x0, z0, x1, z1), give in (
-            ("cushion", "base", _CUSHION_BOX, _CUSHION_GIVE_MM),
-            ("backrest", "back", _BACK_BOX, _BACK_GIVE_MM),
+        turn = np.array((-1.0, 1.0, 1.0)) if seat.backward else np.ones(3)
+        narrow = np.array((1.0, min(1.0, seat.width_m / np.ptp(CUSHION_BOX[:, 1])), 1.0))
+        for part, group, box, give in (
+            ("cushion", "base", CUSHION_BOX, CUSHION_GIVE),
+            ("backrest", "back", BACK_BOX, BACK_GIVE),
         ):
-            one, other = (seat.h_point + np.array(c) * sign for c in ((x0, -half_width, z0), (x1, half_width, z1)))
-            low = np.maximum(np.minimum(one, other), (-np.inf, -np.inf, seat.floor_z + 0.03))
-            yield _rule(f"{slot}: {part}", low, np.maximum(one, other), f"seat:{slot}/{group}", "seat", "seat_fabric", give)
+            corners = seat.h_point + box * narrow * turn
+            low = np.maximum(corners.min(axis=0), (-np.inf, -np.inf, seat.floor_z + 0.03))
+            yield _rule(
+                f"{slot}: {part}", low, corners.max(axis=0), f"seat:{slot}/{group}", "seat", "seat_fabric", round(1000 * give)
+            )
 
 
 def _rule(what: str, low: Floats, high: Floats, group: str, label: str, material: str, give_mm: int) -> str:

@@ -11,6 +11,7 @@ from cabinpose.scene.cabin.model import Cabin, Seat, ViewAnchor
 from cabinpose.scene.contact import ContactField
 
 CLEAR_OF_CAMERA = 0.05  # m from an eye that is chosen here to the nearest surface
+_WELL_CLEAR = 0.09  # and what is better: no headlining right above the lens
 # Places to try, the best first: m above and ahead of the H-points, and which share of their way from the centre line.
 _ABOVE, _AHEAD, _ASIDE = (0.72, 0.66, 0.60, 0.54, 0.48), (0.70, 0.62, 0.78, 0.54, 0.46), (1.0, 0.6, 0.3)
 _VIEWS: Mapping[str, tuple[str, ...]] = {
@@ -38,9 +39,10 @@ def default_views(cabin: Cabin, given: frozenset[str]) -> tuple[dict[str, ViewAn
         eyes = np.array(
             [middle * (1, aside, 1) + ahead * forward + (0, 0, up) for aside in _ASIDE for up in _ABOVE for ahead in _AHEAD]
         )
-        free = np.flatnonzero(placed.clearance(eyes) >= CLEAR_OF_CAMERA)
-        if len(free):
-            views[name] = ViewAnchor(eyes[free[0]], middle - 0.10 * forward + (0, 0, 0.32))
+        clear = placed.clearance(eyes)
+        free = [eye for enough in (_WELL_CLEAR, CLEAR_OF_CAMERA) for eye in eyes[clear >= enough]]
+        if free:
+            views[name] = ViewAnchor(free[0], middle - 0.10 * forward + (0, 0, 0.32))
         else:
             notes.append(f"view {name}: none of {len(eyes)} places before its seats is free; give one under `views`")
     return views, notes

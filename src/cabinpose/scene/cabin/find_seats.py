@@ -195,7 +195,7 @@ def _outermost(along: Floats, off: Floats, span: tuple[float, float], reach: flo
 def _floor_before(points: Floats, h: Floats) -> float | None:
     """Height of the floor under the heels of somebody with his H-point at `h`, m: None: there is none.
 
-    Of the highest points of each column below the knees the lower quartile: a seat in front or a toe board may be there too.
+    Of the highest points of each column below the knees the lowest tenth: a seat in front or a toe board may be there too.
     """
     from_h = points - h
     ahead = (from_h[:, 0] > 0.40) & (from_h[:, 0] < 0.75) & (np.abs(from_h[:, 1]) < 0.15) & (from_h[:, 2] < -0.05)
@@ -205,4 +205,4 @@ def _floor_before(points: Floats, h: Floats) -> float | None:
     _, group = np.unique(column, axis=0, return_inverse=True)
     top = np.full(group.max() + 1, -np.inf)
     np.maximum.at(top, group.reshape(-1), points[ahead][:, 2])
-    return float(np.quantile(top, 0.25))
+    return float(np.quantile(top, 0.1))

@@ -56,14 +56,7 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None) -> Cabin:
     """
     path = Path(yaml_path)
     spec = spec or read_car_file(path)
-    file = read_mesh(
-        path.parent / spec.mesh,
-        up_axis=spec.up_axis,
-        front_axis=spec.front_axis,
-        unit=spec.unit,
-        scale=spec.scale,
-        origin=spec.origin,
-    )
+    file = _mesh_of(path, spec)
     place = _Placer(file, spec.points)
     seats: dict[str, Seat] = {slot: _seat(slot, s, place, spec) for slot, s in spec.seats.items()}
     everything = np.concatenate([m.vertices for m in file.meshes])
@@ -121,6 +114,24 @@ class _Placer:
         if length < 1e-9:
             raise ConfigError("a direction of length zero", hint="the wheel's axis points from its hub to the driver")
         return np.asarray(turned / length)
+
+
+def file_from_vehicle(yaml_path: Path, spec: CabinFile) -> Matrix:
+    """(4, 4) that takes a point of the vehicle frame (m) to the frame in which a YAML file gives its points."""
+    if spec.points == "vehicle":
+        return np.eye(4)
+    return np.asarray(np.linalg.inv(_mesh_of(yaml_path, spec).vehicle_from_mesh), np.float64)
+
+
+def _mesh_of(yaml_path: Path, spec: CabinFile) -> MeshFile:
+    return read_mesh(
+        yaml_path.parent / spec.mesh,
+        up_axis=spec.up_axis,
+        front_axis=spec.front_axis,
+        unit=spec.unit,
+        scale=spec.scale,
+        origin=spec.origin,
+    )
 
 
 def _seat(slot: str, s: SeatSpec, place: _Placer, spec: CabinFile) -> Seat:

@@ -92,17 +92,16 @@ def mesh_parts(
         if rule.hide:
             continue
         name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
-        solid, closed, remark = _cleaned(mesh.vertices, faces, h_points)
+        pieces, remark = _cleaned(mesh.vertices, faces, h_points)
         if remark:
             notes.append(f"{name}: {remark}")
-        if len(solid.faces) == 0:
-            continue
-        if rule.within is None and not closed:
+        if rule.within is None and not all(closed for _, closed in pieces):
             is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
             warning = open_warning(name, openness(mesh.vertices, mesh.faces), is_seat=is_seat)
             warnings += [warning] if warning else []
-        surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
-        parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
+        for solid, closed in pieces:
+            surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
+            parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
     if not parts:
         raise MeshError(f"{path}: every mesh is hidden by a rule", hint="leave at least the seats and the floor")
     return parts, notes, warnings
@@ -162,8 +161,11 @@ def piece_of_face(vertices: Floats, faces: NDArray[np.int32]) -> NDArray[np.int6
     return np.asarray(trimesh.graph.connected_component_labels(ends, merged.max() + 1)[welded[:, 0]], np.int64)
 
 
-def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tuple[Solid, bool, str]:
-    """The mesh without doubled and degenerate triangles, whether it is a solid, and what was done to it."""
+def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tuple[list[tuple[Solid, bool]], str]:
+    """The mesh without doubled and degenerate triangles: what of it is solid and what is not, and what was done to it.
+
+    Connected pieces are judged one by one: a car in one mesh is mostly many closed pieces and some that are open.
+    """
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices()
     f = np.asarray(mesh.faces)
@@ -171,23 +173,46 @@ def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tu
     _, first = np.unique(np.sort(f, axis=1), axis=0, return_index=True)
     doubled = len(f) - len(first)
     remarks = [f"{doubled} triangles lay twice in one place: one of each kept"] if doubled else []
-    single = trimesh.Trimesh(mesh.vertices, f[np.sort(first)], process=False)
-    solid = Solid(np.asarray(single.vertices, dtype=np.float64), np.asarray(single.faces, dtype=np.int32))
-    if not (len(solid.faces) and single.is_watertight and single.is_winding_consistent):
-        return solid, False, "; ".join(remarks)
-    if solid.volume() < 0:
-        solid = solid.flipped()
+    v, f = np.asarray(mesh.vertices, dtype=np.float64), f[np.sort(first)].astype(np.int32)
+    if not len(f):
+        return [], "; ".join(remarks)
+    piece = piece_of_face(v, f)
+    corners = v[f]
+    volume = np.bincount(piece, np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])))
+    closed = np.bincount(piece, _open_sides(f)) == 0
+    inward = closed & (volume < 0)
+    if inward.any():
+        f = np.where(inward[piece][:, None], f[:, ::-1], f)
         remarks.append("faces looked inwards: turned")
-    if any(_winding_number(solid, p) > 0.5 for p in h_points):
+    around = closed & np.any([np.bincount(piece, _solid_angle(v[f], h)) > 2 * np.pi for h in h_points], axis=0)
+    if around.any():
         remarks.append("closed around an occupant: taken as a shell")
-        return solid, False, "; ".join(remarks)
-    return solid, True, "; ".join(remarks)
+    solid = (closed & ~around)[piece]
+    return [(_piece(v, f[of]), is_solid) for of, is_solid in ((solid, True), (~solid, False)) if of.any()], "; ".join(remarks)
 
 
-def _winding_number(solid: Solid, point: Floats) -> float:
-    """1 inside, 0 outside a closed mesh (van Oosterom and Strackee 1983, the solid angle of a triangle)."""
-    a, b, c = (solid.vertices[solid.faces[:, i]] - point for i in range(3))
+def _piece(vertices: Floats, faces: NDArray[np.int32]) -> Solid:
+    """Some faces with the vertices that they use."""
+    used, local = np.unique(faces, return_inverse=True)
+    return Solid(vertices[used], np.ascontiguousarray(local.reshape(faces.shape), dtype=np.int32))
+
+
+def _open_sides(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(F,) how many sides of each face have no neighbour, or more than one, or one that looks the other way round."""
+    ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2)
+    _, edge, uses = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)
+    forward = np.bincount(edge.reshape(-1), ends[:, 0] < ends[:, 1])
+    good = (uses == 2) & (forward == 1)
+    return np.asarray((~good[edge.reshape(-1)]).reshape(-1, 3).sum(axis=1))
+
+
+def _solid_angle(corners: Floats, point: Floats) -> Floats:
+    """(F,) sr under which triangles (F, 3, 3) are seen from a point: 4 pi in all from inside a closed mesh, 0 from outside.
+
+    van Oosterom and Strackee 1983.
+    """
+    a, b, c = (corners[:, i] - point for i in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
     numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
     denominator = la * lb * lc + np.sum(a * b, 1) * lc + np.sum(b * c, 1) * la + np.sum(c * a, 1) * lb
-    return float(np.sum(np.arctan2(numerator, denominator)) / (2 * np.pi))
+    return np.asarray(2 * np.arctan2(numerator, denominator))

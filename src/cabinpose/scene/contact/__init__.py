@@ -10,7 +10,7 @@ from cabinpose.scene.contact.solids import (
     self_contact,
     solid_topology,
 )
-from cabinpose.scene.contact.triangles import sampled_surface
+from cabinpose.scene.contact.triangles import first_crossings, sampled_surface
 
 __all__ = [
     "BAND_M",
@@ -27,6 +27,7 @@ __all__ = [
     "PosedSolids",
     "SolidContact",
     "SolidTopology",
+    "first_crossings",
     "person_contact",
     "sampled_surface",
     "self_contact",
