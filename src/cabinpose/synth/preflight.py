@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +19,7 @@ LENS_M = 0.01  # free space a lens needs around it
 
 
 def preflight(config: SynthConfig, *, frames: int) -> None:
-    """Raises ConfigError, MocapError or SceneError for what a run of `frames` frames would fail of."""
+    """Raises ConfigError, MocapError or SceneError for what a run of `frames` frames would fail of; warns of open meshes."""
     scene = config.scene
     if scene.profile is not None:
         scene.profile.preflight(frames)
@@ -26,6 +29,8 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
     for car in scene.cars:
         if unusual or is_car_file(car):
             cabin = open_cabin(car, "left")
+            for warning in cabin.warnings:
+                warnings.warn(f"{Path(car).name}: {warning}", stacklevel=2)
             _check_car(config, scene, car, cabin, tuple(cabin.seats))
     if scene.random_cars and unusual:  # their seats' actions and their views are the same in all of them: one stands for all
         dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
@@ -63,6 +68,11 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
         if isinstance(view, CameraPose):
             eyes[name] = np.asarray(view.position_m, dtype=np.float64)
         elif view > 0:
+            if any(note.startswith(f"view {name}:") for note in cabin.notes):
+                raise ConfigError(
+                    f"{car}: no free place was found for the automatic view '{name}'",
+                    hint=f"give one in that file, as views: {{{name}: {{eye: [x, y, z], target: [x, y, z]}}}}",
+                )
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
             if is_car_file(car):
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)

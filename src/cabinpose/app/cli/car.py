@@ -124,12 +124,18 @@ def _kinds(cabin: Cabin) -> Iterator[str]:
     kinds: dict[str, list[str]] = {}
     for part in cabin.parts:
         kinds.setdefault(kind_of(part), []).append(part.name)
-    yield from (f"{kind}: {_some(tuple(dict.fromkeys(names)))}" for kind, names in sorted(kinds.items()))
+    yield from (f"{kind}: {_some(tuple(names))}" for kind, names in sorted(kinds.items()))
 
 
 def _some(names: tuple[str, ...]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
+    short = tuple(dict.fromkeys(_short(name) for name in names))
+    more = f" and {len(short) - _NAMED} more" if len(short) > _NAMED else ""
+    return ", ".join(short[:_NAMED]) + more
+
+
+def _short(mesh: str) -> str:
+    """A mesh's name "node/geometry/material" without what is empty or said twice, and without the group it was cut out for."""
+    return "/".join(dict.fromkeys(filter(None, mesh.partition(" (")[0].split("/"))))
 
 
 def _verdict(trial: SeatTrial) -> str:

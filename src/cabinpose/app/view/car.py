@@ -13,12 +13,17 @@ from cabinpose.app.view.draw import Colour, Image, Strokes, amplitude_image, dep
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, look_at
 from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel, ViewAnchor
-from cabinpose.scene.labels import ID, RGB
+from cabinpose.scene.labels import ID
 
 Floats = NDArray[np.float64]
 _WIDTH, _MARGIN, _HEAD, _GAP = 1180, 60, 112, 56  # px
 _PAPER, _INK, _GREY = (255, 255, 255), (28, 32, 40), (120, 128, 140)
 _SEAT, _WHEEL, _PEDAL, _VIEW, _WRONG = (0, 90, 181), (196, 110, 0), (122, 98, 0), (124, 50, 158), (214, 20, 40)
+_TINTS: Mapping[int, Colour] = {
+    ID["seat"]: (38, 120, 150), ID["trim"]: (96, 98, 108), ID["glass"]: (110, 190, 230), ID["floor"]: (150, 100, 50),
+    ID["steering_wheel"]: (200, 120, 20),
+}  # fmt: skip
+_OTHER = (130, 130, 60)
 _GRID = (226, 230, 236)
 _POINTS = 1_500_000  # of the surface, that are drawn
 _THIN = 0.22  # of ink a point leaves: surfaces seen edge on are dark, those seen flat are light
@@ -180,17 +185,13 @@ def _mesh(image: Image, plan: _Plan, corners: Floats, labels: NDArray[np.uint8])
     pixel, label = (v * image.shape[1] + u)[inside], labels[face][inside]
     colours = np.zeros((256, 3))
     for number in np.unique(labels).tolist():
-        colours[number] = _rgb(number)
-    tint = 0.85 * colours[label]
+        colours[number] = _TINTS.get(number, _OTHER)
+    tint = colours[label]
     count = np.bincount(pixel, minlength=image.shape[0] * image.shape[1]).reshape(image.shape[:2])
     ink = np.stack([np.bincount(pixel, tint[:, i], count.size).reshape(count.shape) for i in range(3)], axis=-1)
     share = (1 - np.exp(-_THIN * count))[..., None]
     colour = ink / np.maximum(count, 1)[..., None]
     image[...] = (image * (1 - share) + colour * share).astype(np.uint8)
-
-
-def _rgb(label: int) -> Colour:
-    return RGB[label] >> 16, (RGB[label] >> 8) & 255, RGB[label] & 255
 
 
 def _seat(strokes: Strokes, plan: _Plan, seat: Seat) -> None:
@@ -264,7 +265,7 @@ def _legend(sheet: Image, top: int) -> None:
         text(sheet, words, (left + 18, top), _INK, 14)
         left += 44 + round(7.2 * len(words))
     left = _MARGIN
-    for name in ("seat", "trim", "glass", "floor", "steering_wheel", "pedal"):
-        sheet[top + 9 : top + 21, left : left + 12] = _rgb(ID[name])
+    for name in ("seat", "trim", "glass", "floor", "steering_wheel"):
+        sheet[top + 9 : top + 21, left : left + 12] = _TINTS[ID[name]]
         text(sheet, name.replace("_", " "), (left + 18, top + 20), _GREY, 13)
         left += 44 + round(7.2 * len(name))

@@ -88,44 +88,52 @@ def mesh_parts(
     groups: vehicle_from_group by name · h_points: (S, 3) m, vehicle frame.
     """
     parts, notes, warnings = [], [], []
-    for mesh, rule, faces in _shares(meshes, (*rules, *((rule, None) for rule in COMMON_RULES))):
+    for mesh, rule, share in _shares(meshes, (*rules, *((rule, None) for rule in COMMON_RULES))):
         if rule.hide:
             continue
         name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
-        pieces, remark = _cleaned(mesh.vertices, faces, h_points)
+        pieces, remark = _cleaned(mesh.vertices, mesh.faces[share], h_points)
         if remark:
             notes.append(f"{name}: {remark}")
-        if rule.within is None and not all(closed for _, closed in pieces):
-            is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
-            warning = open_warning(name, openness(mesh.vertices, mesh.faces), is_seat=is_seat)
-            warnings += [warning] if warning else []
+        if not all(closed for _, closed in pieces):
+            warnings.append(_open_share(mesh, rule, share, name))
         for solid, closed in pieces:
             surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
             parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
     if not parts:
         raise MeshError(f"{path}: every mesh is hidden by a rule", hint="leave at least the seats and the floor")
-    return parts, notes, warnings
+    return parts, notes, list(dict.fromkeys(filter(None, warnings)))
+
+
+def _open_share(mesh: NamedMesh, rule: Rule, share: NDArray[np.intp], name: str) -> str:
+    """`open_warning` of the faces of a mesh that a rule takes; of the whole mesh where they are cut out of a piece of it."""
+    piece = piece_of_face(mesh.vertices, mesh.faces)
+    others = np.delete(piece, share)
+    if np.isin(piece[share], others).any():
+        return open_warning(mesh.name, openness(mesh.vertices, mesh.faces), is_seat=False)
+    is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
+    return open_warning(name, openness(mesh.vertices, mesh.faces[share]), is_seat=is_seat)
 
 
 def _shares(
     meshes: Sequence[NamedMesh], rules: Sequence[tuple[Rule, tuple[Floats, Floats] | None]]
-) -> Iterator[tuple[NamedMesh, Rule, NDArray[np.int32]]]:
-    """Each mesh with the rules that it falls under, and its faces of each."""
-    left = [mesh.faces for mesh in meshes]
-    shares: list[list[tuple[Rule, NDArray[np.int32]]]] = [[] for _ in meshes]
+) -> Iterator[tuple[NamedMesh, Rule, NDArray[np.intp]]]:
+    """Each mesh with the rules that it falls under, and the numbers of its faces of each."""
+    left = [np.arange(len(mesh.faces)) for mesh in meshes]
+    shares: list[list[tuple[Rule, NDArray[np.intp]]]] = [[] for _ in meshes]
     for rule, box in rules:
         named = [i for i, mesh in enumerate(meshes) if len(left[i]) and rule.names(mesh.name)]
         taken = (
             [np.ones(len(left[i]), np.bool_) for i in named]
             if box is None
-            else faces_within([(meshes[i].vertices, left[i]) for i in named], *box)
+            else faces_within([(meshes[i].vertices, meshes[i].faces[left[i]]) for i in named], *box)
         )
         for i, these in zip(named, taken, strict=True):
             if these.any():
                 shares[i].append((rule, left[i][these]))
                 left[i] = left[i][~these]
     for mesh, several in zip(meshes, shares, strict=True):
-        yield from ((mesh, rule, faces) for rule, faces in several)
+        yield from ((mesh, rule, share) for rule, share in several)
 
 
 def faces_within(meshes: Sequence[tuple[Floats, NDArray[np.int32]]], low: Floats, high: Floats) -> list[NDArray[np.bool_]]:
