@@ -27,7 +27,7 @@ class _Strict(BaseModel):
 class Rule(_Strict):
     """What meshes of this name are: the first rule whose pattern matches "node/geometry/material" counts."""
 
-    pattern: str = Field(description="Shell pattern, any case: *seat*")
+    pattern: str = Field(description="Shell pattern for its name, in any case, such as `*seat*`.")
     within: tuple[Point, Point] | None = Field(
         None, description="Only what of these meshes lies in this box, given by two opposite corners."
     )
@@ -36,7 +36,7 @@ class Rule(_Strict):
     give_mm: float = Field(0.0, ge=0, le=120, description="Depth to which its foam may be pressed in.")
     group: str = Field(
         STATIC_GROUP,
-        description="What it moves with: body, wheel, seat:<slot>/base, seat:<slot>/back or seat:<slot>/headrest.",
+        description="What it moves with: body, wheel, seat:SLOT/base, seat:SLOT/back or seat:SLOT/headrest.",
     )
     hide: bool = Field(False, description="Leave these meshes out, such as the car's outer skin.")
 
