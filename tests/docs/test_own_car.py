@@ -60,5 +60,7 @@ def test_the_page_has_every_key(model: type[BaseModel]) -> None:
 
 def test_the_page_has_no_key_of_old() -> None:
     known = {name for model in MODELS for name in model.model_fields}
-    keys = {line.split("`")[1] for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `") and line.count("|") == 5}
+    keys = {
+        line.split("`")[1] for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `") and line.count("|") == 5
+    }
     assert keys == known

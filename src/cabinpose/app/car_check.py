@@ -32,7 +32,7 @@ _SHOULDER = np.array((0.0, 0.0, 0.48))  # from the H-point along the back, m
 _HEAD = np.array((0.0, 0.0, 0.62))
 _OPEN_DIRECTIONS = 0.40  # of a sphere about the head: windows without glass are about 0.3 of it
 _BINS = (12, 24)  # in the sine of the elevation and in the azimuth: about 15 degrees each
-_OFTEN = 2  # refusals of trunk or thighs in one seat, for a rule to be worth while
+_OFTEN = 2  # poses refused for trunk or thighs, or pushed away, in one seat, for a rule to be worth while
 _ROUNDS = 3  # in which rules are made deeper: who is refused less lies lower
 _HARD = ("glass", "floor", "pedal", "steering_wheel")  # labels of what no rule should soften
 _BOXES: Mapping[SeatSide, Floats] = {"base": CUSHION_BOX, "back": BACK_BOX}
@@ -92,7 +92,8 @@ def check_car(path: Path) -> CarReport:
 
 
 def _held(trials: Mapping[str, SeatTrial]) -> int:
-    return sum(trial.held for trial in trials.values())
+    """How many poses hold where the YAML has them sit."""
+    return sum(trial.held - len(trial.pushed_m) for trial in trials.values())
 
 
 def kind_of(part: Part) -> str:
@@ -186,7 +187,8 @@ def _remedies(
     advice: list[str] = []
     parts = {part.name: part for part in cabin.parts}
     for slot, trial in trials.items():
-        if sum(n for r, n in trial.rejections.items() if r.cause == "car" and r.what in SITTING) < _OFTEN:
+        too_deep = sum(n for r, n in trial.rejections.items() if r.cause == "car" and r.what in SITTING)
+        if too_deep + len(trial.pushed_m) < _OFTEN:
             continue
         for (name, side), sunk in trial.sunk_m.items():
             part = parts[name]

@@ -24,6 +24,7 @@ from cabinpose.synth.validate import SITTING, Rejection, Validator
 
 SeatSide = Literal["base", "back"]
 PEOPLE = ("S01", "S02", "S03", "S04")  # who is tried
+PUSHED_M = 0.02  # from the H-point: farther away a seat has pushed somebody off; the presets leave 12 mm at most
 _SKIN_STEP = 5  # every fifth point of the skin is measured
 _LEVEL = 0.7  # of a normal's vertical part: cushions are more level than this, backrests less
 _BOXES: Mapping[SeatSide, NDArray[np.float64]] = {"base": CUSHION_BOX, "back": BACK_BOX}
@@ -33,15 +34,23 @@ _BOXES: Mapping[SeatSide, NDArray[np.float64]] = {"base": CUSHION_BOX, "back": B
 class SeatTrial:
     """What came of the poses tried in one seat.
 
+    off_m: how far from the H-point those sit who hold, that is how far the seat pushes them away ·
     rejections: why the others did not hold · where: (3,) m, vehicle frame, of each refusal by the car ·
-    sunk_m: by part, and by the side of the seat, how deep trunk and thighs lay behind its surface at most.
+    sunk_m: by part, and by the side of the seat, how deep trunk and thighs would lie behind its surface, at
+    most, if they sat on the H-point.
     """
 
     tried: int = 0
     held: int = 0
+    off_m: list[float] = field(default_factory=list)
     rejections: Counter[Rejection] = field(default_factory=Counter)
     where: list[NDArray[np.float64]] = field(default_factory=list)
     sunk_m: dict[tuple[str, SeatSide], float] = field(default_factory=dict)
+
+    @property
+    def pushed_m(self) -> tuple[float, ...]:
+        """How far those were pushed who hold, but not where they should sit."""
+        return tuple(off for off in self.off_m if off > PUSHED_M)
 
 
 def try_seats(cabin: Cabin, *, poses: int, seed: int = 0) -> dict[str, SeatTrial]:
@@ -62,7 +71,9 @@ def _try(trial: SeatTrial, person: Person, cabin: Cabin, seat: Seat, validator: 
     setting = choose_setting(person, seat, cabin, rng=rng, variation=scene.seat_variation)
     settings = {slot: s.default for slot, s in cabin.seats.items()} | {seat.slot: setting}
     offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-    drawn = draw_pose(person, seat, setting, cabin, random_action(seat, cabin, rng=rng), offset=offset, rng=rng)
+    action = random_action(seat, cabin, rng=rng)
+    drawn = draw_pose(person, seat, setting, cabin, action, offset=offset, rng=rng)
+    sits = drawn.sitter.root.copy()
     empty = validator.empty(settings, drawn.wheel_angle or 0.0)
     (pose,) = settled([drawn], (), empty.placed)
     posed = person.pose(pose.q, pose.vehicle_from_root)
@@ -71,14 +82,17 @@ def _try(trial: SeatTrial, person: Person, cabin: Cabin, seat: Seat, validator: 
     refused = verdict.rejection
     if refused is not None and refused.cause == "car" and verdict.where is not None:
         trial.where.append(verdict.where)
-        if refused.what in SITTING:
-            _measure(trial, person, posed, cabin, seat, setting, settings)
     elif pose.refused:
         refused = Rejection("reach", seat.slot, pose.refused, pose.held_up_by)
+    off = float(np.linalg.norm(pose.vehicle_from_root[:3, 3] - sits[:3, 3]))
     if refused is None:
         trial.held += 1
+        trial.off_m.append(off)
     else:
         trial.rejections[refused] += 1
+    if off > PUSHED_M or (refused is not None and refused.cause == "car" and refused.what in SITTING):
+        free = person.pose(pose.q, sits)
+        _measure(trial, person, free, cabin, seat, setting, settings)
 
 
 def _measure(

@@ -141,7 +141,8 @@ def _short(mesh: str) -> str:
 def _verdict(trial: SeatTrial) -> str:
     """How many poses held, and what was in the way of the others."""
     causes = "; ".join(f"{_cause(str(r))} ({n})" for r, n in trial.rejections.most_common(3))
-    return f"{trial.held} of {trial.tried} poses hold" + (f"; in the way: {causes}" if causes else "")
+    pushed = f", {len(trial.pushed_m)} of them pushed up to {1000 * max(trial.pushed_m):.0f} mm off" if trial.pushed_m else ""
+    return f"{trial.held} of {trial.tried} poses hold{pushed}" + (f"; in the way: {causes}" if causes else "")
 
 
 def _cause(words: str) -> str:
@@ -174,7 +175,12 @@ def _as_data(file: Path, report: CarReport, picture: Path | None) -> dict[str, A
 
 def _trials(trials: Mapping[str, SeatTrial]) -> dict[str, Any]:
     return {
-        slot: {"tried": t.tried, "held": t.held, "rejections": {str(r): n for r, n in t.rejections.most_common()}}
+        slot: {
+            "tried": t.tried,
+            "held": t.held,
+            "pushed_m": t.pushed_m,
+            "rejections": {str(r): n for r, n in t.rejections.most_common()},
+        }
         for slot, t in trials.items()
     }
 
@@ -199,7 +205,7 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
             }
         )
         frame = _frame(config)
-    verdicts = {slot: f"{trial.held} of {trial.tried} poses hold" for slot, trial in report.trials.items()}
+    verdicts = {slot: _verdict(trial).partition(";")[0] for slot, trial in report.trials.items()}
     wrong = [where for trial in report.trials.values() for where in trial.where]
     image = draw_car(report.cabin, config.camera.sensor_model.camera, verdicts, wrong, frame)
     with disk_errors(picture.parent):
