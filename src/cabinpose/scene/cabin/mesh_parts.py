@@ -29,7 +29,7 @@ _OPEN_SEAT = 0.04  # of a seat's surface, as the area of its holes
 class Openness(NamedTuple):
     """How open a mesh is.
 
-    open_edges: share of its edges that have one triangle only · holes: a triangle, by Euler's formula ·
+    open_edges: share of its edges that have one triangle only · holes: a triangle, by Euler's formula; a panel's rim is none ·
     missing: the share of triangles whose loss at random leaves as many open edges ·
     gap: area of the holes as a share of the surface, by the sum of area vectors, which is zero for a closed surface.
     """
@@ -51,12 +51,15 @@ def openness(vertices: Floats, faces: NDArray[np.integer]) -> Openness:
     share = float((uses == 1).mean())
     if share == 0.0:
         return Openness(0.0, 0.0, 0.0, 0.0)
-    used = np.unique(edges)
-    pieces = len(trimesh.graph.connected_components(edges))
-    euler = len(used) - len(edges) + len(mesh.faces)
+    piece = trimesh.graph.connected_component_labels(edges, len(mesh.vertices))
+    open_pieces = np.unique(piece[edges[uses == 1, 0]])  # a closed one has no hole, whatever its handles
+    vertices_of, edges_of, faces_of = (
+        int(np.isin(piece[each], open_pieces).sum()) for each in (np.unique(edges), edges[:, 0], mesh.faces[:, 0])
+    )
+    holes = len(open_pieces) - (vertices_of - edges_of + faces_of)
     vector = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
     gap = np.linalg.norm(vector.sum(axis=0)) / max(np.linalg.norm(vector, axis=1).sum(), 1e-12)
-    return Openness(share, max(2 * pieces - euler, 0) / len(mesh.faces), share / (2.0 - share), float(gap))
+    return Openness(share, max(holes, 0) / len(mesh.faces), share / (2.0 - share), float(gap))
 
 
 def open_warning(name: str, found: Openness, *, is_seat: bool) -> str:
