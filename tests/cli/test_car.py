@@ -16,26 +16,25 @@ from PIL import Image
 
 from cabinpose.app.car_check import check_car, open_directions
 from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.cabin.car_draft import draft_car_file
 
 Run = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The SUV in one mesh; read only."""
+    """The SUV in one mesh, and what is drafted of it; read only."""
     made = tmp_path_factory.mktemp("cars")
-    write_car(build_cabin("suv"), made / "suv.glb", fused=True, factor=100.0)
+    mesh = write_car(build_cabin("suv"), made / "suv.glb", fused=True, factor=100.0)
+    (made / "suv.yaml").write_text(draft_car_file(mesh, made / "suv.yaml").text, encoding="utf-8")
     return made
 
 
 @pytest.fixture
-def car(folder: Path, tmp_path: Path, run: Run) -> Path:
-    """What `car init` makes of it."""
+def car(folder: Path, tmp_path: Path) -> Path:
+    """A copy of the draft that may be changed."""
     path = tmp_path / "suv.yaml"
-    code, out, err = run("car", "init", folder / "suv.glb", "--out", path)
-    assert code == 0, err
-    assert "seat   driver, H-point [-0.80, 0.39, 0.33] m" in out
-    assert "wheel  [-0.40, 0.39, 0.70] m, by its shape, a ring" in out
+    path.write_text((folder / "suv.yaml").read_text("utf-8").replace("mesh: suv.glb", f"mesh: {folder / 'suv.glb'}"), "utf-8")
     return path
 
 
@@ -57,6 +56,24 @@ def test_a_first_yaml_holds_people(car: Path, run: Run) -> None:
         assert len(picture.getcolors(maxcolors=1 << 24)) > 1000
 
 
+def test_init_says_what_it_found(folder: Path, tmp_path: Path, run: Run) -> None:
+    code, out, err = run("car", "init", folder / "suv.glb", "--out", tmp_path / "suv.yaml")
+    assert code == 0
+    assert out.splitlines() == [
+        f"file   {tmp_path / 'suv.yaml'}",
+        "found  up axis y: glTF says so",
+        "found  front axis z: glTF assets face +z",
+        "found  unit cm: only so are its extents 163 x 134.2 x 299.6 those of a car",
+        "seat   driver, H-point [-0.80, 0.39, 0.33] m",
+        "seat   front_passenger, H-point [-0.80, -0.39, 0.33] m",
+        "seat   rear_left, H-point [-1.67, 0.39, 0.34] m",
+        "seat   rear_center, H-point [-1.67, 0.00, 0.34] m",
+        "seat   rear_right, H-point [-1.67, -0.39, 0.34] m",
+        "wheel  [-0.40, 0.39, 0.70] m, by its shape, a ring",
+    ]
+    assert err.startswith("look at it with: cabinpose car check ")
+
+
 def test_nothing_is_overwritten(car: Path, folder: Path, run: Run) -> None:
     code, out, err = run("car", "init", folder / "suv.glb", "--out", car)
     assert (code, out) == (2, "")
@@ -73,13 +90,15 @@ def test_a_mesh_without_seats_fails_in_words(tmp_path: Path, run: Run) -> None:
     assert (code, out) == (2, "")
     assert "nothing in it is shaped like a seat" in err
     assert err.splitlines()[-1] == (
-        "hint: check --up-axis, --front-axis and --unit; of a mesh without seats write the YAML by hand: docs/own-car.md"
+        "hint: check --up-axis, --front-axis and --unit, and take out figures that sit there;"
+        " or write the YAML by hand: docs/own-car.md"
     )
     assert not (tmp_path / "box.yaml").exists()
 
 
 def test_the_give_of_a_fused_seat_is_measured_and_cures_it(car: Path, run: Run) -> None:
-    changed(car, rules=[])
+    seats = yaml.safe_load(car.read_text("utf-8"))["seats"]
+    changed(car, rules=[], seats={slot: seats[slot] for slot in ("driver", "rear_left")})
     code, out, _ = run("car", "check", car)
     assert code == 0
     assert "pushed up to" in out
@@ -91,7 +110,7 @@ def test_the_give_of_a_fused_seat_is_measured_and_cures_it(car: Path, run: Run) 
     assert "rear_left        " in after
     changed(car, rules=rules)
     mended = check_car(car).trials
-    assert sum(trial.held - len(trial.pushed_m) for trial in mended.values()) >= 45  # of 60
+    assert sum(trial.held - len(trial.pushed_m) for trial in mended.values()) >= 18  # of 24
 
 
 @pytest.mark.parametrize(
@@ -126,17 +145,16 @@ def test_a_shell_that_is_not_there_is_told() -> None:
     assert open_directions(corners[corners[:, :, 2].max(axis=1) < 0.8], eye) > 0.4
 
 
-def test_synth_and_config_check_warn_of_open_meshes(folder: Path, tmp_path: Path, run: Run) -> None:
+def test_synth_and_config_check_warn_of_open_meshes(folder: Path, car: Path, tmp_path: Path, run: Run) -> None:
     mesh = trimesh.load_scene(folder / "suv.glb", process=False).to_mesh()
     keep = np.random.Generator(np.random.Philox(0)).permutation(len(mesh.faces))[: round(0.6 * len(mesh.faces))]
     trimesh.Trimesh(mesh.vertices, mesh.faces[np.sort(keep)], process=False).export(tmp_path / "open.glb")
-    assert run("car", "init", folder / "suv.glb", "--out", tmp_path / "car.yaml")[0] == 0
-    changed(tmp_path / "car.yaml", mesh=str(tmp_path / "open.glb"))
-    (tmp_path / "scene.yaml").write_text("scene: {cars: [car.yaml]}", encoding="utf-8")
+    changed(car, mesh=str(tmp_path / "open.glb"))
+    (tmp_path / "scene.yaml").write_text("scene: {cars: [suv.yaml]}", encoding="utf-8")
     for command in (
         ("synth", "--config", tmp_path / "scene.yaml", "--frames", "1", "--out", tmp_path / "data"),
         ("config", "check", tmp_path / "scene.yaml"),
-        ("car", "check", tmp_path / "car.yaml"),
+        ("car", "check", car),
     ):
         err = run(*command)[2]
         assert "% of its edges are open, as if 40 % of its triangles were missing: people pass through the holes" in err, command

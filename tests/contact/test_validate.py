@@ -251,3 +251,14 @@ def test_the_exact_test_agrees_on_shaken_scenes(validator: Validator) -> None:
         assert verdict.ok or verdict.cause in too_deep
         verdicts.append(verdict.cause)
     assert {None, "person", "car"} <= set(verdicts)
+
+
+def test_words_of_what_lies_behind_the_car() -> None:
+    assert str(Rejection("car", "driver", "torso", OUTSIDE)) == "driver: torso reaches behind the car's surfaces"
+
+
+def test_people_who_sit_too_deep_are_told_from_those_who_bump_into_things() -> None:
+    torso, hand = Rejection("car", "driver", "torso", "seat"), Rejection("car", "driver", "lhand", "wheel")
+    assert validate.sits_too_deep({torso: 2, hand: 1, Rejection("self"): 9})
+    assert not validate.sits_too_deep({torso: 1, hand: 1})
+    assert not validate.sits_too_deep({Rejection("self"): 9})

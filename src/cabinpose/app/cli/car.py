@@ -224,4 +224,4 @@ def _frame(config: SynthConfig) -> dict[str, Any] | None:
 
 
 def _point(p: Any) -> str:
-    return "[" + ", ".join(f"{v + 0.0:.2f}" for v in p) + "]"
+    return "[" + ", ".join(f"{round(float(v), 2) + 0.0:.2f}" for v in p) + "]"

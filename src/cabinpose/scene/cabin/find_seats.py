@@ -30,6 +30,7 @@ _HALF_WIDTH = 0.135  # of the template, m
 _APART_M = (0.45, 0.30)  # between seats, along the car and in height
 _BENCH, _THREE = 0.80, 1.25  # m: a seat this wide is for two, for three
 _FROM_EDGE_M = 0.30  # a bench's outer sitters
+_TORSO, _RISE = np.deg2rad((4.0, 42.0)), np.deg2rad((0.0, 28.0))  # of a seat that somebody drives in
 _SEAT_HEIGHT = (0.12, 0.75)  # H-point above the floor, m: from a sports car's seat to a bus driver's
 
 
@@ -180,6 +181,8 @@ def _fitted(points: Floats, guess: Floats, recline: float, rise: float, width: f
     offset = np.linalg.solve(matrix, (level + CUSHION_BELOW_H, place + BACK_BEHIND_H / np.cos(torso)))
     h = guess + (offset[0], 0.0, offset[1])
     floor = _floor_before(points, h)
+    if not _TORSO[0] <= torso <= _TORSO[1] or not _RISE[0] <= np.arctan(slope) <= _RISE[1]:
+        return None
     if floor is None or not _SEAT_HEIGHT[0] <= h[2] - floor <= _SEAT_HEIGHT[1] or np.abs(offset).max() > 0.10:
         return None
     return FoundSeat(h, False, torso, float(np.arctan(slope)), width, floor, score)
