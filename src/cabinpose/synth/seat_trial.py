@@ -108,10 +108,12 @@ def _measure(
     starts, ends = _from_bone_to_skin(person, posed)
     seat_from_vehicle = invert(seat.vehicle_from_seat(setting))
     starts, ends = apply(seat_from_vehicle, starts), apply(seat_from_vehicle, ends)
+    outward = (ends - starts) / np.maximum(np.linalg.norm(ends - starts, axis=1, keepdims=True), 1e-9)
     transforms = cabin.group_transforms(settings)
     for part in cabin.parts:
         if part.group == WHEEL_GROUP:
             continue
+        felt = ends + part.shell_m * outward  # an open surface is met before it is crossed
         corners = apply(seat_from_vehicle @ transforms[part.group], part.surface.vertices)[part.surface.faces]
         for side, box in _BOXES.items():
             middle = corners.mean(axis=1)
@@ -119,10 +121,10 @@ def _measure(
             normal = np.cross(near[:, 1] - near[:, 0], near[:, 2] - near[:, 0])
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
             carries = (np.abs(normal[:, 2]) > _LEVEL) == (side == "base")
-            share, which = first_crossings(starts, ends, near[carries])
+            share, which = first_crossings(starts, felt, near[carries])
             met = np.flatnonzero(which >= 0)
             if len(met):
-                beyond = (1 - share[met, None]) * (ends - starts)[met]
+                beyond = (1 - share[met, None]) * (felt - starts)[met]
                 depth = float(np.abs((beyond * normal[carries][which[met]]).sum(axis=1)).max())
                 trial.sunk_m[part.name, side] = max(trial.sunk_m.get((part.name, side), 0.0), depth)
 

@@ -116,7 +116,8 @@ def _with_seats(
     if not found:
         raise MeshError(
             f"{mesh}: nothing in it is shaped like a seat ({'; '.join(file.notes) or 'axes and unit as given'})",
-            hint="check --up-axis, --front-axis and --unit, and take out figures that sit there; or write the YAML by hand: docs/own-car.md",
+            hint="check --up-axis, --front-axis and --unit, and take out figures that sit there;"
+            " or write the YAML by hand: docs/own-car.md",
         )
     return file, found, how
 
