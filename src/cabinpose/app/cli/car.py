@@ -150,6 +150,12 @@ def _cause(words: str) -> str:
     return words.partition(": ")[2]
 
 
+def _short_verdict(trial: SeatTrial) -> str:
+    """The same for a drawing."""
+    pushed = f", pushed {1000 * max(trial.pushed_m):.0f} mm" if trial.pushed_m else ""
+    return f"{trial.held}/{trial.tried} hold{pushed}"
+
+
 def _as_yaml(rule: Rule) -> str:
     data = rule.model_dump(mode="json", exclude_defaults=True)
     return "  - " + yaml.safe_dump(data, default_flow_style=True, width=10_000, sort_keys=False).strip()
@@ -205,7 +211,7 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
             }
         )
         frame = _frame(config)
-    verdicts = {slot: _verdict(trial).partition(";")[0] for slot, trial in report.trials.items()}
+    verdicts = {slot: _short_verdict(trial) for slot, trial in report.trials.items()}
     wrong = [where for trial in report.trials.values() for where in trial.where]
     image = draw_car(report.cabin, config.camera.sensor_model.camera, verdicts, wrong, frame)
     with disk_errors(picture.parent):

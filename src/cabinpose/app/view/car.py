@@ -46,7 +46,7 @@ def draw_car(
     camera
         Whose field of view the views are drawn with.
     verdicts
-        A few words by slot, such as "9 of 12 poses hold".
+        A few words by slot, such as "9/12 hold".
     wrong
         Points (3,) m, vehicle frame, at which poses were refused.
     frame
@@ -118,17 +118,18 @@ def _panel(
             words.append((name, plan.px(view.eye)[0] + (10, -8), _VIEW))
         for slot, seat in cabin.seats.items():
             _seat(strokes, plan, seat)
-            words.append((f"{slot}: {verdicts[slot]}", plan.px(seat.h_point(seat.default))[0] + (10, 16), _SEAT))
+            words.append((f"{slot} {verdicts[slot]}", plan.px(seat.h_point(seat.default))[0] + (10, 16), _SEAT))
         if cabin.steering_wheel is not None:
             _wheel(strokes, plan, cabin.steering_wheel)
         for pad in cabin.pedals.values():
             strokes.dot(plan.px(pad[:3, 3])[0], 5, _PEDAL)
-        for at in plan.px(wrong) if wrong else ():
-            strokes.line(at + (-5, -5), at + (5, 5), _WRONG, 2)
-            strokes.line(at + (-5, 5), at + (5, -5), _WRONG, 2)
         strokes.dot(plan.px(np.zeros(3))[0], 5, _INK)
     words.append(("origin", plan.px(np.zeros(3))[0] + (8, -6), _INK))
     _words(image, words)
+    with Strokes(image) as strokes:  # over the words: what is wrong must not be hidden
+        for at in plan.px(wrong) if wrong else ():
+            strokes.line(at + (-5, -5), at + (5, 5), _WRONG, 2)
+            strokes.line(at + (-5, 5), at + (5, -5), _WRONG, 2)
     return image
 
 
