@@ -20,8 +20,9 @@ from typing import Any
 from cabinpose.scene.body import SEGMENTS
 from cabinpose.scene.contact import solid_topology
 from cabinpose.scene.contact.exact import exact_penetrations
-from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
 
 ROUNDING_M = 1e-6
 _APART = 17  # frames

@@ -32,8 +32,9 @@ from cabinpose.core.errors import SceneError
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SEGMENTS, Person, PosedBody
 from cabinpose.scene.cabin import SteeringWheel
-from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.streams import frame_rng
 from cabinpose.synth.validate import by_cause
 
 SEATS = ("driver", "front_passenger", "rear_left", "rear_right", "rear_center")  # the order in which --occupants fills a car

@@ -13,9 +13,10 @@ import numpy as np
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import invert
 from cabinpose.scene.sensor import NO_EFFECTS, PhysicalNoise, Sensor, simulate
-from cabinpose.synth.config import CabinScene, SynthConfig, frame_rng
+from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
 
 SEED = 3
 OWN = Sensor(

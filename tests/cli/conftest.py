@@ -21,6 +21,9 @@ def _load_sphere_people() -> ModuleType:
     return module
 
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "cabin"))  # presets as mesh files
+
+
 @pytest.fixture(scope="session")
 def spheres() -> ModuleType:
     return _load_sphere_people()

@@ -20,7 +20,7 @@ from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig, room_preset
 
 Run = Callable[..., Any]
-VERBS = ("synth", "config", "info", "view", "export", "import", "evaluate", "train", "models", "predict", "bench")
+VERBS = ("synth", "config", "car", "info", "view", "export", "import", "evaluate", "train", "models", "predict", "bench")
 
 
 def test_help_names_every_verb(run: Run) -> None:

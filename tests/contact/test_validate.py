@@ -136,7 +136,8 @@ def test_outside_the_cabin_is_refused() -> None:
     validator = Validator(StubCabin((pane, *sides), seats={"driver": StubSeat((0, 0, 0.8))}))
     verdict = validator.check([("driver", *person((0, 0, 0.06)))], {})
     assert (verdict.ok, verdict.cause) == (False, "car")
-    assert str(verdict.rejection).endswith(OUTSIDE)
+    assert verdict.rejection is not None
+    assert verdict.rejection.into == OUTSIDE
 
 
 def test_the_first_test_that_fails_ends_the_judgement(validator: Validator, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,3 +252,14 @@ def test_the_exact_test_agrees_on_shaken_scenes(validator: Validator) -> None:
         assert verdict.ok or verdict.cause in too_deep
         verdicts.append(verdict.cause)
     assert {None, "person", "car"} <= set(verdicts)
+
+
+def test_words_of_what_lies_behind_the_car() -> None:
+    assert str(Rejection("car", "driver", "torso", OUTSIDE)) == "driver: torso reaches behind the car's surfaces"
+
+
+def test_people_who_sit_too_deep_are_told_from_those_who_bump_into_things() -> None:
+    torso, hand = Rejection("car", "driver", "torso", "seat"), Rejection("car", "driver", "lhand", "wheel")
+    assert validate.sits_too_deep({torso: 2, hand: 1, Rejection("self"): 9})
+    assert not validate.sits_too_deep({torso: 1, hand: 1})
+    assert not validate.sits_too_deep({Rejection("self"): 9})

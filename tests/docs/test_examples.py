@@ -10,9 +10,10 @@ import pytest
 
 from cabinpose.app.training import read_train_config
 from cabinpose.estimate.training import frame_spec
-from cabinpose.synth.config import SynthConfig, frame_rng
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 pytestmark = pytest.mark.slow

@@ -18,7 +18,8 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from cabinpose import _native
-from cabinpose.synth.config import CabinScene, Output, People, SynthConfig, room_preset
+from cabinpose.synth.config import CabinScene, Output, SynthConfig, room_preset
+from cabinpose.synth.people import People
 from cabinpose.synth.generate import generate
 out, threads = Path(sys.argv[1]), int(sys.argv[2])
 seats = {"driver": 1.0, "front_passenger": 0.5, "rear_left": 0.3}

@@ -12,13 +12,14 @@ import pytest
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.body import SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
-from cabinpose.synth.config import CabinScene, SynthConfig, frame_rng
+from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.posing import rows_of, slimmest_in_the_middle
 from cabinpose.synth.posture.company import company_of, half_breadth
 from cabinpose.synth.posture.feet import is_opposite, tunnel_m
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
 
 
 @pytest.fixture(scope="module")

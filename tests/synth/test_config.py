@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from cabinpose.core.errors import ConfigError
-from cabinpose.synth.config import SynthConfig, frame_rng, room_preset
+from cabinpose.synth.config import SynthConfig, room_preset
+from cabinpose.synth.streams import frame_rng
 
 
 def refused(data: object) -> ConfigError:

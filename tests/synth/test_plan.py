@@ -10,8 +10,10 @@ from synth_scenes import small_config
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import PRESETS
-from cabinpose.synth.config import People, RandomPeople, Range, SynthConfig, frame_rng
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.people import People, RandomPeople, Range
 from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan, subject_body
+from cabinpose.synth.streams import frame_rng
 
 SEED = 5
 

@@ -12,11 +12,12 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.store import open_dataset
 from cabinpose.synth import preflight as preflight_module
-from cabinpose.synth.config import Camera, SynthConfig, frame_rng
+from cabinpose.synth.config import Camera, SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.plan import car_dimensions, car_names
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
 
 ONLY_RANDOM: dict[str, Any] = {"cars": [], "random_cars": 2}
 DRIVER = {"driver": 1.0}

@@ -9,7 +9,7 @@ import trimesh
 from cabinpose.core.frames import is_rigid
 from cabinpose.scene import room as module
 from cabinpose.scene.room import furnish_room, place_room_camera
-from cabinpose.synth.config import frame_rng
+from cabinpose.synth.streams import frame_rng
 
 
 def test_same_numbers_same_room() -> None:

@@ -118,8 +118,9 @@ def generate(
     SceneError
         Where no valid scene is found.
     """
-    from cabinpose.synth.config import SynthConfig, check_seed  # noqa: PLC0415 - the generator takes half a second to import
+    from cabinpose.synth.config import SynthConfig  # noqa: PLC0415 - the generator takes half a second to import
     from cabinpose.synth.preflight import preflight  # noqa: PLC0415
+    from cabinpose.synth.streams import check_seed  # noqa: PLC0415 - the generator takes half a second to import
     from cabinpose.synth.write import FrameMaker  # noqa: PLC0415
 
     if not all(isinstance(override, str) for override in overrides):

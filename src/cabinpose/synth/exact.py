@@ -5,17 +5,10 @@ from __future__ import annotations
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
-from cabinpose.synth.config import (
-    CabinScene,
-    ExactCameraPose,
-    ExactPose,
-    Matrix4,
-    Occupant,
-    SynthConfig,
-    frame_rng,
-)
+from cabinpose.synth.config import CabinScene, ExactCameraPose, ExactPose, Matrix4, Occupant, SynthConfig
 from cabinpose.synth.plan import car_names, place_name
 from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
 
 
 def exact_config(config: SynthConfig, seed: int, index: int) -> SynthConfig:

@@ -19,9 +19,10 @@ from cabinpose.core.optional import optional_module
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
-from cabinpose.synth.config import SynthConfig, check_seed
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
+from cabinpose.synth.streams import check_seed
 from cabinpose.synth.validate import Rejection, by_cause
 from cabinpose.synth.write import Content, FrameReport, FrameTotal, make_frames
 

@@ -20,7 +20,9 @@ from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Phenotype
 from cabinpose.scene.body.phenotype import YEARS_LIMITS, age_of, usual_stature_m
 from cabinpose.scene.cabin import PRESETS, CabinDimensions, random_dimensions
-from cabinpose.synth.config import CabinScene, OwnPerson, RoomScene, SynthConfig, frame_rng, is_car_file
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig, is_car_file
+from cabinpose.synth.people import OwnPerson
+from cabinpose.synth.streams import frame_rng
 
 DriveSide = Literal["left", "right"]
 # Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +19,7 @@ LENS_M = 0.01  # free space a lens needs around it
 
 
 def preflight(config: SynthConfig, *, frames: int) -> None:
-    """Raises ConfigError, MocapError or SceneError for what a run of `frames` frames would fail of."""
+    """Raises ConfigError, MocapError or SceneError for what a run of `frames` frames would fail of; warns of open meshes."""
     scene = config.scene
     if config.frames is not None and frames > config.frames:
         raise ConfigError(
@@ -35,10 +38,11 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
     for car in scene.cars:
         if is_car_file(car) or (unusual and not is_random_car(car)):
             cabin = open_cabin(car, "left")
+            for warning in cabin.warnings:
+                warnings.warn(f"{Path(car).name}: {warning}", stacklevel=2)
             _check_car(config, scene, car, cabin, tuple(cabin.seats))
-    if unusual and any(
-        is_random_car(car) for car in car_names(config)
-    ):  # their seats' actions and their views are the same in all of them: one stands for all
+    # The seats, actions and views of random cars are the same in all of them: one stands for all.
+    if unusual and any(is_random_car(car) for car in car_names(config)):
         dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
         cabin = build_cabin(dimensions, drive_side="left")
         _check_car(config, scene, "a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"))
@@ -98,6 +102,11 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
         if not isinstance(view, float):
             eyes[name] = np.asarray(view.position_m, dtype=np.float64)
         else:
+            if any(note.startswith(f"view {name}:") for note in cabin.notes):
+                raise ConfigError(
+                    f"{car}: no free place was found for the automatic view '{name}'",
+                    hint=f"give one in that file, as views: {{{name}: {{eye: [x, y, z], target: [x, y, z]}}}}",
+                )
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
             if is_car_file(car):
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)

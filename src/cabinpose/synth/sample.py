@@ -27,7 +27,16 @@ from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, bui
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, ExactPose, Occupant, RoomScene, SynthConfig
+from cabinpose.synth.config import (
+    CabinScene,
+    CameraPose,
+    ExactCameraPose,
+    ExactPose,
+    Occupant,
+    RoomScene,
+    SynthConfig,
+    is_car_file,
+)
 from cabinpose.synth.plan import (
     DriveSide,
     Plan,
@@ -45,7 +54,7 @@ from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.profiles import standing
 from cabinpose.synth.standing import sample_standing
-from cabinpose.synth.validate import Rejection, Seated, Validator, most_common
+from cabinpose.synth.validate import Rejection, Seated, Validator, most_common, sits_too_deep
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _ANYBODY = Occupant()
@@ -112,15 +121,22 @@ class Scene:
 class ImpossibleSceneError(SceneError):
     """No valid scene was found for a frame.
 
-    proposals, rejections: poses tried, and why they failed · tried: the scenes, in words.
+    proposals, rejections: poses tried, and why they failed · tried: the scenes, in words · own_car: the YAML of a user's own
+    car that was among them.
     """
 
-    def __init__(self, index: int, proposals: int, rejections: Counter[Rejection], tried: Sequence[str]) -> None:
+    def __init__(
+        self, index: int, proposals: int, rejections: Counter[Rejection], tried: Sequence[str], own_car: str = ""
+    ) -> None:
         scenes = Counter(tried).most_common()
         among = "; ".join(scene for scene, _ in scenes[:3]) + (f" and {len(scenes) - 3} more" if len(scenes) > 3 else "")
         super().__init__(
             f"frame {index}: none of {proposals} poses made a valid scene: {most_common(rejections, 4)}. Tried: {among}",
-            hint="narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
+            hint=f"people sink into what they sit on: `cabinpose car check {own_car}` says which give_mm it needs"
+            if own_car and sits_too_deep(rejections)
+            else f"`cabinpose car check {own_car}` says seat by seat what is in the way"
+            if own_car
+            else "narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
         )
         self.proposals = proposals
         self.rejections = rejections
@@ -157,7 +173,8 @@ class SceneSampler:
             proposals += draws
             if found is not None:
                 return replace(found, proposals=proposals, rejections=causes)
-        raise ImpossibleSceneError(index, proposals, causes, tried)
+        own_car = next(filter(is_car_file, scene.cars), "") if isinstance(scene, CabinScene) else ""
+        raise ImpossibleSceneError(index, proposals, causes, tried, own_car)
 
     def _make_person(self, subject: str) -> Person:
         if subject in SUBJECTS:

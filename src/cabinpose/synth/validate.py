@@ -19,6 +19,7 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body.rig import SEGMENTS
 from cabinpose.scene.contact import (
     FLESH_M,
+    OUTSIDE,
     ContactField,
     ContactScene,
     PlacedField,
@@ -97,6 +98,8 @@ class Rejection(NamedTuple):
         if self.cause == "reach":
             return f"{self.slot}: {self.what} misses its place" + (f", held up by {self.into}" if self.into else "")
         who = f"{self.slot}, {self.other}" if self.other else self.slot
+        if self.into == OUTSIDE:
+            return f"{who}: {self.what} reaches behind the car's surfaces"
         return f"{who}: {self.what} {'through' if self.bone else 'in'} {self.into}"
 
 
@@ -111,6 +114,16 @@ def by_cause(rejections: Mapping[Rejection, int]) -> dict[str, int]:
 def most_common(rejections: Mapping[Rejection, int], count: int) -> str:
     """The most frequent rejections in words, with how often each occurred."""
     return "; ".join(f"{rejection} ({n})" for rejection, n in Counter(rejections).most_common(count))
+
+
+SITTING = frozenset({"torso", "lthigh", "rthigh"})  # the solids of a body that a seat carries
+
+
+def sits_too_deep(rejections: Mapping[Rejection, int]) -> bool:
+    """Whether most of what the car refused are trunks and thighs: people who sink into what they sit on, or through it."""
+    by_car = {rejection: count for rejection, count in rejections.items() if rejection.cause == "car"}
+    sitting = sum(count for rejection, count in by_car.items() if rejection.what in SITTING)
+    return 2 * sitting > sum(by_car.values())
 
 
 class Verdict(NamedTuple):

@@ -23,10 +23,11 @@ from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
-from cabinpose.synth.config import SynthConfig, frame_rng, noise_rng
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
+from cabinpose.synth.streams import frame_rng, noise_rng
 from cabinpose.synth.validate import Rejection, by_cause
 
 Frame = dict[str, Any]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
+from typing import TextIO
 
 _OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # the dataset is what stands behind them
 
@@ -36,7 +38,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         command = tyro.cli(
             command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE
         )
-        import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
+        with warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
     except CabinposeError as error:
         print(f"error: {error}", file=sys.stderr)
         if error.hint:
@@ -53,3 +57,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout has gone, for example `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
+
+
+def _print_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """What the package warns of in one line; of other libraries, which warn by other categories, as Python has it."""
+    text = (
+        f"warning: {message}\n" if category is UserWarning else warnings.formatwarning(message, category, filename, lineno, line)
+    )
+    (file or sys.stderr).write(text)

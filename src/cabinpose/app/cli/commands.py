@@ -24,6 +24,7 @@ from cabinpose.app.cli.arguments import (
     ThingArgument,
     several,
 )
+from cabinpose.app.cli.car_commands import Car
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
@@ -434,6 +435,7 @@ class Emulate:
 Command = (
     Annotated[Synth, subcommand("synth")]
     | Annotated[Config, subcommand("config")]
+    | Annotated[Car, subcommand("car")]
     | Annotated[Info, subcommand("info")]
     | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
@@ -464,7 +466,8 @@ def command_line(command: Annotated[Command, arg(name="")]) -> Any:
 
 RUNNERS = MappingProxyType(
     {
-        Synth: "synth", Config: "config", Info: "info", View: "view", Export: "export", Evaluate: "evaluate", Train: "train",
+        Synth: "synth", Config: "config", Car: "car", Info: "info", View: "view", Export: "export", Evaluate: "evaluate",
+        Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
         Record: "record", Recover: "recover", Forget: "forget", Calibrate: "calibrate", Align: "align", Lab: "lab",
         EvaluateMocap: "evaluate_mocap",

@@ -96,9 +96,9 @@ _FRAMES = 3  # whose scenes a check draws
 
 def _try(config: SynthConfig) -> int:
     """Load what the configuration names, draw a few scenes, and return the number of poses that took; raises as `synth` would."""
-    from cabinpose.synth.config import frame_rng
     from cabinpose.synth.preflight import preflight
     from cabinpose.synth.sample import SceneSampler
+    from cabinpose.synth.streams import frame_rng
 
     preflight(config, frames=1)
     sampler = SceneSampler(config, 0)

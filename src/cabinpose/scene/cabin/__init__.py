@@ -13,7 +13,8 @@ from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Part, Seat, SeatSett
 from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
 
 if TYPE_CHECKING:
-    from cabinpose.scene.cabin.imported import CabinFile, load_cabin
+    from cabinpose.scene.cabin.car_file import CabinFile
+    from cabinpose.scene.cabin.imported import load_cabin
 
 __all__ = [
     "PRESETS",

@@ -196,6 +196,7 @@ class Cabin:
     reach_targets: Mapping[str, Vector]
     views: Mapping[str, ViewAnchor]
     notes: tuple[str, ...] = ()  # what was found in a user's mesh, and how
+    warnings: tuple[str, ...] = ()  # what is wrong with its meshes
     bounds: NDArray[np.float64] = field(init=False)
     _template: Surface = field(init=False, repr=False)
     _groups: tuple[_Group, ...] = field(init=False, repr=False)

@@ -20,6 +20,9 @@ PAN_BEHIND_H = 0.135  # SAE J826: H-point to the back pan, normal to the torso l
 CUSHION_GIVE = 0.055  # foam under the thighs of a production seat gives 50 to 60 mm at most
 BACK_GIVE = 0.050
 HEADREST_GIVE = 0.040
+# Where a seat's cushion is, and its backrest with the headrest: opposite corners (2, 3) from the H-point in the seat's frame, m.
+CUSHION_BOX = np.array(((-0.30, -0.30, -0.21), (0.45, 0.30, 0.10)))
+BACK_BOX = np.array(((-0.62, -0.30, -0.14), (0.02, 0.30, 0.80)))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from cabinpose.scene.contact.solids import (
     self_contact,
     solid_topology,
 )
+from cabinpose.scene.contact.triangles import first_crossings, sampled_surface
 
 __all__ = [
     "BAND_M",
@@ -26,7 +27,9 @@ __all__ = [
     "PosedSolids",
     "SolidContact",
     "SolidTopology",
+    "first_crossings",
     "person_contact",
+    "sampled_surface",
     "self_contact",
     "solid_topology",
 ]

@@ -26,7 +26,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
-from cabinpose.scene.contact.triangles import WELD_M, TriangleMesh, edge_keys, triangle_mesh
+from cabinpose.scene.contact.triangles import TriangleMesh, edge_keys, sampled_surface, triangle_mesh
 from cabinpose.scene.surface import Surface
 
 STEP_M = 0.010  # grid step of static parts and seats
@@ -167,7 +167,7 @@ def _probes(part: GroupPart) -> NDArray[np.float64]:
     """
     mesh = part.mesh
     if part.give_m > 0.0:
-        return _sampled(mesh.corners, SOFT_PROBE_M)
+        return sampled_surface(mesh.corners, SOFT_PROBE_M)
     keys = edge_keys(mesh.faces, len(mesh.vertices)).reshape(-1)
     order = np.argsort(keys, kind="stable")
     paired = np.flatnonzero(keys[order][1:] == keys[order][:-1])
@@ -184,22 +184,6 @@ def _probes(part: GroupPart) -> NDArray[np.float64]:
     number = np.arange(len(edge)) - np.repeat(np.cumsum(pieces - 1) - pieces + 1, pieces - 1) + 1
     t = (number / np.repeat(pieces, pieces - 1))[:, None]
     return np.concatenate((mesh.vertices, a[edge] + t * (b[edge] - a[edge])))
-
-
-def _sampled(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Points (N, 3) over triangles (F, 3, 3), no farther apart than `spacing`, those on shared edges once."""
-    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
-    pieces = np.ceil(longest / spacing).astype(int)
-    points = []
-    for n in np.unique(pieces):
-        i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
-        weights = np.stack((n - i - j, i, j), axis=1) / n
-        points.append((weights @ corners[pieces == n]).reshape(-1, 3))
-    every = np.concatenate(points)
-    _, first = np.unique(np.round(every / WELD_M), axis=0, return_index=True)
-    # In order of place: the nearest triangle of one point is then a good guess for the next.
-    every = every[np.sort(first)]
-    return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]
 
 
 def _lower_to_part(

@@ -98,3 +98,60 @@ def _pseudo_normals(corners: NDArray[np.float64], faces: NDArray[np.int32], coun
     edge = np.zeros((edge_of.max() + 1, 3))
     np.add.at(edge, edge_of, np.broadcast_to(face[:, None], (*faces.shape, 3)))
     return np.concatenate((face[:, None], vertex[faces], edge[edge_of]), axis=1)
+
+
+def sampled_surface(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    """Points (N, 3) over triangles (F, 3, 3), no farther apart than `spacing` (all in m), those on shared edges once."""
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    pieces = np.ceil(longest / spacing).astype(int)
+    points = []
+    for n in np.unique(pieces):
+        i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
+        weights = np.stack((n - i - j, i, j), axis=1) / n
+        points.append((weights @ corners[pieces == n]).reshape(-1, 3))
+    every = np.concatenate(points)
+    _, first = np.unique(np.round(every / WELD_M), axis=0, return_index=True)
+    # In order of place: the nearest triangle of one point is then a good guess for the next.
+    every = every[np.sort(first)]
+    return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]
+
+
+def first_crossings(
+    starts: NDArray[np.float64], ends: NDArray[np.float64], triangles: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Where line segments first meet triangles.
+
+    Parameters
+    ----------
+    starts, ends
+        (N, 3) m.
+    triangles
+        (F, 3, 3) m, in the same frame.
+
+    Returns
+    -------
+    share, triangle
+        (N,) the share of the way from start to end, inf where nothing is met; (N,) the number of the triangle, -1 there.
+
+    References
+    ----------
+    Moeller and Trumbore 1997, "Fast, minimum storage ray/triangle intersection".
+    """
+    share, which = np.full(len(starts), np.inf), np.full(len(starts), -1, np.int64)
+    corner = triangles[:, 0]
+    one, two = triangles[:, 1] - corner, triangles[:, 2] - corner
+    for n, (start, way) in enumerate(zip(starts, ends - starts, strict=True)):
+        p = np.cross(way, two)
+        determinant = np.einsum("ij,ij->i", one, p)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a segment along a triangle's plane does not cross it
+            from_corner = start - corner
+            u = np.einsum("ij,ij->i", from_corner, p) / determinant
+            q = np.cross(from_corner, one)
+            v = (q @ way) / determinant
+            t = np.einsum("ij,ij->i", two, q) / determinant
+            inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)
+        hits = np.flatnonzero(inside)
+        if len(hits):
+            which[n] = hits[np.argmin(t[hits])]
+            share[n] = t[which[n]]
+    return share, which

@@ -1,0 +1,26 @@
+"""Where the random numbers of a dataset come from: a seed, and a stream of it for each frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cabinpose.core.errors import ConfigError
+
+
+def check_seed(seed: int) -> None:
+    """Raises ConfigError for what cannot be a dataset's seed."""
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"seed {seed} is not a 63-bit natural number", hint="choose a seed from 0 to 2**63 - 1")
+
+
+def frame_rng(seed: int, frame_index: int) -> np.random.Generator:
+    """The generator of one frame's scene: the same numbers whatever made the frame, and when."""
+    return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64)))
+
+
+def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
+    """The generator of one frame's noise: of the same key, and so far on that no scene's draws reach it.
+
+    A scene that is given, not drawn, so has the noise that it would have had.
+    """
+    return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 1)))
