@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.align.calibration import Calibration, Delay, Extrinsics, Head, Intrinsics, rows
+from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, rows
 from cabinpose.core.camera import Camera
 from cabinpose.core.clock import ClockMap
 from cabinpose.core.frames import apply, invert, look_at, transform
@@ -139,7 +139,7 @@ def calibration(**changes: object) -> Calibration:
     values: dict[str, object] = {
         "intrinsics": Intrinsics(**camera),
         "extrinsics": Extrinsics(camera_from_world=rows(CAMERA_FROM_WORLD)),
-        "tof_to_optical": Delay(offset_s=LATENCY_S["optical"] - LATENCY_S["tof"]),
+        "tof_to_optical": KnownDelay(offset_s=LATENCY_S["optical"] - LATENCY_S["tof"]),
         "heads": {"S07": Head(object_from_head=rows(OBJECT_FROM_HEAD))},
     }
     return Calibration(**(values | changes))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabinpose.align.calibration import Calibration, Delay, Head, Intrinsics, rows
+from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
 from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take, with_known
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
@@ -60,7 +60,7 @@ def test_a_calibration_that_is_wrong_is_wrong_here_too(take) -> None:
     turned[:3, 3] += (0.0, 0.02, 0.0)
     for change in (
         {"heads": {"S07": Head(object_from_head=rows(turned))}},
-        {"tof_to_optical": Delay(offset_s=0.03)},
+        {"tof_to_optical": KnownDelay(offset_s=0.03)},
     ):
         with Recording(path) as recording:
             found = align_take(recording, calibration(**change))
@@ -103,13 +103,13 @@ def test_what_cannot_be_aligned_is_refused(tmp_path: Path, take) -> None:
 def test_a_known_delay_sharpens_a_wide_one_and_leaves_a_contradiction_alone(take) -> None:
     measured = aligned(take[0]).delay
     half = 0.5 * (measured.interval_s[1] - measured.interval_s[0])
-    same = Delay(
+    same = KnownDelay(
         offset_s=measured.offset_s + 0.5 * half, interval_s=(measured.offset_s - 0.5 * half, measured.offset_s + 1.5 * half)
     )
     joined = with_known(measured, same)
     assert joined.offset_s == pytest.approx(measured.offset_s + 0.25 * half)
     assert joined.interval_s[1] - joined.interval_s[0] == pytest.approx(np.sqrt(2) * half)
-    other = Delay(offset_s=measured.offset_s + 1.0, interval_s=(measured.offset_s + 0.999, measured.offset_s + 1.001))
+    other = KnownDelay(offset_s=measured.offset_s + 1.0, interval_s=(measured.offset_s + 0.999, measured.offset_s + 1.001))
     assert with_known(measured, other) is measured
     assert with_known(measured, None) is measured
 
@@ -119,7 +119,7 @@ def test_a_take_too_short_for_a_delay_of_its_own_takes_the_known_one(tmp_path: P
     time = Made(seconds=3, jitter_s=0.0).write(path)
     with pytest.raises(UndeterminedError, match=r"short\.mcap: the suit's head.*too short"):
         aligned(path)
-    known = Delay(offset_s=-0.015, interval_s=(-0.016, -0.014))
+    known = KnownDelay(offset_s=-0.015, interval_s=(-0.016, -0.014))
     head = Head(object_from_head=rows(rig_takes.OBJECT_FROM_HEAD), suit_to_optical=known)
     with Recording(path) as recording:
         found = align_take(recording, calibration(heads={"S07": head}))

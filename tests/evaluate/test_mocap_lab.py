@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import Truth, dress_up, write_motion_take
 from cabinpose.app.mocap.compare import Setup, dfe_runs, dse_runs
 from cabinpose.app.mocap.inputs import read_motion
@@ -30,7 +30,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
     """Movements in all planes, an optical system that measures without noise, and a suit that does not."""
     path = tmp_path_factory.mktemp("lab") / "planes.mcap"
     rng = np.random.Generator(np.random.Philox(key=3))
-    return path, write_motion_take(path, Rig(optical_noise_m=0.0, optical_occlusion=False), dress_up(rng=rng), rng=rng)
+    return path, write_motion_take(path, VirtualRig(optical_noise_m=0.0, optical_occlusion=False), dress_up(rng=rng), rng=rng)
 
 
 def test_dse_finds_the_suits_own_errors(take: tuple[Path, Truth]) -> None:

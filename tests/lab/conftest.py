@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cabinpose.app.lab.motion import Motion, Stage, at_the_wheel, calibrate_head, drive
+from cabinpose.app.lab.motion import KeyedMotion, Stage, at_the_wheel, calibrate_head, drive
 from cabinpose.app.lab.optical import cap_of
 from cabinpose.app.lab.suit import put_on
 from cabinpose.app.lab.takes import Actor
@@ -21,12 +21,12 @@ def stage() -> Stage:
 
 
 @pytest.fixture(scope="session")
-def driving(stage: Stage) -> Motion:
+def driving(stage: Stage) -> KeyedMotion:
     return drive(stage, 5.0, rng=generator(2))
 
 
 @pytest.fixture(scope="session")
-def nodding(stage: Stage) -> Motion:
+def nodding(stage: Stage) -> KeyedMotion:
     return calibrate_head(stage, rng=generator(3))
 
 

@@ -19,7 +19,7 @@ from cabinpose.app.lab.calibration import (
 )
 from cabinpose.app.lab.markers import observed, spells
 from cabinpose.app.lab.pendulum import GRAVITY, swing
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core.errors import RecordingError, SceneError
 from cabinpose.core.frames import apply, is_rigid, look_at
 from cabinpose.store.recording import Recording
@@ -30,17 +30,17 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=(seed, 0)))
 
 
-def true_times(rig: Rig, source: str, device_ns: np.ndarray) -> np.ndarray:
+def true_times(rig: VirtualRig, source: str, device_ns: np.ndarray) -> np.ndarray:
     return rig.clock(source).device_from_true.inverse()(device_ns)
 
 
 @pytest.fixture(scope="module")
 def board() -> BoardTake:
-    return board_take(Rig(), views=18, rng=rng(3))
+    return board_take(VirtualRig(), views=18, rng=rng(3))
 
 
 def test_the_board_is_shown_all_over_the_image_and_at_all_distances(board: BoardTake) -> None:
-    rig = Rig()
+    rig = VirtualRig()
     sensor = rig.tof_sensor
     poses = rig.camera_from_world @ board.world_from_board
     uv = sensor.camera.project([apply(pose, np.concatenate((board.board.corners, board.board.marker_centres))) for pose in poses])
@@ -74,12 +74,12 @@ def test_a_camera_that_cannot_see_the_board_is_told() -> None:
     upwards = np.linalg.inv(look_at((0, 0, 1.0), (1.0, 0, 1.0)))
     with pytest.raises(SceneError, match="does not fit"):
         board_take(
-            Rig(sensor="kinect_v1", extrinsics=upwards, tof={"rate_hz": 30}), views=1, board=Board(square_m=0.3), rng=rng()
+            VirtualRig(sensor="kinect_v1", extrinsics=upwards, tof={"rate_hz": 30}), views=1, board=Board(square_m=0.3), rng=rng()
         )
 
 
 def test_a_board_recording_says_what_was_true(tmp_path: Path) -> None:
-    rig = Rig.exact()
+    rig = VirtualRig.exact()
     truth = board_take(rig, views=2, hold_s=0.3, start_s=40.0, rng=rng(1))
     path = tmp_path / "board.mcap"
     write_board_take(path, rig, truth, frames_per_view=2, rng=rng(2))
@@ -105,7 +105,7 @@ def test_a_board_recording_says_what_was_true(tmp_path: Path) -> None:
 
 
 def test_the_optical_system_errs_as_the_rig_says() -> None:
-    rig = Rig(optical_noise_m=0.0002)
+    rig = VirtualRig(optical_noise_m=0.0002)
     times = rig.start_ns + np.arange(6000) * 100_000_000
     true = np.zeros((6000, 4, 3)) + np.arange(4)[:, None]
     said = observed(rig.only("optical_noise"), times, true, rng=rng())
@@ -115,11 +115,11 @@ def test_the_optical_system_errs_as_the_rig_says() -> None:
     assert (lost.all(axis=-1) == lost.any(axis=-1)).all()
     assert 0.001 < lost.mean() < 0.05
     assert lost.any(axis=(0, 2)).sum() >= 2
-    swapped = observed(Rig(optical_swaps=True).only("optical_swaps"), times, true, rng=rng())
+    swapped = observed(VirtualRig(optical_swaps=True).only("optical_swaps"), times, true, rng=rng())
     wrong = (swapped != true).any(axis=-1)
     assert set(np.unique(wrong.sum(axis=1))) == {0, 2}
     assert (np.sort(swapped, axis=1) == true).all()
-    assert (observed(Rig.exact(), times, true, rng=rng()) == true).all()
+    assert (observed(VirtualRig.exact(), times, true, rng=rng()) == true).all()
 
 
 def test_spells_last_as_long_as_they_should() -> None:
@@ -168,11 +168,11 @@ def test_the_pendulum_goes_from_the_hand_to_the_string_without_a_jump() -> None:
 
 @pytest.fixture(scope="module")
 def pendulum() -> PendulumTake:
-    return pendulum_take(Rig(), rng=rng(1))
+    return pendulum_take(VirtualRig(), rng=rng(1))
 
 
 def test_the_pendulum_stays_in_view_and_looks_like_itself_at_no_other_time(pendulum: PendulumTake) -> None:
-    rig = Rig()
+    rig = VirtualRig()
     times = pendulum.start_ns + np.arange(0, 25_000_000_000, 20_000_000)
     camera = rig.tof_sensor.camera
     uv = camera.project(apply(rig.camera_from_world, pendulum.marker(times)))
@@ -184,7 +184,7 @@ def test_the_pendulum_stays_in_view_and_looks_like_itself_at_no_other_time(pendu
 
 
 def test_a_pendulum_recording_says_what_was_true(tmp_path: Path) -> None:
-    rig = Rig.exact()
+    rig = VirtualRig.exact()
     truth = pendulum_take(rig, duration_s=1.6, start_s=7.0, rng=rng(1))
     path = tmp_path / "pendulum.mcap"
     write_pendulum_take(path, rig, truth, rng=rng(2))
@@ -215,7 +215,7 @@ def _blob(amplitude: np.ndarray) -> tuple[float, float]:
 
 
 def test_the_same_seed_makes_the_same_file_and_another_does_not(tmp_path: Path) -> None:
-    rig = Rig()
+    rig = VirtualRig()
     made = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         generator = rng(seed)
@@ -228,7 +228,7 @@ def test_the_same_seed_makes_the_same_file_and_another_does_not(tmp_path: Path) 
 
 
 def test_a_hold_too_short_for_the_frames_is_told(tmp_path: Path) -> None:
-    rig = Rig()
+    rig = VirtualRig()
     truth = board_take(rig, views=1, hold_s=0.05, rng=rng())
     with pytest.raises(SceneError, match="while the board is held"):
         write_board_take(tmp_path / "short.mcap", rig, truth, frames_per_view=3, rng=rng())

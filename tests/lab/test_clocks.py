@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cabinpose.app.lab.clocks import Clock, ClockSettings
-from cabinpose.app.lab.rig import ERRORS, SOURCES, Rig
+from cabinpose.app.lab.rig import ERRORS, SOURCES, VirtualRig
 from cabinpose.core.errors import ConfigError
 
 START = 1_750_000_000_000_000_000
@@ -29,7 +29,7 @@ def test_a_clock_shows_offset_and_drift(after_ns: int, offset_s: float, drift_pp
 
 @given(st.integers(0, 600_000_000_000))
 def test_maps_between_two_clocks(after_ns: int) -> None:
-    rig = Rig()
+    rig = VirtualRig()
     true = START + after_ns
     for a in SOURCES:
         for b in SOURCES:
@@ -56,7 +56,7 @@ def test_samples_come_when_the_device_counts_them_off() -> None:
 
 
 def test_two_spans_side_by_side_have_each_sample_once() -> None:
-    clock = Rig().clock("suit")
+    clock = VirtualRig().clock("suit")
     joined = np.concatenate((clock.ticks(60, 0, 7.3), clock.ticks(60, 7.3, 9)))
     assert (joined == clock.ticks(60, 0, 9)).all()
 
@@ -74,14 +74,14 @@ def test_arrivals_have_a_hard_minimum_an_exponential_tail_and_keep_their_order()
 
 
 def test_the_same_generator_gives_the_same_arrivals() -> None:
-    clock, true = Rig().clock("tof"), START + np.arange(100) * 40_000_000
+    clock, true = VirtualRig().clock("tof"), START + np.arange(100) * 40_000_000
     assert (clock.arrivals(true, rng=rng(4)) == clock.arrivals(true, rng=rng(4))).all()
     assert (clock.arrivals(true, rng=rng(4)) != clock.arrivals(true, rng=rng(5))).any()
 
 
 def test_a_rig_without_errors_keeps_what_is_to_be_found() -> None:
-    rig, exact = Rig(optical_swaps=True), Rig(optical_swaps=True).noise_free()
-    assert exact == Rig.exact()
+    rig, exact = VirtualRig(optical_swaps=True), VirtualRig(optical_swaps=True).noise_free()
+    assert exact == VirtualRig.exact()
     assert (exact.camera_from_world == rig.camera_from_world).all()
     true = START + np.arange(10) * 12_345_678
     for source in SOURCES:
@@ -94,7 +94,7 @@ def test_a_rig_without_errors_keeps_what_is_to_be_found() -> None:
 
 
 def test_each_error_can_be_switched_on_alone() -> None:
-    full, exact = Rig(optical_swaps=True), Rig.exact()
+    full, exact = VirtualRig(optical_swaps=True), VirtualRig.exact()
     reached = set()
     for error in ERRORS:
         values, none = full.only(error).model_dump(), exact.model_dump()
@@ -119,9 +119,9 @@ def test_each_error_can_be_switched_on_alone() -> None:
 
 
 def test_a_rig_goes_through_text_and_back() -> None:
-    rig = Rig(optical_noise_m=0.0002)
-    assert Rig.model_validate_json(rig.model_dump_json()) == rig
-    assert hash(rig) == hash(Rig(optical_noise_m=0.0002))
+    rig = VirtualRig(optical_noise_m=0.0002)
+    assert VirtualRig.model_validate_json(rig.model_dump_json()) == rig
+    assert hash(rig) == hash(VirtualRig(optical_noise_m=0.0002))
 
 
 @pytest.mark.parametrize(
@@ -134,4 +134,4 @@ def test_a_rig_goes_through_text_and_back() -> None:
 )
 def test_a_rig_that_cannot_be(settings: dict, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        Rig(**settings)
+        VirtualRig(**settings)

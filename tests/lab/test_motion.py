@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from cabinpose.app.lab.exercises import exercises, neutral_pose
-from cabinpose.app.lab.motion import PASS_M, SLOT, Key, Motion, Stage, _Course, _first, drive, named_person
+from cabinpose.app.lab.motion import PASS_M, SLOT, Key, KeyedMotion, Stage, _Course, _first, drive, named_person
 from cabinpose.app.lab.suit import SEGMENT, true_segments
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import transform
@@ -18,11 +18,11 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(seed))
 
 
-def two_keys() -> Motion:
+def two_keys() -> KeyedMotion:
     q = np.zeros((2, len(DOFS)))
     q[1, DOF_INDEX["lelbow.flexion"]] = 1.0
     root = np.stack((np.eye(4), transform(Rotation.from_rotvec((0.2, 0.9, -0.4)), (0.5, 0.0, 1.0))))
-    return Motion(named_person("S01"), np.array((0.0, 2.0)), np.array((1.0, 3.0)), q, root, np.array((0.0, 0.3)), ("a", "b"))
+    return KeyedMotion(named_person("S01"), np.array((0.0, 2.0)), np.array((1.0, 3.0)), q, root, np.array((0.0, 0.3)), ("a", "b"))
 
 
 def test_a_move_has_the_course_of_least_jerk_and_rests_at_its_ends() -> None:
@@ -40,14 +40,14 @@ def test_a_move_has_the_course_of_least_jerk_and_rests_at_its_ends() -> None:
     assert np.abs(np.diff(edge)[[0, 2]]).max() < 1e-7  # neither speed nor acceleration
 
 
-def test_joints_are_those_of_the_posed_body(driving: Motion) -> None:
+def test_joints_are_those_of_the_posed_body(driving: KeyedMotion) -> None:
     t = np.array((0.3, 1.7, 4.1))
     joints = driving.joints(t)
     for k, at in enumerate(t):
         assert joints[k] == pytest.approx(driving.body(float(at)).joints, abs=1e-12)
 
 
-def test_a_driver_moves_smoothly_within_the_limits_of_the_joints(driving: Motion) -> None:
+def test_a_driver_moves_smoothly_within_the_limits_of_the_joints(driving: KeyedMotion) -> None:
     t = np.arange(0.0, driving.duration_s, 0.01)
     q = driving.pose_at(t)[0]
     assert (q >= LOWER - 1e-9).all()
@@ -59,7 +59,7 @@ def test_a_driver_moves_smoothly_within_the_limits_of_the_joints(driving: Motion
     assert np.ptp(yaw) > 0.3
 
 
-def test_keys_hold_by_the_generators_own_check_and_ways_by_the_stated_depth(stage: Stage, driving: Motion) -> None:
+def test_keys_hold_by_the_generators_own_check_and_ways_by_the_stated_depth(stage: Stage, driving: KeyedMotion) -> None:
     course = _Course(stage)
     for k, name in enumerate(driving.keys):
         posed = stage.person.pose(driving.q[k], driving.root[k])
@@ -84,7 +84,7 @@ def test_a_way_through_the_car_or_the_body_is_refused(stage: Stage) -> None:
     assert not course.free(Key((crossed, start[1], start[2])), 1.0)
 
 
-def test_the_head_turns_about_each_axis_twice_on_a_still_trunk(nodding: Motion) -> None:
+def test_the_head_turns_about_each_axis_twice_on_a_still_trunk(nodding: KeyedMotion) -> None:
     t = np.arange(0.0, nodding.duration_s, 0.02)
     q, root, _ = nodding.pose_at(t)
     moving = [DOF_INDEX[f"{part}.{axis}"] for part in ("neck", "head") for axis in ("flexion", "lateral", "rotation")]
@@ -135,7 +135,7 @@ def test_exercises_keep_to_their_planes_and_end_as_they_began() -> None:
     assert (neutral_pose() >= LOWER).all()
 
 
-def test_the_same_seed_gives_the_same_motion(stage: Stage, driving: Motion) -> None:
+def test_the_same_seed_gives_the_same_motion(stage: Stage, driving: KeyedMotion) -> None:
     again = drive(stage, 5.0, rng=generator(2))
     assert np.array_equal(again.q, driving.q)
     assert np.array_equal(again.arrive_s, driving.arrive_s)

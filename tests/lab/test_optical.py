@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab.motion import Motion
+from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.optical import (
     LOOK_HZ,
     MODEL_SEGMENTS,
@@ -58,7 +58,7 @@ def test_sight_against_brute_force_among_random_triangles() -> None:
     assert 20 < hidden < 100
 
 
-def test_sight_of_a_driver_against_brute_force_on_the_whole_car_and_body(driving: Motion, actor: Actor) -> None:
+def test_sight_of_a_driver_against_brute_force_on_the_whole_car_and_body(driving: KeyedMotion, actor: Actor) -> None:
     watch = Watch(driving, actor.cap)
     panes = [m.id for m in MATERIALS if m.transmissive]
     for t in (0.4, 3.3):
@@ -88,7 +88,7 @@ def test_the_cap_sits_on_the_head(actor: Actor) -> None:
     assert pairs.min() > 0.08
 
 
-def test_without_noise_the_object_is_where_head_and_cap_say(driving: Motion, actor: Actor) -> None:
+def test_without_noise_the_object_is_where_head_and_cap_say(driving: KeyedMotion, actor: Actor) -> None:
     time = np.arange(0.0, 4.0, 0.5)
     head = true_segments(driving, time).pose("Head")
     true = true_object(head, actor.cap)
@@ -122,7 +122,7 @@ def test_fewer_than_three_markers_are_no_object() -> None:
     assert np.array_equal(all_seen[0], some_seen[0])  # the same noise whatever is hidden
 
 
-def test_two_cameras_have_to_see_a_marker_and_a_look_lasts(driving: Motion, actor: Actor) -> None:
+def test_two_cameras_have_to_see_a_marker_and_a_look_lasts(driving: KeyedMotion, actor: Actor) -> None:
     head = driving.joints([0.0])[0, INDEX["head"]]
     q, root, _ = driving.pose_at(np.zeros(1))
     ahead, left, _ = frames(q[0], driving.person.rest, root[0]).bone("head")[:3, :3].T
@@ -135,7 +135,7 @@ def test_two_cameras_have_to_see_a_marker_and_a_look_lasts(driving: Motion, acto
     assert (changes % round(100 / LOOK_HZ) == 0).all()
 
 
-def test_the_model_of_the_whole_body_is_ours_with_its_names(driving: Motion) -> None:
+def test_the_model_of_the_whole_body_is_ours_with_its_names(driving: KeyedMotion) -> None:
     time = np.array((0.5, 2.5))
     world = transform(Rotation.from_euler("z", 0.8), (1.0, -2.0, 0.3))
     position, orientation = measured_model(driving, time, world, 0.0, rng=generator(1))

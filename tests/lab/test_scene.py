@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cabinpose.app.lab.exercises import exercises
-from cabinpose.app.lab.motion import Motion
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.motion import KeyedMotion
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.scene import DEPTH_UNIT_M, Stagehand, message_of, world_from_room, world_from_vehicle
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, is_rigid
@@ -21,8 +21,8 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(seed))
 
 
-def test_the_car_stands_upright_with_the_rigs_camera_at_its_view(driving: Motion) -> None:
-    rig = Rig()
+def test_the_car_stands_upright_with_the_rigs_camera_at_its_view(driving: KeyedMotion) -> None:
+    rig = VirtualRig()
     world = world_from_vehicle(rig, driving)
     assert is_rigid(world)
     assert world[:3, 2] == pytest.approx((0, 0, 1), abs=1e-12)
@@ -37,8 +37,8 @@ def test_the_car_stands_upright_with_the_rigs_camera_at_its_view(driving: Motion
     assert room[1, 2] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_frames_show_the_person_where_the_truth_says(driving: Motion) -> None:
-    rig = Rig.exact()
+def test_frames_show_the_person_where_the_truth_says(driving: KeyedMotion) -> None:
+    rig = VirtualRig.exact()
     world = world_from_vehicle(rig, driving)
     hand = Stagehand(rig, driving, world, sensor=SMALL)
     frames = [hand.frame(t, rng=generator(0)) for t in (0.2, 4.0)]
@@ -59,11 +59,11 @@ def test_frames_show_the_person_where_the_truth_says(driving: Motion) -> None:
     assert np.nanmax(np.abs(frames[0]["depth"] - frames[1]["depth"])) > 0.05  # somebody moved
 
 
-def test_noise_is_switched_by_the_rig(driving: Motion) -> None:
-    exact, real = Rig.exact(), Rig()
+def test_noise_is_switched_by_the_rig(driving: KeyedMotion) -> None:
+    exact, real = VirtualRig.exact(), VirtualRig()
     world = world_from_vehicle(real, driving)
 
-    def depth(rig: Rig, seed: int) -> np.ndarray:
+    def depth(rig: VirtualRig, seed: int) -> np.ndarray:
         return Stagehand(rig, driving, world, sensor=SMALL).frame(1.0, rng=generator(seed))["depth"]
 
     clean = depth(exact, 1)
@@ -76,8 +76,8 @@ def test_noise_is_switched_by_the_rig(driving: Motion) -> None:
     assert real.only("sensor_systematic").noise.ambient > 0
 
 
-def test_somebody_standing_in_a_room_is_seen_too(driving: Motion) -> None:
-    rig = Rig.exact()
+def test_somebody_standing_in_a_room_is_seen_too(driving: KeyedMotion) -> None:
+    rig = VirtualRig.exact()
     motion = exercises(driving.person, at_m=(2.2, 0.0), heading=np.pi, rng=generator(1))
     hand = Stagehand(rig, motion, world_from_room(rig), furnish_room(rng=generator(2)), sensor=SMALL)
     frame = hand.frame(1.0, rng=generator(3))
@@ -88,8 +88,8 @@ def test_somebody_standing_in_a_room_is_seen_too(driving: Motion) -> None:
         world_from_vehicle(rig, motion)
 
 
-def test_the_message_holds_the_frame_in_the_cameras_steps(driving: Motion) -> None:
-    rig = Rig()
+def test_the_message_holds_the_frame_in_the_cameras_steps(driving: KeyedMotion) -> None:
+    rig = VirtualRig()
     frame = Stagehand(rig, driving, world_from_vehicle(rig, driving), sensor=SMALL).frame(0.0, rng=generator(4))
     message = message_of(frame)
     depth = np.where(message.depth > 0, message.depth * DEPTH_UNIT_M, np.nan)

@@ -12,7 +12,7 @@ from cabinpose.align.project import align_take
 from cabinpose.align.session import Calibrated, Session, calibrate
 from cabinpose.app.cli import main
 from cabinpose.app.lab.laboratory import RIG, SESSION, Plan, drive_take, load_rig, load_truth, record_session
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import invert
@@ -25,7 +25,7 @@ PLAN = Plan(views=12, frames_per_view=1, pendulum_s=8, seconds=6.5, rate_hz=2, e
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("lab") / "session"
-    record_session(made, Rig().noise_free(), PLAN)
+    record_session(made, VirtualRig().noise_free(), PLAN)
     return made
 
 
@@ -36,7 +36,7 @@ def calibrated(folder: Path) -> Calibrated:
 
 def test_rendered_images_without_noise_give_the_calibration(folder: Path, calibrated: Calibrated) -> None:
     rig, truth = load_rig(folder / RIG), load_truth(folder, "S01")
-    assert rig == Rig().noise_free()
+    assert rig == VirtualRig().noise_free()
     error = calibration_error(calibrated.calibration, rig, truth, "S01")
     assert error.camera_mm < 1.0  # of 12 views; with 40, `bench lab` has 0.3
     assert error.camera_deg < 0.05

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.exercises import exercises
-from cabinpose.app.lab.motion import Motion, Stage, named_person
+from cabinpose.app.lab.motion import KeyedMotion, Stage, named_person
 from cabinpose.app.lab.rig import SuitErrors
 from cabinpose.app.lab.suit import (
     PARENTS,
@@ -36,17 +36,17 @@ def only(name: str, value: float) -> SuitErrors:
     return NONE.model_copy(update={name: value})
 
 
-def held(seconds: float, rate: float = 60.0, **degrees: float) -> tuple[Motion, np.ndarray]:
+def held(seconds: float, rate: float = 60.0, **degrees: float) -> tuple[KeyedMotion, np.ndarray]:
     """Somebody who holds a pose, T-pose where nothing is said, and the times at which a suit looks."""
     q = np.zeros((1, len(DOFS)))
     for name, value in {"lshoulder.abduction": 90.0, "rshoulder.abduction": 90.0, **degrees}.items():
         q[0, DOF_INDEX[name]] = np.radians(value)
-    motion = Motion(named_person("S01"), np.zeros(1), np.full(1, seconds), q, np.eye(4)[None], np.zeros(1), ("hold",))
+    motion = KeyedMotion(named_person("S01"), np.zeros(1), np.full(1, seconds), q, np.eye(4)[None], np.zeros(1), ("hold",))
     return motion, np.arange(0.0, seconds, 1.0 / rate)
 
 
 @pytest.fixture(scope="module")
-def moving() -> tuple[Motion, Segments]:
+def moving() -> tuple[KeyedMotion, Segments]:
     motion = exercises(named_person("S01"), heading=0.7, rng=generator(1))
     return motion, true_segments(motion, np.arange(2.5, 12.5, 1 / 60))
 
@@ -79,7 +79,7 @@ def test_the_neutral_pose_is_the_identity_with_arms_to_the_sides() -> None:
             assert t.position_m[0, s] == pytest.approx(mirrored, abs=2e-3)
 
 
-def test_segments_begin_at_our_joints_whatever_the_pose(driving: Motion) -> None:
+def test_segments_begin_at_our_joints_whatever_the_pose(driving: KeyedMotion) -> None:
     time = np.arange(0.0, 5.0, 0.31)
     segments, joints = true_segments(driving, time), driving.joints(time)
     for joint, theirs in RIGS["mvn"].items():
@@ -97,7 +97,7 @@ def test_an_elbow_bends_about_its_own_axis() -> None:
     assert Rotation.from_matrix(relative).as_rotvec(degrees=True) == pytest.approx((0.0, 0.0, -70.0), abs=1e-6)
 
 
-def test_without_errors_the_suit_says_the_truth_in_its_own_world(moving: tuple[Motion, Segments]) -> None:
+def test_without_errors_the_suit_says_the_truth_in_its_own_world(moving: tuple[KeyedMotion, Segments]) -> None:
     motion, true = moving
     on = wear()
     worn = as_worn(true, NONE, on, motion.person, np.zeros((1, 3)), rng=generator(3))
@@ -123,7 +123,7 @@ def test_forward_kinematics_against_the_two_link_closed_form() -> None:
     assert hand == pytest.approx(flat, abs=1e-12)
 
 
-def test_offsets_and_forward_undo_each_other(moving: tuple[Motion, Segments]) -> None:
+def test_offsets_and_forward_undo_each_other(moving: tuple[KeyedMotion, Segments]) -> None:
     _, true = moving
     assert forward(true.rotation, true.offsets()) == pytest.approx(true.position_m, abs=1e-9)
 
@@ -139,7 +139,7 @@ def test_noise_has_its_size_and_half_of_it_a_memory() -> None:
     assert lagged == pytest.approx(0.5 * np.exp(-1 / 60 / 0.3), abs=0.03)
 
 
-def test_calibration_turns_each_segment_by_a_constant(moving: tuple[Motion, Segments]) -> None:
+def test_calibration_turns_each_segment_by_a_constant(moving: tuple[KeyedMotion, Segments]) -> None:
     motion, true = moving
     on = wear()
     worn = at_home(as_worn(true, only("calibration_offset_deg", 2.0), on, motion.person, rng=generator(5)), on)
@@ -175,7 +175,7 @@ def test_soft_tissue_follows_the_angle_and_its_rate() -> None:
     assert wrong[100, hand] == pytest.approx(expected, abs=1e-6)
 
 
-def test_heading_drifts_by_its_rate_and_drops_out_relative_to_the_head(moving: tuple[Motion, Segments]) -> None:
+def test_heading_drifts_by_its_rate_and_drops_out_relative_to_the_head(moving: tuple[KeyedMotion, Segments]) -> None:
     motion, true = moving
     on = wear()
     worn = at_home(as_worn(true, only("heading_drift_deg_per_min", 5.0), on, motion.person, rng=generator(4)), on)
@@ -224,7 +224,7 @@ def test_the_cars_steel_is_behind_doors_and_roof_and_under_the_seat(stage: Stage
     assert (steel < high + 1e-3).all()
 
 
-def test_lengths_are_wrong_by_their_share_and_constant(moving: tuple[Motion, Segments]) -> None:
+def test_lengths_are_wrong_by_their_share_and_constant(moving: tuple[KeyedMotion, Segments]) -> None:
     motion, true = moving
     on = wear()
     worn = as_worn(true, only("length_error", 0.02), on, motion.person, rng=generator(4))
@@ -240,7 +240,7 @@ def test_lengths_are_wrong_by_their_share_and_constant(moving: tuple[Motion, Seg
     assert np.abs(exact[:, bends] - model[bends]).max() < 0.006
 
 
-def test_dead_reckoning_moves_the_whole_body_and_nothing_else(moving: tuple[Motion, Segments]) -> None:
+def test_dead_reckoning_moves_the_whole_body_and_nothing_else(moving: tuple[KeyedMotion, Segments]) -> None:
     motion, true = moving
     on = wear()
     worn = at_home(as_worn(true, only("root_drift_m_per_min", 0.5), on, motion.person, rng=generator(4)), on)
@@ -251,7 +251,7 @@ def test_dead_reckoning_moves_the_whole_body_and_nothing_else(moving: tuple[Moti
     assert 0.005 < np.linalg.norm(off[-1, 0]) < 0.5
 
 
-def test_one_error_draws_the_same_numbers_whatever_else_is_on(moving: tuple[Motion, Segments]) -> None:
+def test_one_error_draws_the_same_numbers_whatever_else_is_on(moving: tuple[KeyedMotion, Segments]) -> None:
     motion, true = moving
     on = wear()
     rngs = generator(8), generator(8)

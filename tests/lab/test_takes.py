@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.optical import MODEL_SEGMENTS
-from cabinpose.app.lab.rig import Device, Rig
+from cabinpose.app.lab.rig import Device, VirtualRig
 from cabinpose.app.lab.takes import Actor, Truth, truth_path, write_action_take, write_head_take, write_motion_take
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert
@@ -33,7 +33,7 @@ def transforms(series: SegmentSeries, name: str) -> np.ndarray:
 
 def test_from_exact_observations_the_chain_gives_the_joints_in_the_camera(tmp_path: Path, actor: Actor) -> None:
     beat = Device(rate_hz=5.0)  # all devices at the same instants
-    rig = Rig.exact(tof=beat, optical=beat.model_copy(update={"offset_s": 7.0}), suit=beat)
+    rig = VirtualRig.exact(tof=beat, optical=beat.model_copy(update={"offset_s": 7.0}), suit=beat)
     path = tmp_path / "take.mcap"
     truth = write_action_take(path, rig, actor, 2.0, sensor=SMALL, rng=generator(1))
     with Recording(path) as recording:
@@ -59,11 +59,11 @@ def test_from_exact_observations_the_chain_gives_the_joints_in_the_camera(tmp_pa
 
 
 def test_stamps_are_those_of_the_rigs_clocks(tmp_path: Path, actor: Actor) -> None:
-    rig = Rig()
+    rig = VirtualRig()
     path = tmp_path / "take.mcap"
     written = write_action_take(path, rig, actor, 1.0, rate_hz=3.0, sensor=SMALL, rng=generator(2))
     truth = Truth.load(truth_path(path))
-    assert Rig.model_validate_json(truth.rig) == rig
+    assert VirtualRig.model_validate_json(truth.rig) == rig
     assert np.array_equal(truth.world_from_object, written.world_from_object)
     with Recording(path) as recording:
         for source, rate, true_ns in (("suit", 60, truth.suit_ns), ("optical", 100, truth.optical_ns), ("tof", 3, truth.tof_ns)):
@@ -85,7 +85,7 @@ def test_stamps_are_those_of_the_rigs_clocks(tmp_path: Path, actor: Actor) -> No
 
 
 def test_the_head_take_turns_the_head_and_names_its_windows(tmp_path: Path, actor: Actor) -> None:
-    rig = Rig.exact(optical=Device(rate_hz=10.0), suit=Device(rate_hz=10.0))
+    rig = VirtualRig.exact(optical=Device(rate_hz=10.0), suit=Device(rate_hz=10.0))
     path = tmp_path / "head.mcap"
     truth = write_head_take(path, rig, actor, rng=generator(3))
     assert truth.windows.tolist() == ["flexion", "lateral", "rotation"]
@@ -102,7 +102,7 @@ def test_the_head_take_turns_the_head_and_names_its_windows(tmp_path: Path, acto
 
 
 def test_the_motion_take_has_suit_and_model_of_the_whole_body(tmp_path: Path, actor: Actor) -> None:
-    rig = Rig.exact(optical=Device(rate_hz=10.0), suit=Device(rate_hz=10.0))
+    rig = VirtualRig.exact(optical=Device(rate_hz=10.0), suit=Device(rate_hz=10.0))
     path = tmp_path / "motion.mcap"
     truth = write_motion_take(path, rig, actor, rng=generator(4))
     assert truth.windows.tolist() == ["neutral_first", "coronal", "sagittal", "transversal", "neutral_last"]
@@ -122,7 +122,7 @@ def test_the_motion_take_has_suit_and_model_of_the_whole_body(tmp_path: Path, ac
 def test_the_same_seed_writes_the_same_bytes(tmp_path: Path, actor: Actor) -> None:
     def digest(name: str, seed: int) -> str:
         path = tmp_path / name
-        write_action_take(path, Rig(), actor, 0.5, rate_hz=4.0, sensor=SMALL, rng=generator(seed))
+        write_action_take(path, VirtualRig(), actor, 0.5, rate_hz=4.0, sensor=SMALL, rng=generator(seed))
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
     assert digest("a.mcap", 5) == digest("b.mcap", 5) != digest("c.mcap", 6)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.app.lab.raycast import Plate, Scene, cast
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.raycast import Plate, PrimitiveScene, cast
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.targets import as_message, board_scene, pendulum_scene, see
 from cabinpose.core.frames import apply, invert, transform
 from cabinpose.scene.materials import ID, MATERIALS
@@ -68,7 +68,7 @@ def dense_sphere(centre: F64, radius: float, gain: float, rays: int = 40) -> tup
 def test_a_sphere_lights_the_pixels_as_dense_rays_say(shift: tuple[float, float], radius: float) -> None:
     z = 1.1
     centre = np.array(((shift[0] + 0.5) * z / CAMERA.fx, shift[1] * z / CAMERA.fy, z))
-    seen = light(cast(Scene(*NOTHING[:2], np.array([[*centre, radius, 3.0]])), SENSOR))
+    seen = light(cast(PrimitiveScene(*NOTHING[:2], np.array([[*centre, radius, 3.0]])), SENSOR))
     dense, (v0, u0) = dense_sphere(centre, radius, 3.0)
     assert seen.sum() == pytest.approx(seen[v0 : v0 + 12, u0 : u0 + 12].sum())
     assert np.abs(seen[v0 : v0 + 12, u0 : u0 + 12] - dense).max() < 0.04
@@ -79,7 +79,7 @@ def test_a_sphere_lights_the_pixels_as_dense_rays_say(shift: tuple[float, float]
 
 @pytest.mark.parametrize("radius", [0.007, 0.0125])
 def test_a_sphere_is_as_bright_as_it_is_large(radius: float) -> None:
-    seen = light(cast(Scene(*NOTHING[:2], np.array([[0.002, 0.001, 1.1, radius, 3.0]])), SENSOR))
+    seen = light(cast(PrimitiveScene(*NOTHING[:2], np.array([[0.002, 0.001, 1.1, radius, 3.0]])), SENSOR))
     # a disc of radius a px, whose brightness falls as sqrt(1 - rho^2) from the middle: 2/3 of it in the mean
     a = CAMERA.fx * radius / 1.1
     assert seen.sum() == pytest.approx(3.0 * np.pi * a * a * 2 / 3, rel=0.004)
@@ -87,7 +87,7 @@ def test_a_sphere_is_as_bright_as_it_is_large(radius: float) -> None:
 
 def test_a_sphere_in_the_corner_of_the_image_is_found_there_too() -> None:
     centre = np.array((0.55, -0.45, 0.8))
-    seen = light(cast(Scene(*NOTHING[:2], np.array([[*centre, 0.0125, 1.0]])), SENSOR))
+    seen = light(cast(PrimitiveScene(*NOTHING[:2], np.array([[*centre, 0.0125, 1.0]])), SENSOR))
     # the image of a sphere off the axis is an ellipse, whose middle is farther out than that of the sphere
     assert np.abs(centroid(seen) - CAMERA.project(centre)).max() < 0.03
 
@@ -100,7 +100,7 @@ def test_the_light_of_a_plate_is_that_of_its_area() -> None:
         (0.0, 0.0, 4, 2, side),
         reflectances=(0.8, 0.1, 0.3),
     )
-    seen = light(cast(Scene(*NOTHING, plate), SENSOR))
+    seen = light(cast(PrimitiveScene(*NOTHING, plate), SENSOR))
     # the centre of the image is as good as undistorted; the cosine of incidence is that of the ray
     rays = CAMERA.rays
     per_m2 = np.zeros_like(seen)
@@ -119,7 +119,7 @@ def test_the_light_of_a_plate_is_that_of_its_area() -> None:
 def test_rays_meet_what_a_distance_field_says() -> None:
     capsules = np.array([[-0.3, 0.1, 1.0, 0.2, -0.2, 1.6, 0.12, 0.5], [0.4, 0.5, 0.9, 0.42, -0.4, 1.0, 0.05, 0.5]])
     spheres = np.array([[0.1, 0.1, 0.9, 0.08, 1.0], [-0.5, 0.3, 1.5, 0.2, 1.0]])
-    buffers = cast(Scene(WALL, capsules, spheres), SENSOR)
+    buffers = cast(PrimitiveScene(WALL, capsules, spheres), SENSOR)
     v, u = np.mgrid[0:287:9, 0:352:9].reshape(2, -1)
     direction = np.concatenate((CAMERA.rays[v, u], np.ones((len(v), 1))), axis=-1)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -158,14 +158,14 @@ def _nearest_is_a_sphere(p: F64, spheres: F64) -> NDArray[np.bool_]:
 def test_a_thin_string_takes_its_share_of_each_pixel() -> None:
     z, radius = 1.0, 0.0008
     string = np.array([[0.013, -0.1, z, 0.017, 0.1, z, radius, 1.0]])
-    seen = light(cast(Scene(WALL[:0], string, NOTHING[2]), SENSOR))
+    seen = light(cast(PrimitiveScene(WALL[:0], string, NOTHING[2]), SENSOR))
     rows = seen[130:156].sum(axis=1)  # the mean of sqrt(1 - x^2) over a chord is pi / 4
     assert np.abs(rows / (np.pi / 4 * 2 * radius * CAMERA.fx / z) - 1).max() < 0.1
     assert abs(rows.mean() / (np.pi / 4 * 2 * radius * CAMERA.fx / z) - 1) < 0.02
 
 
 def test_depth_is_that_of_the_plane() -> None:
-    rig, board = Rig.exact(), Board()
+    rig, board = VirtualRig.exact(), Board()
     pose = camera_from_board(1.0, (0.4, -0.3, 0.1), board)
     frame = see(rig, board_scene(rig, board, invert(rig.camera_from_world) @ pose), rng=rng())
     x, y = np.rint(CAMERA.project(apply(pose, board.corners + (0.03, 0.03, 0)))).astype(int).T  # the middles of squares
@@ -180,7 +180,7 @@ def test_depth_is_that_of_the_plane() -> None:
     [(0.8, (0.3, 0.2, 0.1), (0, 0)), (1.2, (-0.4, 0.3, -0.2), (0.25, 0.1)), (1.0, (0, 0, 0), (-0.2, 0))],
 )
 def test_corners_are_found_where_they_project_to(distance: float, turn: tuple, aside: tuple) -> None:
-    rig, board = Rig.exact(), Board()
+    rig, board = VirtualRig.exact(), Board()
     pose = camera_from_board(distance, turn, board, aside)
     amplitude = see(rig, board_scene(rig, board, invert(rig.camera_from_world) @ pose), rng=rng()).amplitude
     expected = CAMERA.project(apply(pose, board.corners))
@@ -196,7 +196,7 @@ def test_corners_are_found_where_they_project_to(distance: float, turn: tuple, a
 
 
 def test_the_square_before_the_first_corner_is_black() -> None:
-    rig, board = Rig.exact(), Board()
+    rig, board = VirtualRig.exact(), Board()
     pose = camera_from_board(0.8, (0.1, 0, 0), board)
     amplitude = see(rig, board_scene(rig, board, invert(rig.camera_from_world) @ pose), rng=rng()).amplitude
     first, second = np.rint(CAMERA.project(apply(pose, board.corners[0] + [(-0.03, -0.03, 0), (0.03, -0.03, 0)]))).astype(int)
@@ -204,7 +204,7 @@ def test_the_square_before_the_first_corner_is_black() -> None:
 
 
 def test_markers_are_the_brightest_and_lie_on_the_board() -> None:
-    rig, board = Rig(), Board()
+    rig, board = VirtualRig(), Board()
     pose = camera_from_board(1.0, (0.2, 0.3, 0.1), board)
     frame = see(rig, board_scene(rig, board, invert(rig.camera_from_world) @ pose), rng=rng())
     amplitude = frame.amplitude.astype(np.float64)
@@ -222,7 +222,7 @@ def test_markers_are_the_brightest_and_lie_on_the_board() -> None:
 
 
 def test_the_operator_covers_neither_corners_nor_markers() -> None:
-    rig, board = Rig.exact(), Board()
+    rig, board = VirtualRig.exact(), Board()
     world_from_camera = invert(rig.camera_from_world)
     for turn in ((0.6, 0.0, 0.3), (-0.6, 0.2, 0.0), (0.2, 0.6, -0.3), (0.0, -0.6, 0.2)):
         pose = camera_from_board(1.3, turn, board, (-0.1, 0.35))
@@ -239,7 +239,7 @@ def test_the_operator_covers_neither_corners_nor_markers() -> None:
 
 
 def test_a_marker_close_by_saturates() -> None:
-    rig = Rig(sensor="pico_monstar_105/1", tof={"rate_hz": 5})
+    rig = VirtualRig(sensor="pico_monstar_105/1", tof={"rate_hz": 5})
     world_from_camera = invert(rig.camera_from_world)
     scenes = [
         pendulum_scene(rig, apply(world_from_camera, (0, -0.4, z)), apply(world_from_camera, (0, 0, z))) for z in (0.5, 2.0)
@@ -250,19 +250,19 @@ def test_a_marker_close_by_saturates() -> None:
 
 
 def test_noise_is_switched_and_drawn_from_the_generator() -> None:
-    scene = pendulum_scene(Rig(), (0.9, 0.0, 1.7), (0.85, 0.1, 1.1))
-    once, again, other = (see(Rig(), scene, rng=rng(seed)) for seed in (1, 1, 2))
+    scene = pendulum_scene(VirtualRig(), (0.9, 0.0, 1.7), (0.85, 0.1, 1.1))
+    once, again, other = (see(VirtualRig(), scene, rng=rng(seed)) for seed in (1, 1, 2))
     assert (once.amplitude == again.amplitude).all()
     assert np.array_equal(once.depth_m, again.depth_m, equal_nan=True)
     assert (once.amplitude != other.amplitude).any()
-    exact = [see(Rig.exact(), scene, rng=rng(seed)).amplitude for seed in (1, 2)]
+    exact = [see(VirtualRig.exact(), scene, rng=rng(seed)).amplitude for seed in (1, 2)]
     assert (exact[0] == exact[1]).all()
     flat = np.s_[200:220, 150:200]
     assert np.std(once.amplitude[flat] - exact[0][flat].astype(float)) > 2
 
 
 def test_a_frame_as_the_recorder_gets_it() -> None:
-    rig = Rig()
+    rig = VirtualRig()
     frame = see(rig, pendulum_scene(rig, (0.9, 0.0, 1.7), (0.85, 0.1, 1.1)), rng=rng())
     message = as_message(rig, frame)
     assert message.depth.shape == message.amplitude.shape == message.confidence.shape == (287, 352)

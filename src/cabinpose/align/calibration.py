@@ -72,7 +72,7 @@ class Extrinsics(_Model):
         return np.array(self.camera_from_world)
 
 
-class Delay(_Model):
+class KnownDelay(_Model):
     """Stamps of one event: the second source's less the first's, on the host's axis, s."""
 
     offset_s: float
@@ -86,7 +86,7 @@ class Head(_Model):
     object_from_head: Rigid
     residual_rad: Annotated[float | None, Field(description="rms angle between the two systems' heads")] = None
     suit_to_optical: Annotated[
-        Delay | None, Field(description="stamps of the optical system less the suit's, in the head take")
+        KnownDelay | None, Field(description="stamps of the optical system less the suit's, in the head take")
     ] = None
     offset: Annotated[str, Field(description="measured, or fitted from the turning head")] = "measured"
     hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
@@ -116,7 +116,7 @@ class Calibration(_Model):
     names: Names = Field(default_factory=Names)
     intrinsics: Intrinsics
     extrinsics: Extrinsics
-    tof_to_optical: Annotated[Delay, Field(description="stamps of the optical system less those of the camera")]
+    tof_to_optical: Annotated[KnownDelay, Field(description="stamps of the optical system less those of the camera")]
     heads: Annotated[dict[str, Head], Field(description="by subject code")] = Field(default_factory=dict)
     vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands, if known")] = None
 

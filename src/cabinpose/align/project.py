@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.align.calibration import Calibration
-from cabinpose.align.calibration import Delay as Known
+from cabinpose.align.calibration import Calibration, KnownDelay
 from cabinpose.align.chain import joints_in_camera, rigid
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import joints_of_segments
@@ -112,7 +111,7 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     return aligned
 
 
-def with_known(measured: Delay, known: Known | None) -> Delay:
+def with_known(measured: Delay, known: KnownDelay | None) -> Delay:
     """A take's delay, made sharper by that of the head take where the two agree.
 
     What is measured on the host's axis is the difference of two latencies' floors, which stays as long as the rig does; a head

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cabinpose.align.board import Board
 from cabinpose.align.boardtake import BoardViews, board_views
 from cabinpose.align.bundle import refine_camera_from_world
-from cabinpose.align.calibration import Calibration, Delay, Extrinsics, Head, Intrinsics, Names, Rigid, rows
+from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, Names, Rigid, rows
 from cabinpose.align.chain import object_from_head
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
 from cabinpose.align.head import HeadAlignment, HeadOffset, align_head, head_offset, measured_offset
@@ -23,7 +23,7 @@ from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, Triple
 from cabinpose.align.time import suit_to_optical, tof_to_optical
 from cabinpose.core.camera import Camera
-from cabinpose.core.delay import Delay as Measured
+from cabinpose.core.delay import Delay
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply
 from cabinpose.core.resample import resample_positions, resample_rotations
@@ -87,8 +87,8 @@ class Calibrated:
     lens: IntrinsicsResult | None
     by_markers: ExtrinsicsResult
     by_corners: ExtrinsicsResult
-    delay: Measured
-    heads: dict[str, tuple[HeadAlignment, HeadOffset, Measured]]
+    delay: Delay
+    heads: dict[str, tuple[HeadAlignment, HeadOffset, Delay]]
 
 
 def calibrate(session: Session) -> Calibrated:
@@ -182,7 +182,7 @@ def _told(by_markers: ExtrinsicsResult, by_corners: ExtrinsicsResult) -> Extrins
     )
 
 
-def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_world: F64) -> Measured:
+def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_world: F64) -> Delay:
     """The stamps of the optical system less those of the camera, both on the host's axis."""
     marker = marker_series(recording, names.optical, names.pendulum)
     times = frame_times(recording, names.tof)
@@ -199,7 +199,7 @@ def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_wo
     )
 
 
-def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset, Measured]:
+def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset, Delay]:
     """How the suit's head sits in the optical system's, and the delay between them, from a take of the turning head."""
     rig = RIGS["mvn"]
     suit = segment_series(recording, names.suit, code)
@@ -223,5 +223,5 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     return turn, head_offset(position, orientation, p_pivot=pivot, spans=span), delay
 
 
-def _plain(delay: Measured) -> Delay:
-    return Delay(offset_s=delay.offset_s, interval_s=delay.interval_s, correlation=delay.correlation)
+def _plain(delay: Delay) -> KnownDelay:
+    return KnownDelay(offset_s=delay.offset_s, interval_s=delay.interval_s, correlation=delay.correlation)

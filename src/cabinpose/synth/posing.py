@@ -15,8 +15,8 @@ from typing import NamedTuple
 from cabinpose.core.errors import SceneError
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.synth.posture.company import beside_each_other, close_seats, half_breadth
 from cabinpose.synth.posture.goals import given as as_given
+from cabinpose.synth.posture.neighbours import beside_each_other, close_seats, half_breadth
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, settled
 from cabinpose.synth.posture.solver import Sitter
 from cabinpose.synth.validate import Rejection, Seated, Validator

@@ -1,4 +1,4 @@
-"""Motion profiles: how an occupant departs from the posture that was solved for the seat.
+"""RetargetedMotion profiles: how an occupant departs from the posture that was solved for the seat.
 
 Three kinds, chosen by `kind` in a configuration: `gaussian` (a truncated normal distribution per degree of freedom),
 `incremental` (every combination of steps within the range of motion) and `mocap` (a recording, retargeted). Angles are
@@ -26,7 +26,7 @@ from cabinpose.scene.body.rig import LOWER, UPPER
 
 if TYPE_CHECKING:
     from cabinpose.store.convert.bvh import UpAxis
-    from cabinpose.synth.posture.retarget import Motion
+    from cabinpose.synth.posture.retarget import RetargetedMotion
 
 Array = NDArray[np.float64]
 
@@ -329,7 +329,7 @@ class MocapProfile(_Profile):
         return Recorded(motion.q[frame].copy(), axis_rotation("z", -heading) @ motion.root[frame])
 
     @property
-    def _motion(self) -> tuple[Motion, float, Array]:
+    def _motion(self) -> tuple[RetargetedMotion, float, Array]:
         return _recorded_motion(self.path, self.unit_m, self.up)
 
     @property
@@ -348,7 +348,7 @@ _UPPER_BODY = tuple(dof.name for dof in DOFS if not dof.name[1:].startswith(("hi
 
 
 @lru_cache(maxsize=8)
-def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[Motion, float, Array]:
+def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[RetargetedMotion, float, Array]:
     """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
     from cabinpose.store.convert.bvh import read_bvh  # noqa: PLC0415 - scipy's rotations, for recordings alone
     from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise

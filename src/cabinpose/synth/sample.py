@@ -49,7 +49,7 @@ from cabinpose.synth.plan import (
 )
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
-from cabinpose.synth.posture.company import company_of
+from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.profiles import standing
@@ -258,16 +258,16 @@ class SceneSampler:
         rng: np.random.Generator,
     ) -> Drawn:
         seat = cabin.seats[slot]
-        company = company_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
+        neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
-        left_out = frozenset[str]() if company is None else company.left_out
+        left_out = frozenset[str]() if neighbours is None else neighbours.left_out
         action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
         initial = standing(occupant.initial_pose_deg) if occupant.initial_pose_deg else None
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=initial, index=index, offset=offset,
-            company=company, rng=rng,
+            neighbours=neighbours, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:

@@ -13,7 +13,7 @@ import numpy as np
 from cabinpose.align.project import align_take
 from cabinpose.align.session import Session, calibrate
 from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, record_session
-from cabinpose.app.lab.rig import ERRORS, Rig
+from cabinpose.app.lab.rig import ERRORS, VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.store.recording import Recording
 
@@ -38,7 +38,7 @@ def run_lab_bench(
     joints mean and median distance (cm, px), the mean of each joint (cm), and the suit's delay (ms). `budget_cm`: the mean
     distance that each error alone adds, and the root of the sum of their squares, to be held against that of all together.
     """
-    rig = Rig()
+    rig = VirtualRig()
     rigs = {EXACT: rig.noise_free(), ALL: rig}
     rigs |= {name: rig.only(name) for name in errors or [name for name in ERRORS if name not in _RARE]}
     plan = Plan(
@@ -60,7 +60,7 @@ def run_lab_bench(
     return {"plan": plan.model_dump(mode="json"), "budget_cm": budget, "sessions": sessions}
 
 
-def _session(folder: Path, rig: Rig, plan: Plan) -> dict[str, Any]:
+def _session(folder: Path, rig: VirtualRig, plan: Plan) -> dict[str, Any]:
     ((subject, truth),) = record_session(folder, rig, plan).items()
     found = calibrate(Session.load(folder / SESSION))
     with Recording(folder / drive_take(subject)) as recording:

@@ -28,7 +28,7 @@ from cabinpose.store.part import disk_errors
 if TYPE_CHECKING:  # they need the extra `record`, which is asked for first
     from cabinpose.app.mocap.compare import Setup
     from cabinpose.app.mocap.figures import Section
-    from cabinpose.app.mocap.inputs import Motion
+    from cabinpose.app.mocap.inputs import PointTracks
 
 Outcome = tuple[Judgement, "list[Section]", dict[str, Any]]
 
@@ -112,7 +112,7 @@ def _sfe(command: EvaluateSfe) -> Outcome:
     return found, sfe_sections(found, runs, _measures(found), bones), {"lengths": lengths}
 
 
-def _sfe_run(command: EvaluateSfe, motion: Motion, condition: str) -> SfeRun:
+def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRun:
     if (command.first is None) != (command.last is None):
         raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
     if command.first is not None and command.last is not None:

@@ -16,9 +16,9 @@ def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
     from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
-    from cabinpose.app.lab.rig import Rig
+    from cabinpose.app.lab.rig import VirtualRig
 
-    rig = load_rig(command.rig) if command.rig is not None else Rig()
+    rig = load_rig(command.rig) if command.rig is not None else VirtualRig()
     if command.only is not None:
         rig = rig.noise_free() if command.only == "exact" else rig.only(command.only)
     try:

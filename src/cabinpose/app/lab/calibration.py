@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from cabinpose.align.board import Board
 from cabinpose.app.lab.markers import marker_samples
 from cabinpose.app.lab.pendulum import Swing, swing
-from cabinpose.app.lab.raycast import Scene
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.raycast import PrimitiveScene
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.targets import as_message, board_scene, pendulum_scene, plate_size, see
 from cabinpose.app.lab.writing import write_recording
 from cabinpose.core.camera import Camera
@@ -82,7 +82,7 @@ def _centre(board: Board) -> tuple[float, float]:
 
 
 def board_take(
-    rig: Rig,
+    rig: VirtualRig,
     *,
     views: int = 50,
     board: Board | None = None,
@@ -104,7 +104,7 @@ def board_take(
     return BoardTake(board, poses, held, start_s, float(begins_s[-1] + hold_s + 0.3))
 
 
-def _pose(rig: Rig, board: Board, view: int, views: int, *, rng: Generator) -> Matrix:
+def _pose(rig: VirtualRig, board: Board, view: int, views: int, *, rng: Generator) -> Matrix:
     """camera_from_board of one view: in its turn of the image's parts and of the distances, otherwise at random."""
     sensor = rig.tof_sensor
     camera = sensor.camera
@@ -149,7 +149,7 @@ def _is_legible(camera: Camera, camera_from_board: Matrix, board: Board, centre:
     return bool(cosine > np.cos(np.radians(_INCIDENCE_DEG)) and side > _SQUARE_PX)
 
 
-def write_board_take(path: Path, rig: Rig, truth: BoardTake, *, frames_per_view: int = 1, rng: Generator) -> None:
+def write_board_take(path: Path, rig: VirtualRig, truth: BoardTake, *, frames_per_view: int = 1, rng: Generator) -> None:
     """Write `truth` as camera and optical system see it: sources `tof` and `optical`, subject `board`.
 
     The operator triggers the camera while the board is held: `frames_per_view` frames in the middle of that. The optical system
@@ -166,7 +166,7 @@ def write_board_take(path: Path, rig: Rig, truth: BoardTake, *, frames_per_view:
     write_recording(path, rig, Take(action="board"), streams, start_s=truth.start_s)
 
 
-def _while_held(rig: Rig, truth: BoardTake, frames: int) -> Times:
+def _while_held(rig: VirtualRig, truth: BoardTake, frames: int) -> Times:
     """True times of the camera's frames nearest to the middle of each hold. Raises SceneError where a hold has not so many."""
     ticks = rig.clock("tof").ticks(rig.tof.rate_hz, truth.start_s, truth.end_s)
     chosen = []
@@ -199,7 +199,13 @@ class PendulumTake:
 
 
 def pendulum_take(
-    rig: Rig, *, duration_s: float = 25.0, distance_m: float = 1.0, length_m: float = 0.65, start_s: float = 0.0, rng: Generator
+    rig: VirtualRig,
+    *,
+    duration_s: float = 25.0,
+    distance_m: float = 1.0,
+    length_m: float = 0.65,
+    start_s: float = 0.0,
+    rng: Generator,
 ) -> PendulumTake:
     """Draw a pendulum take: the marker rests on the camera's axis, `distance_m` before it, and swings mostly across the image."""
     world_from_camera = invert(rig.camera_from_world)
@@ -211,7 +217,7 @@ def pendulum_take(
     return PendulumTake(motion, rest + (0.0, 0.0, length_m), heading, start_ns, start_s, start_s + duration_s)
 
 
-def write_pendulum_take(path: Path, rig: Rig, truth: PendulumTake, *, rng: Generator) -> None:
+def write_pendulum_take(path: Path, rig: VirtualRig, truth: PendulumTake, *, rng: Generator) -> None:
     """Write `truth` as camera and optical system see it: sources `tof` and `optical`, subject `pendulum`, marker `pendulum`.
 
     Raises RecordingError where the file exists.
@@ -226,7 +232,7 @@ def write_pendulum_take(path: Path, rig: Rig, truth: PendulumTake, *, rng: Gener
     write_recording(path, rig, Take(action="pendulum"), streams, start_s=truth.start_s)
 
 
-def _tof_samples(rig: Rig, true_ns: Times, scene: Callable[[int], Scene], *, rng: Generator) -> Iterator[Sample]:
+def _tof_samples(rig: VirtualRig, true_ns: Times, scene: Callable[[int], PrimitiveScene], *, rng: Generator) -> Iterator[Sample]:
     """The camera's samples of the scenes `scene(k)` at the true times (T,), made one by one while they are taken."""
     clock = rig.clock("tof")
     stamps, arrivals = clock.stamps(true_ns), clock.arrivals(true_ns, rng=rng)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab.motion import F64, Motion, Window
+from cabinpose.app.lab.motion import F64, KeyedMotion, Window
 from cabinpose.core.frames import transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
@@ -51,7 +51,7 @@ def neutral_pose() -> F64:
 
 def exercises(
     person: Person, *, at_m: tuple[float, float] = (0.0, 0.0), heading: float = 0.0, rng: np.random.Generator
-) -> Motion:
+) -> KeyedMotion:
     """The movements of a person who stands at (x, y) m of a room's floor (z = 0) and looks along `heading` (rad about z).
 
     Windows: neutral_first, coronal, sagittal, transversal, neutral_last. The pelvis stays where it is.
@@ -72,7 +72,7 @@ def exercises(
         windows.append(Window(plane, begun, leave[-1]))
     leave[-1] += NEUTRAL_S
     windows.append(Window("neutral_last", leave[-1] - NEUTRAL_S, leave[-1]))
-    return Motion(
+    return KeyedMotion(
         person, np.array(arrive), np.array(leave), np.stack(keys), np.tile(root, (len(keys), 1, 1)), np.zeros(len(keys)),
         tuple(names), tuple(windows),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.align.board import Board
 from cabinpose.app.lab.calibration import board_take, pendulum_take, write_board_take, write_pendulum_take
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import Truth, dress_up, truth_path, write_action_take, write_head_take, write_motion_take
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert
@@ -60,7 +60,7 @@ def exercise_take(subject: str) -> str:
     return f"exercises-{subject}.mcap"
 
 
-def record_session(folder: Path, rig: Rig, plan: Plan, report: Callable[[int], None] = lambda _: None) -> dict[str, Truth]:
+def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[int], None] = lambda _: None) -> dict[str, Truth]:
     """Record a session into a new folder and return the truth of each subject's drive, which lies beside it as well.
 
     report: called with the number of `plan.steps` done. Same rig and plan, same recordings. Raises ConfigError where the folder
@@ -125,10 +125,10 @@ def _write_yaml(path: Path, data: dict[str, Any]) -> None:
     path.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
-def load_rig(path: Path) -> Rig:
+def load_rig(path: Path) -> VirtualRig:
     """The rig of a laboratory in a YAML file. Raises ConfigError."""
     hint = "`cabinpose lab` writes one as rig.yaml; docs/alignment.md lists its keys"
-    return validated(Rig, read_mapping(path, hint=hint), path, hint=hint)
+    return validated(VirtualRig, read_mapping(path, hint=hint), path, hint=hint)
 
 
 def load_truth(folder: Path, subject: str) -> Truth:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers
 
@@ -28,7 +28,7 @@ def spells(time_s: F64, per_s: float, for_s: tuple[float, float], *, rng: Genera
     return inside
 
 
-def observed(rig: Rig, true_ns: NDArray[np.int64], positions: F64, *, rng: Generator) -> F64:
+def observed(rig: VirtualRig, true_ns: NDArray[np.int64], positions: F64, *, rng: Generator) -> F64:
     """(T, M, 3) what the optical system says of markers at `positions` (T, M, 3), world, m; NaN = lost."""
     time_s = (true_ns - rig.start_ns) / 1e9
     said = positions + rig.optical_noise_m * rng.standard_normal(positions.shape)
@@ -43,7 +43,7 @@ def observed(rig: Rig, true_ns: NDArray[np.int64], positions: F64, *, rng: Gener
 
 
 def marker_samples(
-    rig: Rig, true_ns: NDArray[np.int64], subject: str, names: Sequence[str], positions: F64, *, rng: Generator
+    rig: VirtualRig, true_ns: NDArray[np.int64], subject: str, names: Sequence[str], positions: F64, *, rng: Generator
 ) -> Iterator[Sample]:
     """The optical system's samples of markers at `positions` (T, M, 3) at the true times (T,).
 

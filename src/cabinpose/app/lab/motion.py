@@ -57,7 +57,7 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class KeyedMotion:
     """One person's motion in the scene's frame (the vehicle's, or a room's with z up and the floor at 0).
 
     Key k is held from arrive_s[k] to leave_s[k] (K,), rising · q: (K, D) rad in the order of `DOFS` · root: (K, 4, 4)
@@ -151,7 +151,7 @@ def at_the_wheel(car: str = "sedan", subject: str = "S01", *, rng: np.random.Gen
     return Stage(car, cabin, validator, subject, person, settings, draw_offset(0.015, math.radians(3.0), rng=rng))
 
 
-def drive(stage: Stage, seconds: float, *, rng: np.random.Generator) -> Motion:
+def drive(stage: Stage, seconds: float, *, rng: np.random.Generator) -> KeyedMotion:
     """At least `seconds` of a driver's doings, ending at rest: actions of the generator, with looks to mirrors and sides between.
 
     Keys hold as the generator's frames do (`Validator.check`). Between them the body goes no deeper than `PASS_M` beyond what
@@ -185,7 +185,7 @@ _LEAST_DEG = 15.0
 _SWING_S = 1.3
 
 
-def calibrate_head(stage: Stage, *, rng: np.random.Generator) -> Motion:
+def calibrate_head(stage: Stage, *, rng: np.random.Generator) -> KeyedMotion:
     """Flexion and extension, lateral flexion and rotation of the head, each twice, on a still trunk: about 20 s.
 
     The head goes as far as its joints and the headrest let it, at most 30 deg (rotation: 40). Windows: flexion, lateral,
@@ -258,8 +258,8 @@ class _Course:
         q, root, wheel = _between(self.last, key, np.arange(1, steps + 1) / steps)
         return all(self._depth(q[k], root[k], float(wheel[k])) <= PASS_M for k in range(steps))
 
-    def motion(self, windows: tuple[Window, ...] = ()) -> Motion:
-        return Motion(
+    def motion(self, windows: tuple[Window, ...] = ()) -> KeyedMotion:
+        return KeyedMotion(
             self._stage.person, np.array(self._arrive), np.array(self._leave), np.stack([k[0] for k in self._keys]),
             np.stack([k[1] for k in self._keys]), np.array([k[2] for k in self._keys]), tuple(self.names), windows,
             self._stage.cabin, self._stage.settings,
@@ -284,7 +284,7 @@ _TURNING = np.array([not name.endswith("grip") for name in DOF_INDEX])
 
 def _between(one: Key, two: Key, share: F64) -> tuple[F64, Matrix, F64]:
     """Poses at shares (N,) of the way's time from one key to another."""
-    way = Motion(
+    way = KeyedMotion(
         None, np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.stack((one[0], two[0])), np.stack((one[1], two[1])),  # type: ignore[arg-type]
         np.array((one[2], two[2])), ("", ""),
     )  # fmt: skip

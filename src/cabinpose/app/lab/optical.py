@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose._native import lab
-from cabinpose.app.lab.motion import Motion
+from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.core.frames import Matrix, apply, invert, transform
 from cabinpose.core.register import kabsch
 from cabinpose.core.skeleton import INDEX, RIGS
@@ -98,7 +98,7 @@ def seen_by(eyes: F64, markers: F64, vertices: NDArray[np.float32], faces: NDArr
 class Watch:
     """What hides a driver's cap from cameras: his own body, and the car without its panes."""
 
-    def __init__(self, motion: Motion, cap: Cap, eyes: F64 | None = None) -> None:
+    def __init__(self, motion: KeyedMotion, cap: Cap, eyes: F64 | None = None) -> None:
         """eyes: (N, 3) m in the scene's frame; left out: `CAMERAS_M` about the head's place at the start."""
         self._motion, self._cap = motion, cap
         heads = motion.joints(np.arange(0.0, motion.duration_s + 0.2, 0.2))[:, INDEX["head"]]
@@ -179,7 +179,7 @@ def measured_object(
 
 
 def measured_model(
-    motion: Motion, time_s: F64, world_from_scene: Matrix, noise_m: float, *, rng: np.random.Generator
+    motion: KeyedMotion, time_s: F64, world_from_scene: Matrix, noise_m: float, *, rng: np.random.Generator
 ) -> tuple[F64, F64]:
     """Positions (T, S, 3) m and orientations (T, S, 4) wxyz of `MODEL_SEGMENTS` in the world: the full-body optical model.
 

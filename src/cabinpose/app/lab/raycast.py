@@ -44,7 +44,7 @@ class Plate:
 
 
 @dataclass(frozen=True)
-class Scene:
+class PrimitiveScene:
     """Bodies in one frame, metres; reflectances are relative to a white Lambertian surface, and may be above 1.
 
     planes: (P, 5) unit normal, distance d of n p = d, reflectance · capsules: (C, 8) two ends, radius, reflectance ·
@@ -56,12 +56,12 @@ class Scene:
     spheres: F64
     plate: Plate | None = None
 
-    def seen_from(self, b_from_a: Matrix) -> Scene:
+    def seen_from(self, b_from_a: Matrix) -> PrimitiveScene:
         """The scene in another frame."""
         normals = self.planes[:, :3] @ b_from_a[:3, :3].T
         planes = np.column_stack((normals, self.planes[:, 3] + normals @ b_from_a[:3, 3], self.planes[:, 4]))
         ends = apply(b_from_a, self.capsules[:, :6].reshape(-1, 3)).reshape(-1, 6)
-        return Scene(
+        return PrimitiveScene(
             planes,
             np.column_stack((ends, self.capsules[:, 6:])),
             np.column_stack((apply(b_from_a, self.spheres[:, :3]), self.spheres[:, 3:])),
@@ -76,7 +76,7 @@ def _rays(camera: Camera) -> tuple[F64, F64]:
     return camera.rays, corners.rays
 
 
-def _arrays(scene: Scene) -> tuple[F64, F64, F64, F64]:
+def _arrays(scene: PrimitiveScene) -> tuple[F64, F64, F64, F64]:
     """Planes (P, 5), capsules (C, 8), spheres (S, 5) and plates (0 or 1, 24), as `lab.cast` reads them."""
     plates = np.zeros((0, 24))
     if scene.plate is not None:
@@ -86,7 +86,7 @@ def _arrays(scene: Scene) -> tuple[F64, F64, F64, F64]:
     return planes, capsules, spheres, plates
 
 
-def cast(scene: Scene, sensor: Sensor) -> GeometryBuffers:
+def cast(scene: PrimitiveScene, sensor: Sensor) -> GeometryBuffers:
     """What the camera sees of a scene in its own frame: geometry for `simulate`, with the noise model's incidence left on."""
     shape = (sensor.camera.height, sensor.camera.width)
     pixels = (*_rays(sensor.camera), lens_maps(sensor, _SUPERSAMPLE).parts_range_over_depth)

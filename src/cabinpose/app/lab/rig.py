@@ -57,7 +57,7 @@ class SuitErrors(BaseModel):
     )
 
 
-class Rig(BaseModel):
+class VirtualRig(BaseModel):
     """A rig, its truth and its errors; every error can be switched alone (`only`)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -124,28 +124,28 @@ class Rig(BaseModel):
         """What the clock of source b shows when that of a shows t: the delay that alignment looks for."""
         return self.clock(a).to(self.clock(b))
 
-    def noise_free(self) -> Rig:
+    def noise_free(self) -> VirtualRig:
         """The rig without an error: no noise, no jitter, no rounding; clocks keep offset, drift and latency."""
         return self._without(ERRORS)
 
-    def only(self, error: str) -> Rig:
+    def only(self, error: str) -> VirtualRig:
         """The rig with one of `ERRORS` alone. Raises ConfigError for a name that is none."""
         if error not in ERRORS:
             raise unknown_name("error of a rig", error, ERRORS)
         return self._without(tuple(name for name in ERRORS if name != error))
 
     @classmethod
-    def exact(cls, **settings: Any) -> Rig:
+    def exact(cls, **settings: Any) -> VirtualRig:
         """A rig without an error, otherwise as set."""
         return cls(**settings).noise_free()
 
-    def _without(self, errors: tuple[str, ...]) -> Rig:
+    def _without(self, errors: tuple[str, ...]) -> VirtualRig:
         values = self.model_dump()
         for error in errors:
             for path, zero in _ZERO[error].items():
                 *owner, field = path.split(".")
                 (values[owner[0]] if owner else values)[field] = zero
-        return Rig.model_validate(values)
+        return VirtualRig.model_validate(values)
 
 
 # What each error is switched off by: fields of the rig, and the values that mean none.

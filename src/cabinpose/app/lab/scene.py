@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab.motion import SLOT, Motion
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.motion import SLOT, KeyedMotion
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix, invert, transform
 from cabinpose.core.pose import STANDING_SLOT
@@ -27,7 +27,7 @@ DEPTH_UNIT_M = 1e-4
 VIEW = "driver"
 
 
-def world_from_vehicle(rig: Rig, motion: Motion, view: str = VIEW) -> Matrix:
+def world_from_vehicle(rig: VirtualRig, motion: KeyedMotion, view: str = VIEW) -> Matrix:
     """Where the car stands: so that the rig's camera is at a view's place in it and looks that way, with its own pitch and roll.
 
     A rotation about the vertical and a translation: both frames have z up.
@@ -40,7 +40,7 @@ def world_from_vehicle(rig: Rig, motion: Motion, view: str = VIEW) -> Matrix:
     return _placed(world_from_camera, np.asarray(anchor.eye), float(np.arctan2(wanted[1], wanted[0])))
 
 
-def world_from_room(rig: Rig) -> Matrix:
+def world_from_room(rig: VirtualRig) -> Matrix:
     """Where a room stands: its origin on the floor under the rig's camera, 1.4 m below it, x the way it looks."""
     return _placed(invert(rig.camera_from_world), np.array((0.0, 0.0, 1.4)), 0.0)
 
@@ -56,8 +56,8 @@ class Stagehand:
     """Makes the camera's frames of one motion. `room`: what stands around a person outside a car."""
 
     def __init__(
-        self, rig: Rig, motion: Motion, world_from_scene: Matrix, room: Room | None = None, *, sensor: Sensor | None = None,
-        belted: bool = True,
+        self, rig: VirtualRig, motion: KeyedMotion, world_from_scene: Matrix, room: Room | None = None, *,
+        sensor: Sensor | None = None, belted: bool = True,
     ) -> None:  # fmt: skip
         """sensor: in place of the rig's camera."""
         self._motion, self._belted = motion, belted

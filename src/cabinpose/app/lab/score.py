@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cabinpose.align.calibration import Calibration
 from cabinpose.align.project import Aligned
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import Truth
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import Matrix, invert
@@ -59,7 +59,7 @@ class JointError:
         return float(100 * np.median(self.error_m))
 
 
-def calibration_error(calibration: Calibration, rig: Rig, truth: Truth, subject: str) -> CalibrationError:
+def calibration_error(calibration: Calibration, rig: VirtualRig, truth: Truth, subject: str) -> CalibrationError:
     """Hold a calibration against the truth.
 
     On the host's axis a device's stamps are late by the floor of its latency, so that the delay of two devices is the
@@ -78,7 +78,7 @@ def calibration_error(calibration: Calibration, rig: Rig, truth: Truth, subject:
     )
 
 
-def joint_error(aligned: Aligned, rig: Rig, truth: Truth) -> JointError:
+def joint_error(aligned: Aligned, rig: VirtualRig, truth: Truth) -> JointError:
     """Hold aligned joints against the true ones, frame by frame. Raises AlignmentError for frames that are not the truth's."""
     late_ns = round(rig.tof.latency_s * 1e9)
     same = len(aligned.frame_ns) == len(truth.tof_ns)

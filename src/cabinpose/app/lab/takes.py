@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.lab.exercises import exercises
-from cabinpose.app.lab.motion import Motion, Stage, at_the_wheel, calibrate_head, drive, named_person
+from cabinpose.app.lab.motion import KeyedMotion, Stage, at_the_wheel, calibrate_head, drive, named_person
 from cabinpose.app.lab.optical import (
     HEAD_SEGMENT,
     HEAD_SUBJECT,
@@ -24,7 +24,7 @@ from cabinpose.app.lab.optical import (
     measured_object,
     true_object,
 )
-from cabinpose.app.lab.rig import SOURCES, Rig, Source
+from cabinpose.app.lab.rig import SOURCES, Source, VirtualRig
 from cabinpose.app.lab.scene import Stagehand, message_of, world_from_room, world_from_vehicle
 from cabinpose.app.lab.suit import Wear, as_worn, hand_offset, put_on, steel_of, true_segments
 from cabinpose.core.frames import Matrix, apply
@@ -112,13 +112,13 @@ def truth_path(take: Path) -> Path:
     return take.with_suffix(".truth.npz")
 
 
-def write_head_take(path: Path, rig: Rig, actor: Actor, *, rng: np.random.Generator) -> Truth:
+def write_head_take(path: Path, rig: VirtualRig, actor: Actor, *, rng: np.random.Generator) -> Truth:
     """The head turned about each axis, twice, on a still trunk in the car: suit and cap. Windows: flexion, lateral, rotation."""
     return _in_car(path, rig, actor, calibrate_head(actor.stage, rng=rng), "head calibration", None, 0.0, None, rng)
 
 
 def write_action_take(
-    path: Path, rig: Rig, actor: Actor, seconds: float, *, rate_hz: float | None = None, sensor: Sensor | None = None,
+    path: Path, rig: VirtualRig, actor: Actor, seconds: float, *, rate_hz: float | None = None, sensor: Sensor | None = None,
     rng: np.random.Generator,
 ) -> Truth:  # fmt: skip
     """A driver's doings: suit, cap and camera. rate_hz: of the camera, where not the rig's · sensor: in place of the rig's."""
@@ -127,7 +127,7 @@ def write_action_take(
 
 
 def write_motion_take(
-    path: Path, rig: Rig, actor: Actor, *, rate_hz: float = 0.0, sensor: Sensor | None = None, rng: np.random.Generator
+    path: Path, rig: VirtualRig, actor: Actor, *, rate_hz: float = 0.0, sensor: Sensor | None = None, rng: np.random.Generator
 ) -> Truth:
     """Movements in each anatomical plane outside the car, between two N-poses: suit, cap and full-body optical model.
 
@@ -145,8 +145,8 @@ def write_motion_take(
 
 
 def _in_car(
-    path: Path, rig: Rig, actor: Actor, motion: Motion, action: str, seconds: float | None, tof_hz: float, sensor: Sensor | None,
-    rng: np.random.Generator,
+    path: Path, rig: VirtualRig, actor: Actor, motion: KeyedMotion, action: str, seconds: float | None, tof_hz: float,
+    sensor: Sensor | None, rng: np.random.Generator,
 ) -> Truth:  # fmt: skip
     world = world_from_vehicle(rig, motion)
     session = _Session(path, rig, actor, motion, world, seconds or motion.duration_s, rng)
@@ -172,9 +172,9 @@ class _Session:
     """A take in the making: streams are added, then all is written in the order of arrival."""
 
     path: Path
-    rig: Rig
+    rig: VirtualRig
     actor: Actor
-    motion: Motion
+    motion: KeyedMotion
     world_from_scene: Matrix
     seconds: float
     rng: np.random.Generator

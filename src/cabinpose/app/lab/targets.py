@@ -10,8 +10,8 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from cabinpose.align.board import Board
-from cabinpose.app.lab.raycast import Plate, Scene, cast
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.raycast import Plate, PrimitiveScene, cast
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.core.recorded import ToFFrame
 from cabinpose.record.sources.tof.simulated import tof_frame
@@ -38,8 +38,8 @@ def plate_size(board: Board) -> tuple[float, float, float, float]:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def room(rig: Rig) -> F64:
-    """(2, 5) planes of the room, as `Scene` has them, in the world: the floor and the wall before the camera."""
+def room(rig: VirtualRig) -> F64:
+    """(2, 5) planes of the room, as `PrimitiveScene` has them, in the world: the floor and the wall before the camera."""
     world_from_camera = invert(rig.camera_from_world)
     forward = world_from_camera[:3, 2].copy()
     if np.hypot(forward[0], forward[1]) > 0.3:  # otherwise the camera looks at the floor or the ceiling, and the "wall" is there
@@ -49,7 +49,7 @@ def room(rig: Rig) -> F64:
     return np.array(((0.0, 0.0, 1.0, 0.0, _FLOOR_REFLECTANCE), (*forward, distance, _WALL_REFLECTANCE)))
 
 
-def board_scene(rig: Rig, board: Board, world_from_board: Matrix) -> Scene:
+def board_scene(rig: VirtualRig, board: Board, world_from_board: Matrix) -> PrimitiveScene:
     """The board at a pose, held by somebody who stands behind it; in the world."""
     x0, y0, x1, y1 = plate_size(board)
     side = board.square_m
@@ -58,7 +58,7 @@ def board_scene(rig: Rig, board: Board, world_from_board: Matrix) -> Scene:
     eye = invert(rig.camera_from_world)[:3, 3]
     limbs = _operator(world_from_board, (x0, y0, x1, y1))
     plate = Plate(world_from_board, (x0, y0, x1, y1), (-side, -side, board.columns + 1, board.rows + 1, side))
-    return Scene(
+    return PrimitiveScene(
         room(rig),
         limbs[[not _hides(limb, seen, eye) for limb in limbs]],
         np.column_stack((spheres, np.tile((board.marker_radius_m, MARKER_REFLECTANCE), (len(spheres), 1)))),
@@ -96,12 +96,12 @@ def _hides(limb: F64, points: F64, eye: F64) -> bool:
     return bool(((beside < limb[6] + _CLEAR_M) & (share < 1.0)).any())
 
 
-def pendulum_scene(rig: Rig, pivot: ArrayLike, marker: ArrayLike) -> Scene:
+def pendulum_scene(rig: VirtualRig, pivot: ArrayLike, marker: ArrayLike) -> PrimitiveScene:
     """A marker (3,) on a string from the `pivot` (3,) under a beam; in the world, m."""
     top, bob = np.asarray(pivot, np.float64), np.asarray(marker, np.float64)
     across = invert(rig.camera_from_world)[:3, 0]  # the beam runs across the image
     beam = top + (0.0, 0.0, _BEAM_RADIUS_M)
-    return Scene(
+    return PrimitiveScene(
         room(rig),
         np.array(
             (
@@ -113,13 +113,13 @@ def pendulum_scene(rig: Rig, pivot: ArrayLike, marker: ArrayLike) -> Scene:
     )
 
 
-def see(rig: Rig, scene: Scene, *, rng: Generator) -> SensorFrame:
+def see(rig: VirtualRig, scene: PrimitiveScene, *, rng: Generator) -> SensorFrame:
     """What the rig's camera delivers of a scene that is given in the world: depth, amplitude, confidence."""
     sensor = rig.tof_sensor
     return simulate(cast(scene.seen_from(rig.camera_from_world), sensor), sensor, rig.noise, rng=rng)
 
 
-def as_message(rig: Rig, frame: SensorFrame) -> ToFFrame:
+def as_message(rig: VirtualRig, frame: SensorFrame) -> ToFFrame:
     """A frame as the camera's source would decode it."""
     camera = rig.tof_sensor.camera
     return tof_frame(

@@ -6,12 +6,14 @@ import heapq
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from cabinpose.app.lab.rig import Rig
+from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core.ports import Sample
 from cabinpose.store.recording import RecordingWriter, Take
 
 
-def write_recording(path: Path, rig: Rig, take: Take, streams: Mapping[str, Iterable[Sample]], *, start_s: float = 0.0) -> None:
+def write_recording(
+    path: Path, rig: VirtualRig, take: Take, streams: Mapping[str, Iterable[Sample]], *, start_s: float = 0.0
+) -> None:
     """Write samples by source, each in the order of arrival, as the recorder would: merged by arrival.
 
     start_s: when the take began, after the rig's start. The same samples make the same bytes. Raises RecordingError where the

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.mocap.inputs import Motion, read_motion, read_sensors
+from cabinpose.app.mocap.inputs import PointTracks, read_motion, read_sensors
 from cabinpose.core.angular import angular_speed
 from cabinpose.core.delay import estimate_delay
 from cabinpose.core.errors import AlignmentError, RecordingError
@@ -82,7 +82,7 @@ def dfe_runs(path: Path, label: str, setup: Setup) -> tuple[list[DfeRun], list[s
     return runs, [*notes, *note]
 
 
-def _streams(path: Path, setup: Setup) -> tuple[Motion, Motion, list[str]]:
+def _streams(path: Path, setup: Setup) -> tuple[PointTracks, PointTracks, list[str]]:
     """Suit and optical system, the suit's times brought onto the optical system's."""
     suit = (read_sensors if setup.sensors else read_motion)(path, source=setup.suit, subject=setup.subject)
     wanted = setup.optical_subject
@@ -100,7 +100,7 @@ def _streams(path: Path, setup: Setup) -> tuple[Motion, Motion, list[str]]:
     return replace(suit, time_s=suit.time_s - delay_s), optical, [note]
 
 
-def _delay(path: Path, suit: Motion, optical: Motion, setup: Setup) -> tuple[float, str]:
+def _delay(path: Path, suit: PointTracks, optical: PointTracks, setup: Setup) -> tuple[float, str]:
     """By how much the suit's stamps are late: from the angular speeds of all segments that both systems see, together."""
     pairs, _ = _pairs(SEGMENT_PAIRS, suit, optical, setup, least=1)
     if suit.orientation_wxyz is None or optical.orientation_wxyz is None:
@@ -131,7 +131,7 @@ def _delay(path: Path, suit: Motion, optical: Motion, setup: Setup) -> tuple[flo
 
 
 def _pairs(
-    table: Sequence[Pair], suit: Motion, optical: Motion, setup: Setup, *, least: int
+    table: Sequence[Pair], suit: PointTracks, optical: PointTracks, setup: Setup, *, least: int
 ) -> tuple[tuple[Pair, ...], list[str]]:
     wanted = replaced(table, {k: v for k, v in setup.pairs.items() if any(k in (p.name, p.suit) for p in table)})
     found = present(wanted, suit.names, optical.names, least=least)
@@ -139,7 +139,7 @@ def _pairs(
     return found, [note] if note else []
 
 
-def _clock(suit: Motion, optical: Motion, setup: Setup) -> F64:
+def _clock(suit: PointTracks, optical: PointTracks, setup: Setup) -> F64:
     rate = setup.rate_hz if setup.rate_hz is not None else round(min(suit.rate_hz, optical.rate_hz), 3)
     return common_clock([suit.time_s, optical.time_s], rate)
 
@@ -150,5 +150,5 @@ def _windows(time: F64, label: str, setup: Setup) -> list[tuple[str, NDArray[np.
     return [(window.name, window.frames(time)) for window in setup.windows]
 
 
-def _action(motion: Motion) -> str:
+def _action(motion: PointTracks) -> str:
     return motion.action or motion.path.stem

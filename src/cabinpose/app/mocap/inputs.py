@@ -29,7 +29,7 @@ _LOOK = 50  # samples that tell what a source gives
 
 
 @dataclass(frozen=True)
-class Motion:
+class PointTracks:
     """Named points of one subject over T samples: position_m (T, N, 3), orientation_wxyz (T, N, 4), None where points have none.
 
     time_s (T,): on the host's clock, since `origin_ns` · action: what the take says it is of, "" where it says nothing.
@@ -50,7 +50,9 @@ class Motion:
         return float(1 / np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else float("nan")
 
 
-def read_motion(path: Path, *, source: str | None = None, subject: str | None = None, origin_ns: int | None = None) -> Motion:
+def read_motion(
+    path: Path, *, source: str | None = None, subject: str | None = None, origin_ns: int | None = None
+) -> PointTracks:
     """The segments of a subject, or its markers where a source gives no segments; from a recording or a file of `FILES`.
 
     source: of a recording, None: the only one that gives either. Times count from `origin_ns`, None: the first sample.
@@ -87,7 +89,7 @@ def read_orientations(path: Path, name: str | None, *, source: str | None = None
     return (time_ns - time_ns[0]) / 1e9, np.stack([q for _, q in kept])[rising], int(time_ns[0])
 
 
-def read_sensors(path: Path, *, source: str | None = None, subject: str | None = None) -> Motion:
+def read_sensors(path: Path, *, source: str | None = None, subject: str | None = None) -> PointTracks:
     """The inertial sensors of a subject as a motion without positions (NaN): orientations under the sensors' names."""
     rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, SensorReadings) and len(m.orientation_wxyz)]
     subjects = tuple(dict.fromkeys(m.subject for _, m in rows))
@@ -117,7 +119,7 @@ def read_channel(path: Path, source: str, channel: str) -> tuple[F64, F64, int]:
     return (time_ns - time_ns[0]) / 1e9, np.array([v for _, v in kept])[rising], int(time_ns[0])
 
 
-def _recorded(recording: Recording, source: str | None, subject: str | None, origin_ns: int | None) -> Motion:
+def _recorded(recording: Recording, source: str | None, subject: str | None, origin_ns: int | None) -> PointTracks:
     action = recording.take.action or ""
     source = _only_source(recording) if source is None else source
     if source in recording.sources and "segments" not in _kinds(recording, source):
@@ -132,12 +134,12 @@ def _recorded(recording: Recording, source: str | None, subject: str | None, ori
 def _motion(
     path: Path, subject: str, names: tuple[str, ...], time_ns: NDArray[np.int64], origin_ns: int | None, position: F64,
     orientation: F64 | None, action: str,
-) -> Motion:  # fmt: skip
+) -> PointTracks:  # fmt: skip
     """The host's times of a device rise as the device's do, but for rounding: equal ones are left out."""
     time_ns, rising = np.unique(time_ns, return_index=True)
     origin = int(time_ns[0]) if origin_ns is None else origin_ns
     turned = None if orientation is None else orientation[rising]
-    return Motion(path, subject, names, (time_ns - origin) / 1e9, origin, position[rising], turned, action)
+    return PointTracks(path, subject, names, (time_ns - origin) / 1e9, origin, position[rising], turned, action)
 
 
 def _only_source(recording: Recording) -> str:
@@ -157,7 +159,7 @@ def _kinds(recording: Recording, source: str) -> set[str]:
     return {name for name, kind in kinds.items() if any(isinstance(m, kind) for sample in first for m in sample.messages)}
 
 
-def _from_rows(path: Path, subject: str | None, origin_ns: int | None) -> Motion:
+def _from_rows(path: Path, subject: str | None, origin_ns: int | None) -> PointTracks:
     rows = [row for row in _messages(path, None) if isinstance(row[1], SegmentPoses | Markers)]
     segments = [row for row in rows if isinstance(row[1], SegmentPoses)]
     rows = segments or rows

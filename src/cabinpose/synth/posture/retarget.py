@@ -52,14 +52,14 @@ _NECK_SHARE = (0.65, 0.75, 0.45)
 _STRAIGHT = np.radians((12.0, 30.0))  # flexion below which, and above which, the hinge's plane is ignored, trusted
 
 
-class Motion(NamedTuple):
+class RetargetedMotion(NamedTuple):
     """A retargeted recording: q (F, D) rad, within the limits, and world_from_root's rotation (F, 3, 3)."""
 
     q: Array
     root: Array
 
 
-def retarget(clip: Clip) -> Motion:
+def retarget(clip: Clip) -> RetargetedMotion:
     """The angles of every frame of a clip, clipped to the joints' limits.
 
     Raises MocapError where the clip lacks a joint that is needed.
@@ -73,7 +73,7 @@ def retarget(clip: Clip) -> Motion:
         _arm(q, clip, joint, side, sign)
         _leg(q, clip, joint, side, sign)
     lower, upper = (np.array([getattr(d, k) for d in DOFS]) for k in ("lower", "upper"))
-    return Motion(np.clip(q, lower, upper), pelvis.copy())
+    return RetargetedMotion(np.clip(q, lower, upper), pelvis.copy())
 
 
 def _find_joints(clip: Clip) -> dict[str, int]:

@@ -30,12 +30,12 @@ from cabinpose.synth.posture.actions import (
     inboard_side,
     target_name,
 )
-from cabinpose.synth.posture.company import Company
 from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default_plans, foot_goals, tunnel_m
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
 from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.hands import LimbTask
+from cabinpose.synth.posture.neighbours import Neighbours
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.posture.solver import Sitter, solve
@@ -158,13 +158,14 @@ class Drawn:
 def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
-    offset: SeatOffset = CENTRED, company: Company | None = None, rng: np.random.Generator,
+    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """What `person` in `seat` seeks: the action's places for hands, head and trunk, feet on pedals or floor.
 
     An `initial` pose takes the place of what its degrees of freedom would seek. A profile comes on top of it: what it holds
     stands, and hands of arms that it does not name stay on the rim or in the lap. `index` is the combination of an incremental
-    profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `company` are the neighbours.
+    profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `neighbours`
+    is what those beside and opposite mean for it.
     Raises ConfigError for an action that makes no sense here, MocapError for an unfit recording.
     """
     chosen = action_named(action, seat, cabin)
@@ -178,14 +179,14 @@ def draw_pose(
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
     lean = _draw(chosen.pelvis, rng)
-    if company is not None:
-        lean = max(lean, company.lean)
-        offset = offset._replace(left_m=offset.left_m + company.aside)
+    if neighbours is not None:
+        lean = max(lean, neighbours.lean)
+        offset = offset._replace(left_m=offset.left_m + neighbours.aside)
     forwards = transform(rotation_vector((0.0, lean, 0.0)))
     root = seat.vehicle_from_seat(setting) @ offset.applied(fit.seat_from_root) @ forwards
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(chosen, inboard, rng)  # + left
-    close = (False, False) if company is None else company.close
+    close = (False, False) if neighbours is None else neighbours.close
     s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close)
     plans = _foot_plans(seat, cabin, rng)
     feet = foot_goals(
@@ -196,8 +197,8 @@ def draw_pose(
         fit,
         cabin,
         plans,
-        faced=company is not None and company.faced,
-        room=(math.inf, math.inf) if company is None else company.feet,
+        faced=neighbours is not None and neighbours.faced,
+        room=(math.inf, math.inf) if neighbours is None else neighbours.feet,
     )
     q = fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)

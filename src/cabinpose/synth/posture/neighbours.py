@@ -30,7 +30,7 @@ _CROWDED_OUT = frozenset(("lean_side", "phone_ear"))  # what needs the neighbour
 _IN_THE_MIDDLE_OUT = frozenset(("phone_ear_outer",))
 
 
-class Company(NamedTuple):
+class Neighbours(NamedTuple):
     """What neighbours mean for one person in one seat.
 
     close: whether somebody sits within touch at the left hand and at the right · feet: (m) how far to the left and to the right
@@ -89,9 +89,9 @@ def _between(seat: Seat, cabin: Cabin, taken: Sequence[str]) -> tuple[int, float
     return len(close_seats(seat, cabin, taken)), -abs(float(seat.design_h_point[1]))
 
 
-def company_of(
+def neighbours_of(
     person: Person, slot: str, cabin: Cabin, others: Mapping[str, Person], *, rng: np.random.Generator
-) -> Company | None:
+) -> Neighbours | None:
     """What the people around a seat mean for the one who is to sit in it; None where there is nobody near.
 
     others: everybody else in the car by slot.
@@ -119,7 +119,7 @@ def company_of(
     for name, y in zip(close, left, strict=True):
         feet[0 if y > 0.0 else 1] = _foot_border(seat, cabin.seats[name], cabin)
     aside = -math.copysign(min(_ASIDE_M, max(overlap, 0.0) / 3.0), left[0]) if len(close) == 1 else 0.0
-    return Company((any(y > 0.0 for y in left), any(y < 0.0 for y in left)), (feet[0], feet[1]), float(lean), aside, opposite)
+    return Neighbours((any(y > 0.0 for y in left), any(y < 0.0 for y in left)), (feet[0], feet[1]), float(lean), aside, opposite)
 
 
 def _foot_border(seat: Seat, other: Seat, cabin: Cabin) -> float:
