@@ -20,7 +20,7 @@ class EvaluationOptions:
     presence: from this probability on a predicted joint counts as found.
     head: "thesis" is 26 px in 2D and 200 mm in 3D, "true" each person's own length from head to neck joint.
     pck_px, pck_m: thresholds of PCK in 2D and 3D · pckh: shares of the head size · hit_px, hit_m: the d of mAD@d, mAP@d, mAR@d.
-    match: how predicted people find their true ones · resamples: of the bootstrap, 0 = no intervals.
+    match: how predictions are matched to people · resamples: of the bootstrap, 0 = no intervals.
     """
 
     min_visibility: Visibility = Visibility.OCCLUDED

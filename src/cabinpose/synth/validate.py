@@ -191,7 +191,7 @@ class Validator:
     def admit(self, seated: Seated, occupant: Occupant) -> tuple[Verdict, Seated]:
         """The verdict of `check` on the people seated and one more, and the people seated then: with him where it holds.
 
-        Only what the newcomer changes is tested: himself, he and the others, he in the car.
+        Only what the newcomer changes is tested: the person alone, with the others, and in the car.
         """
         bodies = (*seated.bodies, self._body(occupant))
         verdict = _among(bodies, len(bodies) - 1)

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from cabinpose.app.cli.car_commands import Car, CarCheck, CarInit
-from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.store.part import disk_errors
 
@@ -40,7 +40,9 @@ def _init(action: CarInit) -> None:
     from cabinpose.scene.cabin.car_draft import draft_car_file
 
     _refuse_existing(action.out, action.overwrite)
-    draft = draft_car_file(action.mesh, action.out, up_axis=action.up_axis, front_axis=action.front_axis, unit=action.unit)
+    with progress() as told:
+        told.phase("looking for seats")
+        draft = draft_car_file(action.mesh, action.out, up_axis=action.up_axis, front_axis=action.front_axis, unit=action.unit)
     with disk_errors(action.out):
         action.out.parent.mkdir(parents=True, exist_ok=True)
         action.out.write_text(draft.text, encoding="utf-8")
@@ -66,9 +68,11 @@ def _check(action: CarCheck) -> None:
     picture = None if action.out is None else action.out / _PICTURE
     if picture is not None:
         _refuse_existing(picture, action.overwrite)
-    report = check_car(action.file)
-    if picture is not None:
-        _draw(action.file, report, picture)
+    with progress() as told:
+        told.phase("trying people in every seat")
+        report = check_car(action.file)
+        if picture is not None:
+            _draw(action.file, report, picture)
     for warning in report.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if action.as_json:

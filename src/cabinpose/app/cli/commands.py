@@ -174,7 +174,7 @@ class Evaluate:
     head: Literal["thesis", "true"] = "thesis"
     """Head size of PCKh: 26 px and 200 mm, or each person's own length from head to neck."""
     match: Literal["slot", "oks", "distance"] = "slot"
-    """How predicted people find their true ones: by seat, or by the best assignment."""
+    """How predictions are matched to people: by seat, or by the assignment with the best OKS or the least distance."""
     presence: float = 0.5
     """From this probability on a joint counts as found."""
     pckh: tuple[float, ...] = (0.5, 1.0)
@@ -337,7 +337,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class EmulateMvn:
-    """Stream a motion as Xsens MVN's network streamer does, over a network as bad as you like. Ctrl-C ends it."""
+    """Stream a motion as Xsens MVN's network streamer does, with losses, delays and a wrong order as you ask. Ctrl-C ends it."""
 
     motion: str = "seated"
     """seated, walk, or an MVNX file to repeat."""
