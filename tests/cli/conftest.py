@@ -9,6 +9,8 @@ from types import ModuleType
 
 import pytest
 
+from cabinpose.app.cli import output
+
 
 def _load_sphere_people() -> ModuleType:
     path = Path(__file__).parents[1] / "store" / "sphere_people.py"
@@ -22,6 +24,12 @@ def _load_sphere_people() -> ModuleType:
 
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "cabin"))  # presets as mesh files
+
+
+@pytest.fixture(autouse=True)
+def _no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However slow the machine, progress is not among what a command says; tests of it set these times themselves."""
+    monkeypatch.setattr(output, "QUIET_S", 3600.0)
 
 
 @pytest.fixture(scope="session")

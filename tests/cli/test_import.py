@@ -134,7 +134,7 @@ def test_depth_without_segmentation_or_extrinsics(run: Run, tmp_path: Path) -> N
     assert np.isnan(open_dataset(data).vehicle_from_camera.values).all()
     code, _, err = run("view", data, "--out", tmp_path / "view", "--frames", "1", "--rows", "1")
     assert code == 0
-    assert [line for line in err.splitlines() if "frames, " not in line] == []  # on a slow machine progress is told
+    assert err == ""
     import cv2
 
     sheet = cv2.imread(str(tmp_path / "view" / "contact_sheet.png"))
