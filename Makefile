@@ -16,7 +16,7 @@ DEMO := demo
 WERROR ?= OFF
 NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
 
-.PHONY: help demo test test-all test-native lint format bench docs lock clean
+.PHONY: help demo test test-slow test-all test-native coverage lint format bench docs lock clean
 
 help:  ## what there is
 	@grep -hE '^[a-z-]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
@@ -37,8 +37,13 @@ demo: $(VENV)/.base  ## install, generate 1000 frames and look at them; then tra
 test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA names the folder of real recordings
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m "not slow"
 
-test-all: $(VENV)/.dev  ## all tests
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile
+test-slow: $(VENV)/.dev  ## the slow tests alone
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m slow
+
+test-all: test test-slow  ## all tests
+
+coverage: $(VENV)/.dev  ## the lines that no quick test reaches
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m "not slow" --cov --cov-report=term
 
 test-native: $(VENV)/.dev  ## the kernels' tests with the kernels built under the address and undefined-behaviour sanitizers
 	tools/test_native.sh $(BIN)
@@ -49,6 +54,8 @@ lint: $(VENV)/.dev  ## style, types, import rules, the tree's own rules
 	$(BIN)/clang-format --dry-run --Werror $(NATIVE)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/codespell
+	$(BIN)/vulture
 	$(BIN)/python tools/check_tree.py
 
 format: $(VENV)/.dev  ## let ruff and clang-format mend what they can
@@ -73,7 +80,7 @@ lock: $(VENV)/.dev  ## pin the newest versions that pyproject.toml allows
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements-train.lock --extra dev pyproject.toml -o requirements-dev.lock
 
 clean:  ## remove what the targets made, .venv included
-	rm -rf $(VENV) $(DEMO) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(DEMO) out build dist .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 LOCK_FLAGS := --no-header --no-annotate --no-emit-index-url --no-emit-find-links

@@ -1,7 +1,8 @@
 """Rules of this tree that no linter knows: run by `make lint`, with one line for each breach.
 
-A file carries no absolute path of somebody's machine and no package index address; nothing is left unfinished; a
-module stays below 500 lines; randomness is the required keyword `rng`.
+A file carries no absolute path of somebody's machine and no package index address; nothing is left unfinished; no line ends in
+blanks and every file in a new line; no file is larger than 10 MB; a module stays below 500 lines; randomness is the required
+keyword `rng`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 MAX_LINES = 500
+MAX_BYTES = 10_000_000
 LONG_MODULES: dict[str, str] = {}  # path -> why it is one module nevertheless
 
 MACHINE_PATH = re.compile(r"(?<![\w.~/}-])/(?:home|Users|root|work|tmp|mnt|media|srv)/[\w.]|[A-Z]:\\Users", re.ASCII)
@@ -35,8 +37,12 @@ def text_breaches(name: str, text: str) -> Iterator[str]:
         for pattern, what in TEXT_RULES:
             if found := pattern.search(line):
                 yield f"{name}:{number}: {what}: {found.group().strip()}"
+        if line != line.rstrip():
+            yield f"{name}:{number}: blanks at the end of the line"
         if name.startswith("requirements") and "://" in line:
             yield f"{name}:{number}: a lock file names versions, not addresses"
+    if text and not text.endswith("\n"):
+        yield f"{name}:{text.count(chr(10)) + 1}: no new line at the end of the file"
 
 
 def module_breaches(name: str, text: str) -> Iterator[str]:
@@ -69,6 +75,8 @@ def main() -> int:
     breaches = []
     for name in tracked_files(root):
         data = (root / name).read_bytes()
+        if len(data) > MAX_BYTES:
+            breaches.append(f"{name}:1: {len(data)} bytes; the most is {MAX_BYTES}")
         if b"\0" in data[:8192]:  # binary
             continue
         text = data.decode("utf-8")

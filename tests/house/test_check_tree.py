@@ -31,11 +31,17 @@ def check_tree() -> ModuleType:
         "uv pip install --index" + "-url x",
         "https://example.org/" + "simple/numpy",
         "# TO" + "DO: later",
+        "a word" + "  ",
     ],
 )
 def test_bad_lines_are_found(check_tree: ModuleType, line: str) -> None:
-    assert len(list(check_tree.text_breaches("a.md", f"fine\n{line}\nfine"))) == 1
-    assert next(iter(check_tree.text_breaches("a.md", f"fine\n{line}"))).startswith("a.md:2:")
+    assert len(list(check_tree.text_breaches("a.md", f"fine\n{line}\nfine\n"))) == 1
+    assert next(iter(check_tree.text_breaches("a.md", f"fine\n{line}\n"))).startswith("a.md:2:")
+
+
+def test_a_file_ends_in_a_new_line(check_tree: ModuleType) -> None:
+    assert list(check_tree.text_breaches("a.md", "fine\nfine")) == ["a.md:2: no new line at the end of the file"]
+    assert list(check_tree.text_breaches("a.md", "")) == []
 
 
 @pytest.mark.parametrize(
@@ -50,12 +56,12 @@ def test_bad_lines_are_found(check_tree: ModuleType, line: str) -> None:
     ],
 )
 def test_good_lines_pass(check_tree: ModuleType, line: str) -> None:
-    assert list(check_tree.text_breaches("a.md", line)) == []
+    assert list(check_tree.text_breaches("a.md", line + "\n")) == []
 
 
 def test_a_lock_file_names_no_address(check_tree: ModuleType) -> None:
-    assert list(check_tree.text_breaches("requirements.lock", "cabinpose @ file" + "://x"))
-    assert not list(check_tree.text_breaches("requirements.lock", "numpy==2.4.6"))
+    assert list(check_tree.text_breaches("requirements.lock", "cabinpose @ file" + "://x\n"))
+    assert not list(check_tree.text_breaches("requirements.lock", "numpy==2.4.6\n"))
 
 
 @pytest.mark.parametrize(

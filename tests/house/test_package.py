@@ -66,3 +66,50 @@ def test_console_script_exists() -> None:
 def test_version_is_the_installed_one() -> None:
     assert cabinpose.__version__.count(".") == 2
     assert cabinpose.__version__ != "0.0.0"
+
+
+_WITHOUT_EXTRAS = """
+import importlib.metadata as metadata, re, sys
+from importlib.machinery import PathFinder
+
+def required(by_extra):
+    of_kind = [r for r in metadata.requires("cabinpose") if ("extra ==" in r) == by_extra]
+    return {re.split(r"[^A-Za-z0-9_.-]", r)[0].lower() for r in of_kind} - {"cabinpose"}
+
+blocked = set()  # the top modules of what only extras bring
+for distribution in metadata.distributions():
+    if distribution.metadata["Name"].lower() in required(True) - required(False):
+        files = [f for f in distribution.files or () if f.suffix in (".py", ".so") and ".." not in f.parts]
+        blocked |= {f.parts[0].split(".")[0] for f in files}
+
+class WithoutExtras(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.partition(".")[0] in blocked else super().find_spec(name, path, target)
+
+assert {"torch", "cv2", "mcap", "h5py", "pyarrow"} <= blocked, blocked
+sys.meta_path[sys.meta_path.index(PathFinder)] = WithoutExtras
+from cabinpose.app.cli import main
+for line in sys.argv[1:]:
+    code = main(line.split())
+    assert code == 0, (line, code)
+"""
+
+
+def test_a_base_install_generates_looks_predicts_judges_and_exports(tmp_path: Path) -> None:
+    """With everything blocked that only extras bring."""
+    commands = (
+        "synth --frames 2 --out data scene.cars=[suv]",
+        "info data",
+        "view data --out view --frames 1 --rows 1",
+        "predict data --model in_car --out found.jsonl",
+        "evaluate data --predictions found.jsonl --resamples 0",
+        "export data --format coco --out coco",
+        "config check kept.yaml",
+    )
+    (tmp_path / "kept.yaml").write_text("scene: {cars: [suv]}\n", "utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", _WITHOUT_EXTRAS, *commands], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["coco", "data", "found.jsonl", "kept.yaml", "view"]

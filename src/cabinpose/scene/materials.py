@@ -9,9 +9,6 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 
 class Material(NamedTuple):
     """A surface material: id (fits uint8), name, diffuse reflectance at 850 nm, and whether light passes (glass)."""
@@ -47,11 +44,3 @@ MATERIALS: tuple[Material, ...] = (
     Material(21, "steering_leather", 0.15),
 )
 ID = MappingProxyType({material.name: material.id for material in MATERIALS})
-
-
-def reflectance_table() -> NDArray[np.float32]:
-    """(256,) diffuse reflectance at 850 nm by material id; 0 for ids that do not exist."""
-    table = np.zeros(256, np.float32)
-    for material in MATERIALS:
-        table[material.id] = material.reflectance
-    return table

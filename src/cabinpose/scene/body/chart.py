@@ -109,13 +109,3 @@ def vertex_segments() -> NDArray[np.uint8]:
         ):  # fmt: skip
             names[where & (coordinate >= low) & (coordinate < high)] = prefix + name
     return np.array([SEGMENTS.index(n) for n in names], np.uint8)
-
-
-def face_mean(values: NDArray[np.generic]) -> Array:
-    """Vertex values (V, ...) averaged over each face's quad, (F, ...).
-
-    Faces 2k and 2k + 1 are the halves of a quad of the original mesh, and regions are cut along the edges of quads, which
-    run round the limbs.
-    """
-    per_face = values.astype(np.float64)[load_shape_space().faces].mean(axis=1)
-    return np.repeat((per_face[::2] + per_face[1::2]) / 2, 2, axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -64,7 +64,3 @@ class Outfit:
             fit=float(u[7]),
             folds=int(rng.integers(1 << 16)),
         )
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain data for files."""
-        return asdict(self)
