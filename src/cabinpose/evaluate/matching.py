@@ -39,6 +39,8 @@ def assigned_places(
     true_2d, true_3d: (F, T, J, 2 or 3), NaN where absent · area: (F, T) px². The first T rows are the true people, the P
     behind them hold predicted people that match nobody.
     """
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - a second of imports; people are mostly matched by their seats
+
     frames, people = true_2d.shape[:2]
     count = predicted.score.shape[1]
     places = np.full((frames, people + count), -1, np.int64)
