@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cabinpose.core.errors import PredictionsError
 from cabinpose.core.ports import PoseBatch
@@ -39,7 +38,7 @@ def assigned_places(
     true_2d, true_3d: (F, T, J, 2 or 3), NaN where absent · area: (F, T) px². The first T rows are the true people, the P
     behind them hold predicted people that match nobody.
     """
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - a second of imports; people are mostly matched by their seats
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - it imports for a second; most are matched by their seats
 
     frames, people = true_2d.shape[:2]
     count = predicted.score.shape[1]
