@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.optional import optional_module
@@ -55,6 +54,8 @@ def read_itop_reference(path: Path | str) -> ItopReference:
 
     Only the first says which frames are valid; the others hold valid ones alone. Raises `DatasetError` for other files.
     """
+    from scipy.io import loadmat  # noqa: PLC0415 - half a second of imports, for MATLAB files alone
+
     file = Path(path)
     try:
         if file.suffix == ".h5":
