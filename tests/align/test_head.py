@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.align.head import align_head, head_offset, measured_offset
+from cabinpose.align.head import align_head, head_agreement, head_offset, measured_offset
 from cabinpose.core.errors import AlignmentError
 
 Y = Rotation.from_euler("xyz", (12, -8, 35), degrees=True)  # object_from_head
@@ -197,3 +197,21 @@ def test_measured_offset_is_taken_as_it_is():
     assert np.allclose(fit.covariance, 1e-4 * np.eye(3))
     with pytest.raises(AlignmentError, match="three finite numbers"):
         measured_offset((0.0, np.nan, 1.0))
+
+
+def test_agreement_of_heads_that_are_turned_apart_by_a_known_angle() -> None:
+    """Half of the moments one way and half the other: the common turn of the worlds stays, and every moment is off by as much."""
+    rng = np.random.default_rng(5)
+    true = Rotation.random(40, random_state=rng)
+    world, inside = Rotation.from_rotvec((0.1, -0.2, 1.1)), Rotation.from_rotvec((0.3, 0.5, -0.2))
+    axis = world.inv().apply((0.0, 0.0, 1.0))
+    apart = Rotation.from_rotvec(np.where(np.arange(40) % 2, 0.07, -0.07)[:, None] * axis)
+    optical, suit = (world * true * inside.inv()).as_quat(scalar_first=True), (apart * true).as_quat(scalar_first=True)
+    optical[3] = np.nan
+    suit[4] = np.nan
+    object_from_head = np.eye(4)
+    object_from_head[:3, :3] = inside.as_matrix()
+    found = head_agreement(suit, optical, object_from_head)
+    assert np.isnan(found[[3, 4]]).all()
+    np.testing.assert_allclose(np.delete(found, [3, 4]), 0.07, atol=1e-9)
+    assert np.isnan(head_agreement(suit * np.nan, optical, object_from_head)).all()

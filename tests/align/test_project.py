@@ -11,6 +11,7 @@ import pytest
 from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
 from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take, with_known
+from cabinpose.app.head_page import write_head_page
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX
@@ -158,6 +159,15 @@ def test_takes_become_a_dataset_of_the_standard(tmp_path: Path, take) -> None:
     assert first.joints_measured == 0
     assert np.isnan(first.floating)
     assert second.joints_measured > 0
+    apart = data["head_residual"].values
+    assert np.isfinite(apart[:, driver]).all()
+    assert np.isnan(np.delete(apart, driver, axis=1)).all()
+    assert first.head_deg[0] <= first.head_deg[1] == pytest.approx(np.degrees(apart[: first.kept, driver].max()), abs=1e-4)
+    assert first.head_deg[1] < 0.2  # nothing is wrong with these heads
+    write_head_page(folder, [(report.recording, report.subject) for report in takes.reports], tmp_path / "head.html")
+    page = (tmp_path / "head.html").read_text("utf-8")
+    assert page.count("<figure>") == 8  # of each take the two best frames and the two worst
+    assert f"{path.name}, S07: worst, {first.head_deg[1]:.2f} deg" in page
 
 
 def test_a_seat_that_is_not_named_and_another_cameras_size_are_refused(tmp_path: Path, take) -> None:

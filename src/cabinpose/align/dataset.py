@@ -31,7 +31,8 @@ FLOATING_M = 0.02  # a joint farther before the surface is not inside the body t
 class TakeReport:
     """What became of a take: frames of the camera, those left out by reason, the suit's delay, and how the joints fit the depth.
 
-    floating: share of the joints in the image that lie more than 2 cm before the measured surface · states: joints by state.
+    head_deg: rms and worst angle between the heads of both systems, in the frames that are kept · floating: share of the
+    joints in the image that lie more than 2 cm before the measured surface · states: joints by state.
     """
 
     recording: str
@@ -43,6 +44,7 @@ class TakeReport:
     suit_delay_interval_ms: tuple[float, float]
     correlation: float
     drift_ppm: float
+    head_deg: tuple[float, float]
     joints_measured: int = 0
     joints_floating: int = 0
     states: Counter[int] = field(default_factory=Counter)
@@ -92,7 +94,7 @@ def align_takes(
         width=lens.width,
         height=lens.height,
         persons=persons,
-        variables=images,
+        variables=(*images, "head_residual"),
         config={
             "calibration": calibration.model_dump(mode="json"),
             "takes": [
@@ -152,6 +154,7 @@ def _frames_of(
             frame["joints_3d"][place] = joints
             frame["joints_2d"][place] = camera.project(joints)
             frame["visibility"][place] = states
+            frame["head_residual"][place] = aligned.head_residual[index]
             frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist, np.float64)
             frame["vehicle_from_camera"] = vehicle_from_camera
             frame["sync_ns"] = aligned.frame_ns[index]
@@ -199,6 +202,7 @@ def _ticks(image: ToFFrame) -> NDArray[np.uint16]:
 def _report(path: Path, aligned: Aligned) -> TakeReport:
     delay = aligned.delay
     low, high = delay.interval_s
+    apart = aligned.head_residual[aligned.kept]
     return TakeReport(
         recording=path.name,
         subject=aligned.subject,
@@ -209,4 +213,5 @@ def _report(path: Path, aligned: Aligned) -> TakeReport:
         suit_delay_interval_ms=(1000 * low, 1000 * high),
         correlation=delay.correlation,
         drift_ppm=1e6 * delay.drift,
+        head_deg=(float(np.degrees(np.sqrt(np.mean(apart**2)))), float(np.degrees(apart.max()))),
     )

@@ -125,6 +125,33 @@ def align_head(
     return HeadAlignment(transform(y), transform(x), whole, rms, headings, covariance, turned, second, method)
 
 
+def head_agreement(suit_head_wxyz: ArrayLike, optical_head_wxyz: ArrayLike, object_from_head: Matrix) -> F64:
+    """How far apart both systems see the head at each moment (thesis, section 4.2.1.1, figures 4.20 and 4.21).
+
+    Parameters
+    ----------
+    suit_head_wxyz, optical_head_wxyz
+        (T, 4) orientations of the head segment and of the head object at the same moments, NaN = missing.
+    object_from_head
+        (4, 4) of the calibration.
+
+    Returns
+    -------
+    ndarray
+        (T,) rad, NaN where one system lacks the head. The worlds are laid on each other by one turn for all moments, so what the
+        suit's heading drifts by is in it.
+    """
+    suit, optical = np.asarray(suit_head_wxyz, np.float64), np.asarray(optical_head_wxyz, np.float64)
+    both = np.isfinite(suit).all(axis=1) & np.isfinite(optical).all(axis=1)
+    result = np.full(len(suit), np.nan)
+    if both.any():
+        by_suit = Rotation.from_quat(suit[both], scalar_first=True)
+        by_optical = Rotation.from_quat(optical[both], scalar_first=True) * Rotation.from_matrix(object_from_head[:3, :3])
+        world_from_suit = (by_optical * by_suit.inv()).mean()
+        result[both] = (by_optical.inv() * world_from_suit * by_suit).magnitude()
+    return result
+
+
 def head_offset(
     p_object: ArrayLike,
     object_wxyz: ArrayLike,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cabinpose.align.calibration import Calibration, KnownDelay
 from cabinpose.align.chain import joints_in_camera, rigid
+from cabinpose.align.head import head_agreement
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import joints_of_segments
 from cabinpose.align.time import suit_to_optical
@@ -34,7 +35,8 @@ class Aligned:
     """A take in one time and space, T frames of the camera.
 
     frame_ns (T,): their stamps, on the host's axis · joints (T, 20, 3) m in the camera frame, NaN in frames that are left out ·
-    reason (T,): why a frame is left out, "" for those that are not · delay: of the suit against the optical system.
+    reason (T,): why a frame is left out, "" for those that are not · delay: of the suit against the optical system ·
+    head_residual (T,): rad, by which the two systems see the head apart (`head_agreement`).
     """
 
     subject: str
@@ -42,6 +44,7 @@ class Aligned:
     joints: F64
     reason: tuple[str, ...]
     delay: Delay
+    head_residual: F64
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -89,10 +92,8 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     at_optical = seconds(frame_ns, origin) + calibration.tof_to_optical.offset_s
     at_suit = delay.to_a(at_optical)
 
-    world_from_object = rigid(
-        resample_positions(at, object_position, at_optical, max_gap_s=OPTICAL_GAP_S),
-        resample_rotations(at, object_orientation, at_optical, max_gap_s=OPTICAL_GAP_S),
-    )
+    object_at = resample_rotations(at, object_orientation, at_optical, max_gap_s=OPTICAL_GAP_S)
+    world_from_object = rigid(resample_positions(at, object_position, at_optical, max_gap_s=OPTICAL_GAP_S), object_at)
     orientation = resample_rotations(since, suit.orientation_wxyz, at_suit, max_gap_s=SUIT_GAP_S)
     position = resample_positions(since, suit.position_m, at_suit, max_gap_s=SUIT_GAP_S)
     index = suit.names.index(suit_head)
@@ -104,7 +105,7 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
         joints_of_segments(suit.names, position, orientation, hands_m=head.hands_m),
     )
     reason = _reasons(at_optical, at, world_from_object, at_suit, since, joints)
-    aligned = Aligned(code, frame_ns, joints, reason, delay)
+    aligned = Aligned(code, frame_ns, joints, reason, delay, head_agreement(orientation[:, index], object_at, head.matrix))
     if not aligned.kept.any():
         counted = ", ".join(f"{count} {why}" for why, count in aligned.left_out.items())
         raise AlignmentError(f"{recording.path}: no frame is left: {counted}", hint="look at the take with `cabinpose view`")

@@ -71,6 +71,10 @@ VARIABLES: tuple[Variable, ...] = (
         "itop_joints_3d", ("frame", "person", "itop_joint", "xyz"), "float32",
         "ITOP's joints in the camera frame (OpenCV axes)", "m", default=False,
     ),
+    Variable(
+        "head_residual", ("frame", "person"), "float32", "angle between the heads of suit and optical system", "rad",
+        default=False,
+    ),
     Variable("camera_k", ("frame", "k_row", "k_column"), "float64", "matrix of intrinsics", "px"),
     Variable("camera_dist", ("frame", "dist_coefficient"), "float64", "distortion k1 k2 p1 p2 k3 (OpenCV)"),
     Variable("vehicle_from_camera", ("frame", "row", "column"), "float64", "extrinsics; translation in metres"),

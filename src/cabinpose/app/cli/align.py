@@ -26,12 +26,18 @@ def run(command: Align) -> None:
     if not command.recordings:
         raise ConfigError("there is nothing to align", hint="name one or more recordings")
     check_new_dataset(command.out, overwrite=command.overwrite)
+    if command.report is not None and command.report.exists() and not command.overwrite:
+        raise ConfigError(f"{command.report} exists", hint="--overwrite replaces it, or give another file with --report")
     calibration = Calibration.load(command.calibration)
     takes = align_takes(
         command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag, licence=command.licence
     )
     with progress(takes.source.manifest.frames, "frames") as report:
         folder = import_source(takes.source, command.out, overwrite=command.overwrite, report=report)
+    if command.report is not None:
+        from cabinpose.app.head_page import write_head_page
+
+        write_head_page(folder, [(take.recording, take.subject) for take in takes.reports], command.report)
     if command.as_json:
         print_json({"out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]})
         return
@@ -46,6 +52,7 @@ def run(command: Align) -> None:
             (take.recording, f"{take.kept} of {take.frames} frames, {take.subject}"),
             *((f"  {why}", f"{count} frames left out") for why, count in take.left_out.items()),
             ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, {told}"),
+            ("  head", f"{take.head_deg[0]:.2f} deg rms between suit and optical system, at most {take.head_deg[1]:.2f}"),
             ("  joints", ", ".join(states)),
             ("  before the surface", floating),
         ]

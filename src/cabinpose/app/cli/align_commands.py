@@ -40,6 +40,8 @@ class Align:
     """Calibration of the rig (YAML), made by `cabinpose calibrate`."""
     out: Path
     """Folder of the dataset."""
+    report: Maybe[Path] = None
+    """HTML file to write: how well suit and optical system agree on the head over each take, with its best and worst frame."""
     subject: Maybe[str] = None
     """Subject code, where a take does not name it."""
     max_lag: float = 2.0

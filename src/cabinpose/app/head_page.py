@@ -1,0 +1,62 @@
+"""The page of `cabinpose align`: how well suit and optical system agree on the head, over each take and in pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from cabinpose.app.report.charts import legend, series_chart
+from cabinpose.app.report.frames import overlay
+from cabinpose.app.report.page import document, section
+from cabinpose.core.skeleton import JOINTS
+from cabinpose.evaluate.skeletons import evaluated_skeleton
+from cabinpose.store import open_dataset
+from cabinpose.store.part import disk_errors
+
+_SHOWN = 2  # best and worst frames of each take
+_NONE = np.zeros((0, len(JOINTS), 2), np.float32)
+
+
+def write_head_page(folder: Path, takes: Sequence[tuple[str, str]], out: Path) -> None:
+    """Write one HTML file of an aligned dataset.
+
+    Parameters
+    ----------
+    folder
+        The dataset, with `head_residual`.
+    takes
+        Recording and subject of each of its sequences.
+    out
+        The file; one that is there is replaced.
+    """
+    dataset = open_dataset(folder)
+    lines, pictures = {}, []
+    for number, (recording, subject) in enumerate(takes):
+        frames = np.flatnonzero(dataset["sequence"].values == number)
+        apart = np.degrees(np.nanmax(dataset["head_residual"].values[frames], axis=1))
+        seconds = (dataset["sync_ns"].values[frames] - dataset["sync_ns"].values[frames[0]]) / 1e9
+        name = f"{recording}, {subject}"
+        lines[name] = seconds.tolist(), apart.tolist()
+        order = np.argsort(apart)
+        pictures += [_picture(dataset, int(frames[k]), f"{name}: best, {apart[k]:.2f} deg") for k in order[:_SHOWN]]
+        pictures += [_picture(dataset, int(frames[k]), f"{name}: worst, {apart[k]:.2f} deg") for k in order[: -_SHOWN - 1 : -1]]
+    chart = series_chart("angle between the two systems' heads, deg", "s", lines, width=1240, height=300)
+    note = "The worlds of suit and optical system are laid on each other by one turn for the whole take: a heading's drift shows."
+    told = f"{len(takes)} {'take' if len(takes) == 1 else 'takes'}, {dataset.sizes['frame']} frames"
+    sections = [
+        section("Over the takes", chart + legend(list(lines)), note),
+        section("Best and worst frames", f"<div class=frames>{''.join(pictures)}</div>"),
+    ]
+    with disk_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(document(f"Heads: {folder.name}", "Agreement of the heads", told, sections), encoding="utf-8")
+
+
+def _picture(dataset: xr.Dataset, number: int, words: str) -> str:
+    frame = dataset.isel(frame=number).load()
+    drawn = overlay(frame, evaluated_skeleton(JOINTS), _NONE, (), False)
+    return drawn.replace("<figcaption>", f"<figcaption>{escape(words)}; ")
