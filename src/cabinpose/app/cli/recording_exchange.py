@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
 from cabinpose.app.cli.exchange_commands import Export, Import
-from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.output import print_json, print_rows, printable
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDING_IMPORTS
@@ -68,7 +68,7 @@ def import_recording(command: Import) -> bool:
     )
     made = import_recording(command.source, name, command.out, take=take, options=options, overwrite=command.overwrite)
     if made.refused:
-        print(f"{made.refused} messages could not be kept, the last: {made.reason}", file=sys.stderr)
+        print(f"{made.refused} messages could not be kept, the last: {printable(made.reason)}", file=sys.stderr)
     if command.as_json:
         print_json({"out": str(made.path), "format": name, "samples": dict(made.samples), "refused": made.refused})
     else:

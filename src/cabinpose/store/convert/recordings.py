@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
+from urllib.parse import unquote
 
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.core.ports import Sample
@@ -242,7 +243,7 @@ def _read_csv(path: Path, _: RecordingOptions) -> Iterator[Entry]:
         raise RecordingError(f"{path} holds no table of messages", hint="as in suit.poses.csv, written by cabinpose export")
 
     def entries(table: Path) -> Iterator[Entry]:
-        source = table.stem.rpartition(".")[0]
+        source = unquote(table.stem.rpartition(".")[0])
         return ((source, *row) for row in read_csv(table))
 
     def order(entry: Entry) -> tuple[int, str, int, int]:
