@@ -1,10 +1,11 @@
 """A recording as CSV tables, one a source and kind of message, for spreadsheets and statistics; and back.
 
-`<source>.<kind>.csv`, with `-2`, `-3` ... before the suffix where a source has several subjects or its names change; what a file's
-name cannot hold is percent-encoded (`lab%2Fsuit` is the source `lab/suit`). Columns: `host_ns`, `device_ns`, `sequence` (empty =
-unknown), `subject`, then the values, named `<segment>.<quantity>`; markers, which come and go, have a row each. SI units;
-quaternions w x y z; empty cells are NaN. Facts keep their values as JSON. Images stay in the recording: of a camera's frames, the
-table tells the intrinsics and how many pixels are valid, and is not read back.
+`<source>.<kind>.csv`, with `-2`, `-3` ... before the suffix where a source has several subjects or its names change. What the
+name of a file cannot hold is percent-encoded: `lab%2Fsuit` is the source `lab/suit`.
+
+Columns: `host_ns`, `device_ns`, `sequence` (empty = unknown), `subject`, then the values, named `<segment>.<quantity>`; markers,
+which come and go, have a row each. SI units; quaternions w x y z; empty cells are NaN. Facts keep their values as JSON. Images
+stay in the recording: of a camera's frames, the table tells the intrinsics and how many pixels are valid, and is not read back.
 """
 
 from __future__ import annotations
