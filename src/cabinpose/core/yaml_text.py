@@ -1,7 +1,7 @@
 """YAML files of users as plain data, within bounds.
 
-An alias repeats a value without its text, and a model that is built of it repeats it in full: a kilobyte of aliases of aliases stands
-for a billion values.
+An alias repeats a value without its text, and a model that is built of it repeats it in full: a kilobyte of aliases of aliases
+stands for a billion values.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def parse_yaml(text: str) -> Any:
     Raises
     ------
     yaml.YAMLError
-        Where the text is no YAML, is longer than 8 million characters, is nested too deep, or has aliases that stand for more than
-        100 000 values.
+        Where the text is no YAML, is longer than 8 million characters, is nested too deep, or has aliases that stand for more
+        than 100 000 values.
     """
     if len(text) > _LONGEST:
         raise yaml.YAMLError(f"it has {len(text)} characters, more than {_LONGEST}")
@@ -59,7 +59,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _size(node: yaml.Node, sizes: dict[int, int | None]) -> int:
-    """The number of nodes below and with a node, those of aliases counted each time; by id in `sizes`, None while it is counted."""
+    """The number of nodes of a tree, those of aliases each time; `sizes` keeps it by id, None while a node is counted."""
     if id(node) in sizes:
         known = sizes[id(node)]
         if known is None:

@@ -116,7 +116,10 @@ class CabinFile(_Strict):
     """The YAML beside a car mesh."""
 
     name: str | None = Field(None, description="What the car is called in a dataset; default: the name of this file.")
-    mesh: str = Field(description="Mesh file (.glb, .gltf, .obj, .stl, .ply); a relative path counts from this file's folder.")
+    mesh: str = Field(
+        description="Mesh file (.glb, .gltf, .obj, .stl, .ply); a relative path counts from this file's folder."
+        " It may name files in its own folder only."
+    )
     up_axis: str = Field("auto", description="Axis of the mesh file that points up: x, -x, y, -y, z, -z or auto.")
     front_axis: str = Field("auto", description="Axis of the mesh file that points to the car's front, likewise.")
     unit: str = Field("auto", description="Unit of the mesh file: m, cm, mm, inch or auto.")
