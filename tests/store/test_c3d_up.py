@@ -85,6 +85,12 @@ def test_what_nothing_tells_is_assumed_aloud(tmp_path: Path) -> None:
     assert facts["up_because"] == "assumed: nothing tells it"
 
 
+def test_a_floor_below_two_axes_tells_nothing(tmp_path: Path) -> None:
+    corner = {name: (x, abs(y), z) for name, (x, y, z) in PROPS.items()}
+    with pytest.warns(UserWarning, match="z is assumed"):
+        assert heights(file_of(tmp_path / "a.c3d", corner, "z", None))[0] == expected(corner)
+
+
 @pytest.mark.parametrize("says", ["+X", "-X", "+Y", "+Z"])
 def test_without_names_a_plain_axis_is_believed(tmp_path: Path, says: str) -> None:
     up = says.lower().removeprefix("+")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,6 @@ def read_c3d(
     ezc3d()  # an error of its own where it is missing
     try:
         (content,) = items_apart(_load, path)
-        if there < claimed:
-            content = content.until(there)
         trial = _Trial(content, subjects, up, lost=claimed - there)
     except _ContentError as error:
         raise MocapError(f"{path} {error}", hint=error.hint) from None
@@ -116,11 +114,6 @@ class _Content:
     rate: float
     first: int
     parameters: dict[str, dict[str, Any]]
-
-    def until(self, frames: int) -> _Content:
-        """The first frames; the library may fill up with zeros what a file that is cut off lacks."""
-        ratio = len(self.analogs) // max(1, len(self.points))
-        return replace(self, points=self.points[:frames], residual=self.residual[:frames], analogs=self.analogs[: frames * ratio])
 
 
 class _ContentError(MocapError):
@@ -208,7 +201,7 @@ def _modelled(kind: str, subject: str, part: _Points, values: F64, *, degrees: b
 
 
 def check_size(path: Path) -> None:
-    """Raise MocapError unless a file is as large as its header claims: the library fills up what is missing, in silence."""
+    """Raise MocapError unless a file is as large as its header claims: the library leaves out what is missing, in silence."""
     claimed, there = _frames(path)
     if there < claimed:
         raise _cut_off(path, claimed, there, hint="check the space on the disk")
