@@ -366,7 +366,7 @@ def test_a_c3d_file_whose_axis_is_wrong_and_whose_end_is_missing(run: Run, tmp_p
     assert done.code == 0, done.err
     assert "warning: " in done.err
     assert "frames are taken" in done.err
-    assert "POINT:Y_SCREEN says -z; if that is wrong, give the axis with --up" in done.err
+    assert "POINT:Y_SCREEN says -z; if that is wrong, import it with --up" in done.err
     facts = next(m for _, _, m in in_recording(take) if isinstance(m, Facts) and m.about == "points")
     assert (facts.values["up"], facts.values["up_because"]) == ("z", "shoulders or head above hips or feet")
     path.write_bytes(whole)

@@ -107,7 +107,7 @@ def test_the_axis_that_is_given_is_taken(tmp_path: Path, up: str) -> None:
     assert (facts["up"], facts["up_because"]) == (up, "given")
 
 
-@pytest.mark.parametrize("name", ["wheel", "fibula head", "shoe", "XC78"])
+@pytest.mark.parametrize("name", ["wheel", "fibula head", "MTHEAD5", "shoe", "XC78"])
 def test_names_that_only_look_like_a_shoulder_or_a_heel_tell_nothing(tmp_path: Path, name: str) -> None:
     """Each stands where a shoulder or a heel would turn the person over."""
     low = {name: (0.0, 0.0, 1.5), "neck": (0.0, 0.0, 0.1)} if name == "wheel" else {name: (0.0, 0.0, 0.1), "toe": (0.0, 0.0, 1.5)}

@@ -76,7 +76,9 @@ def read_c3d(
     """
     claimed, there = _frames(path)
     if there < claimed and not (whole_frames and there):
-        raise _cut_off(path, claimed, there, hint="copy or export it again; --keep-whole-frames takes the frames that are whole")
+        raise _cut_off(
+            path, claimed, there, hint="copy or export it again, or import the frames that are whole with --keep-whole-frames"
+        )
     ezc3d()  # an error of its own where it is missing
     try:
         (content,) = items_apart(_load, path)
@@ -156,7 +158,7 @@ class _Trial:
         position = np.full(self.points.shape, np.nan)  # angles and forces stay out
         position[:, columns] = self.points[:, columns] * self.scale
         up, because = vertical_axis(hint, position, subjects)
-        remedy = "if that is wrong, give the axis with --up"
+        remedy = "if that is wrong, import it with --up AXIS"
         if hint is None and because.startswith("assumed"):
             self.notes.append(f"does not say which axis is up: {up} is assumed; {remedy}")
         elif up != (hint or "z"):

@@ -28,9 +28,10 @@ WORLD_FROM_UP: Mapping[str, F64] = MappingProxyType(
 # Parts of usual names: Plug-in Gait's LFHD and RASI, Qualisys' HeadL and RHeelBack, BTS' "r should" and "l mall"
 _UPPER = re.compile(r"head|neck|should|sho(?![a-z])|acro|clav|[lr][fb]hd|(?<![a-z0-9])c7(?![0-9])", re.I)
 _LOWER = re.compile(
-    r"toe|ankle|ank(?![a-z])|foot|(?<!w)heel|hee(?![a-z])|mall|(?<!l)met|calc|asi(?![a-z])|asis|psi|pelvi|sacr", re.I
+    r"toe|ankle|ank(?![a-z])|foot|(?<!w)heel|hee(?![a-z])|mall|(?<!l)met|calc|asi(?![a-z])|asis|psi|pelvi|sacr|waist|hip|mt\d",
+    re.I,
 )
-_BONE = re.compile(r"fib|tib|fem|rad|uln|hum|met|mt\d", re.I)  # each has a head, or ends at the shoulder
+_BONE = re.compile(r"fib|tib|fem|rad|uln|hum|met|m[ct](\d|head)", re.I)  # each has a head, or ends at the shoulder
 _NEAR_AN_AXIS = 0.7  # cosine; a seated person's shoulders lie about 30 degrees before their feet and hips
 _MOST = 0.8  # of the frames
 _SMALLEST_M = 0.2  # between upper and lower markers, and the spread of markers from which anything can be told
