@@ -17,6 +17,7 @@ import yaml
 from cabinpose.core.errors import ConfigError, DependencyError, MeshError
 from cabinpose.core.frames import apply
 from cabinpose.scene.cabin import Cabin, SeatSetting, build_cabin, load_cabin
+from cabinpose.scene.cabin.meshfile import read_mesh
 from cabinpose.scene.labels import ID as LABEL
 
 # file = FILE_FROM_VEHICLE @ vehicle: glTF's axes (x left, y up, z forward), and a common z-up one that looks along -y
@@ -287,6 +288,38 @@ def test_bad_meshes_are_refused_with_the_reason(tmp_path: Path, make: Any, messa
     with pytest.raises(MeshError, match=message) as error:
         load_cabin(write(tmp_path, content))
     assert error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("uri", "message"),
+    [
+        ("../secret.bin", "outside its folder"), ("%2e%2e/secret.bin", "outside its folder"), ("/dev/zero", "outside its folder"),
+        ("link.bin", "outside its folder"), ("parts", "not there"), ("absent.bin", "not there"),
+    ],
+)  # fmt: skip
+def test_a_mesh_reads_no_file_outside_its_folder(tmp_path: Path, uri: str, message: str) -> None:
+    folder = tmp_path / "car"
+    (folder / "parts").mkdir(parents=True)
+    (tmp_path / "secret.bin").write_bytes(bytes(64))
+    (folder / "link.bin").symlink_to(tmp_path / "secret.bin")
+    (folder / "car.gltf").write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": uri, "byteLength": 64}]}))
+    content = {"mesh": "car.gltf", "seats": {"driver": {"h_point": [0.0, 0.0, 0.0]}}}
+    with pytest.raises(MeshError, match=message) as error:
+        load_cabin(write(folder, content))
+    assert uri in str(error.value)
+    assert error.value.hint
+
+
+def test_a_mesh_reads_the_files_in_its_folder(tmp_path: Path) -> None:
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(trimesh.creation.box((1.2, 1.6, 3.0))))
+    (tmp_path / "my parts").mkdir()
+    document = json.loads(files.pop("model.gltf"))
+    for buffer in document["buffers"]:
+        (tmp_path / "my parts" / buffer["uri"]).write_bytes(files[buffer["uri"]])
+        buffer["uri"] = f"my%20parts/{buffer['uri']}"
+    (tmp_path / "car.gltf").write_text(json.dumps(document))
+    (mesh,) = read_mesh(tmp_path / "car.gltf", unit="m").meshes
+    assert len(mesh.faces) == 12
 
 
 @pytest.mark.parametrize(

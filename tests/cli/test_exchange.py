@@ -348,3 +348,49 @@ def test_files_of_others_get_names_and_times(run: Run, tmp_path: Path) -> None:
         hosts = [sample.host_ns for _, sample in made.samples()]
     assert hosts == sorted(hosts)
     assert hosts[0] == BEGAN
+
+
+def test_a_c3d_file_whose_axis_is_wrong_and_whose_end_is_missing(run: Run, tmp_path: Path) -> None:
+    names = ("head", "toe")
+    at = np.array([[0.0, 0.1, 1.6], [0.0, 0.1, 0.05]])
+    rows: Rows = [(k * 10**7, k * 10**7, Markers("", names, at, np.zeros(2))) for k in range(300)]
+    path, take = write_c3d(tmp_path / "a.c3d", rows), tmp_path / "a.mcap"
+    whole = path.read_bytes()
+    wrong = whole.replace(b"+Z", b"-Z", 1)
+    path.write_bytes(wrong[: len(wrong) - 2048])
+    arguments = ("import", path, "--format", "c3d", "--out", take, "--overwrite", "--subject", "S07")
+    refused = run(*arguments)
+    assert refused.code == 2
+    assert "--keep-whole-frames" in refused.err
+    done = run(*arguments, "--keep-whole-frames")
+    assert done.code == 0, done.err
+    assert "warning: " in done.err
+    assert "frames are taken" in done.err
+    assert "POINT:Y_SCREEN says -z; if that is wrong, import it with --up" in done.err
+    facts = next(m for _, _, m in in_recording(take) if isinstance(m, Facts) and m.about == "points")
+    assert (facts.values["up"], facts.values["up_because"]) == ("z", "shoulders or head above hips or feet")
+    path.write_bytes(whole)
+    for up, height in (("-z", -1.6), ("y", 0.1)):
+        assert run(*arguments, f"--up={up}").code == 0
+        found = next(m for _, _, m in in_recording(take) if isinstance(m, Markers))
+        assert found.subject == "S07"
+        assert found.position_m[0, 2] == pytest.approx(height, abs=1e-6)
+    write_bvh(tmp_path / "a.bvh", of(SegmentPoses, motion()))
+    sideways = run("import", tmp_path / "a.bvh", "--format", "bvh", "--out", tmp_path / "b.mcap", "--up", "x")
+    assert (sideways.code, "y or z up, not x" in sideways.err) == (2, True)
+
+
+def test_names_from_files_do_not_command_the_terminal(run: Run, tmp_path: Path) -> None:
+    evil = "s\x1b[31mu\x9bi\rt\n"
+    with RecordingWriter(tmp_path / "take.mcap") as writer:
+        writer.write(evil, Sample(0, BEGAN, None, b"", (Channels((evil,), np.ones(1)),)))
+        writer.write("other", Sample(0, BEGAN, None, b"", (Markers(evil, ("a",), np.ones((1, 3)), np.zeros(1)),)))
+    shown = run("info", tmp_path / "take.mcap")
+    assert shown.code == 0, shown.err
+    assert "s[31muit" in shown.out
+    refused = run("export", tmp_path / "take.mcap", "--format", "trc", "--out", tmp_path / "a.trc", "--subject", "S1")
+    assert "s[31muit" in refused.err
+    warned = run("export", tmp_path / "take.mcap", "--format", "trc", "--out", tmp_path / "a.trc", "--source", "nobody")
+    assert "it has: " in warned.err
+    for text in (shown.out, shown.err, refused.err, warned.err):
+        assert all(character.isprintable() or character == "\n" for character in text)

@@ -36,7 +36,7 @@ def plain_file(path: Path, **point: list) -> Path:
     file["data"]["meta_points"]["residuals"] = residuals
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, 3, 4), bool)
     file["parameters"]["POINT"]["RATE"]["value"] = [50.0]
-    for name, value in {"LABELS": ["A:one", "A:two", "*7"], "UNITS": ["mm"], **point}.items():
+    for name, value in {"LABELS": ["A:one", "A:two", "*7"], "UNITS": ["mm"], "Y_SCREEN": ["+Z"], **point}.items():
         file.add_parameter("POINT", name, value)
     file["data"]["analogs"] = np.arange(16.0).reshape(1, 2, 8)
     file["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
@@ -146,14 +146,14 @@ def world_of(folder: Path, up: str) -> np.ndarray:
     """The matrix that the reader applies, found by reading the three unit vectors."""
     file = ezc3d.c3d()
     points = np.ones((4, 3, 1))
-    points[:3, :, 0] = np.eye(3)
+    points[:3, :, 0] = np.eye(3)  # a millimetre long: too small for the markers to contradict the file
     file["data"]["points"] = points
     file["parameters"]["POINT"]["RATE"]["value"] = [50.0]
-    for name, value in {"LABELS": ["a", "b", "c"], "UNITS": ["m"], "Y_SCREEN": [up]}.items():
+    for name, value in {"LABELS": ["a", "b", "c"], "UNITS": ["mm"], "Y_SCREEN": [up]}.items():
         file.add_parameter("POINT", name, value)
     file.write(str(folder / "axes.c3d"))
     ((_, markers),) = of(list(read_c3d(folder / "axes.c3d")), Markers)
-    return markers.position_m.T
+    return markers.position_m.T * 1000
 
 
 def test_what_models_add_is_no_marker(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_what_models_add_is_no_marker(tmp_path: Path) -> None:
 
 
 def test_subjects_get_codes(tmp_path: Path) -> None:
-    rows = list(read_c3d(plain_file(tmp_path / "a.c3d"), subjects={"A": "S17"}))
+    rows = list(read_c3d(plain_file(tmp_path / "a.c3d"), subjects=["S17"]))
     assert {message.subject for _, message in of(rows, Markers)} == {"S17", ""}
 
 

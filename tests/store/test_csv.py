@@ -26,6 +26,8 @@ from cabinpose.core.recorded import (
 )
 from cabinpose.store.convert.csv_ import read_csv, write_csv
 from cabinpose.store.convert.csv_table import read_csv_table
+from cabinpose.store.convert.recordings import export_recording, import_recording
+from cabinpose.store.recording import Recording, RecordingWriter
 
 NONE3, NONE4 = np.zeros((0, 3)), np.zeros((0, 4))
 
@@ -70,7 +72,7 @@ def same(one: Message, other: Message) -> None:
 def test_tables_come_back_bit_by_bit(tmp_path: Path) -> None:
     paths = write_csv(tmp_path / "out", samples())
     assert {p.name for p in paths} == {
-        f"lab_suit.{name}.csv"
+        f"lab%2Fsuit.{name}.csv"
         for name in ("poses", "poses-2", "kinematics", "sensors", "joint_angles", "markers", "channels", "facts")
     }
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(p.name for p in paths)
@@ -87,6 +89,28 @@ def test_tables_come_back_bit_by_bit(tmp_path: Path) -> None:
         same(found[0], message)
     with pytest.raises(RecordingError, match="exists"):
         write_csv(tmp_path / "out", samples())
+
+
+def test_names_with_a_slash_stay_apart(tmp_path: Path) -> None:
+    sources = ("a/b", "a_b", "a%2Fb", "../b")
+    names = ("a/b", "a_b")
+    message = Markers("S", names, np.arange(6.0).reshape(2, 3), np.zeros(2))
+    given = [(source, Sample(i, i, None, b"", (message, Channels((source,), np.ones(1))))) for i, source in enumerate(sources)]
+    folder = tmp_path / "tables"
+    paths = write_csv(folder, given)
+    assert len(set(paths)) == 8
+    assert {path.parent for path in paths} == {folder}
+    with RecordingWriter(tmp_path / "take.mcap") as writer:
+        for source, sample in given:
+            writer.write(source, sample)
+    export_recording(tmp_path / "take.mcap", "csv", tmp_path / "again")
+    assert {p.name for p in (tmp_path / "again").iterdir()} == {p.name for p in paths}
+    import_recording(folder, "csv", tmp_path / "back.mcap")
+    with Recording(tmp_path / "back.mcap") as back:
+        read = [(source, sample.messages) for source, sample in back.samples()]
+    assert [source for source, _ in read] == ["a-b", "a_b", "a-2fb", "b"]  # as a rig could name them
+    for _, messages_of in read:
+        same(message, next(m for m in messages_of if isinstance(m, Markers)))
 
 
 def test_others_read_the_columns(tmp_path: Path) -> None:

@@ -107,6 +107,18 @@ def test_damaged_trc(tmp_path: Path, was: str, becomes: str, message: str) -> No
     assert raised.value.hint
 
 
+@pytest.mark.parametrize("name", ["a\tb", "a\nb", "a\r", ""])
+def test_names_that_break_tabbed_text_are_refused(tmp_path: Path, name: str) -> None:
+    markers = [(0, 0, Markers("S", ("x", name), np.ones((2, 3)), np.zeros(2)))]
+    poses = [(0, 0, SegmentPoses("S", ("x", name), np.ones((2, 3)), np.ones((2, 4))))]
+    for write, rows in ((write_trc, markers), (write_sto, poses)):
+        with pytest.raises(MocapError, match="no name for tab-separated text") as raised:
+            write(tmp_path / "out", rows)
+        assert repr(name) in str(raised.value)
+        assert raised.value.hint
+    assert list(tmp_path.iterdir()) == []
+
+
 STO = (
     "DataRate=100.000000\nDataType=Quaternion\nversion=3\nOpenSimVersion=4.5\nendheader\ntime\tpelvis_imu\ttorso_imu\n"
     "0.000000000\t1,0,0,0\t0.6,0.8,0,0\n0.010000000\t0,0,1,0\tnan,nan,nan,nan\n"

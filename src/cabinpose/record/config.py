@@ -15,12 +15,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.ports import FrameSource
+from cabinpose.core.yaml_text import read_yaml
 from cabinpose.store.recording import Compression, Take
 
 ENTRY_POINTS = "cabinpose.sources"
@@ -110,14 +110,8 @@ def load_rig(path: Path) -> Rig:
     """Read and check a rig's file. Raises ConfigError naming the key, the reason and what is possible, DependencyError where
     a kind needs what is not installed.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = yaml.safe_load(text)
-    except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}", hint="docs/recording.md has a rig to start from") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not YAML: {error}", hint="docs/recording.md has a rig to start from") from error
-    return parse_rig(data, text, base=path.parent)
+    data = read_yaml(path, hint="docs/recording.md has a rig to start from")
+    return parse_rig(data, path.read_text(encoding="utf-8"), base=path.parent)
 
 
 def parse_rig(data: Any, text: str = "", *, base: Path = Path()) -> Rig:
@@ -129,12 +123,7 @@ def parse_rig(data: Any, text: str = "", *, base: Path = Path()) -> Rig:
 
 def load_take(path: Path) -> Take:
     """Read and check a file with a take alone. Raises ConfigError."""
-    try:
-        return _checked(Take, yaml.safe_load(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}", hint="docs/recording.md says what a take is") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not YAML: {error}", hint="docs/recording.md says what a take is") from error
+    return _checked(Take, read_yaml(path, hint="docs/recording.md says what a take is"))
 
 
 def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:

@@ -22,6 +22,7 @@ import yaml
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError, unknown_name
+from cabinpose.core.yaml_text import read_yaml
 
 COORDINATES = ("subject", "car", "pov", "action", "sequence")
 
@@ -65,11 +66,7 @@ def _refuse_overlap(splits: Splits, source: Path | str) -> None:
 
 def read_splits(path: Path | str) -> dict[str, dict[str, tuple[Any, ...]]]:
     """The splits of a YAML file; raises `DatasetError` as `parse_splits` does."""
-    try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise DatasetError(f"cannot read the splits of {path}: {error}", hint="check the file's name and its YAML") from error
-    return parse_splits(data, path)
+    return parse_splits(read_yaml(Path(path), hint="give a YAML file of splits", error=DatasetError), path)
 
 
 def read_named_splits(path: Path | str, names: Sequence[str]) -> dict[str, dict[str, tuple[Any, ...]]]:

@@ -5,22 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from cabinpose.core.errors import CabinposeError, ConfigError
+from cabinpose.core.yaml_text import read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_mapping(path: Path, *, hint: str, error: type[CabinposeError] = ConfigError) -> dict[str, Any]:
     """The mapping in a YAML file; an empty file is an empty one. Raises `error` with the hint where there is none."""
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as problem:
-        raise error(f"cannot read {path}: {problem.strerror}", hint=hint) from problem
-    except (UnicodeDecodeError, yaml.YAMLError) as problem:
-        raise error(f"{path} is not YAML: {problem}", hint=hint) from problem
+    data = read_yaml(path, hint=hint, error=error)
     if data is not None and not isinstance(data, dict):
         raise error(f"{path} is no mapping of keys to values", hint=hint)
     return data or {}

@@ -20,6 +20,7 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationError, field_va
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.frames import is_rigid
 from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
@@ -335,18 +336,7 @@ class SynthConfig(Model):
         """
         data: Any = {}
         if path is not None:
-            try:
-                text = path.read_text(encoding="utf-8")
-            except OSError as error:
-                raise ConfigError(
-                    f"cannot read {path}: {error.strerror}", hint="`cabinpose config init` writes a first one"
-                ) from error
-            try:
-                data = yaml.safe_load(text) or {}
-            except yaml.YAMLError as error:
-                raise ConfigError(
-                    f"{path} is not YAML: {error}", hint="`cabinpose config init` writes a file to start from"
-                ) from error
+            data = read_yaml(path, hint="`cabinpose config init` writes a file to start from") or {}
             if isinstance(data, dict):
                 data = _with_paths(data, path.parent)
         return cls.parse(_overridden(data, overrides))
@@ -388,7 +378,7 @@ def _overridden(data: Any, overrides: Sequence[str]) -> Any:
     for override in overrides:
         keys, equals, text = override.partition("=")
         try:
-            value = yaml.safe_load(text)
+            value = parse_yaml(text)
         except yaml.YAMLError:
             equals = ""
         if not equals or not all(keys.split(".")):

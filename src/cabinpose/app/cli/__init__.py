@@ -10,6 +10,8 @@ from difflib import get_close_matches
 from importlib import import_module
 from typing import TextIO
 
+from cabinpose.app.cli.output import printable
+
 _OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # the dataset is what stands behind them
 
 
@@ -42,9 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.showwarning = _print_warning
             import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
     except CabinposeError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {printable(error)}", file=sys.stderr)
         if error.hint:
-            print(f"hint: {error.hint}", file=sys.stderr)
+            print(f"hint: {printable(error.hint)}", file=sys.stderr)
         return 2
     except ImportError as error:
         if error.name != "cabinpose._native":
@@ -69,6 +71,8 @@ def _print_warning(
 ) -> None:
     """What the package warns of in one line; of other libraries, which warn by other categories, as Python has it."""
     text = (
-        f"warning: {message}\n" if category is UserWarning else warnings.formatwarning(message, category, filename, lineno, line)
+        f"warning: {printable(message)}\n"
+        if category is UserWarning
+        else warnings.formatwarning(message, category, filename, lineno, line)
     )
     (file or sys.stderr).write(text)

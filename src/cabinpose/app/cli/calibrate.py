@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cabinpose.app.cli.align_commands import Calibrate
-from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 
@@ -33,7 +33,7 @@ def run(command: Calibrate) -> None:
     print_rows(_rows(found, command.out))
     rejected = [why for why in found.views.reasons if why]
     if rejected:
-        print(f"{len(rejected)} views without a board, the first: {rejected[0]}", file=sys.stderr)
+        print(f"{len(rejected)} views without a board, the first: {printable(rejected[0])}", file=sys.stderr)
     print(f"align a take with: cabinpose align TAKE.mcap --calibration {command.out} --out DATASET", file=sys.stderr)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from cabinpose.app.cli.car_commands import Car, CarCheck, CarInit
-from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.store.part import disk_errors
 
@@ -74,7 +74,7 @@ def _check(action: CarCheck) -> None:
         if picture is not None:
             _draw(action.file, report, picture)
     for warning in report.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(f"warning: {printable(warning)}", file=sys.stderr)
     if action.as_json:
         print_json(_as_data(action.file, report, picture))
         return

@@ -12,7 +12,7 @@ from typing import Any
 import xarray as xr
 
 from cabinpose.app.cli.commands import Evaluate
-from cabinpose.app.cli.output import ProgressReport, print_json, print_table, progress
+from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
 from cabinpose.app.cli.selection import selected
 from cabinpose.app.finite import finite
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
@@ -167,7 +167,7 @@ def print_report(report: Report, *, everything: bool) -> None:
     and the notes.
     """
     columns = group_columns([report])
-    print(f"{report.model} on {report.dataset}: {report.frames} frames, {report.people} people")
+    print(f"{printable(report.model)} on {printable(report.dataset)}: {report.frames} frames, {report.people} people")
     rows = [["", *(c.title for c in columns)]]
     rows += [
         [group, *(number(report.value(c.metric, c.space, group, c.threshold)) for c in columns)] for group in report.joint_sets
@@ -185,5 +185,5 @@ def print_report(report: Report, *, everything: bool) -> None:
     if len(shown) < len(numbers):
         print(f"and {len(numbers) - len(shown)} more with --all")
     for note in report.notes:
-        print(note)
+        print(printable(note))
     print()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse, EvaluateMocap, EvaluateSfe, EvaluateSse, MocapReport
-from cabinpose.app.cli.output import print_json, print_table, progress
+from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.app.finite import finite
 from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError
@@ -56,7 +56,7 @@ def run(command: EvaluateMocap) -> None:
 
     print_table(summary_rows(judgement))
     for note in judgement.notes:
-        print(note)
+        print(printable(note))
     if chosen.out is not None:
         print(f"open {chosen.out / 'index.html'}", file=sys.stderr)
 

@@ -88,8 +88,10 @@ class Import:
     """c3d, bvh, trc, sto: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
     unit_m: Maybe[float] = None
     """bvh: metres of the unit of length; default: that of the CMU database."""
-    up: Maybe[Literal["y", "z"]] = None
-    """bvh: the vertical axis; default: y."""
+    up: Maybe[Literal["x", "-x", "y", "-y", "z", "-z"]] = None
+    """c3d, bvh (y or z): the axis that points up; default: as the markers tell, or the file; bvh: y."""
+    keep_whole_frames: bool = False
+    """c3d: take the frames that are whole of a file that is cut off, and say how many are lost."""
     overwrite: bool = False
     """Replace what is there."""
     as_json: JsonFlag = False

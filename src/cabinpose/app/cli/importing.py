@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from cabinpose.app.cli.exchange_commands import Import
-from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.output import print_json, printable, progress
 from cabinpose.app.cli.recording_exchange import import_recording
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, check_new_dataset, import_source, open_source
@@ -25,7 +25,7 @@ def run(command: Import) -> None:
     options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
     source = open_source(command.source, command.format, options)
     if source.note:
-        print(source.note, file=sys.stderr)
+        print(printable(source.note), file=sys.stderr)
     frames = source.manifest.frames
     with progress(frames, "frames") as report:
         folder = import_source(source, command.out, overwrite=command.overwrite, report=report)

@@ -20,6 +20,11 @@ LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
 _BEAT_S = 0.5  # between looks whether a line is due
 
 
+def printable(text: object) -> str:
+    """The text of something, lines kept, without control characters: in names from files they would command the terminal."""
+    return "\n".join("".join(filter(str.isprintable, line)) for line in str(text).split("\n"))
+
+
 def print_json(data: Mapping[str, Any]) -> None:
     """One JSON object on one line; NaN becomes null."""
     print(json.dumps(finite(data), allow_nan=False))
@@ -27,7 +32,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 def print_rows(rows: Iterable[tuple[str, str]]) -> None:
     """Names and values in two columns."""
-    listed = list(rows)
+    listed = [(_cell(name), _cell(value)) for name, value in rows]
     width = max((len(name) for name, _ in listed), default=0)
     for name, value in listed:
         print(f"{name:<{width}}  {value}")
@@ -35,10 +40,15 @@ def print_rows(rows: Iterable[tuple[str, str]]) -> None:
 
 def print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> None:
     """Columns aligned: those of words to the left, numbers to the right."""
+    rows = [[_cell(cell) for cell in row] for row in rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         cells = (c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
         print("  ".join(cells).rstrip())
+
+
+def _cell(text: str) -> str:
+    return printable(text).replace("\n", " ")
 
 
 def listed(counts: Mapping[str, int], most: int | None = None) -> str:

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 from cabinpose.app.cli.commands import Predict
-from cabinpose.app.cli.output import print_json, progress
+from cabinpose.app.cli.output import print_json, printable, progress
 from cabinpose.app.cli.selection import selected
 from cabinpose.core.ports import joined
 from cabinpose.estimate.predictor import load_model
@@ -24,7 +24,7 @@ def run(command: Predict) -> None:
     places = [str(name) for name in dataset["person"].values]
     if not set(places) & set(model.persons):
         print(
-            f"the model {model.name} looks at {', '.join(model.persons)}, and the dataset has {', '.join(places)}: "
+            f"the model {model.name} looks at {', '.join(model.persons)}, and the dataset has {printable(', '.join(places))}: "
             "`evaluate` cannot score what it finds",
             file=sys.stderr,
         )

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
 from cabinpose.app.cli.exchange_commands import Export, Import
-from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.output import print_json, print_rows, printable
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDING_IMPORTS
@@ -21,6 +21,10 @@ if TYPE_CHECKING:  # needs the extra `record`, which is asked for first
 
 _NO_TIME_OF_DAY = ("c3d", "bvh", "trc", "sto")
 _ONE_SOURCE = ("mvnx", "c3d", "bvh", "trc", "sto", "azure-mkv")
+_OF_FORMATS = {
+    "--begun": _NO_TIME_OF_DAY, "--name": _ONE_SOURCE, "--unit-m": ("bvh",), "--up": ("c3d", "bvh"),
+    "--keep-whole-frames": ("c3d",),
+}  # fmt: skip
 _RATED = ("c3d", "trc", "sto", "mvnx")
 
 
@@ -29,6 +33,7 @@ def import_recording(command: Import) -> bool:
     of_recording = {
         "--subject": command.subject, "--action": command.action, "--car": command.car, "--take": command.take,
         "--name": command.name, "--begun": command.begun, "--unit-m": command.unit_m, "--up": command.up,
+        "--keep-whole-frames": command.keep_whole_frames,
     }  # fmt: skip
     if command.format not in RECORDING_IMPORTS:
         if command.format not in IMPORTS:
@@ -51,17 +56,19 @@ def import_recording(command: Import) -> bool:
         "--licence": command.licence,
     }  # fmt: skip
     refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
-    for flag, formats in (("--begun", _NO_TIME_OF_DAY), ("--name", _ONE_SOURCE), ("--unit-m", ("bvh",)), ("--up", ("bvh",))):
+    for flag, formats in _OF_FORMATS.items():
         if name not in formats:
             refuse({flag: of_recording[flag]}, f"{{}} is of {', '.join(formats)}, not of {name}")
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
     from cabinpose.store.convert.recordings import RecordingOptions, import_recording
 
     take = _take(command)
-    options = RecordingOptions(take.codes, command.name, _nanoseconds(command.begun), command.unit_m, command.up or "y")
+    options = RecordingOptions(
+        take.codes, command.name, _nanoseconds(command.begun), command.unit_m, command.up, command.keep_whole_frames
+    )
     made = import_recording(command.source, name, command.out, take=take, options=options, overwrite=command.overwrite)
     if made.refused:
-        print(f"{made.refused} messages could not be kept, the last: {made.reason}", file=sys.stderr)
+        print(f"{made.refused} messages could not be kept, the last: {printable(made.reason)}", file=sys.stderr)
     if command.as_json:
         print_json({"out": str(made.path), "format": name, "samples": dict(made.samples), "refused": made.refused})
     else:

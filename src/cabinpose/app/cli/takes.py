@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
+from cabinpose.app.cli.output import printable
+
 if TYPE_CHECKING:  # needs the extra `record`, which commands ask for first
     from cabinpose.store.recording import TakeFile
 
@@ -30,4 +32,4 @@ def when(host_ns: int) -> str:
 def unknown_note(files: Sequence[TakeFile]) -> None:
     """Say on stderr of which files it cannot be told whom they show."""
     for file in files:
-        print(f"look at this by hand: {file.problem}", file=sys.stderr)
+        print(f"look at this by hand: {printable(file.problem)}", file=sys.stderr)

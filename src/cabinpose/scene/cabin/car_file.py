@@ -7,10 +7,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cabinpose.core.errors import ConfigError
+from cabinpose.core.yaml_text import read_yaml
 from cabinpose.scene.cabin.model import STATIC_GROUP, WHEEL_GROUP
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
 from cabinpose.scene.labels import ID as LABEL
@@ -116,7 +116,10 @@ class CabinFile(_Strict):
     """The YAML beside a car mesh."""
 
     name: str | None = Field(None, description="What the car is called in a dataset; default: the name of this file.")
-    mesh: str = Field(description="Mesh file (.glb, .gltf, .obj, .stl, .ply); a relative path counts from this file's folder.")
+    mesh: str = Field(
+        description="Mesh file (.glb, .gltf, .obj, .stl, .ply); a relative path counts from this file's folder."
+        " It may name files in its own folder only."
+    )
     up_axis: str = Field("auto", description="Axis of the mesh file that points up: x, -x, y, -y, z, -z or auto.")
     front_axis: str = Field("auto", description="Axis of the mesh file that points to the car's front, likewise.")
     unit: str = Field("auto", description="Unit of the mesh file: m, cm, mm, inch or auto.")
@@ -168,14 +171,7 @@ COMMON_RULES = (
 
 def read_car_file(path: Path) -> CabinFile:
     """The YAML of a car mesh, checked; raises ConfigError that names the key."""
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(
-            f"cannot read {path}: {error.strerror}", hint="give the YAML file that describes the car mesh"
-        ) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not YAML: {error}", hint="it takes keys such as mesh, seats, steering_wheel") from None
+    data = read_yaml(path, hint="give the YAML file that describes the car mesh, with mesh, seats and steering_wheel")
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path} is no mapping of keys to values", hint="it takes at least `mesh` and `seats`")
     try:

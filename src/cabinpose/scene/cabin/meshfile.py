@@ -221,8 +221,18 @@ def _gltf(path: Path) -> tuple[dict[str, Any], list[bytes]]:
         elif uri.startswith("data:"):
             buffers.append(base64.b64decode(uri.partition(",")[2]))
         else:
-            buffers.append((path.parent / unquote(uri)).read_bytes())
+            buffers.append(_beside(path, uri).read_bytes())
     return document, buffers
+
+
+def _beside(path: Path, uri: str) -> Path:
+    """The file that a mesh names; a mesh of a stranger must not make us read any other file, or a device without an end."""
+    folder, found = path.parent.resolve(), (path.parent / unquote(uri)).resolve()
+    if not found.is_relative_to(folder):
+        raise MeshError(f"{path} names the file '{uri}', which is outside its folder", hint="copy it there, or export a .glb")
+    if not found.is_file():
+        raise MeshError(f"{path} names the file '{uri}', which is not there", hint="copy all files of the export into one folder")
+    return found
 
 
 def _refuse_unreadable(path: Path, document: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """C3D (optical motion capture, through ezc3d): a file as messages with time stamps. `c3d_write` is the way back.
 
-Points are markers of their subjects (`Subject:Marker`, or SUBJECTS:LABEL_PREFIXES), in metres by POINT:UNITS, turned upright by
-POINT:Y_SCREEN, which names the vertical axis (+Z where it is not given). A point whose residual is negative is occluded: NaN. A
+Points are markers of their subjects (`Subject:Marker`, or SUBJECTS:LABEL_PREFIXES), in metres by POINT:UNITS, turned upright as
+`c3d_up` finds. A point whose residual is negative is occluded: NaN. A
 residual of 0 says that the point was filled in, or that nobody knows. Points without a label (`*12`) have the subject "".
 What models add to the points is told apart by POINT:ANGLES (joint angles, rad) and POINT:FORCES, MOMENTS, POWERS, SCALARS
 (channels, in the file's units). Analog channels come at their own rate. All parameters of the file are facts.
@@ -10,7 +10,8 @@ What models add to the points is told apart by POINT:ANGLES (joint angles, rad) 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,22 +19,16 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core.errors import MocapError
-from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.optional import optional_module
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
 from cabinpose.store.convert.apart import CrashedError, items_apart
+from cabinpose.store.convert.c3d_up import WORLD_FROM_UP, Axis, vertical_axis
 from cabinpose.store.convert.rows import Row
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 ANGLES, OTHERS = "ANGLES", ("FORCES", "MOMENTS", "POWERS", "SCALARS")
 _BLOCK = 512
 _REFUSALS = (OSError, RuntimeError, ValueError, TypeError, AttributeError, LookupError, MemoryError, OverflowError)
-_FLIP = np.diag([1.0, -1.0, -1.0])  # half a turn about x
-_WORLD_FROM_UP = {
-    "+Z": np.eye(3), "-Z": _FLIP, "+Y": ZUP_FROM_YUP, "-Y": _FLIP @ ZUP_FROM_YUP,
-    "+X": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
-    "-X": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
-}  # fmt: skip
 
 
 def ezc3d() -> Any:
@@ -49,24 +44,51 @@ class _Points:
     names: tuple[str, ...] = ()
 
 
-def read_c3d(path: Path, *, subjects: Mapping[str, str] | None = None, start_ns: int = 0) -> Iterator[Row]:
+def read_c3d(
+    path: Path, *, subjects: Sequence[str] = (), start_ns: int = 0, up: Axis | None = None, whole_frames: bool = False
+) -> Iterator[Row]:
     """The messages of a C3D file, by time: facts, then each frame's markers and the analog values until the next.
 
-    `subjects` gives subjects other names (codes for people's names; the facts on parameters keep the file's). device_ns: since
-    the beginning of the trial, whose first frame need not be in the file · host_ns: `start_ns` later, since C3D knows no
-    time of day.
+    Parameters
+    ----------
+    path
+        The file.
+    subjects
+        Codes of the subjects, in the file's order; where the file names none, the code of the only one. The facts on parameters
+        keep the file's names.
+    start_ns
+        Host time of the beginning, since C3D knows no time of day. device_ns is since the beginning of the trial, whose first
+        frame need not be in the file.
+    up
+        The axis that points up, in place of what `c3d_up` finds.
+    whole_frames
+        Take the whole frames of a file that is cut off.
 
-    Raises MocapError where the file is no C3D, is damaged or cut off, or has an unknown unit.
+    Warns
+    -----
+    UserWarning
+        Where the markers contradict the axis that the file names, nothing tells the axis, or frames are missing at the end.
+
+    Raises
+    ------
+    MocapError
+        Where the file is no C3D, is damaged or cut off, has an unknown unit, or names no subjects while several are given.
     """
-    check_size(path)
+    claimed, there = _frames(path)
+    if there < claimed and not (whole_frames and there):
+        raise _cut_off(
+            path, claimed, there, hint="copy or export it again, or import the frames that are whole with --keep-whole-frames"
+        )
     ezc3d()  # an error of its own where it is missing
     try:
         (content,) = items_apart(_load, path)
-        trial = _Trial(content, subjects or {})
+        trial = _Trial(content, subjects, up, lost=claimed - there)
     except _ContentError as error:
         raise MocapError(f"{path} {error}", hint=error.hint) from None
     except (CrashedError, *_REFUSALS) as error:
         raise MocapError(f"{path} cannot be read: {error}", hint="export it again; it contradicts itself") from error
+    for note in trial.notes:
+        warnings.warn(f"{path} {note}", stacklevel=2)
     return trial.rows(start_ns)
 
 
@@ -103,20 +125,46 @@ class _ContentError(MocapError):
 class _Trial:
     """A file whose parameters have been understood."""
 
-    def __init__(self, content: _Content, codes: Mapping[str, str]) -> None:
-        self.points, self.residual, self.analogs = content.points, content.residual, content.analogs
+    def __init__(self, content: _Content, codes: Sequence[str], up: Axis | None, *, lost: int) -> None:
         self.rate, self.first = content.rate, content.first
+        self.notes: list[str] = []
+        self.points, self.residual, self.analogs = content.points, content.residual, content.analogs
         if len(self.points) and not (np.isfinite(self.rate) and self.rate > 0):
             raise _ContentError(f"has a frame rate of {self.rate}", hint="set POINT:RATE to the rate of the cameras")
         parameters = content.parameters
         point, analog = parameters.get("POINT", {}), parameters.get("ANALOG", {})
-        self.scale, self.world = _metres(point), _world(point)
+        if lost:
+            self.notes.append(f"is cut off: {len(self.points)} of {len(self.points) + lost} frames are taken, {lost} are lost")
+        else:
+            _check_frames(parameters.get("TRIAL", {}), len(self.points))
+        self.scale = _metres(point)
         self.degrees = str((point.get("ANGLE_UNITS") or ["deg"])[0]).strip().lower() != "rad"
         self.channels = _names(analog, "LABELS", self.analogs.shape[1], "analog")
         self.markers, self.models = _groups(parameters, self.points.shape[1], codes)
-        about = {"rate_hz": self.rate, "frames": len(self.points), "first_frame": self.first}
-        _check_frames(parameters.get("TRIAL", {}), len(self.points))
+        self.up, because = self._upright(point, up)
+        about = {
+            "rate_hz": self.rate, "frames": len(self.points), "first_frame": self.first, "frames_lost": lost,
+            "up": self.up, "up_because": because,
+        }  # fmt: skip
         self.facts = list(_facts(parameters, point, analog, about))
+
+    def _upright(self, point: Mapping[str, Any], given: Axis | None) -> tuple[Axis, str]:
+        """The axis that points up and what tells it, with a note where the file says something else, or nothing."""
+        if given is not None:
+            return given, "given"
+        hint = _screen_axis(point)
+        columns = sorted(column for part in self.markers.values() for column in part.columns)
+        subjects = (dict(zip(part.names, part.columns, strict=True)) for part in self.markers.values())
+        position = np.full(self.points.shape, np.nan)  # angles and forces stay out
+        position[:, columns] = self.points[:, columns] * self.scale
+        up, because = vertical_axis(hint, position, subjects)
+        remedy = "if that is wrong, import it with --up AXIS"
+        if hint is None and because.startswith("assumed"):
+            self.notes.append(f"does not say which axis is up: {up} is assumed; {remedy}")
+        elif up != (hint or "z"):
+            says = f"POINT:Y_SCREEN says {hint}" if hint else "there is no POINT:Y_SCREEN"
+            self.notes.append(f"is read with {up} up, which has {because}, though {says}; {remedy}")
+        return up, because
 
     def time_ns(self, frame: float) -> int:
         """Since the beginning of the trial."""
@@ -127,7 +175,7 @@ class _Trial:
         points = self.points
         occluded = ~np.isfinite(points).all(axis=2)  # the library gives NaN where a residual is negative
         with np.errstate(all="ignore"):
-            position = points * self.scale @ self.world.T
+            position = points * self.scale @ WORLD_FROM_UP[self.up].T
         position[occluded] = np.nan
         residual_m = np.where(occluded, np.nan, self.residual * self.scale)
         ratio = len(self.analogs) // max(1, len(points)) if self.channels else 0
@@ -155,7 +203,18 @@ def _modelled(kind: str, subject: str, part: _Points, values: F64, *, degrees: b
 
 
 def check_size(path: Path) -> None:
-    """Raise MocapError unless a file is as large as its header claims: the library fills up what is missing, in silence."""
+    """Raise MocapError unless a file is as large as its header claims: the library leaves out what is missing, in silence."""
+    claimed, there = _frames(path)
+    if there < claimed:
+        raise _cut_off(path, claimed, there, hint="check the space on the disk")
+
+
+def _cut_off(path: Path, claimed: int, there: int, *, hint: str) -> MocapError:
+    return MocapError(f"{path} is cut off: of {claimed} frames that its header claims, {there} are whole", hint=hint)
+
+
+def _frames(path: Path) -> tuple[int, int]:
+    """The number of frames that a file's header claims, and of those that are in the file."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -170,12 +229,11 @@ def check_size(path: Path) -> None:
     points, analogs, first, last = struct.unpack_from(f"{order}4H", head, 2)
     start = struct.unpack_from(f"{order}H", head, 16)[0]
     negative = head[12 if order == ">" else 15 if parameters[3] == 84 else 13] & 0x80  # the scale's sign: floats
-    claimed = max(0, last - first + 1) * (4 * points + analogs) * (4 if negative else 2)
-    if max(0, start - 1) * _BLOCK + claimed > size:
-        raise MocapError(
-            f"{path} is cut off: {size} bytes, where its header claims {max(0, start - 1) * _BLOCK + claimed}",
-            hint="copy or export it again",
-        )
+    claimed, frame_bytes = max(0, last - first + 1), (4 * points + analogs) * (4 if negative else 2)
+    room = size - max(0, start - 1) * _BLOCK
+    if room < 0:
+        raise MocapError(f"{path} is cut off before its first frame", hint="copy or export it again")
+    return claimed, min(claimed, room // frame_bytes) if frame_bytes else claimed
 
 
 def _check_frames(trial: Mapping[str, Any], frames: int) -> None:
@@ -217,12 +275,11 @@ def _metres(point: Mapping[str, Any]) -> float:
     return METRES[unit]
 
 
-def _world(point: Mapping[str, Any]) -> F64:
-    up = str((point.get("Y_SCREEN") or ["+Z"])[0]).strip().upper()
-    up = up if up[:1] in ("+", "-") else f"+{up or 'Z'}"
-    if up not in _WORLD_FROM_UP:
-        raise _ContentError(f"has the vertical axis '{up}'", hint="set POINT:Y_SCREEN to +X, -X, +Y, -Y, +Z or -Z")
-    return _WORLD_FROM_UP[up]
+def _screen_axis(point: Mapping[str, Any]) -> Axis | None:
+    word = str((point.get("Y_SCREEN") or [""])[0]).strip().lower().removeprefix("+")
+    if word and word not in WORLD_FROM_UP:
+        raise _ContentError(f"has the vertical axis '{word}'", hint=f"give it with --up: {', '.join(WORLD_FROM_UP)}")
+    return word or None  # type: ignore[return-value]  # a key of the table
 
 
 def _names(group: Mapping[str, Any], parameter: str, count: int, fallback: str) -> tuple[str, ...]:
@@ -234,18 +291,23 @@ def _names(group: Mapping[str, Any], parameter: str, count: int, fallback: str) 
 
 
 def _groups(
-    parameters: Mapping[str, Mapping[str, Any]], count: int, codes: Mapping[str, str]
+    parameters: Mapping[str, Mapping[str, Any]], count: int, codes: Sequence[str]
 ) -> tuple[dict[str, _Points], dict[tuple[str, str], _Points]]:
     """The points of each subject, and those that models added by (parameter, subject)."""
     point, about = parameters.get("POINT", {}), parameters.get("SUBJECTS", {})
     prefixes = [str(prefix) for prefix in about.get("LABEL_PREFIXES") or []]
     people = [str(name).strip() for name in about.get("NAMES") or []]
     of_prefix = {prefix: name for prefix, name in zip(prefixes, people, strict=False) if prefix.strip()}
+    labels = _names(point, "LABELS", count, "point")
     only = people[0] if len(people) == 1 else ""
+    if codes and not (only or of_prefix or any(":" in label for label in labels if not label.startswith("*"))):
+        if len(codes) > 1:
+            raise _ContentError(f"does not say whose its markers are, and {len(codes)} subjects are given", hint="give one")
+        only = codes[0]
     kinds = {str(label).strip(): kind for kind in (ANGLES, *OTHERS) for label in point.get(kind) or []}
     markers: dict[str, dict[int, str]] = {}
     models: dict[tuple[str, str], dict[int, str]] = {}
-    for column, label in enumerate(_names(point, "LABELS", count, "point")):
+    for column, label in enumerate(labels):
         prefix = next((prefix for prefix in of_prefix if label.startswith(prefix)), None)
         if prefix is not None:
             subject, name = of_prefix[prefix], label[len(prefix) :]
@@ -254,20 +316,28 @@ def _groups(
         else:
             subject, _, name = label.rpartition(":")
             subject = subject or only
-        subject = codes.get(subject, subject)
         kind = kinds.get(label) or kinds.get(name)
         (markers.setdefault(subject, {}) if kind is None else models.setdefault((kind, subject), {}))[column] = name
+    code = _coded([*markers, *(subject for _, subject in models)], codes)
     return (
-        {subject: _Points(tuple(names), tuple(names.values())) for subject, names in markers.items()},
-        {key: _Points(tuple(names), tuple(names.values())) for key, names in models.items()},
+        {code.get(subject, subject): _Points(tuple(names), tuple(names.values())) for subject, names in markers.items()},
+        {
+            (kind, code.get(subject, subject)): _Points(tuple(names), tuple(names.values()))
+            for (kind, subject), names in models.items()
+        },
     )
+
+
+def _coded(subjects: Sequence[str], codes: Sequence[str]) -> dict[str, str]:
+    """Codes by the names of subjects, in their order."""
+    return dict(zip(dict.fromkeys(filter(None, subjects)), codes, strict=False))
 
 
 def _facts(
     parameters: Mapping[str, Any], point: Mapping[str, Any], analog: Mapping[str, Any], about: Mapping[str, Any]
 ) -> Iterator[Facts]:
     yield Facts("parameters", dict(parameters))
-    yield Facts("points", {**about, "units": point.get("UNITS"), "up": point.get("Y_SCREEN"), "scale": point.get("SCALE")})
+    yield Facts("points", {**about, "units": point.get("UNITS"), "scale": point.get("SCALE")})
     if analog.get("LABELS"):
         yield Facts("analog", {key.lower(): analog.get(key) for key in ("LABELS", "UNITS", "DESCRIPTIONS", "RATE")})
     event = parameters.get("EVENT", {})

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import struct
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,8 +20,9 @@ import numpy as np
 from cabinpose.core.errors import MocapError
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
 from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d
+from cabinpose.store.convert.c3d_up import WORLD_FROM_UP
 from cabinpose.store.convert.rows import Row, whole_file
-from cabinpose.store.convert.table import Table, told_rate
+from cabinpose.store.convert.table import Table, chosen_subject, told_rate
 
 _MM = 1e3
 _BLOCK, _HEADER_SCALE = 512, 12  # bytes
@@ -28,19 +30,35 @@ _RESIDUAL_STEP_MM = 0.01
 _RESIDUAL_STEPS = 255
 _NAMES_A_PARAMETER = 255
 _FRAME_LIMIT = 0xFFFF  # 16 bits count the frames
+_OURS = ("POINT", "ANALOG", "EVENT", "EZC3D")  # written from the messages, or by the library
+# SUBJECTS stays out: it holds the names that codes stand for
+_KEPT = ("FORCE_PLATFORM", "MANUFACTURER", "SEG", "PROCESSING", "TRIAL")
+_OF_SPAN_AND_AXES = ("ACTUAL_", "X_", "Y_", "Z_")  # of the trial; what is written has its own
+_INTEGER = 2  # C3D's number of a type
 _POINT_LIMIT = 16_000  # four values a point and 16 bits to count a frame's
 
 
 def write_c3d(
-    path: Path, rows: Iterable[Row], *, rate_hz: float | None = None, with_channels: bool = True, overwrite: bool = False
+    path: Path,
+    rows: Iterable[Row],
+    *,
+    subject: str | None = None,
+    rate_hz: float | None = None,
+    with_channels: bool = True,
+    overwrite: bool = False,
 ) -> Path:
     """Write the markers, joint angles and channels of a recording; the file appears when it is whole.
+
+    Of one `subject`, its own markers and angles, and all channels; of None everybody's.
 
     A frame's time is its device time (host time where there is none). The rate is that of the markers: given, told by facts
     (of C3D or Vicon), or the median of the differences. A frame that is missing is one in which all markers are occluded.
     Channels must come at a multiple of it; those that come more slowly than others are repeated. Events are taken from facts
     named `events`, as `read_c3d` gives them. The number of the first frame is kept if it fits into C3D's 16 bits, else it is 1.
     Segments, single sensors and images have no place here and are left out.
+
+    Of the parameters of an imported C3D file, which are facts, those of manufacturer, processing, trial and force platforms are
+    written again: of platforms if lengths are millimetres and the analog channels the same. A warning names the groups left out.
 
     Raises MocapError where there are no markers, or more frames than C3D counts, or rates and times that do not fit each other.
     """
@@ -49,8 +67,13 @@ def write_c3d(
     residuals = Table(1)
     channels: dict[tuple[str, ...], Table] = {}
     facts: dict[str, Mapping[str, Any]] = {}
+    subjects: dict[str, None] = {}  # whose markers there are, in their order
     for host_ns, device_ns, message in rows:
         time_ns = host_ns if device_ns is None else device_ns
+        if isinstance(message, Markers):
+            subjects[message.subject] = None
+        if subject is not None and isinstance(message, Markers | JointAngles) and message.subject != subject:
+            continue
         if isinstance(message, Markers):
             names = [_label(message.subject, name) for name in message.names]
             points.add(time_ns, names, message.position_m)
@@ -61,6 +84,8 @@ def write_c3d(
             channels.setdefault(message.names, Table(1)).add(time_ns, message.names, message.values)
         elif isinstance(message, Facts):
             facts[message.about] = message.values
+    if subject is not None:
+        chosen_subject(subjects, subject, "markers")
     if not points.rows:
         raise MocapError("there are no markers to write", hint="export a recording of an optical system")
     if len(points.columns) + len(angles.columns) > _POINT_LIMIT:
@@ -82,6 +107,7 @@ def write_c3d(
     file["header"]["points"]["first_frame"] = first if 0 <= first <= _FRAME_LIMIT - count else 0
     _put_analogs(file, list(channels.values()), first_ns, rate, count, facts.get("analog", {}))
     _put_events(file, facts.get("events", {}))
+    _put_groups(file, facts)
     with whole_file(path, overwrite=overwrite, binary=True) as out, TemporaryDirectory(dir=path.parent, prefix=".c3d-") as folder:
         made = Path(folder) / "made.c3d"  # the library wants this ending
         file.write(str(made))
@@ -168,3 +194,41 @@ def _put_events(file: Any, told: Mapping[str, Any]) -> None:
     file.add_parameter("EVENT", "TIMES", np.array([minutes, seconds]))
     for key in ("label", "context", "subject", "description"):
         file.add_parameter("EVENT", f"{key.upper()}S", [str(event.get(key) or "") for event in events])
+
+
+def _put_groups(file: Any, facts: Mapping[str, Mapping[str, Any]]) -> None:
+    """The parameters of an imported C3D file that still hold, with a warning that names the groups that are left out."""
+    up = str(facts.get("points", {}).get("up"))
+    left = []
+    for group, members in facts.get("parameters", {}).items():
+        if group in _OURS or members.get("USED") == [0]:
+            continue
+        if group not in _KEPT or (group == "FORCE_PLATFORM" and not _same_channels(file, facts)):
+            left.append(group)
+            continue
+        for name, value in members.items():
+            if group != "TRIAL" or not name.startswith(_OF_SPAN_AND_AXES):
+                _put_value(file, group, name, np.array(value), up)
+    if left:
+        warnings.warn(f"parameters of the C3D file that are left out: {', '.join(left)}", stacklevel=3)
+
+
+def _put_value(file: Any, group: str, name: str, value: Any, up: str) -> None:
+    if value.dtype == object:  # NaN, which JSON has not, came as null
+        return
+    if (group, name) == ("FORCE_PLATFORM", "CORNERS"):
+        value = np.einsum("ij,jkp->ikp", WORLD_FROM_UP[up], value)
+    if value.dtype.kind != "i":
+        file.add_parameter(group, name, value.tolist() if value.dtype.kind == "U" else value)
+        return
+    file.add_parameter(group, name, value.astype(np.float64))
+    parameter = file["parameters"][group][name]  # the library makes floats of integers; platforms name channels by integers
+    parameter["type"], parameter["value"] = _INTEGER, value
+
+
+def _same_channels(file: Any, facts: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether a force platform, which names analog channels by their numbers, finds its own, and its lengths in millimetres."""
+    points, analog = facts.get("points", {}), facts.get("analog", {})
+    written = file["parameters"]["ANALOG"]["LABELS"]["value"]
+    same_length = [str(unit).strip().lower() for unit in points.get("units") or []] == ["mm"]
+    return same_length and str(points.get("up")) in WORLD_FROM_UP and list(written) == analog.get("labels")

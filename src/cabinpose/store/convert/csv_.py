@@ -1,9 +1,11 @@
 """A recording as CSV tables, one a source and kind of message, for spreadsheets and statistics; and back.
 
-`<source>.<kind>.csv`, with `-2`, `-3` ... before the suffix where a source has several subjects or its names change. Columns:
-`host_ns`, `device_ns`, `sequence` (empty = unknown), `subject`, then the values, named `<segment>.<quantity>`; markers, which
-come and go, have a row each. SI units; quaternions w x y z; empty cells are NaN. Facts keep their values as JSON. Images stay in
-the recording: of a camera's frames, the table tells the intrinsics and how many pixels are valid, and is not read back.
+`<source>.<kind>.csv`, with `-2`, `-3` ... before the suffix where a source has several subjects or its names change. What the
+name of a file cannot hold is percent-encoded: `lab%2Fsuit` is the source `lab/suit`.
+
+Columns: `host_ns`, `device_ns`, `sequence` (empty = unknown), `subject`, then the values, named `<segment>.<quantity>`; markers,
+which come and go, have a row each. SI units; quaternions w x y z; empty cells are NaN. Facts keep their values as JSON. Images
+stay in the recording: of a camera's frames, the table tells the intrinsics and how many pixels are valid, and is not read back.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -88,7 +91,7 @@ class _Tables:
             if len(self._writers) >= _MOST_TABLES:
                 raise RecordingError(f"more than {_MOST_TABLES} tables", hint="names change again and again; choose sources")
             number = self._numbers[source, kind] = self._numbers.get((source, kind), 0) + 1
-            name = f"{source.replace('/', '_')}.{kind}{f'-{number}' if number > 1 else ''}.csv"
+            name = f"{quote(source, safe=' ')}.{kind}{f'-{number}' if number > 1 else ''}.csv"
             path = self._folder / name
             writer = csv.writer(self._files.enter_context(whole_file(path, overwrite=self._overwrite)), lineterminator="\n")
             writer.writerow((*_HEAD, *columns()))

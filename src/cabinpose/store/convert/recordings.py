@@ -10,22 +10,23 @@ import heapq
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from urllib.parse import unquote
 
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, JointAngles, Markers, Message, SegmentKinematics, SegmentPoses, SensorReadings
+from cabinpose.core.recorded import Facts, Message
 from cabinpose.store.convert.adtfdat import read_adtfdat, write_adtfdat
 from cabinpose.store.convert.azure_mkv import read_azure_mkv
-from cabinpose.store.convert.bvh import CMU_UNIT_M, read_bvh_rows
+from cabinpose.store.convert.bvh import CMU_UNIT_M, UpAxis, read_bvh_rows
 from cabinpose.store.convert.bvh_write import write_bvh
 from cabinpose.store.convert.c3d import read_c3d
+from cabinpose.store.convert.c3d_up import Axis
 from cabinpose.store.convert.c3d_write import write_c3d
 from cabinpose.store.convert.csv_ import read_csv, write_csv
 from cabinpose.store.convert.mvnx import read_mvnx
@@ -46,14 +47,16 @@ class RecordingOptions:
     """How a file becomes a recording. None of it is needed.
 
     subjects: codes of the file's subjects, in its order · name: of the source, in formats that hold one · start_ns: host time of
-    the beginning, in formats that know no time of day · unit_m, up: unit of length and vertical axis of a BVH file.
+    the beginning, in formats that know no time of day · unit_m: unit of length of a BVH file · up: vertical axis of a BVH file
+    (default: y), or of a C3D file in place of what is found · whole_frames: take those of a C3D file that is cut off.
     """
 
     subjects: tuple[str, ...] = ()
     name: str | None = None
     start_ns: int = 0
     unit_m: float | None = None
-    up: Literal["y", "z"] = "y"
+    up: Axis | None = None
+    whole_frames: bool = False
 
 
 @dataclass(frozen=True)
@@ -180,32 +183,21 @@ def _of_rows(source: str, rows: Iterator[Row], options: RecordingOptions) -> Ite
     return ((name, host_ns, device_ns, None, message) for host_ns, device_ns, message in rows)
 
 
-def _renamed(rows: Iterator[Row], codes: Sequence[str]) -> Iterator[Row]:
-    """Subjects by codes, in the order in which they come."""
-    names: dict[str, str] = {}
-    for host_ns, device_ns, message in rows:
-        if isinstance(message, _OF_SUBJECT) and message.subject:
-            if message.subject not in names:
-                names[message.subject] = codes[len(names)] if len(names) < len(codes) else message.subject
-            yield host_ns, device_ns, replace(message, subject=names[message.subject])
-        else:
-            yield host_ns, device_ns, message
-
-
-_OF_SUBJECT = (SegmentPoses, SegmentKinematics, SensorReadings, JointAngles, Markers)
-
-
 def _read_mvnx(path: Path, options: RecordingOptions) -> Iterator[Entry]:
     return _of_rows("suit", read_mvnx(path, subjects=options.subjects), options)
 
 
 def _read_c3d(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    return _of_rows("optical", _renamed(read_c3d(path, start_ns=options.start_ns), options.subjects), options)
+    rows = read_c3d(path, subjects=options.subjects, start_ns=options.start_ns, up=options.up, whole_frames=options.whole_frames)
+    return _of_rows("optical", rows, options)
 
 
 def _read_bvh(path: Path, options: RecordingOptions) -> Iterator[Entry]:
     subject = (*options.subjects, "subject")[0]
-    rows = read_bvh_rows(path, unit_m=options.unit_m or CMU_UNIT_M, up=options.up, subject=subject, start_ns=options.start_ns)
+    if options.up not in (None, "y", "z"):
+        raise ConfigError(f"a BVH file has y or z up, not {options.up}", hint="give --up y or --up z")
+    up: UpAxis = "z" if options.up == "z" else "y"
+    rows = read_bvh_rows(path, unit_m=options.unit_m or CMU_UNIT_M, up=up, subject=subject, start_ns=options.start_ns)
     return _of_rows("motion", rows, options)
 
 
@@ -251,7 +243,7 @@ def _read_csv(path: Path, _: RecordingOptions) -> Iterator[Entry]:
         raise RecordingError(f"{path} holds no table of messages", hint="as in suit.poses.csv, written by cabinpose export")
 
     def entries(table: Path) -> Iterator[Entry]:
-        source = table.stem.rpartition(".")[0]
+        source = unquote(table.stem.rpartition(".")[0])
         return ((source, *row) for row in read_csv(table))
 
     def order(entry: Entry) -> tuple[int, str, int, int]:
@@ -314,10 +306,7 @@ def _rows(samples: _Samples) -> Iterator[Row]:
 
 
 def _write_c3d(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:
-    rows = _rows(samples)
-    if chosen.subject is not None:
-        rows = (row for row in rows if getattr(row[2], "subject", chosen.subject) == chosen.subject)
-    return [write_c3d(out, rows, rate_hz=chosen.rate_hz, overwrite=overwrite)]
+    return [write_c3d(out, _rows(samples), subject=chosen.subject, rate_hz=chosen.rate_hz, overwrite=overwrite)]
 
 
 def _write_bvh(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:

@@ -17,7 +17,7 @@ from cabinpose.core.errors import MocapError
 from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Message, SegmentPoses
 from cabinpose.store.convert.rows import Row, whole_file
-from cabinpose.store.convert.table import Table, chosen_subject, told_rate
+from cabinpose.store.convert.table import Table, check_tabbed, chosen_subject, told_rate
 
 _LINE_LIMIT = 1 << 22
 _HEADER_LIMIT = 1000  # lines
@@ -51,6 +51,7 @@ def write_sto(
     rate = rate_hz or told_rate(facts) or table.rate_hz() or 100.0
     first_ns, values = table.frames(rate)
     names = list(table.columns)
+    check_tabbed(names)
     if angles:
         names = [f"{name}_{i}" for name in names for i in (1, 2, 3)]
         cells = [[f"{value:.12g}" for value in frame] for frame in values.reshape(len(values), -1).tolist()]

@@ -61,6 +61,16 @@ class Table:
         return result
 
 
+def check_tabbed(names: Iterable[str]) -> None:
+    """Raise MocapError for a name that cannot be a cell of tab-separated text."""
+    for name in names:
+        if "\t" in name or name.splitlines() != [name]:
+            raise MocapError(
+                f"{name!r} is no name for tab-separated text: it is empty, or holds a tab or the end of a line",
+                hint="rename it where it was recorded, or export to csv",
+            )
+
+
 def told_rate(facts: Mapping[str, Mapping[str, Any]]) -> float | None:
     """The rate of frames by what facts (about -> values) of C3D, TRC or Vicon say, Hz."""
     for about, key in (("points", "rate_hz"), ("stream", "frame_rate_hz")):
@@ -72,11 +82,19 @@ def told_rate(facts: Mapping[str, Mapping[str, Any]]) -> float | None:
 
 def chosen_subject(subjects: Iterable[str], wanted: str | None, what: str) -> str:
     """The subject to write: the wanted one, or the only one that has a name. MocapError where that is none, or several."""
-    known = [subject for subject in subjects if subject] or list(subjects)
+    there = list(subjects)
+    known = [subject for subject in there if subject] or there
     if wanted is None and len(known) == 1:
         return known[0]
     if wanted in known:
         return wanted
     if not known:
         raise MocapError(f"there are no {what} to write", hint="export a recording that has some")
-    raise MocapError(f"there are {what} of {', '.join(known)}", hint="say whose are to be written")
+    if known == [""]:
+        raise MocapError(
+            f"there are no {what} of {wanted}: nobody is named in the recording",
+            hint="leave out --subject, or import the file again with --subject CODE",
+        )
+    if wanted is None:
+        raise MocapError(f"there are {what} of {', '.join(known)}", hint="say whose are to be written (--subject)")
+    raise MocapError(f"there are no {what} of {wanted or 'a subject without a name'}", hint=f"there are of: {', '.join(known)}")

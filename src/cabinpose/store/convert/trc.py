@@ -16,7 +16,7 @@ from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.recorded import F64, Facts, Markers
 from cabinpose.store.convert.c3d import METRES
 from cabinpose.store.convert.rows import Row, whole_file
-from cabinpose.store.convert.table import Table, chosen_subject, told_rate
+from cabinpose.store.convert.table import Table, check_tabbed, chosen_subject, told_rate
 
 _MM = 1e3
 _LINE_LIMIT = 1 << 22  # characters; a marker needs about 30
@@ -43,6 +43,7 @@ def write_trc(
     first_ns, values = table.frames(rate)
     position_mm = values @ ZUP_FROM_YUP * _MM  # the inverse of what reads them
     names = list(table.columns)
+    check_tabbed(names)
     with whole_file(path, overwrite=overwrite) as file:
         file.write(f"PathFileType\t4\t(X/Y/Z)\t{path.name}\n")
         file.write("DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n")
