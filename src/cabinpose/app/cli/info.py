@@ -58,9 +58,7 @@ def _dataset_info(command: Info) -> None:
         print(f"{count} frames were read; all checksums are right")
         if without or manifest.checksum is None:
             where = ["dataset.yaml"] * (manifest.checksum is None) + [f"{without} of {summary.parts} parts"] * bool(without)
-            print(
-                f"{' and '.join(where)} were written without a checksum of their own: names and settings there cannot be vouched for"
-            )
+            print(f"{' and '.join(where)} were written without a checksum of names and settings: nothing vouches for these")
 
 
 def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
