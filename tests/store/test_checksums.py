@@ -47,11 +47,12 @@ def damaged(data: bytes, step: int) -> Iterator[bytes]:
 
 
 def opened(folder: Path) -> xr.Dataset | None:
-    """All values of a dataset; None where it is refused, with a hint."""
+    """All values of a dataset; None where it is refused with a hint."""
     try:
         return open_dataset(folder, missing="raise").load()
     except DatasetError as error:
-        assert error.hint, error
+        if error.hint is None:
+            raise
         return None
 
 
@@ -108,7 +109,7 @@ def test_a_change_on_purpose_has_a_way(copy: Path) -> None:
     path = copy / "dataset.yaml"
     path.write_text(path.read_text().replace("CC0-1.0", "CC-BY-4.0"))
     if copy.name == "sealed":
-        with pytest.raises(DatasetError, match="checksum of its content is (sha256:[0-9a-f]{16})") as error:
+        with pytest.raises(DatasetError, match=r"checksum of its content is sha256:") as error:
             read_manifest(copy)
         right = re.findall(r"sha256:[0-9a-f]{16}", str(error.value))[0]
         path.write_text(re.sub(r"checksum: .*", f"checksum: {right}", path.read_text()))

@@ -50,13 +50,15 @@ class Damage:
     """What was wrong with a file. All zero and whole: nothing.
 
     chunks: left out for a wrong checksum or content · skipped_bytes: that belong to no record · unverified: messages of a
-    chunk that the end of the file cuts, so that its checksum says nothing · orphans: messages whose channel is not known ·
-    records: attachments and the like that contradict themselves · whole: the file has its end.
+    chunk that the end of the file cuts, so that its checksum says nothing · unfinished: samples at such a cut, left out since
+    some of their messages may be missing · orphans: messages whose channel is not known · records: attachments and the like
+    that contradict themselves · whole: the file has its end.
     """
 
     chunks: int = 0
     skipped_bytes: int = 0
     unverified: int = 0
+    unfinished: int = 0
     orphans: int = 0
     records: int = 0
     whole: bool = False
@@ -64,7 +66,8 @@ class Damage:
     @property
     def any(self) -> bool:
         """Whether something is missing or doubtful."""
-        return not self.whole or bool(self.chunks or self.skipped_bytes or self.unverified or self.orphans or self.records)
+        found = self.chunks, self.skipped_bytes, self.unverified, self.unfinished, self.orphans, self.records
+        return not self.whole or any(found)
 
 
 class RawMessage(NamedTuple):
