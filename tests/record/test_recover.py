@@ -312,7 +312,7 @@ def test_what_recovery_refuses(tmp_path: Path) -> None:
         recover(tmp_path / "a.mcap", tmp_path / "text")
     with pytest.raises(RecordingError, match="nothing in"):
         recover(tmp_path / "text", tmp_path / "b.mcap")
-    with pytest.raises(RecordingError, match="cannot read"):
+    with pytest.raises(RecordingError, match="does not exist"):
         recover(tmp_path / "missing", tmp_path / "b.mcap")
 
 

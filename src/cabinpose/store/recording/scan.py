@@ -99,6 +99,8 @@ class Scanner:
         """Raises RecordingError where the file cannot be opened."""
         try:
             self._file: BinaryIO = path.open("rb")
+        except FileNotFoundError:
+            raise RecordingError(f"the recording {path} does not exist", hint="give the path of a recording") from None
         except OSError as error:
             raise RecordingError(f"cannot read {path}: {error.strerror}", hint="give the path of a recording") from error
         self.path = path
