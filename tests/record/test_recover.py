@@ -21,7 +21,7 @@ from recorded_things import bits, markers, poses, take_samples, tof_frame
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Channels, Facts
-from cabinpose.store.recording import Participant, Recording, RecordingWriter, Take, recover, survey
+from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, recover, survey
 from cabinpose.store.recording.scan import Chunk, RawMessage, Scanner, _uncompressed, messages_in
 
 TAKE = Take(action="reach", subjects=(Participant(code="S07"),))
@@ -164,6 +164,19 @@ def test_a_sample_is_whole_or_left_out(tmp_path: Path, compression: str, chunk_b
             assert [(source, bits(sample)) for source, sample in recovered.samples()] == found
         counts.add(len(found))
     assert len(counts) > 4
+
+
+def test_a_sample_with_a_status_behind_it_is_whole(tmp_path: Path) -> None:
+    (source, first), (_, second) = [sample for sample in SAMPLES if sample[0] == "suit"][:2]
+    with RecordingWriter(tmp_path / "a.mcap", TAKE, sync_s=0, flush_s=60.0, chunk_bytes=1 << 24) as writer:
+        writer.write(source, first)
+        writer.write_status(SourceStatus(source, "mvn", "recording"), first.host_ns + 1)
+        writer.write(source, second)
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: data.index(second.raw)])
+    with Recording(tmp_path / "cut.mcap") as recording:
+        assert [bits(sample) for _, sample in recording.samples()] == [bits(first)]
+        assert recording.damage.unfinished == 0
 
 
 def scanned(path: Path) -> list[RawMessage]:
