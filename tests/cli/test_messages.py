@@ -78,6 +78,8 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "give an ONNX file, or a packaged model (in_car, room)",
         ),
         ("predict nope --model in_car --out f.jsonl", "nope does not exist", "give the folder of a dataset"),
+        ("info nope.mcap", "the recording nope.mcap does not exist", "give the path of a recording"),
+        ("view nope.mcap --out v", "the recording nope.mcap does not exist", "give the path of a recording"),
         ("view d --out d", "the pictures would lie in the dataset", "give another folder with --out"),
         ("view d --out d/part-00000.zarr/view", "the pictures would lie in the dataset", "give another folder with --out"),
         (

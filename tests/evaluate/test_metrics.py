@@ -86,9 +86,7 @@ def test_against_loops(
         e = np.array([c["error"] for c in mine if c["error"] is not None], float)
         near, there = (e <= hit).sum(), sum(c["state"] >= 2 for c in mine)
         false = sum(c["found"] and c["state"] < 2 for c in mine)
-        rows.append(
-            (e.mean(), e[e <= hit].mean(), near / (near + false), near / len(e), near / (near + there - len(e)), len(e) / there)
-        )
+        rows.append((e.mean(), e[e <= hit].mean(), near / (near + false), near / len(e), near / there, len(e) / there))
     mad, mad_d, literal, among, mar_literal, mar = np.mean(rows, axis=0)
     check(report, "mAD", space, group, unit * mad)
     check(report, "mAD@d", space, group, unit * mad_d)
@@ -180,6 +178,19 @@ def test_a_person_not_found_is_missed_and_one_not_there_is_false() -> None:
     check(report, "mAP@d (literal)", "3d", "All", 50)
     check(report, "mAP@d (among detected)", "3d", "All", 100)
     assert report.worst == (0,)
+
+
+def test_a_joint_found_too_far_away_is_no_recall_by_the_formula_and_one_as_detected() -> None:
+    skeleton = evaluated_skeleton(("head",))
+    truth = np.zeros((4, 1, 1, 3)) + (0, 0, 2)
+    predicted = truth.copy()
+    predicted[1] += (0.5, 0, 0)  # found, half a metre off: FN
+    predicted[2] = np.nan  # not found: FN
+    visibility = np.array([4, 4, 4, 0]).reshape(4, 1, 1)  # the last has no true joint: FP
+    report = reported(skeleton, chunk(truth, visibility, predicted))
+    check(report, "mAR@d (literal)", "3d", "All", 100 / 3)
+    check(report, "mAR (detected)", "3d", "All", 200 / 3)
+    check(report, "mAP@d (literal)", "3d", "All", 50)
 
 
 def test_typical_frames_lie_around_the_median_and_worst_ones_at_the_end() -> None:

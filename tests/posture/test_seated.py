@@ -147,7 +147,6 @@ def test_drivers_sit_back_with_stature_as_real_ones_do(real_data: Callable[[str]
 @pytest.mark.parametrize("preset", ["sedan", "shuttle"])
 def test_every_action_in_every_seat_within_limits(preset: str, people: dict[str, Person]) -> None:
     cabin = build_cabin(preset)
-    failures = 0
     for slot, seat in cabin.seats.items():
         names = actions_for(seat, cabin)
         assert "rest_lap" in names
@@ -155,18 +154,13 @@ def test_every_action_in_every_seat_within_limits(preset: str, people: dict[str,
         for k, action in enumerate(names):
             person = people[f"S{1 + (3 * k) % 18:02d}"]
             setting = choose_setting(person, seat, cabin, rng=None)
-            try:
-                pose = sample_pose(person, seat, setting, cabin, action, rng=np.random.default_rng(k))
-            except SceneError:
-                failures += 1
-                continue
+            pose = sample_pose(person, seat, setting, cabin, action, rng=np.random.default_rng(k))
             assert np.all(pose.q >= LOWER)
             assert np.all(pose.q <= UPPER)
             assert (pose.wheel_angle is None) == (slot != "driver" or cabin.steering_wheel is None)
             again = sample_pose(person, seat, setting, cabin, action, rng=np.random.default_rng(k))
             assert again.q.tobytes() == pose.q.tobytes()
             assert again.vehicle_from_root.tobytes() == pose.vehicle_from_root.tobytes()
-    assert failures <= 3
 
 
 def test_hands_stay_on_the_rim_when_a_profile_moves_the_trunk(people: dict[str, Person]) -> None:

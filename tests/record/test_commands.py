@@ -132,8 +132,11 @@ def test_recover_and_view(tmp_path: Path, run: Run) -> None:
     told = json.loads(done.out)
     assert sum(told["samples"].values()) > 4
     assert told["damage"]["whole"] is False
+    assert told["damage"]["unfinished"] == 1
     assert run("recover", cut, "--out", tmp_path / "fixed.mcap").code == 2
-    assert "was missing" in run("recover", cut, "--out", tmp_path / "again.mcap").out
+    said = run("recover", cut, "--out", tmp_path / "again.mcap").out
+    assert "was missing" in said
+    assert "1 sample at the cut, left out" in said
     done = run("view", tmp_path / "fixed.mcap", "--out", tmp_path / "view", "--frames", "3", "--rows", "2")
     assert done.code == 0, done.err
     sheet = cv2.imread(str(tmp_path / "view" / "contact_sheet.png"))
@@ -148,7 +151,7 @@ def test_recover_and_view(tmp_path: Path, run: Run) -> None:
 
     Counter().feed(page)
     assert seen["svg"] == 1 + 3
-    assert seen["img"] == 8, "the last frame of the camera is cut: it has a number and no image"
+    assert seen["img"] == 9, "a frame of the camera that was cut is left out, so each that is counted has its three images"
     assert "script" not in seen
     assert "http" not in page.replace("http-equiv", "")
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -105,11 +108,29 @@ def test_other_readers_open_it(tmp_path: Path, compression: str) -> None:
         assert (pelvis.parent_frame_id, pelvis.child_frame_id) == ("world", "suit/S07/Pelvis")
         assert (pelvis.rotation.w, pelvis.rotation.x) == tuple(pose.orientation_wxyz[0, :2])
         (cloud, *_) = reader.iter_decoded_messages(topics=["optical/markers_cloud"])
+        assert cloud.decoded_message.pose.HasField("position")
         xyz = np.frombuffer(cloud.decoded_message.data, "<f8").reshape(-1, 3)
         assert np.array_equal(xyz, samples[1][1].messages[0].position_m, equal_nan=True)
     with path.open("rb") as file:
         straight = list(NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False))
     assert len(straight) == sum(map(len, by_topic.values()))
+
+
+def test_rerun_takes_every_message(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk (0.5 GB) is not installed; `pip install rerun-sdk` to try recordings in it")
+    written(tmp_path / "a.mcap", take_samples(30, rng=np.random.default_rng(1)))
+    environment = {**os.environ, "HOME": str(tmp_path)}  # where Rerun keeps whether it may count its use
+
+    def rerun(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "rerun", *arguments]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=120)
+
+    rerun("analytics", "disable")
+    converted = rerun("mcap", "convert", "a.mcap", "-o", "a.rrd")
+    assert converted.returncode == 0, converted.stderr
+    assert "markers_cloud" in converted.stderr
+    verified = rerun("rrd", "verify", "a.rrd")
+    assert verified.returncode == 0, verified.stderr
 
 
 def test_json_fits_its_schema(tmp_path: Path) -> None:

@@ -16,8 +16,9 @@ from types import ModuleType
 import pytest
 
 from cabinpose.core.errors import DatasetError
-from cabinpose.store import PartWriter, create_dataset, open_dataset
+from cabinpose.store import PartWriter, create_dataset, open_dataset, read_manifest
 from cabinpose.store.part import temporary_parts
+from cabinpose.store.schema import manifest_yaml
 
 HERE = Path(__file__).parent
 
@@ -178,7 +179,8 @@ def test_resume_refuses_a_damaged_part(spheres: ModuleType, dataset_folder: Path
     ],
 )
 def test_damaged_manifest(dataset_folder: Path, tmp_path: Path, old: str, new: str, message: str) -> None:
-    text = (dataset_folder / "dataset.yaml").read_text()
+    """What is wrong is said by name where there is no checksum to say it first."""
+    text = manifest_yaml(read_manifest(dataset_folder))
     assert old in text
     (tmp_path / "dataset.yaml").write_text(text.replace(old, new))
     with pytest.raises(DatasetError, match=message):

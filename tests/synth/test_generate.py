@@ -176,9 +176,8 @@ def test_impossible_combinations_are_left_out(tmp_path: Path) -> None:
     config = config.model_copy(update={"limits": Limits(poses_per_person=10, scenes_per_frame=4)})
     report = generate(config, 3, tmp_path / "grid", workers=1)
     dataset = open_dataset(tmp_path / "grid")
-    assert dataset.attrs["skipped_frames"] == 3 - report.frames > 0
-    assert 0 not in dataset.frame.values
-    assert 2 in dataset.frame.values
+    assert dataset.frame.values.tolist() == [1, 2]
+    assert (report.frames, dataset.attrs["skipped_frames"]) == (2, 1)
     assert report.rejections["self"] > 0
 
 
@@ -192,7 +191,8 @@ def test_a_room_with_somebody_in_it(tmp_path: Path) -> None:
     config = room_preset().model_copy(update={"output": Output(frames_per_part=4)})
     started = time.perf_counter()
     report = generate(config, 4, tmp_path / "room", workers=1)
-    assert report.seconds <= time.perf_counter() - started
+    elapsed = time.perf_counter() - started
+    assert 0.5 * elapsed < report.seconds <= elapsed  # all of the work, measured by the same clock
     dataset = open_dataset(tmp_path / "room")
     assert dataset.sizes["person"] == 1
     itop = dataset.itop_joints_3d.values[:, 0]

@@ -1,9 +1,9 @@
 """A known posture at the start corrects the suit's systematic error: the constant turn of each segment against its sensor.
 
 A suit learns in its own calibration how each sensor sits on its segment; what it gets wrong there, it is wrong by in every
-frame (Gonçalves 2020, chapter 6, names this as future work). Where the subject holds a posture whose segment orientations are
-known (a fixture, an N-pose against a wall, an optical full-body model), that constant is seen: measured = true · error, in the
-segment's axes.
+frame (Gonçalves 2020, sections 4.4 and 8.2, names this as future work). Where the subject holds a posture whose segment
+orientations are known (a fixture, an N-pose against a wall, an optical full-body model), that constant is seen: measured =
+true · error, in the segment's axes.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
     """
     place = Path(path)
     if place.is_dir():
-        from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray and zarr
+        from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray
 
         return open_dataset(place)
     if place.suffix == ".mcap":

@@ -106,13 +106,16 @@ def _accuracy(
 
 
 def _thesis(samples: Samples, space: Space, name: SpaceName, options: EvaluationOptions) -> Iterator[Ratio]:
-    """mAD, mAD@d, and mAP@d and mAR in both readings: per joint, then averaged over the joints."""
+    """mAD, mAD@d, and mAP@d and mAR in both readings: per joint, then averaged over the joints.
+
+    TP: a true joint, found within d. FN: a true joint that is not found, or found farther than d. FP: found where no true joint
+    is. By that formula, mAR = TP / (TP + FN) has all true joints below the line; "detected" asks only that a joint is found.
+    """
     unit, per_unit = _UNIT[name]
     hit = options.hit_px if name == "2d" else options.hit_m
     error = np.nan_to_num(space.error.astype(np.float64), nan=np.inf)
     found = samples.counts & space.found
     near = found & (error <= np.float32(hit))
-    missed = samples.counts & ~space.found
     false = samples.absent & space.found
     at = {"threshold": hit * per_unit, "threshold_unit": unit}
 
@@ -123,7 +126,7 @@ def _thesis(samples: Samples, space: Space, name: SpaceName, options: Evaluation
     yield ratio("mAD@d", unit, per_unit, np.where(near, error, 0), near, HITS, **at)
     yield ratio("mAP@d (literal)", "%", 100, near, near | false, "TP + FP: found within d, or found where there is none", **at)
     yield ratio("mAP@d (among detected)", "%", 100, near, found, FOUND, **at)
-    yield ratio("mAR@d (literal)", "%", 100, near, near | missed, "TP + FN: found within d, or not found", **at)
+    yield ratio("mAR@d (literal)", "%", 100, near, samples.counts, "TP + FN: true joints, found within d or not", **at)
     yield ratio("mAR (detected)", "%", 100, found, samples.counts, TRUE)
 
 

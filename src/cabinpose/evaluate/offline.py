@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import cast
 
@@ -18,7 +17,7 @@ from cabinpose.evaluate.samples import TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store import Manifest
 from cabinpose.store.predictions import Predictions
-from cabinpose.store.schema import manifest_yaml
+from cabinpose.store.schema import checksum, manifest_yaml
 
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
@@ -27,8 +26,8 @@ Progress = Callable[[int], None]  # called with the number of frames done
 
 
 def dataset_id(manifest: Manifest) -> str:
-    """What a predictions file may name its dataset by: a digest of `dataset.yaml`."""
-    return "sha256:" + hashlib.sha256(manifest_yaml(manifest).encode()).hexdigest()[:16]
+    """What a predictions file may name its dataset by: the checksum of `dataset.yaml`."""
+    return checksum(manifest_yaml(manifest))
 
 
 def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Pixel classes: an id and a colour each, stable across versions.
 
-Body parts follow the thesis' table of 31 regions (2020, Table 5.1), which gives the codes 0x55AA55 and 0x55AAAA
+Body parts follow the thesis' table of 30 regions (2020, Table 5.1), which gives the codes 0x55AA55 and 0x55AAAA
 twice; the colours here are unique. Ids are never reused: a new class gets a new number.
 """
 

@@ -1,6 +1,6 @@
 """The formats on disk: the dataset standard, its splits and its converters. Knows nothing of scenes.
 
-`open_dataset` and `points_m` load xarray and zarr when they are first asked for: a generator needs neither.
+`open_dataset` and `points_m` load xarray when they are first asked for: a generator needs neither.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,6 @@ __all__ = ["DatasetWriter", "Manifest", "PartPlan", "PartWriter", "create_datase
 def __getattr__(name: str) -> Any:
     if name not in {"open_dataset", "points_m"}:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from cabinpose.store import lazy  # noqa: PLC0415 - xarray and zarr, for readers alone
+    from cabinpose.store import lazy  # noqa: PLC0415 - xarray, for readers alone
 
     return getattr(lazy, name)

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core.errors import DatasetError
-from cabinpose.store.part import check_part, disk_errors, temporary_parts
-from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, manifest_yaml, read_manifest
+from cabinpose.store.part import disk_errors, temporary_parts
+from cabinpose.store.part_facts import check_part
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, manifest_yaml, read_manifest, with_checksum_line
 
 _COMPRESSION = 0.7  # of the raw size; noisy depth at 352x287 measured 0.5
 _HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
@@ -80,7 +81,7 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
         new = not (path / MANIFEST_NAME).exists()
         writer = DatasetWriter(path, manifest, lock, new=new, made=made)
         for plan in writer.complete():
-            check_part(path / plan.name, plan)
+            check_part(path / plan.name, plan, manifest)
         _check_space(writer)
         with disk_errors(path):
             _write_manifest(path, manifest)
@@ -180,7 +181,7 @@ def frame_bytes(manifest: Manifest) -> int:
 def _write_manifest(path: Path, manifest: Manifest) -> None:
     hidden = path / _HIDDEN_MANIFEST
     with hidden.open("w", encoding="utf-8") as file:
-        file.write(manifest_yaml(manifest))
+        file.write(with_checksum_line(manifest_yaml(manifest)))
         file.flush()
         os.fsync(file.fileno())
     hidden.replace(path / MANIFEST_NAME)

@@ -1,6 +1,6 @@
 """A dataset folder as one lazy `xarray.Dataset`, whose arrays read the parts when they are indexed (no dask needed).
 
-Apart from `store.dataset`, so that who writes a dataset imports neither xarray nor zarr.
+Apart from `store.dataset`, so that who writes a dataset does not import xarray.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
-import zarr
 from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
@@ -22,9 +21,9 @@ from xarray.core import indexing
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.store.part import check_part
-from cabinpose.store.schema import Manifest, PartPlan, Variable, label_attributes, read_manifest
-from cabinpose.store.shard import read_frames
+from cabinpose.store.part_facts import PartFacts, check_part
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, label_attributes, read_manifest
+from cabinpose.store.shard import read_frames, read_whole
 
 
 def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignore"] = "warn") -> xr.Dataset:
@@ -61,14 +60,18 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         if missing == "raise":
             raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
         warnings.warn(message, stacklevel=2)
-    attributes = [check_part(path / plan.name, plan) for plan in plans]
-    frames = {plan.name: part["frames"] for plan, part in zip(plans, attributes, strict=True)}
+    facts = [check_part(path / plan.name, plan, manifest) for plan in plans]
+    if manifest.checksum is None and any(part.checksum is not None for part in facts):
+        raise DatasetError(
+            f"{path / MANIFEST_NAME} has lost its checksum, its last line", hint="restore the file as it was written"
+        )
+    frames = {plan.name: part.frames for plan, part in zip(plans, facts, strict=True)}
     variables = {
         v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
         for v in manifest.stored
     }
     coordinates: dict[str, Any] = {
-        "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, attributes, strict=True)]),
+        "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, facts, strict=True)]),
         "person": list(manifest.persons),
         "joint": list(manifest.joints),
         "xyz": ["x", "y", "z"],
@@ -76,14 +79,14 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
     }
     if "itop_joints_3d" in variables:
         coordinates["itop_joint"] = list(ITOP_JOINTS)
-    dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, attributes))
+    dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, facts))
     return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
 
 
-def _indices(plan: PartPlan, attributes: Mapping[str, Any]) -> NDArray[np.int64]:
+def _indices(plan: PartPlan, part: PartFacts) -> NDArray[np.int64]:
     """The indices of the frames that a part holds."""
     planned = np.arange(plan.first, plan.first + plan.frames, dtype=np.int64)
-    return planned[~np.isin(planned, attributes["skipped"])]
+    return planned[~np.isin(planned, part.skipped)]
 
 
 def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
@@ -95,11 +98,11 @@ def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, An
     return attrs
 
 
-def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict[str, Any]:
+def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str, Any]:
     """What holds for all frames, and the parts' counts of proposed and rejected scenes added up."""
     rejections: Counter[str] = Counter()
     for part in parts:
-        rejections.update(part.get("rejections", {}))
+        rejections.update(part.rejections)
     return {
         "schema_version": manifest.schema_version,
         "generator": manifest.generator,
@@ -109,8 +112,9 @@ def _dataset_attributes(manifest: Manifest, parts: list[dict[str, Any]]) -> dict
         "width": manifest.width,
         "height": manifest.height,
         "planned_frames": manifest.frames,
-        "skipped_frames": sum(len(part["skipped"]) for part in parts),
-        "proposals": sum(part.get("proposals", part["frames"]) for part in parts),
+        "parts_without_checksum": sum(part.checksum is None for part in parts),
+        "skipped_frames": sum(len(part.skipped) for part in parts),
+        "proposals": sum(part.frames if part.proposals is None else part.proposals for part in parts),
         "rejections": dict(sorted(rejections.items())),
     }
 
@@ -162,10 +166,8 @@ class PartsArray(BackendArray):
             if variable.is_image:
                 return read_frames(path / "c", frames, self.shape[1:], np.dtype(variable.dtype))
             if self._latest[0] != part:
-                whole = np.asarray(zarr.open_array(path, mode="r")[...])
-                if whole.shape[1:] != self.shape[1:]:
-                    raise ValueError(f"shape {whole.shape}")
-                self._latest = part, whole
+                shape = int(self._starts[part + 1] - self._starts[part]), *self.shape[1:]
+                self._latest = part, read_whole(path / "c", shape, variable.dtype)
             values: NDArray[Any] = self._latest[1][frames]
             return values
         except (OSError, ValueError, RuntimeError) as error:

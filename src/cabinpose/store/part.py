@@ -8,7 +8,6 @@ library's chunk-by-chunk pipeline. Same frames, same bytes: no time stamps, no t
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,12 +18,11 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable
-from cabinpose.store.shard import ShardWriter, compressed, depth_ticks
-from cabinpose.store.zarr_metadata import ZarrArray, array_json, dimension_labels, group_json, zarr_arrays
+from cabinpose.store.shard import ShardWriter, compressed, compressed_column, depth_ticks
+from cabinpose.store.zarr_metadata import array_json, dimension_labels, group_json, zarr_arrays
 
 _SUFFIX = ".tmp"
 _serial = count()
@@ -180,7 +178,7 @@ class PartWriter:
             if not array.is_image:
                 path = self._temporary.joinpath(array.name, "c", *["0"] * len(array.shape))
                 path.parent.mkdir(parents=True)
-                path.write_bytes(_encoded(columns[array.name], array))
+                path.write_bytes(compressed_column(columns[array.name], array.dtype))
         for array in arrays:
             (self._temporary / array.name / "zarr.json").write_text(array_json(array), encoding="utf-8")
         (self._temporary / "zarr.json").write_text(group_json(arrays, self._attributes()), encoding="utf-8")
@@ -199,6 +197,7 @@ class PartWriter:
         files = sorted(path for path in self._temporary.rglob("*") if path.is_file())
         manifest = self._manifest
         return {
+            "checksum": "",  # of the whole text, by `group_json`
             "schema": SCHEMA,
             "schema_version": SCHEMA_VERSION,
             "generator": manifest.generator,
@@ -213,41 +212,6 @@ class PartWriter:
             "coordinates": " ".join(v.name for v in manifest.stored if v.coordinate),
             "file_sizes": {path.relative_to(self._temporary).as_posix(): path.stat().st_size for path in files},
         }
-
-
-def check_part(path: Path, plan: PartPlan) -> dict[str, Any]:
-    """The attributes of a complete part, after comparing its files with the sizes recorded when it was written.
-
-    Raises `DatasetError` naming the part and the file if one is missing or of another size.
-    """
-    hint = f"delete {path} and run the command that made it with --resume"
-    try:
-        attributes: dict[str, Any] = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
-        sizes = attributes["file_sizes"]
-        version, frames = attributes["schema_version"], attributes["frames"] + len(attributes["skipped"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DatasetError(f"{path.name} is damaged: its zarr.json cannot be read", hint=hint) from error
-    if version != SCHEMA_VERSION:
-        raise DatasetError(
-            f"{path.name} has schema version {version}, this program reads version {SCHEMA_VERSION}",
-            hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
-        )
-    if (attributes.get("first_frame"), frames) != (plan.first, plan.frames):
-        raise DatasetError(f"{path.name} does not hold the frames that dataset.yaml says", hint=hint)
-    for name, size in sizes.items():
-        try:
-            found = (path / name).stat().st_size
-        except OSError:
-            raise DatasetError(f"{path.name} is damaged: {name} is missing", hint=hint) from None
-        if found != size:
-            raise DatasetError(f"{path.name} is damaged: {name} has {found} bytes instead of {size}", hint=hint)
-    return attributes
-
-
-def _encoded(values: Sequence[Any], array: ZarrArray) -> bytes:
-    if array.dtype == "str":
-        return compressed(bytes(VLenUTF8().encode(np.array(values, dtype=object).ravel())))
-    return compressed(np.ascontiguousarray(values, array.dtype))
 
 
 def _sync(path: Path) -> None:

@@ -2,10 +2,13 @@
 
 The manifest says what a folder holds and how it was made; the parts beside it hold the frames. Both carry the
 schema version, and a reader refuses a version that it does not know.
+
+The last line of the manifest is the checksum of the lines before it. Datasets made before there was one are read as well.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -114,7 +117,10 @@ class PartPlan:
 
 
 class Manifest(BaseModel):
-    """What `dataset.yaml` says. Frozen; raises `DatasetError` through `from_mapping`, else pydantic's error."""
+    """What `dataset.yaml` says. Frozen; raises `DatasetError` through `from_mapping`, else pydantic's error.
+
+    checksum: as the file states it; None where it was written before there was one, and in a manifest that is not of a file.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -134,6 +140,7 @@ class Manifest(BaseModel):
     labels: tuple[LabelRow, ...] = ()
     materials: tuple[dict[str, Any], ...] = ()
     config: dict[str, Any] = Field(default_factory=dict)
+    checksum: str | None = Field(default=None, exclude=True)
 
     @model_validator(mode="after")
     def _check_names(self) -> Manifest:
@@ -162,17 +169,27 @@ class Manifest(BaseModel):
             )
         values = {key: value for key, value in data.items() if key != "parts"}
         try:
-            return cls.model_validate(values)
+            manifest = cls.model_validate(values)
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(p) for p in first["loc"]) or "manifest"
-            raise DatasetError(f"{source}: {where}: {first['msg']}", hint="restore the file as it was written") from error
+            raise DatasetError(f"{source}: {where}: {first['msg']}", hint=_RESTORE) from error
+        listed = data.get("parts")
+        # The number first: a damaged count of frames must not make a list of millions.
+        if not isinstance(listed, list) or len(listed) != manifest.part_count or listed != manifest.to_mapping()["parts"]:
+            raise DatasetError(f"{source}: its parts are not those of {manifest.frames} frames", hint=_RESTORE)
+        return manifest
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain data in the order of the file, the derived list of parts at its end."""
         data = self.model_dump(mode="json", by_alias=True)
         data["parts"] = [{"name": p.name, "first": p.first, "frames": p.frames} for p in self.parts]
         return data
+
+    @property
+    def part_count(self) -> int:
+        """How many parts there are when the dataset is complete."""
+        return -(-self.frames // self.frames_per_part)
 
     @cached_property
     def parts(self) -> tuple[PartPlan, ...]:
@@ -219,15 +236,28 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
+_RESTORE = "restore the file as it was written"
+
+
 def manifest_yaml(manifest: Manifest) -> str:
-    """The text of `dataset.yaml`: same manifest, same bytes."""
+    """The text of `dataset.yaml` before its checksum: same manifest, same bytes."""
     return yaml.dump(
         manifest.to_mapping(), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
     )
 
 
+def checksum(text: str) -> str:
+    """What `dataset.yaml` and the parts state of their own content."""
+    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def with_checksum_line(text: str) -> str:
+    """The whole of `dataset.yaml`, of what `manifest_yaml` gives."""
+    return f"{text}checksum: {checksum(text)}\n"
+
+
 def read_manifest(folder: Path | str) -> Manifest:
-    """The manifest of a dataset folder; `DatasetError` if there is none or it cannot be read."""
+    """The manifest of a dataset folder; `DatasetError` if there is none, it cannot be read or its checksum is wrong."""
     path = Path(folder) / MANIFEST_NAME
     try:
         text = path.read_text(encoding="utf-8")
@@ -239,8 +269,14 @@ def read_manifest(folder: Path | str) -> Manifest:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"cannot read {path}: {error}", hint="check the folder and its permissions") from error
+    content, line, stated = text.rpartition("\nchecksum: ")
+    if line and stated.rstrip() != (right := checksum(content + "\n")):
+        raise DatasetError(
+            f"{path} was changed or damaged: the checksum of its content is {right}, its last line says {stated[:40].rstrip()}",
+            hint=f"{_RESTORE}; after a change on purpose, write the first of the two checksums into the last line",
+        )
     try:
         data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise DatasetError(f"{path} is not YAML: {error}", hint="restore the file as it was written") from error
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or a number that cannot be
+        raise DatasetError(f"{path} is not YAML: {error}", hint=_RESTORE) from error
     return Manifest.from_mapping(data, path)

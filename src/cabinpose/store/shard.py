@@ -7,12 +7,14 @@ frame is noticed when it is read.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import google_crc32c
 import numpy as np
 from numcodecs import blosc  # type: ignore[import-untyped]
+from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from cabinpose.store.schema import DEPTH_SCALE_M
@@ -42,6 +44,23 @@ def checked(data: bytes) -> bytes:
 def compressed(data: NDArray[Any] | bytes) -> bytes:
     """One chunk as it stands on disk; arrays are shuffled by their own item size."""
     return with_checksum(_blosc.encode(data))
+
+
+def compressed_column(values: Sequence[Any], dtype: str) -> bytes:
+    """All values of a variable that is no image, or of a coordinate, as its only chunk. dtype: a numpy name, or "str"."""
+    if dtype == "str":
+        return compressed(bytes(VLenUTF8().encode(np.array(values, dtype=object).ravel())))
+    return compressed(np.ascontiguousarray(values, dtype))
+
+
+def read_whole(folder: Path, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
+    """The values that `compressed_column` wrote. `folder` is .../<variable>/c.
+
+    Raises OSError, ValueError or RuntimeError where the file is missing, damaged or of another shape.
+    """
+    data = _blosc.decode(checked(folder.joinpath(*["0"] * len(shape)).read_bytes()))
+    values: NDArray[Any] = VLenUTF8().decode(data) if dtype == "str" else np.frombuffer(data, dtype)
+    return values.reshape(shape)
 
 
 def read_frames(folder: Path, frames: NDArray[np.int64], shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:

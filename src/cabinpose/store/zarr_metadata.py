@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.store.schema import Manifest, label_attributes
+from cabinpose.store.schema import Manifest, checksum, label_attributes
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL
 
 _FILL: dict[str, float | str] = {"U": "", "f": "NaN", "u": 0, "i": 0}  # by numpy's kind of type
@@ -70,9 +70,26 @@ def array_json(array: ZarrArray) -> str:
 
 
 def group_json(arrays: tuple[ZarrArray, ...], attributes: Mapping[str, Any]) -> str:
-    """The `zarr.json` of the group, with a copy of that of its arrays, so that a reader opens one file."""
+    """The `zarr.json` of the group, with a copy of that of its arrays, so that a reader opens one file.
+
+    The attribute `checksum`, which is given empty, becomes that of the text with it empty.
+    """
     own = json.dumps(attributes, indent=1).replace("\n", "\n ")
-    return _group_json(arrays).replace("null", own, 1)
+    text = _group_json(arrays).replace("null", own, 1)
+    return text.replace('"checksum": ""', f'"checksum": "{checksum(text)}"', 1)
+
+
+def describes(found: Any, array: ZarrArray) -> bool:
+    """Whether metadata read from a part are of this array and its classes; other attributes may be worded anew."""
+    expected = _described(array)
+    try:
+        return all(found[key] == expected[key] for key in ("shape", "data_type", "dimension_names")) and all(
+            found["attributes"][key] == (list(value) if isinstance(value, tuple) else value)
+            for key, value in array.attrs
+            if key.startswith("flag_")
+        )
+    except (KeyError, TypeError):
+        return False
 
 
 @lru_cache(maxsize=16)

@@ -190,7 +190,7 @@ class CabinScene(Model):
     )
     factorial: Factorial | None = Field(None, description="Every car with every person from every view, each equally often.")
     motion: Mapping[str, Mapping[str, Probability]] = Field(
-        {}, description="Weights of the actions by seat; left out: every action that makes sense there, equally."
+        {}, description="Weights of the actions by seat; left out: every action that makes sense there, by its usual weight."
     )
     profile: Profile | None = Field(None, description="A motion profile for everyone, in place of the actions' own.")
     seat_variation: float = Field(

@@ -48,12 +48,17 @@ def _dataset_info(command: Info) -> None:
                 chosen.isel(frame=i).load()
                 report(i + 1)
     summary = summarise(dataset, manifest, command.dataset, chosen)
+    without = dataset.attrs["parts_without_checksum"]
     if command.as_json:
-        print_json(dataclasses.asdict(summary) | {"verified": command.verify})
+        checks = {"verified": command.verify, "checksum": manifest.checksum, "parts_without_checksum": without}
+        print_json(dataclasses.asdict(summary) | checks)
         return
     print_rows(summary_rows(summary))
     if command.verify:
         print(f"{count} frames were read; all checksums are right")
+        if without or manifest.checksum is None:
+            where = ["dataset.yaml"] * (manifest.checksum is None) + [f"{without} of {summary.parts} parts"] * bool(without)
+            print(f"{' and '.join(where)} were written without a checksum of names and settings: nothing vouches for these")
 
 
 def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:

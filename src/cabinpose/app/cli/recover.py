@@ -31,6 +31,8 @@ def run(command: Recover) -> None:
     ]
     if damage.unverified:
         rows.append(("unverified", f"{damage.unverified} messages of a chunk that the end of the file cuts"))
+    if damage.unfinished:
+        rows.append(("unfinished", f"{damage.unfinished} sample at the cut, left out: some of its messages may be missing"))
     if damage.orphans or damage.records:
         rows.append(("left out", f"{damage.orphans} messages of unknown channels, {damage.records} damaged records"))
     print_rows(rows)

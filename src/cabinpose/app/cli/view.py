@@ -51,5 +51,4 @@ def _view_recording(command: View, sheet: Path, page: Path) -> None:
     from cabinpose.app.recording.page import write_recording_view
 
     with disk_errors(command.out), progress(command.frames, "moments") as report:
-        command.out.mkdir(parents=True, exist_ok=True)
         write_recording_view(command.dataset, sheet, page, frames=command.frames, rows=command.rows, report=report)

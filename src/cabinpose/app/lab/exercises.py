@@ -1,6 +1,7 @@
 """Movements outside the car: the neutral pose, then arms, trunk and legs in each anatomical plane, then the neutral pose again.
 
-The planes and their order are the thesis' (2020, section 4.4): what the errors of suit and optical model are told apart by.
+The planes and their order are the thesis' (2020, sections 3.2.3 and 3.2.4): what the errors of suit and optical model are told
+apart by.
 """
 
 from __future__ import annotations

@@ -49,6 +49,7 @@ def write_recording_view(path: Path, sheet: Path, page: Path, *, frames: int, ro
                     shots[source.name].append(shot)
             report(done)
     shots = {name: series for name, series in shots.items() if series}
+    sheet.parent.mkdir(parents=True, exist_ok=True)  # not before the recording was read: a mistake leaves no folder
     write_png(sheet, contact_sheet(shots, rows))
     page.write_text(page_html(found, shots), encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""16-bit PNG images and one JSON of 2D and 3D poses per frame: the layout of the thesis' own exports (2020, ch. 5.1.3).
+"""16-bit PNG images of the kinds that the thesis renders (2020, section 5.1.3), and one JSON of 2D and 3D poses per frame.
 
 `depth/`, `depth_clean/` in millimetres (0 = invalid), `amplitude/`, `labels/` in their colours, `instance/`, `rgb/`, and
 `pose/`; a file's name is the frame's index. `labels.json` is the table of classes, `dataset.json` says what all frames share.

@@ -260,6 +260,7 @@ def _encode_table(_: str, message: Any, host_ns: int) -> list[Record]:
 def _cloud(message: Markers, host_ns: int) -> Record:
     """The markers as what Foxglove and Rerun draw; nothing that the JSON beside it does not say better."""
     cloud = PointCloud(timestamp=_time(host_ns), frame_id=WORLD, point_stride=24, data=message.position_m.astype("<f8").tobytes())
+    cloud.pose.position.SetInParent()  # zeros, but there: Rerun takes a pose without a position as damaged
     cloud.pose.orientation.w = 1.0
     for i, axis in enumerate("xyz"):
         cloud.fields.append(PackedElementField(name=axis, offset=8 * i, type=_FLOAT64))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -114,11 +114,9 @@ class Recording:
         for found in self._scanner.walk(start_ns, end_ns):
             if not isinstance(found, Chunk):
                 continue
-            for message in messages_in(found.records):
-                channel = channels.get(message.channel_id)
-                if channel is None:
-                    self.damage.orphans += 1
-                elif message.channel_id in wanted and start_ns <= message.log_time < end_ns:
+            for message in sound_messages(found, channels, self.damage):
+                if message.channel_id in wanted and start_ns <= message.log_time < end_ns:
+                    channel = channels[message.channel_id]
                     yield _place(channel, message), names.get(channel.schema_id, ""), channel, message.data
         found_damage = self.damage
         if self._damaged == "raise" and (found_damage.chunks or (found_damage.skipped_bytes and found_damage.whole)):
@@ -160,13 +158,40 @@ class Recording:
         return found
 
 
+def sound_messages(chunk: Chunk, channels: Mapping[int, Channel], damage: Damage) -> Iterator[RawMessage]:
+    """The messages of a chunk that have a channel, without the sample that a cut may have taken messages from.
+
+    A sample is written as its raw bytes and then what they mean, so only what follows tells that it is whole. What is left out
+    is counted in `damage`.
+    """
+    messages = [message for message in messages_in(chunk.records) if message.channel_id in channels]
+    damage.orphans += sum(1 for _ in messages_in(chunk.records)) - len(messages)
+    if chunk.cut and messages and not _is_beside(channels[messages[-1].channel_id]):
+        begins = [i for i, message in enumerate(messages) if _topic(channels[message.channel_id]) == RAW]
+        if begins:
+            damage.unfinished += 1
+            damage.unverified -= len(messages) - begins[-1]
+            del messages[begins[-1] :]
+    yield from messages
+
+
 def _place(channel: Channel, message: RawMessage) -> Place:
     facts = channel.metadata
-    source, epoch = facts.get("source", ""), facts.get("sequence_epoch", "none")
-    topic = channel.topic[len(source) + 1 :] if source else channel.topic
+    epoch = facts.get("sequence_epoch", "none")
     sequence = None if epoch == "none" else (int(epoch) << 32) + message.sequence
     device = None if facts.get("publish_time") != "device" else int(np.uint64(message.publish_time).astype(np.int64))
-    return Place(source, topic, sequence, message.log_time, device)
+    return Place(facts.get("source", ""), _topic(channel), sequence, message.log_time, device)
+
+
+def _topic(channel: Channel) -> str:
+    """The last part of a topic's name, behind the source."""
+    source = channel.metadata.get("source", "")
+    return channel.topic[len(source) + 1 :] if source else channel.topic
+
+
+def _is_beside(channel: Channel) -> bool:
+    """Whether messages of the channel belong to no sample."""
+    return _topic(channel) in (STATUS, TAKE_TOPIC) or not channel.metadata.get("source")
 
 
 def read_head(scanner: Scanner) -> Head:

@@ -11,7 +11,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.store.recording.container import ContainerWriter
-from cabinpose.store.recording.scan import Chunk, Damage, Scanner, messages_in
+from cabinpose.store.recording.reader import sound_messages
+from cabinpose.store.recording.scan import Chunk, Damage, Scanner
 from cabinpose.store.recording.schemas import RAW
 from cabinpose.store.recording.writer import LIBRARY, PROFILE, recording_errors
 
@@ -33,8 +34,9 @@ class Recovered:
 def recover(damaged: Path, out: Path, *, progress: Callable[[int, int], None] = lambda *_: None) -> Recovered:
     """Copy every sound message, schema, channel, metadata record and attachment of an MCAP file to a new one with an index.
 
-    Messages come byte by byte as they were. `out` appears when it is whole. progress: told bytes done and of all. Raises
-    RecordingError where `out` exists, nothing can be read, or the disk refuses.
+    Messages come byte by byte as they were, without those of a sample that the end of the file cuts: in a file with an end it
+    would pass for whole. `out` appears when it is whole. progress: told bytes done and of all. Raises RecordingError where `out`
+    exists, nothing can be read, or the disk refuses.
     """
     if out.exists():
         raise RecordingError(f"{out} exists", hint="name another file")
@@ -75,21 +77,15 @@ def _copy(
                     record.name, record.media_type, record.data, log_time=record.log_time, create_time=record.create_time
                 )
         schema_ids = {0: 0} | {i: writer.schema(s.name, s.encoding, s.data) for i, s in sorted(schemas.items())}
-        ids = {
-            i: writer.channel(c.topic, c.message_encoding, schema_ids[c.schema_id], c.metadata)
-            for i, c in sorted(channels.items())
-            if c.schema_id in schema_ids
-        }
+        channels = {i: c for i, c in sorted(channels.items()) if c.schema_id in schema_ids}
+        ids = {i: writer.channel(c.topic, c.message_encoding, schema_ids[c.schema_id], c.metadata) for i, c in channels.items()}
         raw = {i: c.metadata["source"] for i, c in channels.items() if "source" in c.metadata and c.topic.endswith(f"/{RAW}")}
         samples = dict.fromkeys(sorted(raw.values()), 0)
         count, first, last = 0, 0, 0
         for found in scanner.walk():
             if not isinstance(found, Chunk):
                 continue
-            for message in messages_in(found.records):
-                if message.channel_id not in ids:
-                    scanner.damage.orphans += 1
-                    continue
+            for message in sound_messages(found, channels, scanner.damage):
                 writer.add(ids[message.channel_id], message.sequence, message.log_time, message.publish_time, [message.data])
                 first = message.log_time if count == 0 else min(first, message.log_time)
                 last, count = max(last, message.log_time), count + 1

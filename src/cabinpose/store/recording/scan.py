@@ -17,14 +17,14 @@ from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, TypeVar
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
 from cabinpose.core.errors import RecordingError
@@ -42,6 +42,7 @@ _LIKE_A_CHUNK = re.compile(
 )
 _ALWAYS = 0, 1 << 64
 _LOOK_AHEAD = 64  # bytes of a chunk's head with the name of its compression, and some
+_Small = TypeVar("_Small", Schema, Channel, Metadata, Attachment)
 _INSIDE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
@@ -50,13 +51,15 @@ class Damage:
     """What was wrong with a file. All zero and whole: nothing.
 
     chunks: left out for a wrong checksum or content · skipped_bytes: that belong to no record · unverified: messages of a
-    chunk that the end of the file cuts, so that its checksum says nothing · orphans: messages whose channel is not known ·
-    records: attachments and the like that contradict themselves · whole: the file has its end.
+    chunk that the end of the file cuts, so that its checksum says nothing · unfinished: samples at such a cut, left out since
+    some of their messages may be missing · orphans: messages whose channel is not known · records: attachments and the like
+    that contradict themselves · whole: the file has its end.
     """
 
     chunks: int = 0
     skipped_bytes: int = 0
     unverified: int = 0
+    unfinished: int = 0
     orphans: int = 0
     records: int = 0
     whole: bool = False
@@ -64,7 +67,8 @@ class Damage:
     @property
     def any(self) -> bool:
         """Whether something is missing or doubtful."""
-        return not self.whole or bool(self.chunks or self.skipped_bytes or self.unverified or self.orphans or self.records)
+        found = self.chunks, self.skipped_bytes, self.unverified, self.unfinished, self.orphans, self.records
+        return not self.whole or any(found)
 
 
 class RawMessage(NamedTuple):
@@ -95,6 +99,8 @@ class Scanner:
         """Raises RecordingError where the file cannot be opened."""
         try:
             self._file: BinaryIO = path.open("rb")
+        except FileNotFoundError:
+            raise RecordingError(f"the recording {path} does not exist", hint="give the path of a recording") from None
         except OSError as error:
             raise RecordingError(f"cannot read {path}: {error.strerror}", hint="give the path of a recording") from error
         self.path = path
@@ -212,9 +218,10 @@ class Scanner:
             return None, None
         try:
             if opcode == Opcode.METADATA:
-                return Metadata.read(_stream(payload)), after
+                return _parsed(Metadata, opcode, payload), after
             if opcode == Opcode.ATTACHMENT:
-                return _attachment(payload), after
+                _check_attachment(payload)
+                return _parsed(Attachment, opcode, payload), after
         except _UNREADABLE:
             self.damage.records += 1
             return None, after
@@ -357,10 +364,10 @@ def collect(records: bytes, schemas: dict[int, Schema], channels: dict[int, Chan
     for opcode, content in records_in(records):
         try:
             if opcode == Opcode.SCHEMA:
-                schema = Schema.read(_stream(bytes(content)))
+                schema = _parsed(Schema, opcode, content)
                 schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(_stream(bytes(content)))
+                channel = _parsed(Channel, opcode, content)
                 channels[channel.id] = channel
         except _UNREADABLE:
             continue
@@ -378,14 +385,16 @@ def _whole_records(records: bytes, first: int, last: int) -> bytes:
     return records[:kept]
 
 
-def _stream(payload: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(payload))
+def _parsed(kind: type[_Small], opcode: int, payload: bytes | memoryview) -> _Small:
+    """The record by the mcap package. Raises one of `_UNREADABLE` where it contradicts itself."""
+    record = next(StreamReader(BytesIO(_HEAD.pack(opcode, len(payload)) + payload), skip_magic=True).records)
+    assert isinstance(record, kind)  # as its opcode says
+    return record
 
 
-def _attachment(payload: bytes) -> Attachment:
+def _check_attachment(payload: bytes) -> None:
     if zlib.crc32(payload[:-4]) != struct.unpack("<I", payload[-4:])[0]:
         raise ValueError("checksum")
-    return Attachment.read(_stream(payload))
 
 
 _UNREADABLE = (EndOfFile, ValueError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)

@@ -1,0 +1,93 @@
+"""What a complete part says of itself, held against its files and against the manifest before any frame is read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.store.schema import MANIFEST_NAME, SCHEMA_VERSION, Manifest, PartPlan, checksum
+from cabinpose.store.shard import read_whole
+from cabinpose.store.zarr_metadata import describes, dimension_labels, zarr_arrays
+
+_Count = Annotated[int, Field(ge=0)]
+
+
+class PartFacts(BaseModel):
+    """The attributes of a part's `zarr.json` that readers use. checksum: None where the part was written before there was one."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    first_frame: _Count
+    frames: _Count
+    skipped: tuple[_Count, ...]
+    file_sizes: dict[str, _Count]
+    proposals: _Count | None = None
+    rejections: dict[str, _Count] = Field(default_factory=dict)
+    checksum: str | None = None
+
+
+def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
+    """The facts of a complete part, after comparing its checksum, file sizes, arrays and names with what they should be.
+
+    Its chunks have checksums of their own, which are compared when they are read. Raises `DatasetError` naming the part and the
+    file where something is missing, damaged or not as the manifest says.
+    """
+    hint = f"delete {path} and run the command that made it with --resume"
+    facts, arrays = _read(path, hint)
+    if (facts.first_frame, facts.frames + len(facts.skipped)) != (plan.first, plan.frames):
+        raise DatasetError(f"{path.name} does not hold the frames that {MANIFEST_NAME} says", hint=hint)
+    for name, size in facts.file_sizes.items():
+        try:
+            found = (path / name).stat().st_size
+        except (OSError, ValueError):  # ValueError: no name that a file can have
+            raise DatasetError(f"{path.name} is damaged: {name} is missing", hint=hint) from None
+        if found != size:
+            raise DatasetError(f"{path.name} is damaged: {name} has {found} bytes instead of {size}", hint=hint)
+    for array in zarr_arrays(manifest, facts.frames):
+        try:
+            own = json.loads((path / array.name / "zarr.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json cannot be read", hint=hint) from error
+        if own != arrays.get(array.name):
+            raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json does not agree with zarr.json", hint=hint)
+        if not describes(own, array):
+            raise _disagrees(path, f"the shape, type or classes of {array.name}")
+    for name, labels in dimension_labels(manifest).items():
+        try:
+            stored = tuple(read_whole(path / name / "c", (len(labels),), "str"))
+        except (OSError, ValueError, RuntimeError) as error:
+            raise DatasetError(f"{path.name} is damaged: cannot read {name} ({error})", hint=hint) from error
+        if stored != labels:
+            raise _disagrees(path, f"the names of {name}")
+    return facts
+
+
+def _read(path: Path, hint: str) -> tuple[PartFacts, dict[str, Any]]:
+    """What a part's own `zarr.json` says of the part and of its arrays."""
+    try:
+        text = (path / "zarr.json").read_text(encoding="utf-8")
+        group = json.loads(text)
+        version = group["attributes"]["schema_version"]
+        if version != SCHEMA_VERSION:
+            raise DatasetError(
+                f"{path.name} has schema version {version}, this program reads version {SCHEMA_VERSION}",
+                hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
+            )
+        facts = PartFacts.model_validate(group["attributes"])
+        arrays: dict[str, Any] = dict(group["consolidated_metadata"]["metadata"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{path.name} is damaged: its zarr.json cannot be read", hint=hint) from error
+    if facts.checksum is not None and checksum(text.replace(facts.checksum, "", 1)) != facts.checksum:
+        raise DatasetError(f"{path.name} is damaged: its zarr.json does not have the checksum that it states", hint=hint)
+    return facts, arrays
+
+
+def _disagrees(path: Path, what: str) -> DatasetError:
+    return DatasetError(
+        f"{path.name} and {MANIFEST_NAME} do not agree on {what}",
+        hint=f"restore {MANIFEST_NAME} as it was written; if the part is of another dataset, delete it",
+    )
