@@ -130,8 +130,8 @@ class _Run:
         rig = {
             "take": {"action": "trial", "subjects": [{"code": "S01"}]},
             "sources": {
-                "suit": {"kind": "mvn", "port": suit_port},
-                "optical": {"kind": "vicon", "port": optical_port},
+                "suit": {"kind": "mvn", "port": suit_port, "required": False},  # both end before the recorder does
+                "optical": {"kind": "vicon", "port": optical_port, "required": False},
                 "tof": {
                     "kind": "simulated", "dataset": str(plan.dataset.resolve()), "log": "tof.jsonl", "queue_frames": 64,
                     "faults": faults,

@@ -65,7 +65,9 @@ class RigFile(BaseModel):
 
     take: Take = Field(default_factory=Take, description="who does what, where")
     storage: Storage = Field(default_factory=Storage, description="how the recording is written")
-    sources: dict[str, dict[str, Any]] = Field(min_length=1, description="by name: `kind`, and what the kind takes")
+    sources: dict[str, dict[str, Any]] = Field(
+        min_length=1, description="by name: `kind`, `required` (true unless said otherwise), and what the kind takes"
+    )
 
     @field_validator("sources")
     @classmethod
@@ -84,6 +86,7 @@ class SourcePlan:
     kind: str
     make: Any  # the class: name, settings and clock give a FrameSource
     settings: BaseModel
+    required: bool = True  # a take is not well without it
 
     def build(self, clock: HostClock) -> FrameSource:
         """The source, not yet open."""
@@ -142,6 +145,11 @@ def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
     if not isinstance(kind, str) or kind not in known:
         error = unknown_name("kind of source", str(kind), tuple(known))
         raise ConfigError(f"sources.{name}: {error}", hint=error.hint)
+    required = settings.pop("required", True)
+    if not isinstance(required, bool):
+        raise ConfigError(
+            f"sources.{name}.required: {required!r} is neither true nor false", hint="false: the take may end well without it"
+        )
     module, _, class_name = known[kind].partition(":")
     try:
         make = getattr(import_module(module), class_name)
@@ -151,7 +159,7 @@ def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
         ) from problem
     checked = _checked(make.Settings, settings, "sources", name)
     paths = {key: base / value for key, value in checked if isinstance(value, Path) and not value.is_absolute()}
-    return SourcePlan(name, kind, make, checked.model_copy(update=paths))
+    return SourcePlan(name, kind, make, checked.model_copy(update=paths), required)
 
 
 def _checked(model: type[Any], data: Any, *where: str) -> Any:

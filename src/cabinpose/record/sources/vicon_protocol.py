@@ -5,8 +5,8 @@ string, vector, set or map is a u32 count and its items. Lengths are mm, rotatio
 
 Source: the types and layouts of the vendor's DataStream SDK, whose C++ source is public (1.11, MIT). The server speaks first: the
 types that it has (ObjectEnums). The client answers with those that it wants, now and whenever they change, and asks for
-frames: RequestFrame 0 for the newest one, 1 for all as they come, RequestNextFrame n for the next n. Static objects come when they
-change, or when the set of types does; Contents then says which types are as before. A Ping comes back as it was sent.
+frames: RequestFrame 0 for the newest one, 1 for all as they come, RequestNextFrame n for the next n. Static objects come when
+they change, or when the set of types does; Contents then says which types are as before. A Ping comes back as it was sent.
 
 The first frame has the number 0 in the bytes and 1 in the SDK (`GetFrameNumber`). `Packet.frame` is the SDK's number, so that a
 recording agrees with what Vicon's own programs show.
@@ -102,9 +102,10 @@ class Packet:
     """What a packet says; None, or nothing, where it says nothing of it. `faults`: blocks that are malformed.
 
     enums: types that the server has, or the client wants · streaming: a request for a frame, or for all to come · next_frames: a
-    request for so many frames, none of which was captured yet · frame: of the stream, as the SDK numbers it, from 1 · period: 135 MHz ticks a frame · y_up: the server's axes · latency: (what took it, s), to be
-    summed · labeled, unlabeled: rows of `LABELED`, `UNLABELED` · segments: rows of `SEGMENT` of each subject's id, in the world
-    or in the parent's frame · neutral: rows of `SEGMENT` of the subjects in their neutral pose, in the parent's frame.
+    request for so many frames, none of which was captured yet · frame: of the stream, as the SDK numbers it, from 1 · period: 135
+    MHz ticks a frame · y_up: the server's axes · latency: (what took it, s), to be summed · labeled, unlabeled: rows of
+    `LABELED`, `UNLABELED` · segments: rows of `SEGMENT` of each subject's id, in the world or in the parent's frame ·
+    neutral: rows of `SEGMENT` of the subjects in their neutral pose, in the parent's frame.
     """
 
     enums: frozenset[int] | None = None
