@@ -82,7 +82,7 @@ def test_a_source_that_the_take_does_not_need(tmp_path: Path, run: Run) -> None:
 
 def test_a_source_that_is_away_at_the_end(tmp_path: Path, run: Run) -> None:
     rig = rig_of(tmp_path, suit={"kind": "numbered", "rate_hz": 100, "die_every": 20, "dead_s": 100})
-    done = run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "1.5")
+    done = run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "0.8")
     assert done.code == 1
     assert "; suit does not answer; no data for " in done.out or "; suit went away; no data for " in done.out
 

@@ -50,8 +50,11 @@ class Storage(BaseModel):
 
     compression: Compression = Field("none", description="of chunks: none is fastest, lz4 costs little, zstd saves most")
     queue_mb: float = Field(256.0, gt=0, le=65536, description="what may wait for the disk, of each source, MB")
+    queue_s: float = Field(
+        5.0, gt=0, le=600, description="and for how long, s: the death of the process costs this and flush_s at most"
+    )
     chunk_mb: float = Field(4.0, gt=0, le=256, description="a chunk is closed when it is so large, MB")
-    flush_s: float = Field(0.25, gt=0, le=10, description="or so old, s: what the death of the process costs at most")
+    flush_s: float = Field(0.25, gt=0, le=10, description="or so old, s")
     sync_s: float = Field(
         1.0, ge=0, le=600, description="pause between requests to the disk to hold it all, s; 0 = only at the end"
     )

@@ -43,15 +43,26 @@ class LaneStatus:
 
 
 class Lane:
-    """A source, its thread and its queue. `wake` is set when samples wait."""
+    """A source, its thread and its queue. `wake` is set when samples wait.
+
+    queue_bytes, queue_s: no sample is taken into the queue beyond so many bytes, or while the oldest has waited for longer.
+    """
 
     def __init__(
-        self, source: FrameSource, kind: str, clock: HostClock, wake: threading.Event, *, queue_bytes: int = 1 << 28
+        self,
+        source: FrameSource,
+        kind: str,
+        clock: HostClock,
+        wake: threading.Event,
+        *,
+        queue_bytes: int = 1 << 28,
+        queue_s: float = 5.0,
     ) -> None:
         self.name, self.kind = source.name, kind
         self._source, self._clock, self._wake, self._room = source, clock, wake, queue_bytes
+        self._longest_ns = round(queue_s * 1e9)
         self._lock = threading.Lock()
-        self._queue: deque[tuple[int, Sample]] = deque()
+        self._queue: deque[tuple[int, int, Sample]] = deque()  # when it came here, ns; bytes
         self._queued = 0
         self._given = self._dropped = self._dropped_bytes = self._refused = self._restarts = 0
         self._state, self._error = "connecting", ""
@@ -97,7 +108,7 @@ class Lane:
         taken: list[Sample] = []
         with self._lock:
             while self._queue and most_bytes > 0:
-                size, sample = self._queue.popleft()
+                _, size, sample = self._queue.popleft()
                 self._queued -= size
                 most_bytes -= size
                 taken.append(sample)
@@ -141,7 +152,8 @@ class Lane:
         now = self._clock.now_ns()
         with self._lock:
             window = [(at, wait) for at, wait in self._window if now - at < _WINDOW_S * 1e9]
-            queue = self._queued / self._room
+            waited_ns = now - self._queue[0][0] if self._queue else 0
+            queue = max(self._queued / self._room, min(waited_ns / self._longest_ns, 1.0))
         times = sorted(at for at, _ in window)
         intervals = [(b - a) / 1e6 for a, b in itertools.pairwise(times)]
         span = (times[-1] - times[0]) / 1e9 if times else 0.0
@@ -204,11 +216,12 @@ class Lane:
                     self._data += 1
                 size = _OVERHEAD + len(sample.raw) + sample_bytes(sample.messages)
                 self._given += 1
-                if self._queued and self._queued + size > self._room:
+                late = bool(self._queue) and now_ns - self._queue[0][0] > self._longest_ns
+                if late or (self._queue and self._queued + size > self._room):
                     self._dropped += 1
                     self._dropped_bytes += size
                 else:
-                    self._queue.append((size, sample))
+                    self._queue.append((now_ns, size, sample))
                     self._queued += size
         self._wake.set()
 

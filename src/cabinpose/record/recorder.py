@@ -1,7 +1,7 @@
 """Several sources into one file, side by side: a thread each, and one that writes.
 
-No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes, and what finds it full
-is dropped and counted. The writing thread takes from the queues in turn.
+No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes and seconds, and what
+finds it full is dropped and counted. The writing thread takes from the queues in turn.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.record.lane import Lane, LaneStatus
 from cabinpose.store.recording import RecordingWriter, SourceStatus
 
-_TURN_BYTES = 8 << 20  # that one source may write before the next has its turn
+_TURN_BYTES = 1 << 20  # that one source may write before the next has its turn
 _STATUS_S = 1.0
 _IDLE_S = 0.05
 _STOP_S = 5.0  # for a source to stop; after that it is left behind
@@ -141,8 +141,9 @@ class Recorder:
                 for lane in self._lanes:
                     for sample in lane.take(_TURN_BYTES):
                         lane.written(sample, self._writer.write(lane.name, sample))
+                        self._writer.poll()  # after each: where much waits, a chunk must not become old before it is full
                         wrote = True
-                    self._writer.poll()
+                self._writer.poll()
                 if time.monotonic() >= next_status:
                     next_status = time.monotonic() + _STATUS_S
                     self._tick()
