@@ -19,6 +19,7 @@ from cabinpose.store.recording.messages import Decoder, decode_status
 from cabinpose.store.recording.scan import Chunk, Damage, RawMessage, Scanner, messages_in
 from cabinpose.store.recording.schemas import (
     FORMAT,
+    HOST_ONLY,
     RAW,
     RIG_ATTACHMENT,
     STATUS,
@@ -166,7 +167,7 @@ def _place(channel: Channel, message: RawMessage) -> Place:
     topic = channel.topic[len(source) + 1 :] if source else channel.topic
     sequence = None if epoch == "none" else (int(epoch) << 32) + message.sequence
     device = None if facts.get("publish_time") != "device" else int(np.uint64(message.publish_time).astype(np.int64))
-    return Place(source, topic, sequence, message.log_time, device)
+    return Place(source, topic.removesuffix(HOST_ONLY), sequence, message.log_time, device)
 
 
 def read_head(scanner: Scanner) -> Head:

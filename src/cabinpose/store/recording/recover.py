@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from cabinpose.core.errors import RecordingError
 from cabinpose.store.recording.container import ContainerWriter
 from cabinpose.store.recording.scan import Chunk, Damage, Scanner, messages_in
-from cabinpose.store.recording.schemas import RAW
+from cabinpose.store.recording.schemas import HOST_ONLY, RAW
 from cabinpose.store.recording.writer import LIBRARY, PROFILE, recording_errors
 
 RECOVERED_METADATA = "cabinpose.recovered"
@@ -80,7 +80,11 @@ def _copy(
             for i, c in sorted(channels.items())
             if c.schema_id in schema_ids
         }
-        raw = {i: c.metadata["source"] for i, c in channels.items() if "source" in c.metadata and c.topic.endswith(f"/{RAW}")}
+        raw = {
+            i: c.metadata["source"]
+            for i, c in channels.items()
+            if "source" in c.metadata and c.topic.endswith((f"/{RAW}", f"/{RAW}{HOST_ONLY}"))
+        }
         samples = dict.fromkeys(sorted(raw.values()), 0)
         count, first, last = 0, 0, 0
         for found in scanner.walk():

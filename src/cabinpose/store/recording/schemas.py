@@ -20,6 +20,8 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 RAW = "raw"
+HOST_ONLY = "_host"
+"""After `raw` and `facts` where the sample has no time of its device, so that a topic keeps to one clock."""
 RAW_ENCODING = "octet-stream"
 FACTS = "facts"
 STATUS = "status"
