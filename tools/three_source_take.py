@@ -91,7 +91,7 @@ class _Run:
     def record(self) -> tuple[dict[str, Any], list[tuple[float, float]]]:
         """What `cabinpose record` told, and the recorder's memory (s, MB)."""
         plan = self.plan
-        optical, port = self._optical(0, "optical-1", 0)
+        optical, port = self._optical(0, "optical-1", 1)
         counting_since = time.monotonic()
         suit_port = _free_port()
         self._rig(suit_port, port)
@@ -104,7 +104,7 @@ class _Run:
         optical.wait()
         self._watch(recorder, began, 0.3 * plan.seconds + plan.dead_s)
         # Its count has gone on meanwhile, as the frames of cameras do; the process began to count a little after it was started.
-        number = int((time.monotonic() - counting_since) * plan.optical_hz)
+        number = 1 + int((time.monotonic() - counting_since) * plan.optical_hz)
         optical, _ = self._optical(port, "optical-2", number, began + plan.seconds - time.monotonic())
         self._watch(recorder, began, max(0.6 * plan.seconds, time.monotonic() - began))
         suit.send_signal(signal.SIGSTOP)
@@ -130,8 +130,8 @@ class _Run:
         rig = {
             "take": {"action": "trial", "subjects": [{"code": "S01"}]},
             "sources": {
-                "suit": {"kind": "mvn", "port": suit_port},
-                "optical": {"kind": "vicon", "port": optical_port},
+                "suit": {"kind": "mvn", "port": suit_port, "required": False},  # both end before the recorder does
+                "optical": {"kind": "vicon", "port": optical_port, "required": False},
                 "tof": {
                     "kind": "simulated", "dataset": str(plan.dataset.resolve()), "log": "tof.jsonl", "queue_frames": 64,
                     "faults": faults,

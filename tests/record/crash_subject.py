@@ -2,11 +2,13 @@
 
     python crash_subject.py OUT LIMIT_BYTES
 
-LIMIT_BYTES > 0 is a limit on the size of files, which to a writer is a disk that is full.
+LIMIT_BYTES > 0 is a limit on the size of files, which to a writer is a disk that is full. The variable STORAGE has the rig's
+`storage` as JSON, TOF the settings of its camera.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import sys
@@ -38,9 +40,9 @@ def main() -> None:
         {
             "sources": {
                 "suit": {"kind": "numbered", "rate_hz": 200},
-                "tof": {"kind": "numbered", "rate_hz": 20, "width": 160, "height": 120},
+                "tof": {"kind": "numbered", "rate_hz": 20, "width": 160, "height": 120} | json.loads(os.environ.get("TOF", "{}")),
             },
-            "storage": {"compression": os.environ.get("COMPRESSION", "none")},
+            "storage": json.loads(os.environ.get("STORAGE", "{}")),
         }
     )
     recorder = begin(rig, out, HostClock())

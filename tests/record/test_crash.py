@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from cabinpose.core.ports import Sample
 from cabinpose.store.recording import Recording, recover
 from cabinpose.store.recording.container import ContainerWriter
 
@@ -20,19 +25,22 @@ SUBJECT = Path(__file__).with_name("crash_subject.py")
 LOST_S = 1.0
 
 
-def killed(out: Path, after_s: float, compression: str = "none") -> dict[str, list[tuple[int, int]]]:
+def killed(
+    out: Path, after_s: float, storage: dict[str, Any], tof: dict[str, Any] | None = None
+) -> dict[str, list[tuple[int, int]]]:
     """Host time and number of each sample that a recording process sent before it was killed, `after_s` after the first."""
-    process = subprocess.Popen(
-        [sys.executable, SUBJECT, out, "0"], stdout=subprocess.PIPE, text=True, env={**os.environ, "COMPRESSION": compression}
-    )
-    assert process.stdout is not None
-    try:
-        lines = [process.stdout.readline()]
-        time.sleep(after_s)
-    finally:
-        process.kill()
-    with process:
-        lines += process.stdout.readlines()
+    environment = {**os.environ, "STORAGE": json.dumps(storage), "TOF": json.dumps(tof or {})}
+    told = out.with_suffix(".txt")  # not a pipe: one that is full would hold up the device
+    with told.open("w") as file, subprocess.Popen([sys.executable, SUBJECT, out, "0"], stdout=file, env=environment) as process:
+        try:
+            limit = time.monotonic() + 60
+            while not told.stat().st_size:
+                assert time.monotonic() < limit
+                time.sleep(0.01)
+            time.sleep(after_s)
+        finally:
+            process.kill()
+    lines = told.read_text().splitlines(keepends=True)
     sent: dict[str, list[tuple[int, int]]] = {}
     for line in lines:
         if line.endswith("\n") and not line.startswith(("end", "error")):
@@ -41,34 +49,66 @@ def killed(out: Path, after_s: float, compression: str = "none") -> dict[str, li
     return sent
 
 
-def check_killed(folder: Path, after_s: float, compression: str) -> float:
-    """Seconds that were lost; everything before them is in the recovered file, which the mcap package opens."""
-    sent = killed(folder / "take.mcap", after_s, compression)
+def check_killed(folder: Path, after_s: float, storage: dict[str, Any], tof: dict[str, Any] | None = None) -> tuple[float, int]:
+    """Seconds that were lost at the end, and samples before that; the mcap package opens the recovered file."""
+    sent = killed(folder / "take.mcap", after_s, storage, tof)
     recover(folder / "take.mcap", folder / "fixed.mcap")
     with (folder / "fixed.mcap").open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
     with Recording(folder / "fixed.mcap") as recording:
         found: dict[str, list[tuple[int, int]]] = {}
+        cut: Sample | None = None
         for source, sample in recording.samples():
-            assert len(sample.messages) == 1
+            if not sample.messages:  # the kill came while its chunk was written: the bytes are there, the image is not
+                cut = sample
+                continue
+            assert cut is None, "only the last of all is cut"
             assert sample.sequence is not None
             found.setdefault(source, []).append((sample.host_ns, sample.sequence))
         assert not recording.damage.any
-    lost = 0.0
+    lost, dropped = 0.0, 0
     for source, given in sent.items():
         kept = found.get(source, [])
-        assert kept[: len(given)] == given[: len(kept)]
-        missing = given[len(kept) :]
+        assert kept == sorted(set(kept))
+        there = [sample for sample in given if sample <= kept[-1]] if kept else []
+        assert {sample for sample in kept if sample <= given[-1]} <= set(there)  # the last may be in the file and not yet told
+        dropped += len(there) - len(set(there) & set(kept))
+        missing = given[len(there) :]
         if missing:
             lost = max(lost, (given[-1][0] - missing[0][0]) / 1e9)
-    return lost
+    return lost, dropped
+
+
+@contextmanager
+def busy_cores(count: int) -> Iterator[None]:
+    """Processes that each keep a core busy."""
+    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
 
 
 @pytest.mark.parametrize(("seed", "compression"), [(1, "none"), (2, "none"), (3, "lz4"), (4, "zstd")])
 def test_kill_9_costs_less_than_a_second(tmp_path: Path, seed: int, compression: str) -> None:
     rng = np.random.default_rng(seed)
-    assert check_killed(tmp_path, float(rng.uniform(1.5, 2.5)), compression) < LOST_S
+    lost, dropped = check_killed(tmp_path, float(rng.uniform(1.5, 2.5)), {"compression": compression})
+    assert lost < LOST_S
+    assert dropped == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_kill_9_on_a_busy_machine_costs_what_the_rig_allows(tmp_path: Path, seed: int) -> None:
+    """Two busy cores, and a camera that gives 28 MB/s."""
+    after_s = float(np.random.default_rng(seed).uniform(1.5, 3.5))
+    storage = {"queue_s": 0.75, "flush_s": 0.25}
+    with busy_cores(2):
+        lost, _ = check_killed(tmp_path, after_s, storage, {"width": 640, "height": 480, "rate_hz": 18})
+    assert lost <= LOST_S
 
 
 def test_half_a_write_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

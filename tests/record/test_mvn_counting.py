@@ -19,6 +19,26 @@ from cabinpose.record.sources.mvn import MvnSettings, MvnSource
 MOTION = generated("walk", rate_hz=60)
 
 
+def test_two_senders_with_one_character_id_are_counted_apart() -> None:
+    """Each counts by itself, far from the other: nothing is lost, and nobody began anew."""
+    source, first, second = MvnSource("suit"), ("127.0.0.1", 5001), ("127.0.0.1", 5002)
+    mine, other = (Streamer(MvnEmulatorSettings(meta_every_s=0), MOTION) for _ in range(2))
+    samples = []
+    for n in range(100):
+        for streamer, number, sender in ((mine, n, first), (other, 50_000 + n, second)):
+            samples += [source.take(d.data, n * 16_000_000, sender) for d in streamer.sample(number)]
+    assert source.counts == Counts(received=200)
+    assert len({sample.sequence for sample in samples}) == 200
+
+
+def test_a_sender_that_returns_from_another_port_goes_on_where_it_was() -> None:
+    source, streamer = MvnSource("suit"), Streamer(MvnEmulatorSettings(meta_every_s=0), MOTION)
+    for n, sender, at_ns in ((0, 5001, 0), (1, 5001, 10**7), (5, 5002, 3 * 10**9), (6, 5002, 3 * 10**9 + 10**7)):
+        for datagram in streamer.sample(n):
+            source.take(datagram.data, at_ns, ("127.0.0.1", sender))
+    assert (source.counts.received, source.counts.lost, source.counts.restarts) == (4, 3, 0)
+
+
 @dataclass
 class Truth:
     """What was sent and what arrived of it, kept without the ledger's help: streams are (epoch, kind, character)."""
@@ -342,7 +362,7 @@ def test_memory_is_bounded_whatever_is_sent() -> None:
     for n in range(500):
         header = mvn.Header(22, n, 0, False, 1, 0, 0, 23, 0, 0, 44)
         other.take(mvn.build_header(header) + bytes(44), 0)
-    assert len(other._ledger._streams[22, 0]._open) <= 65
+    assert len(other._ledger._streams[None, 22, 0]._open) <= 65
     streams = source._ledger._streams
     assert len(streams) <= 256
     assert max(len(s._open) for s in streams.values()) <= 65

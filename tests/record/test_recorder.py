@@ -21,6 +21,7 @@ from cabinpose.record.recorder import Outcome, Recorder
 from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSettings, NumberedSource
 from cabinpose.store.recording import Recording, RecordingWriter, SourceStatus
+from cabinpose.store.recording.scan import Chunk, Scanner
 
 PATIENCE_S = 60.0  # of a busy machine
 
@@ -60,6 +61,15 @@ class Scripted:
 
     def close(self) -> None:
         self.closed += 1
+
+
+class SetClock(HostClock):
+    """A clock that a test sets."""
+
+    time_ns = 0
+
+    def now_ns(self) -> int:
+        return self.time_ns
 
 
 def plain(number: int, size: int = 8) -> Sample:
@@ -144,6 +154,37 @@ def test_a_slow_disk_costs_what_is_counted_and_memory_stays_bounded(tmp_path: Pa
     assert 200 < status.written < 700
     assert status.dropped_bytes >= 1000 * status.dropped
     assert numbers["tof"][:300] == list(range(300)), "the newest are dropped, not what waits"
+
+
+def test_a_queue_is_bounded_in_seconds(tmp_path: Path) -> None:
+    """While the oldest sample waits for longer than the rig allows, none is taken in: a kill cannot cost more."""
+    clock = SetClock()
+    lane = Lane(Scripted("tof", []), "scripted", clock, threading.Event(), queue_s=2.0)
+    for second in range(6):
+        clock.time_ns = second * 1_000_000_000
+        lane._put([plain(second)])
+    assert [int(sample.device_ns or 0) for sample in lane.take(1 << 30)] == [0, 1, 2]
+    assert (lane.status(3, clock.now_ns()).dropped, lane.given) == (3, 6)
+    lane._put([plain(6)])
+    assert len(lane.take(1 << 30)) == 1, "room again"
+
+
+def test_a_chunk_is_closed_by_its_age_while_samples_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A writer that is short of time, with much to write at once: what it wrote goes to the system all the same."""
+    write = RecordingWriter.write
+
+    def slow(self: RecordingWriter, source: str, given: Sample) -> list[str]:
+        time.sleep(0.02)
+        return write(self, source, given)
+
+    monkeypatch.setattr(RecordingWriter, "write", slow)
+    source = Scripted("tof", [[plain(i) for i in range(100)], SourceEndedError("over")])
+    recorder = recorder_of(tmp_path / "a.mcap", [source], flush_s=0.1)
+    recorder.start()
+    outcome = finished(recorder)
+    assert outcome.sources[0].written == 100
+    with Scanner(tmp_path / "a.mcap") as scanner:
+        assert sum(isinstance(found, Chunk) for found in scanner.walk()) > 10, "one and its status, if by volume alone"
 
 
 def test_a_stalled_source_keeps_no_other_waiting(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from recorded_things import MESSAGES, SAMPLES, bits, take_samples, tof_frame
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Channels, Facts, Markers, Message, SegmentPoses
-from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take
+from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, recover
 
 TAKE = Take(action="reach", car="sedan", subjects=(Participant(code="S07", seat="driver", consent="C-12"),))
 NOW = 1_700_000_000_000_000_000
@@ -131,6 +131,27 @@ def test_rerun_takes_every_message(tmp_path: Path) -> None:
     assert "markers_cloud" in converted.stderr
     verified = rerun("rrd", "verify", "a.rrd")
     assert verified.returncode == 0, verified.stderr
+
+
+def test_a_topic_keeps_to_one_clock(tmp_path: Path) -> None:
+    """What has no time of its device has topics of its own, on the host's clock; our readers see no difference."""
+    frame = Sample(1, NOW, 5_000_000, b"frame", (Facts("restart", {}), Channels(("n",), np.array([1.0]))))
+    ping = Sample(None, NOW + 1, None, b"ping", (Facts("server", {}),))
+    samples = [("optical", frame), ("optical", ping)]
+    assert [bits(s) for _, s in written(tmp_path / "a.mcap", samples)] == [bits(s) for _, s in samples]
+    times: dict[str, set[int]] = {}
+    with (tmp_path / "a.mcap").open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            assert message.log_time in (NOW, NOW + 1)
+            times.setdefault(channel.topic, set()).add(message.publish_time)
+    del times["take"]
+    assert times == {
+        "optical/raw": {5_000_000}, "optical/facts": {5_000_000}, "optical/channels": {5_000_000},
+        "optical/raw_host": {NOW + 1}, "optical/facts_host": {NOW + 1},
+    }  # fmt: skip
+    recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    with Recording(tmp_path / "b.mcap") as recording:
+        assert [bits(s) for _, s in recording.samples()] == [bits(s) for _, s in samples]
 
 
 def test_json_fits_its_schema(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_what_is_shown_is_what_is_recorded(up: str, mode: str) -> None:
     for sample in samples:
         packet = vicon.decode(vicon.payload(sample.raw))
         assert packet.frame == sample.sequence
-        index = sample.sequence % seen.frames
+        index = (sample.sequence - 1) % seen.frames
         truth = emulator.frame(sample.sequence)
         for identity, subject in enumerate(seen.subjects, 1):
             (poses,), (markers,) = of(sample, SegmentPoses, subject.name), of(sample, Markers, subject.name)
@@ -144,7 +144,7 @@ def test_a_real_trial_is_streamed(real_data: Callable[[str], Path]) -> None:
     for sample in samples:
         box, person = of(sample, Markers, "boite")[0], of(sample, Markers, "Daphnee")[0]
         streamed = np.concatenate([box.position_m, person.position_m])
-        np.testing.assert_allclose(streamed, points[:3, :, sample.sequence].T / 1000, atol=1e-9)
+        np.testing.assert_allclose(streamed, points[:3, :, sample.sequence - 1].T / 1000, atol=1e-9)
     # The box is rigid: its segment carries its markers of the reference frame to where they are now.
     (box_motion,) = (subject for subject in seen.subjects if subject.name == "boite")
     first = int(np.isfinite(box_motion.marker_m).all(axis=2).sum(axis=1).argmax())
@@ -153,7 +153,7 @@ def test_a_real_trial_is_streamed(real_data: Callable[[str], Path]) -> None:
     assert np.nanmax(np.linalg.norm(carried - box_motion.marker_m, axis=2)) < 0.004
     poses = of(samples[-1], SegmentPoses, "boite")[0]
     assert poses.names == ("Root",)
-    np.testing.assert_allclose(poses.position_m, box_motion.position_m[samples[-1].sequence], atol=1e-9)
+    np.testing.assert_allclose(poses.position_m, box_motion.position_m[samples[-1].sequence - 1], atol=1e-9)
 
 
 def test_time_stamps_say_what_they_are() -> None:
@@ -164,7 +164,7 @@ def test_time_stamps_say_what_they_are() -> None:
         network = source.network_s
     captured = {sent.frame: sent.captured_ns for sent in emulator.log}
     for sample in samples:
-        assert sample.device_ns == sample.sequence * 5_000_000  # 200 Hz
+        assert sample.device_ns == (sample.sequence - 1) * 5_000_000  # 200 Hz, from the first frame on
         (channels,) = of(sample, Channels)
         values = dict(zip(channels.names, channels.values.tolist(), strict=True))
         assert values["latency_s"] == pytest.approx(0.03, abs=1e-12)
@@ -406,6 +406,42 @@ def test_the_emulator_answers_as_the_sdks_client_expects() -> None:
     assert emulator.malformed == 1
 
 
+def wait_for_frame(emulator: ViconEmulator, number: int) -> None:
+    limit = time.monotonic() + PATIENCE_S
+    while emulator._newest is None or emulator._newest[0] < number:
+        assert time.monotonic() < limit
+        time.sleep(0.005)
+
+
+def test_the_emulator_answers_the_sdks_pre_fetch_mode() -> None:
+    """The client asks for the next frame once, and again after each; it may do so before it has said what it wants."""
+    with ViconEmulator(motion(("S",))) as emulator, socket.create_connection(emulator.address, PATIENCE_S) as client:
+        splitter, packets = PacketSplitter(), []
+
+        def next_packet() -> Packet:
+            while not packets:
+                packets.extend(splitter.feed(client.recv(1 << 16)))
+            return vicon.decode(vicon.payload(packets.pop(0)))
+
+        assert next_packet().enums is not None
+        client.sendall(vicon.encode(Packet(next_frames=1)))
+        client.sendall(vicon.encode(Packet(enums=frozenset({5, 42}))))
+        numbers = [next_packet().frame]
+        wait_for_frame(emulator, numbers[0] + 10)  # none of which it asks for
+        client.sendall(vicon.encode(Packet(ping=1)))
+        assert next_packet().ping == 1
+        client.sendall(vicon.encode(Packet(next_frames=1)))
+        numbers.append(next_packet().frame)
+        client.sendall(vicon.encode(Packet(next_frames=3)))
+        numbers += [next_packet().frame for _ in range(3)]
+        wait_for_frame(emulator, numbers[-1] + 10)
+        client.sendall(vicon.encode(Packet(ping=2)))
+        assert next_packet().ping == 2
+    assert numbers[0] >= 1
+    assert numbers[1] > numbers[0] + 10, "the next one, not one that was captured before it asked"
+    assert (np.diff(numbers[2:]) == 1).all()
+
+
 def test_a_client_that_does_not_read_loses_frames_in_the_log_not_memory() -> None:
     seen = generated_motion(rng=np.random.default_rng(2), rate_hz=2000.0, seconds=0.1, subjects=tuple("ABCDEFGHIJ"))
     with ViconEmulator(seen) as emulator:
@@ -527,6 +563,25 @@ def test_subjects_that_leave_are_forgotten() -> None:
     assert decoder.subjects == ("S",)
     decoder.statics(Packet(contents=vicon.Contents({Type.SUBJECT_INFO: 0})))
     assert decoder.subjects == ()
+
+
+def test_orientations_of_a_server_with_y_up_are_the_sdks() -> None:
+    """Its axis mapping is T R Tᵀ: a turn about the server's vertical axis is one about ours, and no turn is none."""
+    decoder = PacketDecoder(up="y")
+    info = SubjectInfo(1, "S", tuple(SegmentInfo(0, i, f"s{i}") for i in (1, 2, 3)))
+    turns = [(0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.1, 0.0, 0.2)]  # about x, y and z of the server
+    rows = np.zeros(3, vicon.SEGMENT)
+    rows["segment"], rows["rotation"] = (1, 2, 3), Rotation.from_rotvec(turns).as_matrix().reshape(-1, 9)
+    rows["translation"][1] = (1000, 2000, 3000)
+    (facts,) = decoder.statics(Packet(subjects=[info], neutral={1: rows}))
+    (poses,) = decoder.poses(Packet(global_segments={1: rows}))
+    expected = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.3), (0.1, -0.2, 0.0)]
+    found = Rotation.from_quat(poses.orientation_wxyz, scalar_first=True).as_rotvec()
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    neutral = facts.values["neutral_pose"]
+    in_facts = Rotation.from_matrix([np.reshape(row["rotation_row_major"], (3, 3)) for row in neutral]).as_rotvec()
+    np.testing.assert_allclose(in_facts, expected, atol=1e-12)
+    assert neutral[1]["position_m"] == poses.position_m[1].tolist() == [1.0, -3.0, 2.0]
 
 
 def test_what_is_no_rotation_is_nan() -> None:

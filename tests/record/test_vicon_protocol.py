@@ -37,6 +37,7 @@ def by_hand() -> bytes:
     blocks = [
         block(100001, struct.pack("<III", 2, 1, 100004)),
         block(100002, b"\1"),
+        block(100008, struct.pack("<I", 3)),
         block(42, struct.pack("<Q", 1 << 40)),
         block(100004, struct.pack("<III", 1, 5, 1) + struct.pack("<II", 1, 2)),
         block(5, struct.pack("<I", 41)),
@@ -62,9 +63,10 @@ def test_reads_what_the_sdk_writes() -> None:
     assert packet.faults == 0
     assert packet.enums == {1, 100004}
     assert packet.streaming is True
+    assert packet.next_frames == 3
     assert packet.ping == 1 << 40
     assert packet.contents == Contents({5: 1}, frozenset({2}))
-    assert (packet.frame, packet.hardware_frame, packet.period, packet.y_up) == (41, 4100, 1_350_000, True)
+    assert (packet.frame, packet.hardware_frame, packet.period, packet.y_up) == (42, 4100, 1_350_000, True)
     assert packet.rates == {"Camera": 100.0}
     assert packet.latency == (("Camera", 0.004), ("Label", 0.001))
     bounds = tuple(map(float, range(6)))
@@ -96,17 +98,26 @@ def test_ids_are_the_sdks() -> None:
         "STREAM_INFO": 1, "SUBJECT_INFO": 2, "FRAME_INFO": 5, "LABELED_RECONS": 6, "UNLABELED_RECONS": 7, "LOCAL_SEGMENTS": 8,
         "GLOBAL_SEGMENTS": 9, "LATENCY_INFO": 26, "SUBJECT_TOPOLOGY": 28, "HARDWARE_FRAME_INFO": 36, "APPLICATION_INFO": 37,
         "FRAME_RATE_INFO": 39, "PING": 42, "OBJECT_ENUMS": 100001, "REQUEST_FRAME": 100002, "CONTENTS": 100004,
+        "REQUEST_NEXT_FRAME": 100008,
     }  # fmt: skip
+
+
+def test_frames_have_the_sdks_numbers() -> None:
+    """`GetFrameNumber` is the number in the bytes + 1, in 32 bits."""
+    for in_bytes, of_sdk in ((0, 1), (41, 42), (0xFFFFFFFF, 0)):
+        data = block(5, struct.pack("<I", in_bytes))
+        assert vicon.decode(data).frame == of_sdk
+        assert vicon.encode(Packet(frame=of_sdk))[8:] == data
 
 
 def test_unknown_blocks_are_skipped() -> None:
     unknown = block(65001, bytes(40)) + block(5, struct.pack("<I", 3))
     packet = vicon.decode(unknown)
-    assert (packet.frame, packet.faults) == (3, 0)
+    assert (packet.frame, packet.faults) == (4, 0)
 
 
 def test_a_later_version_may_append_to_a_block() -> None:
-    assert vicon.decode(block(5, struct.pack("<II", 3, 8))).frame == 3
+    assert vicon.decode(block(5, struct.pack("<II", 3, 8))).frame == 4
 
 
 @pytest.mark.parametrize(

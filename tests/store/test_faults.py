@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -255,8 +254,6 @@ def test_one_writer_a_folder(spheres: ModuleType, tmp_path: Path) -> None:
 
 
 def test_too_large_for_the_disk(spheres: ModuleType, tmp_path: Path) -> None:
-    start = time.perf_counter()
     with pytest.raises(DatasetError, match=r"frames need about .* GB"):
         create_dataset(tmp_path, spheres.manifest(frames=10**9, frames_per_part=10**6, width=352, height=287))
-    assert time.perf_counter() - start < 5
     assert list(tmp_path.iterdir()) == []

@@ -5,23 +5,29 @@ from __future__ import annotations
 import os
 import shutil
 import threading
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core.errors import CabinposeError, SourceEndedError
+from cabinpose.core.ports import FrameSource
 from cabinpose.record.config import Rig, SourcePlan
+from cabinpose.record.lane import is_data
 
-_PATIENCE_S = 20.0  # for one source; they are asked at the same time
+_PATIENCE_S = 25.0  # for one source; they are asked at the same time
+_LISTEN_S = 5.0  # to a source that is ready: so long may its first data take
+_READ_S = 0.1
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: its name and what is wrong with it, one line each; nothing = ready."""
+    """One thing looked at: its name and what is wrong with it, one line each; nothing = ready. required: a take needs it."""
 
     subject: str
     problems: tuple[str, ...]
+    required: bool = True
 
 
 def check(rig: Rig, out: Path | None, clock: HostClock) -> list[Finding]:
@@ -30,7 +36,7 @@ def check(rig: Rig, out: Path | None, clock: HostClock) -> list[Finding]:
     if out is not None:
         findings.append(Finding("disk", tuple(_disk(out, rig.storage.min_free_mb * 1e6))))
     asked = [(plan, _ask(plan, clock)) for plan in rig.sources]
-    return findings + [Finding(plan.name, wait()) for plan, wait in asked]
+    return findings + [Finding(plan.name, wait(), plan.required) for plan, wait in asked]
 
 
 def _take(rig: Rig) -> Finding:
@@ -51,13 +57,35 @@ def _disk(out: Path, min_free: float) -> list[str]:
     return [] if free > min_free else [f"{free / 1e6:.0f} MB free in {folder}, a take needs more than {min_free / 1e6:.0f} MB"]
 
 
+def _without_log(plan: SourcePlan) -> SourcePlan:
+    """A simulated camera's log is of the take, and is never overwritten: the check must not begin one."""
+    if "log" not in type(plan.settings).model_fields:
+        return plan
+    return replace(plan, settings=plan.settings.model_copy(update={"log": None}))
+
+
+def _listen(source: FrameSource) -> list[str]:
+    """What there is to say of a source that is there and sends nothing."""
+    until = time.monotonic() + _LISTEN_S
+    try:
+        source.open()
+        while time.monotonic() < until:
+            if any(map(is_data, source.read(_READ_S))):
+                return []
+    except SourceEndedError:
+        return []
+    finally:
+        source.close()
+    return [f"it is there and sends no data for {_LISTEN_S:.0f} s; let it send, or say `required: false` in the rig"]
+
+
 def _ask(plan: SourcePlan, clock: HostClock) -> Callable[[], tuple[str, ...]]:
     """Begin to ask a source; what is returned waits for its answer. A source that hangs is left behind."""
     answer: list[tuple[str, ...]] = []
 
     def ask() -> None:
         try:
-            answer.append(tuple(plan.build(clock).check()))
+            answer.append(tuple(plan.build(clock).check() or _listen(_without_log(plan).build(clock))))
         except CabinposeError as error:
             answer.append((f"{error}; {error.hint}" if error.hint else str(error),))
         except Exception as error:  # noqa: BLE001 - a source is anybody's code; its defect is a finding

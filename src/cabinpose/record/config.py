@@ -50,8 +50,11 @@ class Storage(BaseModel):
 
     compression: Compression = Field("none", description="of chunks: none is fastest, lz4 costs little, zstd saves most")
     queue_mb: float = Field(256.0, gt=0, le=65536, description="what may wait for the disk, of each source, MB")
+    queue_s: float = Field(
+        5.0, gt=0, le=600, description="and for how long, s: the death of the process costs this and flush_s at most"
+    )
     chunk_mb: float = Field(4.0, gt=0, le=256, description="a chunk is closed when it is so large, MB")
-    flush_s: float = Field(0.25, gt=0, le=10, description="or so old, s: what the death of the process costs at most")
+    flush_s: float = Field(0.25, gt=0, le=10, description="or so old, s")
     sync_s: float = Field(
         1.0, ge=0, le=600, description="pause between requests to the disk to hold it all, s; 0 = only at the end"
     )
@@ -65,7 +68,9 @@ class RigFile(BaseModel):
 
     take: Take = Field(default_factory=Take, description="who does what, where")
     storage: Storage = Field(default_factory=Storage, description="how the recording is written")
-    sources: dict[str, dict[str, Any]] = Field(min_length=1, description="by name: `kind`, and what the kind takes")
+    sources: dict[str, dict[str, Any]] = Field(
+        min_length=1, description="by name: `kind`, `required` (true unless said otherwise), and what the kind takes"
+    )
 
     @field_validator("sources")
     @classmethod
@@ -84,6 +89,7 @@ class SourcePlan:
     kind: str
     make: Any  # the class: name, settings and clock give a FrameSource
     settings: BaseModel
+    required: bool = True  # a take is not well without it
 
     def build(self, clock: HostClock) -> FrameSource:
         """The source, not yet open."""
@@ -131,6 +137,11 @@ def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
     if not isinstance(kind, str) or kind not in known:
         error = unknown_name("kind of source", str(kind), tuple(known))
         raise ConfigError(f"sources.{name}: {error}", hint=error.hint)
+    required = settings.pop("required", True)
+    if not isinstance(required, bool):
+        raise ConfigError(
+            f"sources.{name}.required: {required!r} is neither true nor false", hint="false: the take may end well without it"
+        )
     module, _, class_name = known[kind].partition(":")
     try:
         make = getattr(import_module(module), class_name)
@@ -140,7 +151,7 @@ def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
         ) from problem
     checked = _checked(make.Settings, settings, "sources", name)
     paths = {key: base / value for key, value in checked if isinstance(value, Path) and not value.is_absolute()}
-    return SourcePlan(name, kind, make, checked.model_copy(update=paths))
+    return SourcePlan(name, kind, make, checked.model_copy(update=paths), required)
 
 
 def _checked(model: type[Any], data: Any, *where: str) -> Any:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
 from cabinpose.core.ports import Counts, FrameSource, Sample
+from cabinpose.core.recorded import Facts
 from cabinpose.store.recording import SourceStatus
 from cabinpose.store.recording.messages import sample_bytes
 
@@ -23,6 +24,8 @@ RETRY_S = 0.5  # pause before a source is opened again; it doubles up to
 MOST_RETRY_S = 5.0
 _WINDOW_S = 2.0  # over which rates are measured
 _WINDOW_SAMPLES = 1000
+_SILENT_S = 1.0  # a source is silent after so long without data,
+_SILENT_INTERVALS = 10  # and after so many of its mean intervals
 _OVERHEAD = 256  # bytes of a sample beside its raw bytes and arrays
 
 
@@ -40,19 +43,35 @@ class LaneStatus:
 
 
 class Lane:
-    """A source, its thread and its queue. `wake` is set when samples wait."""
+    """A source, its thread and its queue. `wake` is set when samples wait.
+
+    queue_bytes, queue_s: no sample is taken into the queue beyond so many bytes, or while the oldest has waited for longer.
+    """
 
     def __init__(
-        self, source: FrameSource, kind: str, clock: HostClock, wake: threading.Event, *, queue_bytes: int = 1 << 28
+        self,
+        source: FrameSource,
+        kind: str,
+        clock: HostClock,
+        wake: threading.Event,
+        *,
+        queue_bytes: int = 1 << 28,
+        queue_s: float = 5.0,
     ) -> None:
         self.name, self.kind = source.name, kind
         self._source, self._clock, self._wake, self._room = source, clock, wake, queue_bytes
+        self._longest_ns = round(queue_s * 1e9)
         self._lock = threading.Lock()
-        self._queue: deque[tuple[int, Sample]] = deque()
+        self._queue: deque[tuple[int, int, Sample]] = deque()  # when it came here, ns; bytes
         self._queued = 0
         self._given = self._dropped = self._dropped_bytes = self._refused = self._restarts = 0
         self._state, self._error = "connecting", ""
         self._window: deque[tuple[int, int]] = deque(maxlen=_WINDOW_SAMPLES)  # arrival, nanoseconds from there to the file
+        self._data = 0  # samples that carry data
+        self._first_ns: int | None = None  # when they came, as their sources say
+        self._last_ns: int | None = None
+        self._began_ns = self._came_ns = 0  # when the first and the last of them came here; before the first: when it was opened
+        self._away = False
         self._stop = threading.Event()
         self.opened = threading.Event()
         self.failure: RecordingError | None = None
@@ -89,7 +108,7 @@ class Lane:
         taken: list[Sample] = []
         with self._lock:
             while self._queue and most_bytes > 0:
-                size, sample = self._queue.popleft()
+                _, size, sample = self._queue.popleft()
                 self._queued -= size
                 most_bytes -= size
                 taken.append(sample)
@@ -103,29 +122,43 @@ class Lane:
                 self._refused += len(refused)
                 self._error = refused[-1]
 
-    def status(self, written: int, *, final: bool = False) -> SourceStatus:
-        """Its counts; `written`: its samples in the file."""
+    def status(self, written: int, now_ns: int, *, final: bool = False) -> SourceStatus:
+        """Its counts; `written`: its samples in the file · now_ns: up to when its silence counts · final: the take is over."""
         seen: Counts = self._source.counts
         with self._lock:
-            silent = not self._window or self._clock.now_ns() - self._window[-1][0] > _WINDOW_S * 1e9
-            state = "waiting" if silent and self._state == "recording" else self._state
+            silence = self._silence(now_ns, final=final)
+            waiting = silence or not self._data
             return SourceStatus(
-                self.name, self.kind, state, seen.received, seen.lost, seen.reordered, seen.duplicate, seen.malformed,
+                self.name, self.kind, "waiting" if waiting and self._state == "recording" else self._state,
+                seen.received, seen.lost, seen.reordered, seen.duplicate, seen.malformed,
                 seen.restarts + self._restarts, written, self._dropped, self._dropped_bytes, self._refused, self._queued,
-                self._error, final,
+                "; ".join(filter(None, (self._error, silence))), final, self._first_ns, self._last_ns, bool(silence),
             )  # fmt: skip
+
+    def _silence(self, now_ns: int, *, final: bool) -> str:
+        """What there is to say of a source that sends nothing, for longer than it usually does; "" while it does."""
+        if self._state == "ended" or not self.opened.is_set():
+            return ""
+        quiet_s = max(now_ns - self._came_ns, 0) / 1e9
+        if not self._data:
+            return "no data came" if final or quiet_s > _SILENT_S else ""
+        usual_s = (self._came_ns - self._began_ns) / 1e9 / max(self._data - 1, 1)
+        if self._away or quiet_s > max(_SILENT_S, _SILENT_INTERVALS * usual_s):
+            return f"no data for {quiet_s:.1f} s"
+        return ""
 
     def live(self, written: int) -> LaneStatus:
         """What the panel shows."""
         now = self._clock.now_ns()
         with self._lock:
             window = [(at, wait) for at, wait in self._window if now - at < _WINDOW_S * 1e9]
-            queue = self._queued / self._room
+            waited_ns = now - self._queue[0][0] if self._queue else 0
+            queue = max(self._queued / self._room, min(waited_ns / self._longest_ns, 1.0))
         times = sorted(at for at, _ in window)
         intervals = [(b - a) / 1e6 for a, b in itertools.pairwise(times)]
         span = (times[-1] - times[0]) / 1e9 if times else 0.0
         return LaneStatus(
-            counts=self.status(written),
+            counts=self.status(written, now),
             rate_hz=(len(times) - 1) / span if span > 0 else 0.0,
             jitter_ms=statistics.pstdev(intervals) if intervals else 0.0,
             latency_ms=max((wait for _, wait in window), default=0) / 1e6,
@@ -139,12 +172,14 @@ class Lane:
                 self._source.open()
                 if self.opened.is_set():
                     self._restarts += 1
+                else:
+                    self._came_ns = self._clock.now_ns()
                 self.opened.set()
                 self._state = "recording"
                 while not self._stop.is_set():
                     samples = self._source.read(READ_S)
                     if samples:
-                        pause, self._state = RETRY_S, "recording"
+                        pause, self._state, self._away = RETRY_S, "recording", False
                         self._put(samples)
             except SourceEndedError:
                 self._state = "ended"
@@ -155,7 +190,7 @@ class Lane:
                     self._state = "failed"
                     self.failure = error if isinstance(error, RecordingError) else RecordingError(f"{self.name}: {error!r}")
                     break
-                self._state = "retrying"
+                self._state, self._away = "retrying", True
             finally:
                 self._close()
             self._stop.wait(pause)
@@ -172,14 +207,25 @@ class Lane:
             self._error = str(error) or type(error).__name__
 
     def _put(self, samples: Sequence[Sample]) -> None:
+        now_ns = self._clock.now_ns()
         with self._lock:
             for sample in samples:
+                if is_data(sample):
+                    self._began_ns, self._came_ns = self._began_ns or now_ns, now_ns
+                    self._first_ns, self._last_ns = self._first_ns or sample.host_ns, sample.host_ns
+                    self._data += 1
                 size = _OVERHEAD + len(sample.raw) + sample_bytes(sample.messages)
                 self._given += 1
-                if self._queued and self._queued + size > self._room:
+                late = bool(self._queue) and now_ns - self._queue[0][0] > self._longest_ns
+                if late or (self._queue and self._queued + size > self._room):
                     self._dropped += 1
                     self._dropped_bytes += size
                 else:
-                    self._queue.append((size, sample))
+                    self._queue.append((now_ns, size, sample))
                     self._queued += size
         self._wake.set()
+
+
+def is_data(sample: Sample) -> bool:
+    """Whether it says what was measured: a device that is dead may still answer pings, and say what it is called."""
+    return sample.sequence is not None or any(not isinstance(message, Facts) for message in sample.messages)

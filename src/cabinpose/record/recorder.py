@@ -1,7 +1,7 @@
 """Several sources into one file, side by side: a thread each, and one that writes.
 
-No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes, and what finds it full
-is dropped and counted. The writing thread takes from the queues in turn.
+No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes and seconds, and what
+finds it full is dropped and counted. The writing thread takes from the queues in turn.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.record.lane import Lane, LaneStatus
 from cabinpose.store.recording import RecordingWriter, SourceStatus
 
-_TURN_BYTES = 8 << 20  # that one source may write before the next has its turn
+_TURN_BYTES = 1 << 20  # that one source may write before the next has its turn
 _STATUS_S = 1.0
 _IDLE_S = 0.05
 _STOP_S = 5.0  # for a source to stop; after that it is left behind
@@ -36,12 +36,21 @@ class RecorderStatus:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a take ended: the counts of its sources, seconds, bytes of the file, and the error that ended it, if one did."""
+    """How a take ended: the counts of its sources, bytes of the file, and the error that ended it, if one did.
+
+    started_ns, ended_ns: host time at which all sources were open, and at which they were asked to stop.
+    """
 
     sources: tuple[SourceStatus, ...]
-    seconds: float
+    started_ns: int
+    ended_ns: int
     bytes_written: int
     error: RecordingError | None
+
+    @property
+    def seconds(self) -> float:
+        """How long the take was."""
+        return (self.ended_ns - self.started_ns) / 1e9
 
 
 class Recorder:
@@ -54,24 +63,25 @@ class Recorder:
         self._lanes, self._writer, self._clock, self._wake = tuple(lanes), writer, clock, wake
         self._min_free = min_free_bytes
         self._stopping = threading.Event()
-        self._began = time.monotonic()
+        self._started_ns = self._ended_ns = clock.now_ns()
         self._free = self._min_free
-        self._rate = (self._began, 0, 0.0)  # when, bytes then, bytes a second before
+        self._rate = (time.monotonic(), 0, 0.0)  # when, bytes then, bytes a second before
         self._error: RecordingError | None = None
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
 
     def start(self, timeout_s: float = 30.0) -> None:
         """Open all sources and begin. Raises RecordingError, with nothing left running, where one cannot be opened."""
-        self._began = time.monotonic()
+        until = time.monotonic() + timeout_s
         for lane in self._lanes:
             lane.start()
         for lane in self._lanes:
-            if not lane.opened.wait(max(self._began + timeout_s - time.monotonic(), 0.0)) or lane.failure is not None:
+            if not lane.opened.wait(max(until - time.monotonic(), 0.0)) or lane.failure is not None:
                 self._halt_sources()
                 self._writer.close()
                 raise lane.failure or RecordingError(
                     f"{lane.name} does not answer", hint="`cabinpose record --check` says what is missing"
                 )
+        self._started_ns = self._ended_ns = self._clock.now_ns()
         self._thread.start()
 
     @property
@@ -82,16 +92,18 @@ class Recorder:
     def status(self) -> RecorderStatus:
         """What the panel shows."""
         lanes = tuple(lane.live(self._writer.samples(lane.name)) for lane in self._lanes)
-        return RecorderStatus(lanes, time.monotonic() - self._began, self._writer.bytes_written, self._rate[2], self._free)
+        elapsed = (self._clock.now_ns() - self._started_ns) / 1e9
+        return RecorderStatus(lanes, elapsed, self._writer.bytes_written, self._rate[2], self._free)
 
     def stop(self) -> Outcome:
         """Stop the sources, write what waits, end the file. Samples that a disk refused are among the dropped."""
+        self._ended_ns = self._clock.now_ns()
         self._halt_sources()
         self._stopping.set()
         self._wake.set()
         self._thread.join()
         counts = tuple(self._account(lane) for lane in self._lanes)
-        return Outcome(counts, time.monotonic() - self._began, self._writer.bytes_written, self._error)
+        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.bytes_written, self._error)
 
     def _halt_sources(self) -> None:
         for lane in self._lanes:
@@ -102,9 +114,9 @@ class Recorder:
 
     def _run(self) -> None:
         try:
+            self._tell_counts(self._started_ns)  # the first and the last of them say when the take began and ended
             self._write()
-            for lane in self._lanes:
-                self._writer.write_status(lane.status(self._writer.samples(lane.name), final=True), self._clock.now_ns())
+            self._tell_counts(self._ended_ns, final=True)
         except RecordingError as error:
             self._error = error
         except Exception as error:  # noqa: BLE001 - whatever it is, the file gets its end first
@@ -129,8 +141,9 @@ class Recorder:
                 for lane in self._lanes:
                     for sample in lane.take(_TURN_BYTES):
                         lane.written(sample, self._writer.write(lane.name, sample))
+                        self._writer.poll()  # after each: where much waits, a chunk must not become old before it is full
                         wrote = True
-                    self._writer.poll()
+                self._writer.poll()
                 if time.monotonic() >= next_status:
                     next_status = time.monotonic() + _STATUS_S
                     self._tick()
@@ -139,8 +152,7 @@ class Recorder:
 
     def _tick(self) -> None:
         """Once a second: the counts into the file, and a look at the disk."""
-        for lane in self._lanes:
-            self._writer.write_status(lane.status(self._writer.samples(lane.name)), self._clock.now_ns())
+        self._tell_counts(self._clock.now_ns())
         now, before = time.monotonic(), self._rate
         done = self._writer.bytes_written
         self._rate = (now, done, (done - before[1]) / max(now - before[0], 1e-9))
@@ -151,8 +163,12 @@ class Recorder:
                 hint="free disk space, or record to another disk; the recording is whole up to here",
             )
 
+    def _tell_counts(self, now_ns: int, *, final: bool = False) -> None:
+        for lane in self._lanes:
+            self._writer.write_status(lane.status(self._writer.samples(lane.name), now_ns, final=final), now_ns)
+
     def _account(self, lane: Lane) -> SourceStatus:
         """The counts of a source that has stopped: what it gave and is not in the file has been dropped."""
         written = self._writer.samples(lane.name)
-        status = lane.status(written, final=True)
+        status = lane.status(written, self._ended_ns, final=True)
         return replace(status, dropped=lane.given - written, queue_bytes=0)

@@ -20,7 +20,10 @@ def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
     is left behind then.
     """
     storage, wake = rig.storage, threading.Event()
-    lanes = [Lane(plan.build(clock), plan.kind, clock, wake, queue_bytes=int(storage.queue_mb * 1e6)) for plan in rig.sources]
+    queue_bytes = int(storage.queue_mb * 1e6)
+    lanes = [
+        Lane(plan.build(clock), plan.kind, clock, wake, queue_bytes=queue_bytes, queue_s=storage.queue_s) for plan in rig.sources
+    ]
     writer = RecordingWriter(
         out,
         rig.take,

@@ -16,7 +16,7 @@ _OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # the
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return the exit code: 0 done, 2 a mistake the user can mend, 130 interrupted."""
+    """Run one command and return the exit code: 0 done, 1 done and not well, 2 a mistake the user can mend, 130 interrupted."""
     import tyro
 
     import cabinpose
@@ -42,7 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
-            import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
+            code: int | None = import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
+            return code or 0
     except CabinposeError as error:
         print(f"error: {printable(error)}", file=sys.stderr)
         if error.hint:

@@ -396,8 +396,8 @@ class EmulateVicon:
     """Frames a second; default: the motion's (generated: 100)."""
     subjects: int = 1
     """People of a generated motion, side by side."""
-    first_frame: int = 0
-    """Number of the first frame."""
+    first_frame: int = 1
+    """Number of the first frame, as the vendor's SDK tells it."""
     latency: float = 0.0
     """Seconds from a frame's capture to its sending, as the server reports them."""
     clock_drift: float = 0.0

@@ -6,6 +6,7 @@ import dataclasses
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,13 +20,15 @@ from cabinpose.core.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
     from cabinpose.record.config import Rig
+    from cabinpose.record.recorder import Outcome, Recorder
     from cabinpose.store.recording import SourceStatus
 
 _REFRESH_S = 0.25
+_FIRST_DATA_S = 2.0  # a source that has sent nothing for so long at the start is told of
 
 
-def run(command: Record) -> None:
-    """Check, or record until Ctrl-C, the end of the duration, or of all sources."""
+def run(command: Record) -> int:
+    """Check, or record until Ctrl-C, the end of the duration, or of all sources; 1 where one that is needed fell silent."""
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
     from cabinpose.record.config import load_rig, load_take
 
@@ -34,19 +37,19 @@ def run(command: Record) -> None:
         rig = dataclasses.replace(rig, take=load_take(command.take))
     if command.check:
         _check(command, rig)
-        return
+        return 0
     if command.out is None:
         raise ConfigError("where to record is not said", hint="--out FILE.mcap, or --check to record nothing")
     if command.duration is not None and command.duration <= 0:
         raise ConfigError(f"a take of {command.duration:g} s is none", hint="give --duration more than 0")
-    _record(command, rig, command.out)
+    return _record(command, rig, command.out)
 
 
 def _check(command: Record, rig: Rig) -> None:
     from cabinpose.record.check import check
 
     findings = check(rig, command.out, HostClock())
-    missing = sum(bool(finding.problems) for finding in findings)
+    missing = sum(bool(finding.problems) and finding.required for finding in findings)
     if command.as_json:
         print_json({"ready": not missing, "findings": {f.subject: list(f.problems) for f in findings}})
     else:
@@ -55,17 +58,21 @@ def _check(command: Record, rig: Rig) -> None:
         raise RecordingError(f"{missing} of {len(findings)} are not ready", hint="mend what is listed, then check again")
 
 
-def _record(command: Record, rig: Rig, out: Path) -> None:
+def _record(command: Record, rig: Rig, out: Path) -> int:
     from cabinpose.app.cli.panel import panel
     from cabinpose.record.session import begin
 
     recorder = begin(rig, out, HostClock())
-    until = time.monotonic() + (command.duration or float("inf"))
+    began = time.monotonic()
+    until, warned = began + (command.duration or float("inf")), False
     with _asked_to_stop() as asked, panel(out, command.duration) as show:
         try:
             while recorder.running and time.monotonic() < until and not asked():
                 show(recorder.status())
-                time.sleep(_REFRESH_S)
+                if not warned and time.monotonic() - began > _FIRST_DATA_S:
+                    warned = True
+                    _warn_of_silence(recorder)
+                time.sleep(max(min(_REFRESH_S, until - time.monotonic()), 0.0))
         finally:
             outcome = recorder.stop()
     totals = {s.source: dataclasses.asdict(s) for s in outcome.sources}
@@ -73,19 +80,39 @@ def _record(command: Record, rig: Rig, out: Path) -> None:
         print_json({"recording": str(out), "seconds": outcome.seconds, "bytes": outcome.bytes_written, "sources": totals})
     else:
         print(f"{out}: {outcome.seconds:.1f} s, {outcome.bytes_written / 1e6:.1f} MB")
-        print_rows((s.source, _counts(s)) for s in outcome.sources)
+        print_rows((s.source, _counts(s, outcome.started_ns)) for s in outcome.sources)
     if outcome.error is not None:
         raise outcome.error
+    return _told_of_silence(outcome, {plan.name for plan in rig.sources if plan.required})
 
 
-def _counts(status: SourceStatus) -> str:
-    """Samples in the file, and what else came of what was sent, where there is any."""
+def _warn_of_silence(recorder: Recorder) -> None:
+    for lane in recorder.status().lanes:
+        if lane.counts.first_ns is None and lane.counts.state != "ended":
+            warnings.warn(f"{lane.counts.source} has sent no data since the take began", stacklevel=2)
+
+
+def _told_of_silence(outcome: Outcome, required: set[str]) -> int:
+    """The exit code of a take that was written: 1 where a source that it needs was silent at its end, which is told."""
+    silent = [status.source for status in outcome.sources if status.silent and status.source in required]
+    if not silent:
+        return 0
+    print(f"error: silent at the end of the take: {', '.join(silent)}", file=sys.stderr)
+    print("hint: the file is whole; look at the device, or say `required: false` of it in the rig", file=sys.stderr)
+    return 1
+
+
+def _counts(status: SourceStatus, started_ns: int) -> str:
+    """Samples in the file, when its data came, and what else came of what was sent, where there is any."""
     others = {
         name: getattr(status, name)
         for name in ("lost", "dropped", "reordered", "duplicate", "malformed", "refused", "restarts")
         if getattr(status, name)
     }
-    return f"{status.written} samples" + "".join(f", {count} {name}" for name, count in others.items())
+    counts = f"{status.written} samples" + "".join(f", {count} {name}" for name, count in others.items())
+    if status.first_ns is not None and status.last_ns is not None:
+        counts += f", from {(status.first_ns - started_ns) / 1e9:.2f} s to {(status.last_ns - started_ns) / 1e9:.2f} s"
+    return counts + (f"; {status.error}" if status.error else "")
 
 
 @contextmanager

@@ -69,6 +69,10 @@ def recording_info(path: Path, *, as_json: bool) -> None:
     )
     print()
     print_table(source_rows(found))
+    errors = [(s.name, s.status.error) for s in found.sources if s.status is not None and s.status.error]
+    if errors:
+        print()
+        print_rows(errors)
     print()
     print_table(topic_rows(found), words=(0, 1))
 
@@ -85,6 +89,8 @@ def as_data(found: Survey) -> dict[str, Any]:
         "sources": {
             s.name: {
                 "samples": s.samples,
+                "first_ns": s.first_ns,
+                "last_ns": s.last_ns,
                 "rate_hz": s.rate_hz,
                 "jitter_ms": s.jitter_ms,
                 "missing": s.missing,

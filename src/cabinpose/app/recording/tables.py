@@ -10,6 +10,8 @@ def source_rows(found: Survey) -> list[list[str]]:
     head = [
         "source",
         "samples",
+        "first_s",
+        "last_s",
         "rate/s",
         "jitter_ms",
         "gaps",
@@ -21,7 +23,7 @@ def source_rows(found: Survey) -> list[list[str]]:
         "bad",
         "restarts",
     ]
-    return [[title.replace("_", " ") for title in head], *(_source(source) for source in found.sources)]
+    return [[title.replace("_", " ") for title in head], *(_source(source, found.started_ns) for source in found.sources)]
 
 
 def topic_rows(found: Survey) -> list[list[str]]:
@@ -32,9 +34,17 @@ def topic_rows(found: Survey) -> list[list[str]]:
     ]
 
 
-def _source(source: SourceSurvey) -> list[str]:
+def _source(source: SourceSurvey, started_ns: int) -> list[str]:
     longest = float((source.gaps[:, 1] - source.gaps[:, 0]).max()) if len(source.gaps) else 0.0
-    seen = [str(source.samples), f"{source.rate_hz:.1f}", f"{source.jitter_ms:.2f}", str(len(source.gaps)), f"{longest:.2f}"]
+    ends = ["-" if at is None else f"{(at - started_ns) / 1e9:.2f}" for at in (source.first_ns, source.last_ns)]
+    seen = [
+        str(source.samples),
+        *ends,
+        f"{source.rate_hz:.1f}",
+        f"{source.jitter_ms:.2f}",
+        str(len(source.gaps)),
+        f"{longest:.2f}",
+    ]
     row = [source.name, *seen, str(source.missing)]
     if (status := source.status) is None:
         return row + ["?"] * 5

@@ -53,8 +53,8 @@ class ViconEmulatorSettings(BaseModel):
     """Port to listen on; 0 takes a free one. The vendor's is 801, which most systems keep for the administrator."""
     rate_hz: Annotated[float | None, Field(gt=0, le=20_000)] = None
     """Frames a second; None: the motion's."""
-    first_frame: Annotated[int, Field(ge=0, lt=1 << 32)] = 0
-    """Number of the first frame: how far the server's frame clock was when we came."""
+    first_frame: Annotated[int, Field(ge=1, lt=vicon.FRAME_COUNTER)] = 1
+    """Number of the first frame, as the SDK tells it: how far the server's frame clock was when we came."""
     drift_ppm: Annotated[float, Field(ge=-100_000, le=100_000)] = 0.0
     """By how much the server's clock runs fast, in millionths."""
     latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
@@ -100,7 +100,8 @@ class _Client:
     wanted: frozenset[int] | None = None
     statics_due: bool = True
     streaming: bool = False
-    asked: bool = False
+    asked: bool = False  # for the newest frame, if it has not had it
+    next_frames: int = 0  # that it asked for and that are still to be captured
     last: int | None = None
 
 
@@ -312,13 +313,15 @@ class ViconEmulator:
                 self._post(client, Packet(ping=packet.ping))
             if packet.streaming is not None:
                 client.streaming, client.asked = packet.streaming, not packet.streaming
+            if packet.next_frames is not None:
+                client.next_frames += packet.next_frames
             if client.asked and self._newest is not None and self._newest[0] != client.last:
                 self._give(client, *self._newest)
         self.malformed += client.splitter.malformed - malformed
 
     def _tick(self, count: int) -> None:
         """The frame `count` is due: give it to those who want it."""
-        number = (self._first + count) % (1 << 32)
+        number = (self._first + count) % vicon.FRAME_COUNTER
         captured_ns = self._clock.from_monotonic_ns(round(self._captured(count) * 1e9))
         if self._content.dropped(number):
             now_ns = self._clock.now_ns()
@@ -328,8 +331,10 @@ class ViconEmulator:
             return
         self._newest = (number, captured_ns)
         for client in list(self._clients.values()):
-            if client.streaming or client.asked:
+            if client.streaming or client.asked or client.next_frames:
                 self._give(client, number, captured_ns)
+                if client.last == number:
+                    client.next_frames = max(client.next_frames - 1, 0)
 
     def _give(self, client: _Client, number: int, captured_ns: int) -> None:
         if client.wanted is None:  # asked before it said what for

@@ -12,7 +12,7 @@ from cabinpose.record.emulate.vicon_motion import Motion, SubjectMotion
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon_protocol import STATIC, Contents, Packet, Rows, SegmentInfo, SubjectInfo, Type
 
-OFFERED = frozenset(Type) - {Type.OBJECT_ENUMS, Type.REQUEST_FRAME}
+OFFERED = frozenset(Type) - {Type.OBJECT_ENUMS, Type.REQUEST_FRAME, Type.REQUEST_NEXT_FRAME}
 _LATENCY_PARTS = (("Camera", 0.5), ("Reconstruct", 0.3), ("Label", 0.2))  # what a latency consists of
 _MARKER_RADIUS_MM = 7.0
 
@@ -40,9 +40,9 @@ class ViconContent:
         self._y_up, self._server = y_up, ZUP_FROM_YUP.T if y_up else np.eye(3)
 
     def frame(self, number: int) -> Packet:
-        """Everything but the statics."""
+        """Everything but the statics; number: the SDK's, which begins with 1."""
         rng = np.random.Generator(np.random.Philox(key=(self._seed, number)))
-        index = number % self.motion.frames
+        index = (number - 1) % self.motion.frames
         packet = Packet(frame=number, hardware_frame=number, rates={"Camera": self._rate_hz}, latency=self._latency)
         labeled = [np.empty(0, vicon.LABELED)]
         for subject in self._subjects:
@@ -87,17 +87,16 @@ class _Subject:
         self.info = SubjectInfo(identity, motion.name, tuple(segments), markers, attachments)
 
     def global_rows(self, index: int, server: F64, solved: Rows) -> Rows:
-        return _segment_rows(self.motion.position_m[index] @ server.T, server @ self.motion.rotation[index], solved)
+        return _segment_rows(self.motion.position_m[index], self.motion.rotation[index], server, solved)
 
     def local_rows(self, index: int, server: F64, solved: Rows) -> Rows:
         """In the parent's frame; the root in the world's."""
         position, rotation = self.motion.position_m[index], self.motion.rotation[index]
         parents = np.array(self.motion.parents)
         root = (parents < 0)[:, None, None]
-        parent_rotation = np.where(root, server.T, rotation[parents])
-        parent_position = np.where(root[..., 0], 0.0, position[parents])
-        back = parent_rotation.transpose(0, 2, 1)
-        return _segment_rows((back @ (position - parent_position)[..., None])[..., 0], back @ rotation, solved)
+        back = np.where(root, np.eye(3), rotation[parents]).transpose(0, 2, 1)
+        from_parent = position - np.where(root[..., 0], 0.0, position[parents])
+        return _segment_rows((back @ from_parent[..., None])[..., 0], back @ rotation, server, solved)
 
     def marker_rows(self, index: int, server: F64, draw: F64, occlude: float) -> Rows:
         points = self.motion.marker_m[index]
@@ -109,11 +108,13 @@ class _Subject:
         return rows
 
 
-def _segment_rows(position_m: F64, rotation: F64, solved: Rows) -> Rows:
+def _segment_rows(position_m: F64, rotation: F64, server: F64, solved: Rows) -> Rows:
+    """Poses on the axes of the server, which both the world and the frames of the segments have."""
     solved = solved & np.isfinite(position_m).all(axis=1)
     rows = np.zeros(int(solved.sum()), vicon.SEGMENT)
     rows["segment"] = np.flatnonzero(solved) + 1
-    rows["translation"], rows["rotation"] = position_m[solved] * 1e3, rotation[solved].reshape(-1, 9)
+    rows["translation"] = position_m[solved] @ server.T * 1e3
+    rows["rotation"] = (server @ rotation[solved] @ server.T).reshape(-1, 9)
     return rows
 
 

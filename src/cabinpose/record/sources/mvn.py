@@ -16,7 +16,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -34,6 +34,7 @@ _BATCH = 512  # datagrams of one read: what waits longer is read by the next
 _DATAGRAM = 1 << 16
 _STREAM_LIMIT = 1 << 18  # bytes of a stream that may wait for the rest of a datagram
 _CLOCK_BACK_MS = 1000  # a device clock that falls by more has begun anew
+_CLOCKS = 1024  # of characters of senders, more than a rig has
 _RETRY_S = 0.5
 _LINUX = sys.platform.startswith("linux")
 # asm-generic/socket.h; the socket module does not name them
@@ -78,7 +79,7 @@ class MvnSource:
         self._counts = Counts()
         self._ledger = Ledger(self._counts, step=self.settings.counter_step, window_s=self.settings.reorder_window_s)
         self._decoder = Decoder(position_unit=self.settings.position_unit, subjects=self.settings.subjects)
-        self._clocks: dict[int, Unwrapper] = {}
+        self._clocks: dict[tuple[Hashable, int], Unwrapper] = {}
         self._socket: socket.socket | None = None  # UDP, or what listens for TCP
         self._stream: socket.socket | None = None  # the connection of TCP
         self._waiting = b""
@@ -180,7 +181,7 @@ class MvnSource:
         samples = []
         for _ in range(_BATCH):
             try:
-                size, ancillary, _, _ = self._socket.recvmsg_into([self._buffer], _ANCILLARY)
+                size, ancillary, _, sender = self._socket.recvmsg_into([self._buffer], _ANCILLARY)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError:  # an ICMP error of a socket that only listens says nothing
@@ -188,7 +189,7 @@ class MvnSource:
             host_ns = self._clock.now_ns()
             if ancillary:
                 host_ns -= self._kernel_notes(ancillary)
-            samples.append(self.take(bytes(self._buffer[:size]), host_ns))
+            samples.append(self.take(bytes(self._buffer[:size]), host_ns, sender))
         return samples
 
     def _kernel_notes(self, ancillary: Sequence[tuple[int, int, bytes]]) -> int:
@@ -294,16 +295,19 @@ class MvnSource:
         self._waiting = b""
 
     # ---------------------------------------------------------------------------------------------------- datagrams
-    def take(self, data: bytes, host_ns: int) -> Sample:
-        """What one datagram that arrived at `host_ns` is; malformed ones and duplicates carry no messages."""
+    def take(self, data: bytes, host_ns: int, sender: Hashable = None) -> Sample:
+        """What one datagram that arrived at `host_ns` is; malformed ones and duplicates carry no messages.
+
+        sender: its address, where several may send (UDP); each counts by itself.
+        """
         try:
             header, payload = mvn.read_datagram(data)
             if header.kind not in mvn.COUNTED:
-                return Sample(None, host_ns, self._device_ns(header, host_ns), data, self._decoder(header, payload))
-            arrival = self._ledger.arrive(header, payload, hash(data), host_ns)
+                return Sample(None, host_ns, self._device_ns(header, host_ns, sender), data, self._decoder(header, payload))
+            arrival = self._ledger.arrive(header, payload, hash(data), host_ns, sender)
             if arrival.restarted:
                 self._began_anew()
-            device_ns = self._device_ns(header, host_ns)
+            device_ns = self._device_ns(header, host_ns, sender)
             if arrival.payload is None:
                 return Sample(None, host_ns, device_ns, data)
             if header.items != arrival.items:
@@ -317,11 +321,13 @@ class MvnSource:
         self._clocks.clear()
         self._decoder.restart()
 
-    def _device_ns(self, header: Header, host_ns: int) -> int:
+    def _device_ns(self, header: Header, host_ns: int, sender: Hashable) -> int:
         """The sender's time of a sample; a new recording in MVN starts it again, which is a new beginning."""
-        clock = self._clocks.get(header.character)
+        clock = self._clocks.get((sender, header.character))
         if clock is None:
-            clock = self._clocks[header.character] = Unwrapper(1 << 32)
+            if len(self._clocks) >= _CLOCKS:
+                self._clocks.clear()
+            clock = self._clocks[sender, header.character] = Unwrapper(1 << 32)
         elif clock.last is not None and _CLOCK_BACK_MS < (clock.last - header.time_ms) % (1 << 32) < 1 << 31:
             clock.restart()
             self._ledger.restarted(host_ns)

@@ -1,14 +1,15 @@
-"""What became of each sample that an MVN sender sent: received, lost, late, twice, or in pieces; and whether it began anew.
+"""What became of each sample that MVN senders sent: received, lost, late, twice, or in pieces; and whether one began anew.
 
-MVN counts samples; every type of every character is a stream of its own that carries the count. `received` and `lost` count
-whole samples of a stream (one that came in pieces is lost while a piece is missing); `reordered` and `duplicate` count
-datagrams. What was sent before the first and after the last sample that came cannot be known.
+MVN counts samples; every type of every character of a sender is a stream of its own that carries the count. `received` and
+`lost` count whole samples of a stream (one that came in pieces is lost while a piece is missing); `reordered` and `duplicate`
+count datagrams. What was sent before the first and after the last sample that came cannot be known.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import OrderedDict
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -51,7 +52,7 @@ class Arrival(NamedTuple):
 
 
 class Ledger:
-    """Keeps the account of one sender in `counts`. `incomplete` is the part of `lost` of which some pieces came.
+    """Keeps the account of what comes to one address in `counts`. `incomplete` is the part of `lost` of which some pieces came.
 
     `step`: by how much the sample counter rises from one sample sent to the next, more than 1 where MVN streams at a lower
     rate than it captures (it may be a fraction); None: 1, until 16 rises show that it is at least 2. `window_s`: what
@@ -66,14 +67,16 @@ class Ledger:
         self.incomplete = 0
         self.step, self.restart_gap, self.memory = step, restart_gap, memory
         self.window_ns = round(window_s * 1e9)
-        self._streams: dict[tuple[int, int], _Stream] = {}
+        self._streams: dict[tuple[Hashable, int, int], _Stream] = {}
         self._next = _FIRST
         self._restarted_ns: int | None = None
 
-    def arrive(self, header: Header, payload: bytes, digest: int, host_ns: int) -> Arrival:
-        """Take note of a datagram of a counted type. Raises MalformedError where it contradicts earlier pieces."""
-        key = (header.kind, header.character)
-        stream = self._streams.get(key)
+    def arrive(self, header: Header, payload: bytes, digest: int, host_ns: int, sender: Hashable = None) -> Arrival:
+        """Take note of a datagram of a counted type, which came from `sender`: two may use one id for their characters. Raises
+        MalformedError where it contradicts earlier pieces.
+        """
+        key = (sender, header.kind, header.character)
+        stream = self._streams.get(key) or self._moved(key, host_ns)
         if stream is None:
             if len(self._streams) >= _STREAMS:
                 self._drop_idle(host_ns)
@@ -87,6 +90,14 @@ class Ledger:
         again = stream.arrive(header, payload, digest, host_ns)
         assert again is not None  # nothing precedes it
         return again._replace(restarted=restarted)
+
+    def _moved(self, key: tuple[Hashable, int, int], host_ns: int) -> _Stream | None:
+        """The stream of a sender that has fallen silent: one that begins anew mostly has another port."""
+        for other, stream in self._streams.items():
+            if other[1:] == key[1:] and host_ns - stream.arrived_ns > self.window_ns:
+                self._streams[key] = self._streams.pop(other)
+                return stream
+        return None
 
     def restarted(self, host_ns: int) -> bool:
         """Count a restart, noticed by whatever means, unless it is one that was noticed within the window before."""

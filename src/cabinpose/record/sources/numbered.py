@@ -33,6 +33,9 @@ class NumberedSettings(BaseModel):
     lose_every: int = Field(0, ge=0, description="each so manieth number is lost on the way; 0 = none")
     die_every: int = Field(0, ge=0, description="after so many samples the device goes away; 0 = never")
     dead_s: float = Field(0.0, ge=0, description="for how long; what it counts meanwhile is lost")
+    silent_from: int | None = Field(
+        None, ge=0, description="from this number on it sends nothing, and does not end; left out: never"
+    )
     burst: int = Field(1, ge=1, le=_MOST_AT_ONCE, description="samples that are delivered together")
 
 
@@ -98,7 +101,7 @@ class NumberedSource:
             wait = min((self.sent + settings.burst) / settings.rate_hz - self._elapsed_s(), until - time.monotonic())
             if until <= time.monotonic():
                 return []
-            time.sleep(max(min(wait, 0.05), 0.0))
+            time.sleep(max(min(wait, 0.05), 0.001))
 
     def close(self) -> None:
         """Disconnect."""
@@ -110,7 +113,8 @@ class NumberedSource:
     def _due(self) -> int:
         """How many numbers the device has used by now."""
         due = int(self._elapsed_s() * self.settings.rate_hz)
-        return due if self.settings.samples is None else min(due, self.settings.samples)
+        limits = (self.settings.samples, self.settings.silent_from)
+        return min([due, *(limit for limit in limits if limit is not None)])
 
     def _lose(self, until: int) -> None:
         self._counts.lost += until - self.sent

@@ -12,11 +12,10 @@ import numpy as np
 from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.ports import Counts
 from cabinpose.core.recorded import F64, Channels, Facts, Markers, Message, SegmentPoses
-from cabinpose.record.sources.vicon_protocol import TICKS_PER_SECOND, Packet, Rows, SubjectInfo, Type
+from cabinpose.record.sources.vicon_protocol import FRAME_COUNTER, TICKS_PER_SECOND, Packet, Rows, SubjectInfo, Type
 
 _MM = 1e-3
 _NOT_A_ROTATION = 1e-3  # largest deviation of an element from the nearest rotation's; a server's deviate by 1e-7
-_COUNTER = 1 << 32
 _LATE_S = 60.0  # no frame waits longer on its way
 _RATE_UNKNOWN_HZ = 1000.0
 
@@ -94,8 +93,8 @@ class PacketDecoder:
         return TICKS_PER_SECOND / self.period if self.period > 0 else None
 
     def device_ns(self, frame: int) -> int | None:
-        """The time of a frame on the server's frame clock, which begins at frame 0; None if that is no int64."""
-        time_ns = frame * self.period * 1_000_000_000 // TICKS_PER_SECOND
+        """The time of a frame on the server's frame clock, which begins with the first, number 1; None if that is no int64."""
+        time_ns = (frame - 1) * self.period * 1_000_000_000 // TICKS_PER_SECOND
         return time_ns if self.period > 0 and time_ns < 1 << 63 else None
 
     def statics(self, packet: Packet) -> list[Message]:
@@ -131,7 +130,7 @@ class PacketDecoder:
             known, at = table.find(subjects, rows["segment"])
             if len(at):
                 position[at] = self._points(rows["translation"][known])
-                orientation[at] = self._orientations(rows["rotation"][known].reshape(-1, 3, 3))
+                orientation[at] = quaternion_wxyz(self._rotations(rows["rotation"][known].reshape(-1, 3, 3)))
         return [SegmentPoses(name, names, position[part], orientation[part]) for name, names, part in table.parts]
 
     def labeled(self, packet: Packet) -> list[Message]:
@@ -170,9 +169,10 @@ class PacketDecoder:
         points[~np.isfinite(points).all(axis=1)] = np.nan
         return points
 
-    def _orientations(self, matrix: F64) -> F64:
+    def _rotations(self, matrix: F64) -> F64:
+        """Of segments' frames whose axes follow the world's, as in the vendor's SDK: M R Mᵀ."""
         with np.errstate(all="ignore"):
-            return quaternion_wxyz(ZUP_FROM_YUP @ matrix if self._turn else matrix)
+            return ZUP_FROM_YUP @ matrix @ ZUP_FROM_YUP.T if self._turn else matrix
 
     def _learn(self, infos: Sequence[SubjectInfo]) -> None:
         named = (replace(info, name=self._codes.get(info.name, info.name)) for info in infos)
@@ -203,11 +203,14 @@ class PacketDecoder:
         rows = self.neutral.get(info.subject)
         if rows is not None:
             numbers = np.isfinite(rows["translation"]).all(axis=1) & np.isfinite(rows["rotation"]).all(axis=1)
-            values["neutral_pose"] = [  # in the parent's frame, whose axes are the segment's own: nothing to turn upright
-                {"name": names.get(int(row["segment"])), "position_m": (row["translation"] * _MM).tolist(),
-                 "rotation_row_major": row["rotation"].tolist()}
-                for row in rows[numbers]
-            ]  # fmt: skip
+            rows = rows[numbers]
+            rotation = self._rotations(rows["rotation"].reshape(-1, 3, 3)).reshape(-1, 9)
+            values["neutral_pose"] = [  # in the parent's frame, whose axes are turned as the world's are
+                {"name": names.get(segment), "position_m": position, "rotation_row_major": turned}
+                for segment, position, turned in zip(
+                    rows["segment"].tolist(), self._points(rows["translation"]).tolist(), rotation.tolist(), strict=True
+                )
+            ]
         return Facts(f"subject {info.name}", values)
 
 
@@ -273,10 +276,10 @@ class FrameAccount:
         last = self._last
         if last is None:
             arrival = FrameArrival(number, number)
-        elif (rise := (number - self._number) % _COUNTER) == 0:
+        elif (rise := (number - self._number) % FRAME_COUNTER) == 0:
             self._counts.duplicate += 1
             return last._replace(sequence=None, lost=0, anew=False)
-        elif rise <= min(_COUNTER // 2, (_LATE_S + 1.1e-9 * (now_ns - self._last_ns)) * (rate_hz or _RATE_UNKNOWN_HZ)):
+        elif rise <= min(FRAME_COUNTER // 2, (_LATE_S + 1.1e-9 * (now_ns - self._last_ns)) * (rate_hz or _RATE_UNKNOWN_HZ)):
             self._counts.lost += rise - 1
             arrival = FrameArrival(_sequence(last) + rise, last.frame + rise, lost=rise - 1)
         else:

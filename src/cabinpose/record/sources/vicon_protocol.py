@@ -5,8 +5,11 @@ string, vector, set or map is a u32 count and its items. Lengths are mm, rotatio
 
 Source: the types and layouts of the vendor's DataStream SDK, whose C++ source is public (1.11, MIT). The server speaks first: the
 types that it has (ObjectEnums). The client answers with those that it wants, now and whenever they change, and asks for
-frames: RequestFrame 0 for one, 1 for all as they come. Static objects come when they change, or when the set of types does;
-Contents then says which types are as before. A Ping comes back as it was sent.
+frames: RequestFrame 0 for the newest one, 1 for all as they come, RequestNextFrame n for the next n. Static objects come when
+they change, or when the set of types does; Contents then says which types are as before. A Ping comes back as it was sent.
+
+The first frame has the number 0 in the bytes and 1 in the SDK (`GetFrameNumber`). `Packet.frame` is the SDK's number, so that a
+recording agrees with what Vicon's own programs show.
 
 Nothing that a packet says of its own size is trusted: reading ends where the bytes end, and nothing is allocated for more. A
 block that does not hold what its type needs is left out and counted; the packet's other blocks stand.
@@ -26,6 +29,7 @@ from numpy.typing import NDArray
 
 DEFAULT_PORT = 801
 MAGIC = 0x1A2B0001
+FRAME_COUNTER = 1 << 32  # where the numbers of the frames wrap
 TICKS_PER_SECOND = 135_000_000  # of the clock that frame periods are given in
 MAX_PACKET = 4 << 20  # bytes; a frame of 100 segments and 1000 markers has 0.2 MB
 _HEADER = struct.Struct("<II")
@@ -52,6 +56,7 @@ class Type(IntEnum):
     OBJECT_ENUMS = 100_001
     REQUEST_FRAME = 100_002
     CONTENTS = 100_004
+    REQUEST_NEXT_FRAME = 100_008
 
 
 STATIC = frozenset({Type.STREAM_INFO, Type.SUBJECT_INFO, Type.SUBJECT_TOPOLOGY, Type.APPLICATION_INFO})
@@ -96,14 +101,16 @@ class Contents:
 class Packet:
     """What a packet says; None, or nothing, where it says nothing of it. `faults`: blocks that are malformed.
 
-    enums: types that the server has, or the client wants · streaming: a request for a frame, or for all to come · frame: of the
-    stream, counted by the server · period: 135 MHz ticks a frame · y_up: the server's axes · latency: (what took it, s), to be
-    summed · labeled, unlabeled: rows of `LABELED`, `UNLABELED` · segments: rows of `SEGMENT` of each subject's id, in the world
-    or in the parent's frame · neutral: rows of `SEGMENT` of the subjects in their neutral pose, in the parent's frame.
+    enums: types that the server has, or the client wants · streaming: a request for a frame, or for all to come · next_frames: a
+    request for so many frames, none of which was captured yet · frame: of the stream, as the SDK numbers it, from 1 · period: 135
+    MHz ticks a frame · y_up: the server's axes · latency: (what took it, s), to be summed · labeled, unlabeled: rows of
+    `LABELED`, `UNLABELED` · segments: rows of `SEGMENT` of each subject's id, in the world or in the parent's frame ·
+    neutral: rows of `SEGMENT` of the subjects in their neutral pose, in the parent's frame.
     """
 
     enums: frozenset[int] | None = None
     streaming: bool | None = None
+    next_frames: int | None = None
     ping: int | None = None
     contents: Contents | None = None
     frame: int | None = None
@@ -212,9 +219,10 @@ _READ: Mapping[int, Callable[[Packet, _Reader], None]] = MappingProxyType(
     {
         Type.OBJECT_ENUMS: _read("enums", _Reader.enums),
         Type.REQUEST_FRAME: _read("streaming", lambda data: bool(data.number(_BYTE))),
+        Type.REQUEST_NEXT_FRAME: _read("next_frames", _Reader.number),
         Type.PING: _read("ping", lambda data: data.number(_U64)),
         Type.CONTENTS: _read_contents,
-        Type.FRAME_INFO: _read("frame", _Reader.number),
+        Type.FRAME_INFO: _read("frame", lambda data: (data.number() + 1) % FRAME_COUNTER),
         Type.HARDWARE_FRAME_INFO: _read("hardware_frame", _Reader.number),
         Type.STREAM_INFO: _read("period", lambda data: data.number(_I64)),
         Type.APPLICATION_INFO: _read("y_up", lambda data: data.number(_BYTE) == 1),
@@ -242,13 +250,15 @@ def _blocks(packet: Packet) -> Iterator[tuple[int, bytes]]:
         yield Type.OBJECT_ENUMS, _set(packet.enums)
     if packet.streaming is not None:
         yield Type.REQUEST_FRAME, bytes([packet.streaming])
+    if packet.next_frames is not None:
+        yield Type.REQUEST_NEXT_FRAME, _U32.pack(packet.next_frames)
     if packet.ping is not None:
         yield Type.PING, _U64.pack(packet.ping)
     if packet.contents is not None:
         counts = sorted(packet.contents.counts.items())
         yield Type.CONTENTS, _vector([_HEADER.pack(*pair) for pair in counts]) + _set(packet.contents.unchanged)
     if packet.frame is not None:
-        yield Type.FRAME_INFO, _U32.pack(packet.frame)
+        yield Type.FRAME_INFO, _U32.pack((packet.frame - 1) % FRAME_COUNTER)
     if packet.hardware_frame is not None:
         yield Type.HARDWARE_FRAME_INFO, _U32.pack(packet.hardware_frame)
     if packet.period is not None:

@@ -35,7 +35,7 @@ from cabinpose.core.recorded import (
     ToFFrame,
 )
 from cabinpose.store.recording.container import Buffer
-from cabinpose.store.recording.schemas import SourceStatus
+from cabinpose.store.recording.schemas import FACTS, SourceStatus
 
 WORLD = "world"
 _DATA_TAG = bytes([6 << 3 | 2])  # field 6 of foxglove.RawImage, `data`, with its length before it
@@ -123,7 +123,8 @@ def decode_status(data: memoryview) -> SourceStatus:
     """A `SourceStatus`; RecordingError where the bytes are none."""
     try:
         values = json.loads(bytes(data))
-        return SourceStatus(**{field.name: values[field.name] for field in fields(SourceStatus)})
+        # Files of earlier versions lack the later fields, which have defaults.
+        return SourceStatus(**{field.name: values[field.name] for field in fields(SourceStatus) if field.name in values})
     except (ValueError, TypeError, KeyError) as error:
         raise RecordingError(f"a record on status is no SourceStatus: {error}") from error
 
@@ -240,7 +241,7 @@ _JSON_FIELDS: Mapping[type, Mapping[str, int]] = {  # the arrays of a message an
 _OPTIONAL = (SegmentKinematics, SensorReadings)  # whose arrays may be empty
 _TOPICS: Mapping[type, str] = {
     SegmentKinematics: "kinematics", SensorReadings: "sensors", JointAngles: "joint_angles", Markers: "markers",
-    Channels: "channels", Facts: "facts",
+    Channels: "channels", Facts: FACTS,
 }  # fmt: skip
 _JSON_KINDS: Mapping[str, type] = {f"cabinpose.{kind.__name__}": kind for kind in _TOPICS}
 
@@ -268,7 +269,7 @@ def _cloud(message: Markers, host_ns: int) -> Record:
 
 
 def _encode_facts(_: str, message: Facts, __: int) -> list[Record]:
-    return [Record("facts", "cabinpose.Facts", (encode_json({"about": _word(message.about), "values": dict(message.values)}),))]
+    return [Record(FACTS, "cabinpose.Facts", (encode_json({"about": _word(message.about), "values": dict(message.values)}),))]
 
 
 def _from_json(kind: type, values: Mapping[str, Any]) -> Any:

@@ -19,6 +19,7 @@ from cabinpose.store.recording.messages import Decoder, decode_status
 from cabinpose.store.recording.scan import Chunk, Damage, RawMessage, Scanner, messages_in
 from cabinpose.store.recording.schemas import (
     FORMAT,
+    HOST_ONLY,
     RAW,
     RIG_ATTACHMENT,
     STATUS,
@@ -184,9 +185,9 @@ def _place(channel: Channel, message: RawMessage) -> Place:
 
 
 def _topic(channel: Channel) -> str:
-    """The last part of a topic's name, behind the source."""
+    """The last part of a topic's name, behind the source; the same for what has no time of its device."""
     source = channel.metadata.get("source", "")
-    return channel.topic[len(source) + 1 :] if source else channel.topic
+    return (channel.topic[len(source) + 1 :] if source else channel.topic).removesuffix(HOST_ONLY)
 
 
 def _is_beside(channel: Channel) -> bool:

@@ -13,7 +13,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.store.recording.container import ContainerWriter
 from cabinpose.store.recording.reader import sound_messages
 from cabinpose.store.recording.scan import Chunk, Damage, Scanner
-from cabinpose.store.recording.schemas import RAW
+from cabinpose.store.recording.schemas import HOST_ONLY, RAW
 from cabinpose.store.recording.writer import LIBRARY, PROFILE, recording_errors
 
 RECOVERED_METADATA = "cabinpose.recovered"
@@ -79,7 +79,11 @@ def _copy(
         schema_ids = {0: 0} | {i: writer.schema(s.name, s.encoding, s.data) for i, s in sorted(schemas.items())}
         channels = {i: c for i, c in sorted(channels.items()) if c.schema_id in schema_ids}
         ids = {i: writer.channel(c.topic, c.message_encoding, schema_ids[c.schema_id], c.metadata) for i, c in channels.items()}
-        raw = {i: c.metadata["source"] for i, c in channels.items() if "source" in c.metadata and c.topic.endswith(f"/{RAW}")}
+        raw = {
+            i: c.metadata["source"]
+            for i, c in channels.items()
+            if "source" in c.metadata and c.topic.endswith((f"/{RAW}", f"/{RAW}{HOST_ONLY}"))
+        }
         samples = dict.fromkeys(sorted(raw.values()), 0)
         count, first, last = 0, 0, 0
         for found in scanner.walk():

@@ -20,7 +20,10 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 RAW = "raw"
+HOST_ONLY = "_host"
+"""After `raw` and `facts` where the sample has no time of its device, so that a topic keeps to one clock."""
 RAW_ENCODING = "octet-stream"
+FACTS = "facts"
 STATUS = "status"
 TAKE_TOPIC = "take"
 TAKE_METADATA = "cabinpose.take"
@@ -36,7 +39,8 @@ class SourceStatus:
     received, lost, reordered, duplicate, malformed, restarts: of `core.ports.Counts`, and the restarts that the recorder made
     · written: samples in the file · dropped, dropped_bytes: samples that the recorder had no room for · refused: decoded
     messages that could not be written; the raw bytes were · queue_bytes: waiting · state: connecting, recording, waiting,
-    retrying, ended or stopped · error: the last one, or "".
+    retrying, ended or stopped · error: the last one, or "" · first_ns, last_ns: arrival of its first and last data, host time;
+    None: there are none · silent: it has sent nothing for longer than it usually does.
     """
 
     source: str
@@ -55,6 +59,9 @@ class SourceStatus:
     queue_bytes: int = 0
     error: str = ""
     final: bool = False
+    first_ns: int | None = None
+    last_ns: int | None = None
+    silent: bool = False
 
 
 _NUMBER: Mapping[str, Any] = MappingProxyType({"type": ["number", "null", "string"]})
@@ -86,6 +93,10 @@ def _text(what: str) -> dict[str, Any]:
 
 def _count(what: str) -> dict[str, Any]:
     return {"type": "integer", "description": what}
+
+
+def _time(what: str) -> dict[str, Any]:
+    return {"type": ["integer", "null"], "description": f"ns, host time, of {what}; null = none came"}
 
 
 _SUBJECT = _text("whose; a code, not a name")
@@ -130,6 +141,8 @@ JSON_SCHEMAS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             dropped_bytes=_count("of these"), refused=_count("decoded messages that could not be written"),
             queue_bytes=_count("waiting to be written"), error=_text("the last one"),
             final={"type": "boolean", "description": "the last of this take"},
+            first_ns=_time("its first data"), last_ns=_time("its last data"),
+            silent={"type": "boolean", "description": "it has sent nothing for longer than it usually does"},
         ),
         "cabinpose.Take": _object(
             "cabinpose.Take", "Who did what, where; codes only, no personal names.",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cabinpose.store.recording.messages import decode_status
 from cabinpose.store.recording.reader import Recording
 from cabinpose.store.recording.scan import Damage
-from cabinpose.store.recording.schemas import RAW, STATUS, SourceStatus
+from cabinpose.store.recording.schemas import FACTS, RAW, STATUS, SourceStatus
 from cabinpose.store.recording.take import Take
 
 _GAP = 3.0  # median intervals; a longer silence is a gap
@@ -33,14 +33,17 @@ class TopicSurvey:
 class SourceSurvey:
     """A source: samples in the file, and what is missing.
 
-    arrival_ns: (samples,) int64, host time · rate_hz: samples a second · missing: numbers that the device used and the file
-    lacks · gaps: (G, 2) s since the first sample of the take, silences of more than three usual intervals and 0.1 s ·
-    jitter_ms: standard deviation of the intervals between arrivals · status: the last counts that were written, if any.
+    arrival_ns: (samples,) int64, host time · first_ns, last_ns: of its data, None where there are none · rate_hz: samples a
+    second · missing: numbers that the device used and the file lacks · gaps: (G, 2) s since the take's start, silences of more
+    than three usual intervals and 0.1 s, from the take's start to its end (of a source that says that it has ended, to its last
+    data) · jitter_ms: standard deviation of the intervals between arrivals · status: the last counts that were written, if any.
     """
 
     name: str
     samples: int
     arrival_ns: NDArray[np.int64]
+    first_ns: int | None
+    last_ns: int | None
     rate_hz: float
     jitter_ms: float
     missing: int
@@ -50,7 +53,7 @@ class SourceSurvey:
 
 @dataclass(frozen=True)
 class Survey:
-    """A whole recording; times from the first to the last sample."""
+    """A whole recording, from its first sample or counts (which a take begins and ends with) to its last."""
 
     path: Path
     take: Take
@@ -66,7 +69,9 @@ def survey(path: Path) -> Survey:
     """Go through a recording, in whatever state it is. Raises RecordingError where it is none."""
     times: dict[str, list[int]] = {}
     numbers: dict[str, list[int]] = {}
+    data_times: dict[str, list[int]] = {}
     statuses: dict[str, SourceStatus] = {}
+    counted: list[int] = []
     topics: dict[str, tuple[str, list[int], list[int]]] = {}
     with Recording(path, damaged="skip") as recording:
         for place, schema, channel, data in recording.records():
@@ -79,30 +84,52 @@ def survey(path: Path) -> Survey:
                     numbers.setdefault(place.source, []).append(place.sequence)
             elif place.topic == STATUS:
                 statuses[place.source] = decode_status(data)
+                counted.append(place.host_ns)
+            if place.topic not in (STATUS, RAW, FACTS) or (place.topic == RAW and place.sequence is not None):
+                data_times.setdefault(place.source, []).append(place.host_ns)
         take, started, damage, names = recording.take, recording.head.started_ns, recording.damage, recording.sources
     first = min((min(series) for series in times.values()), default=started)
     last = max((max(series) for series in times.values()), default=started)
-    sources = tuple(_source(name, times.get(name, []), numbers.get(name, []), statuses.get(name), first) for name in names)
+    if (
+        counted and min(counted) <= last and max(counted) >= first
+    ):  # else the samples are of another day: replayed with their times
+        first, last = min(first, *counted), max(last, *counted)
+    sources = []
+    for name in names:
+        status, came = statuses.get(name), times.get(name, [])
+        data_came = data_times.get(name, came if status is None else [])  # of a file of other tools, events may be all there is
+        sources.append(_source(name, came, data_came, numbers.get(name, []), status, (first, last)))
     listed = tuple(TopicSurvey(t, schema, len(at), sum(sizes), _rate(at)) for t, (schema, at, sizes) in sorted(topics.items()))
-    return Survey(path, take, path.stat().st_size, first, (last - first) / 1e9, sources, listed, damage)
+    return Survey(path, take, path.stat().st_size, first, (last - first) / 1e9, tuple(sources), listed, damage)
 
 
-def _source(name: str, times: list[int], numbers: list[int], status: SourceStatus | None, first: int) -> SourceSurvey:
-    arrival = np.sort(np.array(times, np.int64))
+def _source(
+    name: str, times: list[int], data: list[int], numbers: list[int], status: SourceStatus | None, span: tuple[int, int]
+) -> SourceSurvey:
+    arrival, came = np.sort(np.array(times, np.int64)), np.unique(np.array(data, np.int64))
     intervals = np.diff(arrival) / 1e9
-    usual = float(np.median(intervals)) if len(intervals) else 0.0
-    silent = np.flatnonzero(intervals > max(_GAP * usual, _SHORTEST_GAP_S))
+    ended = status is not None and status.state == "ended"
     unique = np.unique(np.array(numbers, np.int64))
     return SourceSurvey(
         name=name,
         samples=len(times),
         arrival_ns=arrival,
+        first_ns=int(came[0]) if len(came) else None,
+        last_ns=int(came[-1]) if len(came) else None,
         rate_hz=_rate(times),
         jitter_ms=float(np.std(intervals)) * 1e3 if len(intervals) else 0.0,
         missing=int(unique[-1] - unique[0]) + 1 - len(unique) if len(unique) else 0,
-        gaps=np.column_stack((arrival[silent] - first, arrival[silent + 1] - first)) / 1e9,
+        gaps=_gaps(came, span[0], None if ended else span[1]),
         status=status,
     )
+
+
+def _gaps(came: NDArray[np.int64], start: int, end: int | None) -> NDArray[np.float64]:
+    """Silences between the start of the take, arrivals in their order, and the take's end, if it counts: (G, 2) s."""
+    usual = float(np.median(np.diff(came))) / 1e9 if len(came) > 1 else 0.0
+    edges = np.array([start, *came, *([] if end is None else [end])], np.int64)
+    at = np.flatnonzero(np.diff(edges) / 1e9 > max(_GAP * usual, _SHORTEST_GAP_S))
+    return np.column_stack((edges[at] - start, edges[at + 1] - start)) / 1e9
 
 
 def _rate(times: list[int]) -> float:

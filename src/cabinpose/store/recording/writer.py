@@ -24,7 +24,9 @@ from cabinpose.core.ports import Sample
 from cabinpose.store.recording.container import DEFINITIONS_S, Compression, ContainerWriter
 from cabinpose.store.recording.messages import Record, encode, encode_json, encode_status
 from cabinpose.store.recording.schemas import (
+    FACTS,
     FORMAT,
+    HOST_ONLY,
     RAW,
     RAW_ENCODING,
     RIG_ATTACHMENT,
@@ -206,7 +208,9 @@ class RecordingWriter:
         sequence = sample.sequence
         epoch = "none" if sequence is None else str(sequence >> 32)
         device = "none" if sample.device_ns is None else "device"
-        channel = self._channel(source, record.topic, record.schema, epoch, device, record.about)
+        untimed = sample.device_ns is None and record.topic in (RAW, FACTS)
+        topic = record.topic + HOST_ONLY if untimed else record.topic
+        channel = self._channel(source, topic, record.schema, epoch, device, record.about)
         time_of_device = sample.host_ns if sample.device_ns is None else sample.device_ns & _U64
         self._file.add(channel, (sequence or 0) & _U32, sample.host_ns, time_of_device, record.parts)
 
