@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import OCCUPANT_SLOTS, Visibility
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+from cabinpose.core.yaml_text import parse_yaml
 
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
@@ -276,7 +277,7 @@ def read_manifest(folder: Path | str) -> Manifest:
             hint=f"{_RESTORE}; after a change on purpose, write the first of the two checksums into the last line",
         )
     try:
-        data = yaml.safe_load(text)
+        data = parse_yaml(text)
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or a number that cannot be
         raise DatasetError(f"{path} is not YAML: {error}", hint=_RESTORE) from error
     return Manifest.from_mapping(data, path)
