@@ -78,3 +78,10 @@ def test_a_lock_file_names_no_address(check_tree: ModuleType) -> None:
 )
 def test_module_rules(check_tree: ModuleType, source: str, breaches: int) -> None:
     assert len(list(check_tree.module_breaches("src/cabinpose/a.py", source))) == breaches
+
+
+def test_lines_of_code(check_tree: ModuleType) -> None:
+    source = '"""Two\nlines."""\nimport os\n\n# why\ndef f(\n    x: int,\n) -> int:\n    """Doc."""\n    return x  # behind\n'
+    assert check_tree.code_lines("a.py", source) == 4
+    assert check_tree.code_lines("a.cpp", "#include <cmath>\n// why\n\nint f() {\n  return 1;\n}\n") == 3
+    assert check_tree.code_lines("a.md", "words\n") == 0
