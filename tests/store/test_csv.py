@@ -6,7 +6,6 @@ import csv
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from cabinpose.core.recorded import (
     ToFFrame,
 )
 from cabinpose.store.convert.csv_ import read_csv, write_csv
-from cabinpose.store.convert.csv_table import read_csv_table
 from cabinpose.store.convert.recordings import export_recording, import_recording
 from cabinpose.store.recording import Recording, RecordingWriter
 
@@ -161,61 +159,3 @@ def test_a_failed_export_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="damaged"):
         write_csv(tmp_path, breaks())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_real_markers_and_sensors(real_data: Callable[[str], Path]) -> None:
-    path = real_data("gaitmap/mocap_sample.csv")
-    rows = list(read_csv_table(path, rate_hz=100.0, start_ns=5))
-    assert len(rows) == 3870
-    text = path.read_text().splitlines()
-    for i in (0, 1234, 3869):
-        host_ns, device_ns, message = rows[i]
-        assert (host_ns, device_ns) == (5 + i * 10**7, i * 10**7)
-        assert isinstance(message, Markers)
-        assert message.names == ("L_TOE", "R_TOE", "L_FCC", "R_FCC", "R_FM5", "L_FM5")
-        cells = [float(c) if c else np.nan for c in text[2 + i].split(",")[1:]]
-        np.testing.assert_allclose(message.position_m.ravel(), np.array(cells) / 1000)
-    path = real_data("gaitmap/imu_sample.csv")
-    rows = list(read_csv_table(path, rate_hz=204.8))
-    assert len(rows) == 7928
-    names, axes, *lines = path.read_text().splitlines()
-    pairs = list(zip(names.split(",")[1:], axes.split(",")[1:], strict=True))
-    for i in (0, 4000, 7927):
-        message = rows[i][2]
-        assert isinstance(message, SensorReadings)
-        assert message.names == ("left_sensor", "right_sensor")
-        values = dict(zip(pairs, map(float, lines[i].split(",")[1:]), strict=True))
-        for s, name in enumerate(message.names):
-            for a, axis in enumerate("xyz"):
-                assert message.acceleration[s, a] == values[name, f"acc_{axis}"]
-                assert message.angular_velocity[s, a] == pytest.approx(np.deg2rad(values[name, f"gyr_{axis}"]))
-    still = np.array([np.linalg.norm(m.acceleration[0]) for _, _, m in rows[:200] if isinstance(m, SensorReadings)])
-    assert np.median(still) == pytest.approx(9.81, abs=0.3)  # so the units are right
-    assert rows[2048][1] == 10 * 10**9
-
-
-@pytest.mark.parametrize(
-    ("text", "options", "message"),
-    [
-        ("", {}, "no two rows of headings"),
-        (",a,a\n,x,y\n0,1\n", {}, "1 values under 2 headings"),
-        (",a,a\n,x,x\n0,1,2\n", {}, "there twice"),
-        (",a\n,x\n0,one\n", {}, "could not convert"),
-        (",a\n,x\n0,1\n", {"rate_hz": 0.0}, "make no time"),
-    ],
-)
-def test_other_tables_are_refused(tmp_path: Path, text: str, options: dict[str, Any], message: str) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text(text)
-    with pytest.raises(RecordingError, match=message):
-        list(read_csv_table(path, **{"rate_hz": 100.0} | options))
-
-
-def test_what_is_neither_marker_nor_sensor_is_a_channel(tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text(",a,a,a,plate\n,x,y,z,force\n0,1,2,,4\n")
-    (_, _, markers), (_, _, channels) = read_csv_table(path, rate_hz=1.0, unit_m=1.0)
-    assert isinstance(markers, Markers)
-    np.testing.assert_array_equal(markers.position_m, [[1, 2, np.nan]])
-    assert isinstance(channels, Channels)
-    assert (channels.names, channels.values.tolist()) == (("plate.force",), [4.0])
