@@ -41,7 +41,7 @@ def test_a_sender_that_returns_from_another_port_goes_on_where_it_was() -> None:
 
 @dataclass
 class Truth:
-    """What was sent and what arrived of it, kept without the ledger's help: streams are (epoch, kind, character)."""
+    """What was sent and what arrived of it, kept without the tracker's help: streams are (epoch, kind, character)."""
 
     sent: dict[tuple, list[int]] = field(default_factory=lambda: defaultdict(list))  # unwrapped numbers of samples
     arrived: dict[tuple, list[tuple[int, int, int]]] = field(default_factory=lambda: defaultdict(list))  # number, piece, pieces
@@ -161,7 +161,7 @@ def test_every_sample_is_received_or_lost(data: st.DataObject) -> None:
     # The sequence has a gap for each lost sample, and none other (samples before the first that came have no sequence).
     numbered = [s.sequence for s in taken if s.sequence is not None]
     assert len(set(numbered)) == len(numbered)
-    missing = source._ledger.take(0) - 1024 - len(numbered)
+    missing = source._tracker.take(0) - 1024 - len(numbered)
     early = source.counts.received - len(numbered)
     assert missing == source.counts.lost if not early else missing <= source.counts.lost
 
@@ -362,8 +362,8 @@ def test_memory_is_bounded_whatever_is_sent() -> None:
     for n in range(500):
         header = mvn.Header(22, n, 0, False, 1, 0, 0, 23, 0, 0, 44)
         other.take(mvn.build_header(header) + bytes(44), 0)
-    assert len(other._ledger._streams[None, 22, 0]._open) <= 65
-    streams = source._ledger._streams
+    assert len(other._tracker._streams[None, 22, 0]._open) <= 65
+    streams = source._tracker._streams
     assert len(streams) <= 256
     assert max(len(s._open) for s in streams.values()) <= 65
     assert max(len(s._seen) for s in streams.values()) <= 4097

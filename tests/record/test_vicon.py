@@ -175,7 +175,7 @@ def test_time_stamps_say_what_they_are() -> None:
     assert 0 < network < 1
 
 
-def ledger(emulator: ViconEmulator, fate: str) -> list[int]:
+def tracker(emulator: ViconEmulator, fate: str) -> list[int]:
     return [sent.frame for sent in emulator.log if sent.fate == fate]
 
 
@@ -186,7 +186,7 @@ def assert_exact(samples: list[Sample], source: ViconSource, emulator: ViconEmul
     span = range(numbers[0], numbers[-1] + 1)
     assert len(set(numbers)) == len(numbers) == source.counts.received
     assert source.counts.received + source.counts.lost == len(span)
-    assert set(numbers) <= set(ledger(emulator, "sent"))
+    assert set(numbers) <= set(tracker(emulator, "sent"))
     assert source.counts.malformed == source.counts.duplicate == source.counts.reordered == 0
 
 
@@ -198,9 +198,9 @@ def test_dropped_frames_are_counted_exactly() -> None:
         while more := source.read(0.1):
             samples += more
     first, last = frames(samples)[0].sequence, frames(samples)[-1].sequence
-    dropped = [frame for frame in ledger(emulator, "dropped") if first <= frame <= last]
+    dropped = [frame for frame in tracker(emulator, "dropped") if first <= frame <= last]
     assert source.counts.lost == len(dropped) > 0
-    assert [sample.sequence for sample in frames(samples)] == ledger(emulator, "sent")
+    assert [sample.sequence for sample in frames(samples)] == tracker(emulator, "sent")
     assert_exact(samples, source, emulator)
 
 
@@ -448,10 +448,10 @@ def test_a_client_that_does_not_read_loses_frames_in_the_log_not_memory() -> Non
         source = ViconSource("v", ViconSettings(port=emulator.address[1]), HostClock())
         source.open()
         limit = time.monotonic() + PATIENCE_S
-        while not ledger(emulator, "refused"):
+        while not tracker(emulator, "refused"):
             assert time.monotonic() < limit
             time.sleep(0.05)
-        refused = len(ledger(emulator, "refused"))
+        refused = len(tracker(emulator, "refused"))
         samples = read_until(source, lambda _: source.counts.lost >= refused)
         source.close()
     assert_exact(samples, source, emulator)

@@ -91,7 +91,7 @@ def _checked(variable: Variable, value: Any, index: int, shape: tuple[int, ...])
 
 
 class PartWriter:
-    """Writes one part, frame by frame; leaving the `with` block in peace makes it part of the dataset.
+    """Writes one part, frame by frame; leaving the `with` block without an error makes it part of the dataset.
 
     An exception inside the block removes everything that was written. `attrs` may be filled with plain data about
     the part as a whole (`proposals`, `rejections`).

@@ -4,7 +4,7 @@ In MVN: Options > Network Streamer, add this computer's address and the port, ti
 whatever else is wanted (tracker kinematics for the single sensors). Every datagram becomes one `Sample`, with its bytes; the
 one that makes a sample whole carries the messages and the sequence.
 
-What was lost is told in `counts` by the gaps in MVN's sample counter (`mvn_ledger`). The part of it that the kernel dropped,
+What was lost is told in `counts` by the gaps in MVN's sample counter (`mvn_sequence`). The part of it that the kernel dropped,
 because its buffer was full, is `kernel_drops`; the part of which some pieces came is `incomplete`.
 """
 
@@ -26,9 +26,9 @@ from cabinpose.core.clock import HostClock, Unwrapper
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Counts, Sample
 from cabinpose.record.sources import mvn_protocol as mvn
-from cabinpose.record.sources.mvn_ledger import Ledger
 from cabinpose.record.sources.mvn_messages import Decoder, PositionUnit
 from cabinpose.record.sources.mvn_protocol import Header, MalformedError
+from cabinpose.record.sources.mvn_sequence import SequenceTracker
 
 _BATCH = 512  # datagrams of one read: what waits longer is read by the next
 _DATAGRAM = 1 << 16
@@ -77,7 +77,7 @@ class MvnSource:
         self.settings = settings or MvnSettings()
         self._clock = clock or HostClock()
         self._counts = Counts()
-        self._ledger = Ledger(self._counts, step=self.settings.counter_step, window_s=self.settings.reorder_window_s)
+        self._tracker = SequenceTracker(self._counts, step=self.settings.counter_step, window_s=self.settings.reorder_window_s)
         self._decoder = Decoder(position_unit=self.settings.position_unit, subjects=self.settings.subjects)
         self._clocks: dict[tuple[Hashable, int], Unwrapper] = {}
         self._socket: socket.socket | None = None  # UDP, or what listens for TCP
@@ -103,7 +103,7 @@ class MvnSource:
     @property
     def incomplete(self) -> int:
         """Samples among the lost of which some pieces came."""
-        return self._ledger.incomplete
+        return self._tracker.incomplete
 
     @property
     def address(self) -> tuple[str, int]:
@@ -165,7 +165,7 @@ class MvnSource:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-        self._ledger.settle()
+        self._tracker.settle()
 
     def read(self, timeout_s: float) -> Sequence[Sample]:
         """What has arrived; waits at most `timeout_s` for the first."""
@@ -262,7 +262,7 @@ class MvnSource:
     def _greet(self, stream: socket.socket) -> None:
         stream.setblocking(False)
         if self._connected_before:
-            self._ledger.reconnected(self._clock.now_ns())
+            self._tracker.reconnected(self._clock.now_ns())
             self._began_anew()
         self._connected_before = True
 
@@ -304,7 +304,7 @@ class MvnSource:
             header, payload = mvn.read_datagram(data)
             if header.kind not in mvn.COUNTED:
                 return Sample(None, host_ns, self._device_ns(header, host_ns, sender), data, self._decoder(header, payload))
-            arrival = self._ledger.arrive(header, payload, hash(data), host_ns, sender)
+            arrival = self._tracker.arrive(header, payload, hash(data), host_ns, sender)
             if arrival.restarted:
                 self._began_anew()
             device_ns = self._device_ns(header, host_ns, sender)
@@ -330,7 +330,7 @@ class MvnSource:
             clock = self._clocks[sender, header.character] = Unwrapper(1 << 32)
         elif clock.last is not None and _CLOCK_BACK_MS < (clock.last - header.time_ms) % (1 << 32) < 1 << 31:
             clock.restart()
-            self._ledger.restarted(host_ns)
+            self._tracker.restarted(host_ns)
         return clock(header.time_ms) * 1_000_000
 
     # ------------------------------------------------------------------------------------------------------- socket

@@ -30,7 +30,7 @@ class NumberedSettings(BaseModel):
     raw_bytes: int = Field(64, ge=8, le=1 << 26, description="raw bytes of a sample; the first eight are its number")
     width: int = Field(0, ge=0, le=4096, description="width of a ToF frame in each sample, px; 0 = one channel in its place")
     height: int = Field(0, ge=0, le=4096, description="its height, px")
-    lose_every: int = Field(0, ge=0, description="each so manieth number is lost on the way; 0 = none")
+    lose_every: int = Field(0, ge=0, description="every so many numbers one is lost; 0 = none")
     die_every: int = Field(0, ge=0, description="after so many samples the device goes away; 0 = never")
     dead_s: float = Field(0.0, ge=0, description="for how long; what it counts meanwhile is lost")
     silent_from: int | None = Field(

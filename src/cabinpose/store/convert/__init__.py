@@ -176,7 +176,7 @@ def check_new_dataset(folder: Path, *, overwrite: bool) -> None:
 
 @contextmanager
 def _whole_folder(folder: Path, what: str, *, overwrite: bool) -> Iterator[Path]:
-    """The name of a folder to make, which takes the place of `folder` when the block ends in peace, else is removed."""
+    """The name of a folder to make, which takes the place of `folder` when the block ends without an error, else is removed."""
     if folder.exists() and not overwrite and (not folder.is_dir() or any(folder.iterdir())):
         raise DatasetError(f"{folder} exists and is not empty", hint="--overwrite replaces it, or give another folder with --out")
     temporary = folder.parent / f".{folder.name}.{what}.tmp"

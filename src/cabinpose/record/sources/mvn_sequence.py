@@ -51,7 +51,7 @@ class Arrival(NamedTuple):
     restarted: bool = False
 
 
-class Ledger:
+class SequenceTracker:
     """Keeps the account of what comes to one address in `counts`. `incomplete` is the part of `lost` of which some pieces came.
 
     `step`: by how much the sample counter rises from one sample sent to the next, more than 1 where MVN streams at a lower
@@ -134,10 +134,10 @@ class Ledger:
 class _Stream:
     """One type of one character."""
 
-    def __init__(self, ledger: Ledger, first: int, host_ns: int) -> None:
-        self._ledger, self._counts = ledger, ledger.counts
-        self._step = ledger.step or 1.0
-        self._steps: list[tuple[int, int]] | None = None if ledger.step else []  # (counter, rise to the next), while learning
+    def __init__(self, tracker: SequenceTracker, first: int, host_ns: int) -> None:
+        self._tracker, self._counts = tracker, tracker.counts
+        self._step = tracker.step or 1.0
+        self._steps: list[tuple[int, int]] | None = None if tracker.step else []  # (counter, rise to the next), while learning
         self._risen = self._taken = 0  # by how much the counter rose in so many steps
         self._first, self._began_ns = first, host_ns
         self.arrived_ns = host_ns
@@ -187,7 +187,7 @@ class _Stream:
         for sample in self._open.values():
             sample.pieces = None
         self._counts.lost += len(self._open)
-        self._ledger.incomplete += len(self._open)
+        self._tracker.incomplete += len(self._open)
         self._open.clear()
 
     def forget(self) -> None:
@@ -200,19 +200,19 @@ class _Stream:
         """The sequence of a sample that had not come before, and the account of the gap that it opens or fills."""
         if self._highest is None:
             self._highest = counter
-            return self._ledger.take(1)
+            return self._tracker.take(1)
         rise = counter - self._highest
         if rise > 0:
-            if rise > self._ledger.restart_gap:
+            if rise > self._tracker.restart_gap:
                 return None
             if rise != self._step:
                 self._miss(self._highest, rise, host_ns, reserve=True)
             self._highest = counter
-            if self._ledger.step is None and (self._steps is not None or self._step != 1):
+            if self._tracker.step is None and (self._steps is not None or self._step != 1):
                 self._learn(counter - rise, rise)
-            return self._ledger.take(1)
+            return self._tracker.take(1)
         if counter < self._first:
-            if host_ns - self._began_ns > self._ledger.window_ns or self._first - counter > _EARLY * self._step:
+            if host_ns - self._began_ns > self._tracker.window_ns or self._first - counter > _EARLY * self._step:
                 return None
             self._miss(counter, self._first - counter, host_ns, reserve=False)
             self._first = counter
@@ -229,10 +229,10 @@ class _Stream:
         missed = max(0, round(rise / self._step) - 1)
         if missed:
             self._counts.lost += missed
-            sequence = self._ledger.take(missed) if reserve else None
-            for k in range(max(1, missed - self._ledger.memory + 1), missed + 1):  # the newest, if they are too many
+            sequence = self._tracker.take(missed) if reserve else None
+            for k in range(max(1, missed - self._tracker.memory + 1), missed + 1):  # the newest, if they are too many
                 self._missing[round(counter + k * self._step)] = (None if sequence is None else sequence + k - 1, host_ns)
-            while len(self._missing) > self._ledger.memory:
+            while len(self._missing) > self._tracker.memory:
                 self._missing.popitem(last=False)
 
     def _missed_as(self, counter: int) -> int | None:
@@ -278,10 +278,10 @@ class _Stream:
 
     def _forget(self, host_ns: int) -> None:
         """Forget what is older than the window, or too much: what belongs to it when it comes is a new beginning."""
-        limit_ns, ledger = host_ns - self._ledger.window_ns, self._ledger
+        limit_ns, tracker = host_ns - self._tracker.window_ns, self._tracker
         while self._seen:
             oldest = next(iter(self._seen))  # in the order of arrival; a paused sender may repeat the newest for long
-            if (self._seen[oldest].seen_ns >= limit_ns or oldest == self._highest) and len(self._seen) <= ledger.memory:
+            if (self._seen[oldest].seen_ns >= limit_ns or oldest == self._highest) and len(self._seen) <= tracker.memory:
                 break
             del self._seen[oldest]
             if oldest in self._open:
@@ -297,7 +297,7 @@ class _Stream:
     def _lose(self, counter: int) -> None:
         self._open.pop(counter).pieces = None
         self._counts.lost += 1
-        self._ledger.incomplete += 1
+        self._tracker.incomplete += 1
 
     def _fit(self, counter: int, sample: _Sample, header: Header, payload: bytes, digest: int) -> Arrival:
         """Add a piece; the whole sample if that was the last that it lacked."""
