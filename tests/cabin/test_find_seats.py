@@ -36,7 +36,7 @@ def drafted(cabin: Cabin, folder: Path, *, fused: bool) -> tuple[Cabin, dict[str
     return found, off
 
 
-@pytest.mark.parametrize("fused", [False, True], ids=["parts", "fused"])
+@pytest.mark.parametrize("fused", [pytest.param(False, id="parts", marks=pytest.mark.slow), pytest.param(True, id="fused")])
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "shuttle"])
 def test_seats_and_wheel_of_the_presets_are_found(name: str, fused: bool, tmp_path: Path) -> None:
     cabin = build_cabin(name)

@@ -96,6 +96,7 @@ def test_a_mesh_without_seats_fails_in_words(tmp_path: Path, run: Run) -> None:
     assert not (tmp_path / "box.yaml").exists()
 
 
+@pytest.mark.slow
 def test_the_give_of_a_fused_seat_is_measured_and_cures_it(car: Path, run: Run) -> None:
     seats = yaml.safe_load(car.read_text("utf-8"))["seats"]
     changed(car, rules=[], seats={slot: seats[slot] for slot in ("driver", "rear_left")})
@@ -145,6 +146,7 @@ def test_a_shell_that_is_not_there_is_told() -> None:
     assert open_directions(corners[corners[:, :, 2].max(axis=1) < 0.8], eye) > 0.4
 
 
+@pytest.mark.slow
 def test_synth_and_config_check_warn_of_open_meshes(folder: Path, car: Path, tmp_path: Path, run: Run) -> None:
     mesh = trimesh.load_scene(folder / "suv.glb", process=False).to_mesh()
     keep = np.random.Generator(np.random.Philox(0)).permutation(len(mesh.faces))[: round(0.6 * len(mesh.faces))]

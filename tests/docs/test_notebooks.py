@@ -12,7 +12,7 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-QUICK = {"1-generate", "5-own-car"}
+QUICK = {"1-generate"}  # those that take less than ten seconds
 LARGEST_BYTES = 16_000
 SECONDS = 300  # a cell
 

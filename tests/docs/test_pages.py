@@ -29,6 +29,7 @@ DOTTED = re.compile(r"`(cabinpose(?:\.\w+)+)")
 REPOSITORY_PATH = re.compile(r"`((?:src|tests|tools|docs|\.ci)/[\w./-]+)`")
 MAKE_TARGET = re.compile(r"`make (\w+)")
 SECONDS = 120
+LONG = ("docs/own-car.md",)  # pages whose blocks take more than ten seconds
 
 
 class Block(NamedTuple):
@@ -88,7 +89,14 @@ def test_there_are_pages() -> None:
     assert {"README.md", "docs/conventions.md", "docs/architecture.md"} <= {page_id(page) for page in PAGES}
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page.read_text("utf-8"))], ids=page_id)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page_id(page), marks=[pytest.mark.slow] if page_id(page) in LONG else [])
+        for page in PAGES
+        if blocks(page.read_text("utf-8"))
+    ],
+)
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))

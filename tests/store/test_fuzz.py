@@ -98,7 +98,9 @@ def reader(name: str) -> Read:
     return read
 
 
-@pytest.mark.parametrize("name", RECORDING_IMPORTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in FEW else []) for name in RECORDING_IMPORTS]
+)
 def test_damaged_files_are_read_or_refused(tmp_path: Path, name: str) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
