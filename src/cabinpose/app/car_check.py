@@ -14,11 +14,10 @@ from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.cabin import Cabin, Part, Seat, load_cabin
 from cabinpose.scene.cabin.car_file import COMMON_RULES, CabinFile, Rule, read_car_file
 from cabinpose.scene.cabin.imported import file_from_vehicle
-from cabinpose.scene.cabin.seats import BACK_BOX, CUSHION_BOX
 from cabinpose.scene.contact import FLESH_M, first_crossings, sampled_surface
 from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
-from cabinpose.synth.seat_trial import SeatSide, SeatTrial, try_seats
+from cabinpose.synth.seat_trial import SEAT_BOXES, SeatSide, SeatTrial, try_seats
 from cabinpose.synth.validate import SITTING
 
 Floats = NDArray[np.float64]
@@ -35,7 +34,6 @@ _BINS = (12, 24)  # in the sine of the elevation and in the azimuth: about 15 de
 _OFTEN = 2  # poses refused for trunk or thighs, or pushed away, in one seat, for a rule to be worth while
 _ROUNDS = 3  # in which rules are made deeper: who is refused less lies lower
 _HARD = ("glass", "floor", "pedal", "steering_wheel")  # labels of what no rule should soften
-_BOXES: Mapping[SeatSide, Floats] = {"base": CUSHION_BOX, "back": BACK_BOX}
 
 
 @dataclass(frozen=True)
@@ -214,7 +212,7 @@ def _rule(spec: CabinFile, cabin: Cabin, seat: Seat, part: Part, side: SeatSide,
     pattern = mesh.replace("[", "[[]")
     if _share_within(part, cabin, seat) > 0.5:
         return Rule(pattern=pattern, label=label_of(part), material=material_of(part), give_mm=give_mm, group=part.group)
-    corners = apply(seat.vehicle_from_seat(seat.default), _BOXES[side])
+    corners = apply(seat.vehicle_from_seat(seat.default), SEAT_BOXES[side])
     floor = np.array((-np.inf, -np.inf, seat.floor_z + 0.03))
     low, high = np.maximum(corners.min(axis=0), floor), corners.max(axis=0)
     digits = 3 - round(np.log10(np.linalg.norm(to_file[:3, 0])))
@@ -239,7 +237,7 @@ def _share_within(part: Part, cabin: Cabin, seat: Seat) -> float:
     corners = apply(invert(seat.vehicle_from_seat(seat.default)) @ vehicle_from_part, part.surface.vertices)[part.surface.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     middle = corners.mean(axis=1)
-    inside = np.any([((middle >= low) & (middle <= high)).all(axis=1) for low, high in _BOXES.values()], axis=0)
+    inside = np.any([((middle >= low) & (middle <= high)).all(axis=1) for low, high in SEAT_BOXES.values()], axis=0)
     return float(area[inside].sum() / area.sum())
 
 

@@ -10,6 +10,7 @@ import copy
 import difflib
 import re
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -147,6 +148,11 @@ class Occupant(Model):
     def _within(cls, pose: Mapping[str, float]) -> Mapping[str, float]:
         standing(pose)
         return pose
+
+    @cached_property
+    def initial(self) -> Profile | None:
+        """The profile that holds the initial pose; None where there is none."""
+        return standing(self.initial_pose_deg) if self.initial_pose_deg else None
 
     @model_validator(mode="after")
     def _one_way(self) -> Occupant:
@@ -324,9 +330,10 @@ class SynthConfig(Model):
 
     def frames_or_all(self, frames: int | None) -> int:
         """The number of frames that is asked for, or else that of all combinations; ConfigError where there is neither."""
-        if frames is None and self.frames is None:
+        wanted = self.frames if frames is None else frames
+        if wanted is None:
             raise ConfigError("it is not said how many frames", hint="give --frames N; scenes are drawn at random without end")
-        return self.frames or 1 if frames is None else frames
+        return wanted
 
     @classmethod
     def load(cls, path: Path | None, overrides: Sequence[str] = ()) -> SynthConfig:

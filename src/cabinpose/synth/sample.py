@@ -52,7 +52,6 @@ from cabinpose.synth.posture import choose_setting, draw_offset, random_action
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
-from cabinpose.synth.profiles import standing
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.validate import Rejection, Seated, Validator, most_common, sits_too_deep
 
@@ -264,10 +263,9 @@ class SceneSampler:
         left_out = frozenset[str]() if neighbours is None else neighbours.left_out
         action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-        initial = standing(occupant.initial_pose_deg) if occupant.initial_pose_deg else None
         return draw_pose(
-            people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=initial, index=index, offset=offset,
-            neighbours=neighbours, rng=rng,
+            people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
+            offset=offset, neighbours=neighbours, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:

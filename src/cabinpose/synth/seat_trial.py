@@ -28,7 +28,7 @@ PEOPLE = ("S01", "S02", "S03", "S04")  # who is tried
 PUSHED_M = 0.02  # from the H-point: farther away a seat has pushed somebody off; the presets leave 12 mm at most
 _SKIN_STEP = 5  # every fifth point of the skin is measured
 _LEVEL = 0.7  # of a normal's vertical part: cushions are more level than this, backrests less
-_BOXES: Mapping[SeatSide, NDArray[np.float64]] = {"base": CUSHION_BOX, "back": BACK_BOX}
+SEAT_BOXES: Mapping[SeatSide, NDArray[np.float64]] = {"base": CUSHION_BOX, "back": BACK_BOX}
 
 
 @dataclass
@@ -116,7 +116,7 @@ def _measure(
             continue
         felt = ends + part.shell_m * outward  # an open surface is met before it is crossed
         corners = apply(seat_from_vehicle @ transforms[part.group], part.surface.vertices)[part.surface.faces]
-        for side, box in _BOXES.items():
+        for side, box in SEAT_BOXES.items():
             middle = corners.mean(axis=1)
             near = corners[((middle > box[0]) & (middle < box[1])).all(axis=1)]
             normal = np.cross(near[:, 1] - near[:, 0], near[:, 2] - near[:, 0])
