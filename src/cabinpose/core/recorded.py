@@ -97,6 +97,12 @@ class ToFFrame:
     camera_dist: F64
     amplitude_dist: F64
 
+    def depth_m(self) -> NDArray[np.float32]:
+        """(H, W) depth along the optical axis, m, NaN = invalid: the same numbers as a dataset of the frame holds."""
+        depth = self.depth * np.float32(self.depth_unit_m)
+        depth[self.depth == 0] = np.nan
+        return depth
+
 
 @dataclass(frozen=True)
 class Channels:

@@ -26,6 +26,7 @@ from cabinpose.app.cli.arguments import (
 )
 from cabinpose.app.cli.car_commands import Car
 from cabinpose.app.cli.exchange_commands import Export, Import
+from cabinpose.app.cli.live import LiveCommand
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
 
@@ -445,6 +446,7 @@ Command = (
     | Annotated[Train, subcommand("train")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Predict, subcommand("predict")]
+    | Annotated[LiveCommand, subcommand("live")]
     | Annotated[Emulate, subcommand("emulate")]
     | Annotated[Record, subcommand("record")]
     | Annotated[Recover, subcommand("recover")]
@@ -470,7 +472,7 @@ RUNNERS = MappingProxyType(
         Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
         Record: "record", Recover: "recover", Forget: "forget", Calibrate: "calibrate", Align: "align", Lab: "lab",
-        EvaluateMocap: "evaluate_mocap",
+        EvaluateMocap: "evaluate_mocap", LiveCommand: "live",
     }
 )  # fmt: skip
 

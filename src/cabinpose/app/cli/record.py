@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.app.cli.record_commands import Record
 from cabinpose.app.extras import require
@@ -65,7 +63,7 @@ def _record(command: Record, rig: Rig, out: Path) -> int:
     recorder = begin(rig, out, HostClock())
     began = time.monotonic()
     until, warned = began + (command.duration or float("inf")), False
-    with _asked_to_stop() as asked, panel(out, command.duration) as show:
+    with asked_to_stop("ending the recording") as asked, panel(out, command.duration) as show:
         try:
             while recorder.running and time.monotonic() < until and not asked():
                 show(recorder.status())
@@ -113,22 +111,3 @@ def _counts(status: SourceStatus, started_ns: int) -> str:
     if status.first_ns is not None and status.last_ns is not None:
         counts += f", from {(status.first_ns - started_ns) / 1e9:.2f} s to {(status.last_ns - started_ns) / 1e9:.2f} s"
     return counts + (f"; {status.error}" if status.error else "")
-
-
-@contextmanager
-def _asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed, or the process asked to end, since the block began: the take then ends as it should."""
-    asked = False
-
-    def note(*_: object) -> None:
-        nonlocal asked
-        if asked:
-            print("ending the recording", file=sys.stderr)
-        asked = True
-
-    before = {kind: signal.signal(kind, note) for kind in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)

@@ -1,0 +1,255 @@
+"""`cabinpose live`: detectors on the frames of a camera, a recording or a dataset as they come."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+
+from cabinpose.app.cli.arguments import JsonFlag, Maybe, several
+from cabinpose.app.cli.interrupt import asked_to_stop
+from cabinpose.app.cli.output import print_json, print_table
+from cabinpose.app.finite import finite
+from cabinpose.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cabinpose.app.live.feed import LiveFrame
+    from cabinpose.app.live.run import Found, Latency, Live, LiveStatus
+    from cabinpose.core.ports import Predictor
+
+_REFRESH_S = 0.25
+_LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
+
+
+@dataclass(frozen=True)
+class LiveCommand:
+    """Run detectors on frames as they come, and say how long each takes from its arrival to its joints.
+
+    Of a camera the newest frame is taken and older ones are left out; of a dataset or a recording every frame is, unless
+    --realtime. Ctrl-C ends it.
+    """
+
+    source: str
+    """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), Azure file (.mkv), or kind of
+    camera: simulated, synth, royale, bta, genicam."""
+    model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
+    """Models to run, one after the other on each frame: names of those in the package, or ONNX files."""
+    settings: Annotated[tuple[str, ...], arg(name="set", metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
+    """Settings of the source, as in a rig, such as use_case=MODE_9_5FPS_2000 or faults.rate_hz=30."""
+    realtime: bool = False
+    """Play a dataset or a recording at its own pace, leaving frames out as with a camera."""
+    record: Maybe[Path] = None
+    """Recording to write of what the camera says meanwhile (.mcap)."""
+    predictions: Maybe[Path] = None
+    """Predictions file to write (.jsonl or .parquet); of one model."""
+    frames: Maybe[int] = None
+    """Stop after so many frames."""
+    duration: Maybe[float] = None
+    """Stop after so many seconds."""
+    skip_errors: bool = False
+    """Count frames on which a model fails, and go on; otherwise the first ends the run."""
+    overwrite: bool = False
+    """Replace the predictions file."""
+    as_json: JsonFlag = False
+
+
+def run(command: LiveCommand) -> int:
+    """Look at frames until they or the user end it; 1 where a camera was silent at the end."""
+    from cabinpose.app.extras import require
+
+    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    from cabinpose.app.live.choose import open_feed, parsed_settings
+    from cabinpose.app.live.run import Live
+    from cabinpose.store.predictions import check_new_predictions
+
+    _check(command)
+    if command.predictions is not None:
+        check_new_predictions(command.predictions, overwrite=command.overwrite)
+    settings = parsed_settings(command.settings)
+    feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)
+    models = load(command.model)
+    live = Live(feed, models, skip_errors=command.skip_errors, keep=_keeps(command, feed))
+    with asked_to_stop("ending") as asked, _shown() as show:
+        until = time.monotonic() + (command.duration or float("inf"))
+
+        def go_on() -> bool:
+            return not asked() and time.monotonic() < until and live.frames != command.frames
+
+        feed.start()
+        try:
+            for frame, found in live.run(go_on):
+                if command.as_json:
+                    print(json.dumps(finite(_record(frame, found, live)), allow_nan=False), flush=True)
+                show(live)
+        finally:
+            feed.stop()
+    status = live.status(whole=True)
+    if command.predictions is not None:
+        _write_predictions(command, live)
+    reports = _reports(command, live)
+    if command.as_json:
+        print_json({"summary": asdict(status) | {"metrics": [report.to_dict() for report in reports]}})
+    else:
+        _print(status)
+        for report in reports:
+            from cabinpose.app.cli.evaluate import print_report
+
+            print_report(report, everything=False)
+    if status.feed.silent:
+        print(f"error: {command.source} fell silent: {status.feed.error}", file=sys.stderr)
+        print("hint: look at the camera; `cabinpose record --check` says what is missing", file=sys.stderr)
+        return 1
+    return 0
+
+
+def load(names: Sequence[str]) -> list[Predictor]:
+    """The detectors of these names, ready."""
+    from cabinpose.estimate.predictor import load_model
+
+    return [load_model(name) for name in names]
+
+
+def _check(command: LiveCommand) -> None:
+    for flag, value in (("--frames", command.frames), ("--duration", command.duration)):
+        if value is not None and value <= 0:
+            raise ConfigError(f"{flag} {value:g} is nothing to look at", hint=f"give {flag} more than 0")
+    if len(set(command.model)) != len(command.model) or not command.model:
+        raise ConfigError("each model is named once", hint="--model in_car")
+    if command.predictions is not None and len(command.model) > 1:
+        raise ConfigError("a predictions file is of one model", hint="leave out --predictions, or name one --model")
+
+
+def _keeps(command: LiveCommand, feed: Any) -> bool:
+    """Whether the answers are needed after the run."""
+    from cabinpose.app.live.feed import DatasetFeed
+
+    return command.predictions is not None or isinstance(feed, DatasetFeed)
+
+
+def _record(frame: LiveFrame, found: tuple[Found, ...], live: Live) -> dict[str, Any]:
+    """A frame as a line of JSON."""
+    return {
+        "frame": frame.number,
+        "host_ns": frame.host_ns,
+        "models": [
+            {"model": f.model, "ms": round(f.ms, 3), "people": _people(f, model.persons, model.joints)}
+            | ({"error": f.error} if f.error else {})
+            for f, model in zip(found, live.models, strict=True)
+        ],
+    }
+
+
+def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> dict[str, Any]:
+    """Joints by person and name; those without an answer are left out."""
+    import numpy as np
+
+    poses = found.poses
+    there = np.isfinite(poses.joints_2d[0]).all(axis=-1) | np.isfinite(poses.joints_3d[0]).all(axis=-1)
+    return {
+        person: {
+            joint: {
+                "px": [round(float(x), 2) for x in poses.joints_2d[0, p, j]],
+                "m": [round(float(x), 4) for x in poses.joints_3d[0, p, j]],
+                "score": round(float(poses.score[0, p, j]), 4),
+                "presence": round(float(poses.presence[0, p, j]), 4),
+            }
+            for j, joint in enumerate(joints)
+            if there[p, j]
+        }
+        for p, person in enumerate(persons)
+        if there[p].any()
+    }
+
+
+def _write_predictions(command: LiveCommand, live: Live) -> None:
+    from cabinpose.app.live.feed import DatasetFeed
+    from cabinpose.evaluate.offline import dataset_id
+    from cabinpose.store import read_manifest
+    from cabinpose.store.predictions import write_predictions
+
+    assert command.predictions is not None
+    (model,) = live.models
+    dataset = dataset_id(read_manifest(Path(command.source))) if isinstance(live.feed, DatasetFeed) else None
+    skeleton = getattr(getattr(model, "config", None), "skeleton", "cabinpose")
+    found = live.predictions(model, skeleton=skeleton, dataset=dataset)
+    write_predictions(command.predictions, found, overwrite=command.overwrite)
+
+
+def _reports(command: LiveCommand, live: Live) -> list[Any]:
+    """What `evaluate` says of the frames that were looked at, where the source is a dataset with people in the models' seats."""
+    from cabinpose.app.live.feed import DatasetFeed
+    from cabinpose.evaluate.offline import common_joints, evaluate, shared_places
+    from cabinpose.evaluate.options import EvaluationOptions
+
+    if not isinstance(live.feed, DatasetFeed) or not live.frames:
+        return []
+    dataset = live.feed.dataset.isel(frame=slice(0, live.frames))
+    models = [live.predictions(model) for model in live.models]
+    joints, persons = common_joints(dataset, models), shared_places(dataset, models)
+    options = EvaluationOptions(resamples=0)
+    name = Path(command.source).resolve().name
+    return [evaluate(dataset, model, options, joints=joints, persons=persons, name=name) for model in models]
+
+
+def _print(status: LiveStatus) -> None:
+    seen = status.feed.counts
+    print(
+        f"{status.frames} frames, {status.rate_hz:.1f} a second; "
+        f"{status.feed.passed_over} left out for newer ones, {seen.lost} lost before they came, {seen.malformed} malformed"
+    )
+    rows = [["ms", "p50", "p95", "p99", "failed"]]
+    if status.latency is not None:
+        rows.append(["arrival to joints", *_numbers(status.latency), ""])
+    rows += [
+        [name, *(_numbers(latency) if latency else ("", "", "")), str(status.failed[name])]
+        for name, latency in status.models.items()
+    ]
+    print_table(rows)
+
+
+def _numbers(latency: Latency) -> tuple[str, str, str]:
+    return f"{latency.p50:.2f}", f"{latency.p95:.2f}", f"{latency.p99:.2f}"
+
+
+def _line(status: LiveStatus) -> str:
+    late = f", p95 {status.latency.p95:.1f} ms" if status.latency else ""
+    trouble = f"; {status.feed.error}" if status.feed.error else ""
+    return f"{status.frames} frames, {status.rate_hz:.1f}/s{late}, {status.feed.passed_over} left out{trouble}"
+
+
+@contextmanager
+def _shown() -> Iterator[Callable[[Live], None]]:
+    """What is called after each frame: it keeps a line on a terminal up to date, and elsewhere prints one every ten seconds."""
+    from rich.console import Console
+    from rich.status import Status
+
+    console = Console(stderr=True)
+    every = _REFRESH_S if console.is_terminal else _LOG_EVERY_S
+    told = time.monotonic()
+    spinner = Status("waiting for frames", console=console) if console.is_terminal else None
+    if spinner is not None:
+        spinner.start()
+
+    def show(live: Live) -> None:
+        nonlocal told
+        if time.monotonic() - told < every:
+            return
+        told = time.monotonic()
+        text = _line(live.status())
+        if spinner is not None:
+            spinner.update(text)
+        else:
+            print(text, file=sys.stderr)
+
+    try:
+        yield show
+    finally:
+        if spinner is not None:
+            spinner.stop()

@@ -1,0 +1,132 @@
+"""A source of live frames from what was typed: a dataset, a recording, a rig, an Azure file, or a kind of camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cabinpose.app.live.feed import DatasetFeed, EveryFrame, Feed, LatestFrame
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.yaml_text import read_yaml
+from cabinpose.record.config import Rig, kinds, parse_rig
+from cabinpose.store.schema import MANIFEST_NAME
+
+_NOT_CAMERAS = ("mvn", "vicon", "lsl", "numbered", "replay")
+_SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), an Azure file (.mkv), or a kind of camera"
+
+
+def open_feed(source: str, settings: Mapping[str, Any] | None = None, *, realtime: bool = False, out: Path | None = None) -> Feed:
+    """What gives the frames of a source; nothing is connected yet.
+
+    Parameters
+    ----------
+    source
+        Folder of a dataset · recording, as FILE.mcap or FILE.mcap:NAME · rig, as RIG.yaml or RIG.yaml:NAME · FILE.mkv ·
+        kind of camera.
+    settings
+        Settings of the source, beside or in place of the rig's; keys as a rig has them.
+    realtime
+        Play datasets and recordings at their own pace and drop what comes meanwhile, as a camera would.
+    out
+        Recording to write (.mcap) of what a device says.
+
+    Raises
+    ------
+    ConfigError
+        For a source that is not there, an unknown kind or setting, and a recording of what is recorded already.
+    """
+    given: dict[str, Any] = dict(settings or {})
+    path, name = _split(source)
+    if out is not None and path is not None and path.suffix != ".yaml":
+        raise ConfigError(f"{path} is recorded already", hint="leave out --record, or name a camera")
+    if path is None:
+        known = {kind: place for kind, place in kinds().items() if kind not in _NOT_CAMERAS}
+        if source not in known:
+            error = unknown_name("source", source, tuple(known))
+            raise ConfigError(f"{error}", hint=f"{_SOURCES}: {', '.join(sorted(known))}")
+        return LatestFrame(_rig(source, source, given), out)
+    if path.is_dir():
+        if not realtime:
+            _nothing_set(given, path)
+            return DatasetFeed(path)
+        return LatestFrame(_rig("dataset", "simulated", {"dataset": str(path.absolute()), "loop": False} | given))
+    if path.suffix == ".mcap":
+        played = {"path": str(path.absolute()), "source": name, "speed": 1.0 if realtime else 0.0} | given
+        rig = _rig("replay", "replay", played)
+        if realtime:
+            return LatestFrame(rig)
+        clock = HostClock()
+        return EveryFrame(rig.sources[0].build(clock), clock)
+    if path.suffix == ".mkv":
+        return LatestFrame(_rig("azure", "azure_mkv", {"path": str(path.absolute())} | given))
+    return LatestFrame(_one_of(path, name, given), out)
+
+
+def parsed_settings(words: Sequence[str]) -> dict[str, Any]:
+    """Settings from KEY=VALUE words; KEY may be dotted, VALUE is YAML. Raises ConfigError."""
+    settings: dict[str, Any] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"'{word}' sets nothing", hint="write --set KEY=VALUE, such as --set use_case=MODE_9_5FPS_2000")
+        *parents, last = key.split(".")
+        inner = settings
+        for parent in parents:
+            inner = inner.setdefault(parent, {})
+            if not isinstance(inner, dict):
+                raise ConfigError(f"'{word}' sets a part of what is set whole before", hint="leave one of them out")
+        try:
+            inner[last] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"the value of {key} cannot be read: {value}", hint="write it as YAML, in quotes") from error
+    return settings
+
+
+def _split(source: str) -> tuple[Path | None, str | None]:
+    """The file and the name of the source within it; None for a word that is no file."""
+    path = Path(source)
+    if path.is_dir() and not (path / MANIFEST_NAME).is_file():
+        raise ConfigError(f"{path} is no dataset: it has no {MANIFEST_NAME}", hint=_SOURCES)
+    if path.exists():
+        return path, None
+    front, colon, name = source.rpartition(":")
+    if colon and Path(front).is_file():
+        return Path(front), name
+    if path.suffix in (".mcap", ".yaml", ".yml", ".mkv") or "/" in source:
+        raise ConfigError(f"there is no file {source}", hint=_SOURCES)
+    return None, None
+
+
+def _rig(name: str, kind: str, settings: Mapping[str, Any]) -> Rig:
+    """A rig of one source; its text is what a rig file of it would say."""
+    data = {"sources": {name: {"kind": kind, **settings}}}
+    return parse_rig(data, yaml.safe_dump(data, sort_keys=False), base=Path.cwd())
+
+
+def _one_of(path: Path, name: str | None, settings: Mapping[str, Any]) -> Rig:
+    """The rig of a file with one of its sources alone, settings replaced by what was given."""
+    data = read_yaml(path, hint="docs/recording.md has a rig to start from")
+    sources = data.get("sources") if isinstance(data, dict) else None
+    if not isinstance(sources, dict) or not sources:
+        raise ConfigError(f"{path} names no sources", hint="docs/recording.md has a rig to start from")
+    if name is None:
+        cameras = [n for n, s in sources.items() if not (isinstance(s, dict) and s.get("kind") in _NOT_CAMERAS)]
+        if len(cameras) != 1:
+            raise ConfigError(f"{path} has {len(cameras)} cameras", hint=f"name one: {path}:NAME of {', '.join(sources)}")
+        name = str(cameras[0])
+    if name not in sources:
+        error = unknown_name("source", name, [str(n) for n in sources])
+        raise ConfigError(f"{path}: {error}", hint=error.hint)
+    kept = data | {"sources": {name: dict(sources[name]) | dict(settings)}}
+    return parse_rig(kept, yaml.safe_dump(kept, sort_keys=False), base=path.parent)
+
+
+def _nothing_set(settings: Mapping[str, Any], path: Path) -> None:
+    if settings:
+        raise ConfigError(
+            f"{path} is read as it is: {', '.join(settings)} cannot be set", hint="--realtime plays it as a simulated camera"
+        )

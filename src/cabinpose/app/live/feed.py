@@ -1,0 +1,256 @@
+"""Where live frames come from: a device, a recording, a dataset, a rig; one after another, or the newest one only."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import CabinposeError, RecordingError, SourceEndedError
+from cabinpose.core.ports import Counts, FrameBatch, FrameSource, Sample
+from cabinpose.core.recorded import ToFFrame
+from cabinpose.evaluate.offline import frame_batch
+from cabinpose.record.config import Rig
+from cabinpose.record.lane import Lane
+from cabinpose.record.recorder import Recorder
+from cabinpose.store import open_dataset
+from cabinpose.store.recording import RecordingWriter
+
+_WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on
+
+
+@dataclass(frozen=True)
+class LiveFrame:
+    """One frame as a detector gets it. number: of the dataset's frame, or the source's own count · host_ns: when it came."""
+
+    number: int
+    host_ns: int
+    batch: FrameBatch
+
+
+@dataclass(frozen=True)
+class FeedStatus:
+    """What is known of the source: its own counts, frames that newer ones replaced unseen, and what is wrong with it."""
+
+    counts: Counts
+    passed_over: int
+    error: str
+    silent: bool
+
+
+class Feed(ABC):
+    """Frames for detectors. `start` it, ask for `frames`, `stop` it."""
+
+    name: str
+    clock: HostClock  # of the frames' host_ns
+
+    @abstractmethod
+    def start(self) -> None:
+        """Connect; raises RecordingError or DatasetError where that fails."""
+
+    @abstractmethod
+    def frames(self) -> Iterator[LiveFrame | None]:
+        """The frames, until the source ends; None where none came for a tenth of a second, so that the caller may leave."""
+
+    @abstractmethod
+    def status(self) -> FeedStatus:
+        """How the source does."""
+
+    def stop(self) -> None:  # noqa: B027 - a dataset has nothing to let go of
+        """Disconnect, and end what is being recorded."""
+
+
+class DatasetFeed(Feed):
+    """Every frame of a dataset, in order, as fast as it is asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = folder.name
+        self.dataset = open_dataset(folder)
+        self.clock, self._counts = HostClock(), Counts()
+
+    def start(self) -> None:
+        """Nothing to connect to."""
+
+    def frames(self) -> Iterator[LiveFrame | None]:
+        """The frames as `evaluate` and `predict` read them."""
+        numbers = self.dataset["frame"].values
+        for row, number in enumerate(numbers.tolist()):
+            batch = frame_batch(self.dataset, slice(row, row + 1))
+            self._counts.received += 1
+            yield LiveFrame(number, self.clock.now_ns(), batch)
+
+    def status(self) -> FeedStatus:
+        """Nothing is lost."""
+        return FeedStatus(self._counts, 0, "", silent=False)
+
+
+class EveryFrame(Feed):
+    """Every frame of a source that waits to be asked, such as a recording that is replayed."""
+
+    def __init__(self, source: FrameSource, clock: HostClock) -> None:
+        self.name, self._source, self.clock = source.name, source, clock
+
+    def start(self) -> None:
+        """Open the source."""
+        self._source.open()
+
+    def frames(self) -> Iterator[LiveFrame | None]:
+        """Its frames, none left out."""
+        while True:
+            try:
+                samples = self._source.read(_WAIT_S)
+            except SourceEndedError:
+                return
+            if not samples:
+                yield None
+            for sample in samples:
+                if (frame := live_frame(sample)) is not None:
+                    yield frame
+
+    def status(self) -> FeedStatus:
+        """The counts of the source."""
+        return FeedStatus(self._source.counts, 0, "", silent=False)
+
+    def stop(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+
+class LatestFrame(Feed):
+    """The newest frame of a device, read on a thread of its own: what comes while a detector works replaces what waits.
+
+    With `out`, all that the source says is recorded meanwhile, as `cabinpose record` does it.
+    """
+
+    def __init__(self, rig: Rig, out: Path | None = None) -> None:
+        """rig: of one source; its take and storage are those of the recording."""
+        (plan,) = rig.sources
+        self.name = plan.name
+        self.clock, self._wake = HostClock(), threading.Event()
+        self._source = _Tap(plan.build(self.clock))
+        self._lane = Lane(self._source, plan.kind, self.clock, self._wake)
+        self._recorder: Recorder | None = None
+        self._rig, self._out = rig, out
+
+    def start(self) -> None:
+        """Open the source, and the recording where there is to be one."""
+        if self._out is not None:
+            storage = self._rig.storage
+            writer = RecordingWriter(
+                self._out, self._rig.take, rig=self._rig.text, started_ns=self.clock.now_ns(), compression=storage.compression,
+                chunk_bytes=int(storage.chunk_mb * 1e6), flush_s=storage.flush_s, sync_s=storage.sync_s,
+            )  # fmt: skip
+            free = int(storage.min_free_mb * 1e6)
+            self._recorder = Recorder([self._lane], writer, self.clock, self._wake, min_free_bytes=free)
+            try:
+                self._recorder.start()
+            except CabinposeError:
+                self._out.unlink()
+                raise
+            return
+        self._lane.start()
+        if not self._lane.opened.wait(30.0) or self._lane.failure is not None:
+            self._lane.stop()
+            raise self._lane.failure or RecordingError(
+                f"{self.name} does not answer", hint="`cabinpose record --check` says what is missing"
+            )
+
+    def frames(self) -> Iterator[LiveFrame | None]:
+        """The newest frame whenever one is asked for, each once."""
+        while True:
+            frame = self._source.newest(_WAIT_S)
+            if self._recorder is None:
+                self._lane.take(1 << 62)  # nobody else empties its queue
+            if frame is None and self._lane.ended:
+                return
+            yield frame
+
+    def status(self) -> FeedStatus:
+        """The counts of the source, and whether it still speaks."""
+        counts = self._lane.status(self._source.counts.received, self.clock.now_ns())
+        return FeedStatus(self._source.counts, self._source.passed_over, counts.error, counts.silent)
+
+    def stop(self) -> None:
+        """Stop the source and end the recording; raises RecordingError where the disk refused it."""
+        if self._recorder is not None:
+            outcome = self._recorder.stop()
+            if outcome.error is not None:
+                raise outcome.error
+        else:
+            self._lane.stop()
+            self._lane.join(5.0)
+
+
+class _Tap:
+    """A source that keeps its newest frame for somebody else to look at."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self._newest: Sample | None = None
+        self._changed = threading.Condition()
+        self.passed_over = 0  # frames that a newer one replaced before anybody looked
+
+    @property
+    def name(self) -> str:
+        """The source's."""
+        return self._source.name
+
+    @property
+    def counts(self) -> Counts:
+        """The source's."""
+        return self._source.counts
+
+    def check(self) -> Sequence[str]:
+        """As the source's."""
+        return self._source.check()
+
+    def open(self) -> None:
+        """As the source's."""
+        self._source.open()
+
+    def read(self, timeout_s: float) -> Sequence[Sample]:
+        """As the source's."""
+        samples = self._source.read(timeout_s)
+        seen = [sample for sample in samples if tof_frame_of(sample) is not None]
+        if seen:
+            with self._changed:
+                self.passed_over += len(seen) - (self._newest is None)
+                self._newest = seen[-1]
+                self._changed.notify_all()
+        return samples
+
+    def close(self) -> None:
+        """As the source's."""
+        self._source.close()
+
+    def newest(self, timeout_s: float) -> LiveFrame | None:
+        """The newest frame that nobody has taken yet."""
+        with self._changed:
+            if self._newest is None:
+                self._changed.wait(timeout_s)
+            sample, self._newest = self._newest, None
+        return live_frame(sample) if sample is not None else None
+
+
+def tof_frame_of(sample: Sample) -> ToFFrame | None:
+    """The image of a sample, where it has one."""
+    return next((message for message in sample.messages if isinstance(message, ToFFrame)), None)
+
+
+def live_frame(sample: Sample) -> LiveFrame | None:
+    """The frame of a sample; None where it holds none."""
+    image = tof_frame_of(sample)
+    if image is None:
+        return None
+    return LiveFrame(-1 if sample.sequence is None else sample.sequence, sample.host_ns, batch_of(image))
+
+
+def batch_of(image: ToFFrame) -> FrameBatch:
+    """A recorded frame as a batch of one, the same numbers as a dataset of it holds."""
+    batch = FrameBatch(depth=image.depth_m()[None], camera_k=image.camera_k[None], camera_dist=image.camera_dist[None])
+    if image.amplitude.size:
+        batch["amplitude"] = image.amplitude[None]
+    return batch

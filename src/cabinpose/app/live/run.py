@@ -1,0 +1,142 @@
+"""Detectors at work on live frames: what they find, how long it takes, and what was missed meanwhile."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
+from cabinpose.core.errors import CabinposeError
+from cabinpose.core.ports import PoseBatch, Predictor, joined
+from cabinpose.store.predictions import Predictions, empty_batch
+
+_WINDOW = 100  # frames over which the present rate and latency are taken
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one detector found in a frame: poses (one frame), or why it found nothing; ms that it took."""
+
+    model: str
+    poses: PoseBatch
+    error: str
+    ms: float
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Percentiles of a time, ms."""
+
+    p50: float
+    p95: float
+    p99: float
+
+    @classmethod
+    def of(cls, ms: Sequence[float]) -> Latency | None:
+        """Those of a number of times; None of none."""
+        return cls(*np.percentile(ms, (50, 95, 99)).tolist()) if ms else None
+
+
+@dataclass(frozen=True)
+class LiveStatus:
+    """How it goes. rate_hz: frames answered a second, of late · latency: from the frame's arrival to all joints, ms ·
+    models: time in each detector, ms · failed: frames on which each detector gave no answer.
+    """
+
+    frames: int
+    rate_hz: float
+    latency: Latency | None
+    models: dict[str, Latency | None]
+    failed: dict[str, int]
+    feed: FeedStatus
+
+
+@dataclass
+class _Answers:
+    """One detector's answers so far."""
+
+    numbers: list[int] = field(default_factory=list)
+    batches: list[PoseBatch] = field(default_factory=list)
+    ms: array[float] = field(default_factory=lambda: array("d"))
+    failed: int = 0
+
+
+class Live:
+    """Runs detectors on the frames of a feed, in the caller's thread."""
+
+    def __init__(self, feed: Feed, models: Sequence[Predictor], *, skip_errors: bool = False, keep: bool = False) -> None:
+        """skip_errors: a frame that a detector fails on is counted, and the run goes on; otherwise the error is raised ·
+        keep: remember all answers, for `predictions`.
+        """
+        self.feed, self.models = feed, tuple(models)
+        self._skip_errors, self._keep = skip_errors, keep
+        self._answers = {model.name: _Answers() for model in self.models}
+        self._latency_ms, self._ended_s = array("d"), array("d")
+
+    @property
+    def frames(self) -> int:
+        """Frames looked at so far."""
+        return len(self._ended_s)
+
+    def run(self, go_on: Callable[[], bool] = lambda: True) -> Iterator[tuple[LiveFrame, tuple[Found, ...]]]:
+        """Each frame with what each detector found in it, until the feed ends or `go_on` says no."""
+        for frame in self.feed.frames():
+            if frame is not None:
+                yield frame, self.look(frame)
+            if not go_on():
+                return
+
+    def look(self, frame: LiveFrame) -> tuple[Found, ...]:
+        """What each detector finds in a frame, counted."""
+        found = tuple(self._ask(model, frame) for model in self.models)
+        self._latency_ms.append((self.feed.clock.now_ns() - frame.host_ns) / 1e6)
+        self._ended_s.append(time.monotonic())
+        return found
+
+    def _ask(self, model: Predictor, frame: LiveFrame) -> Found:
+        answers = self._answers[model.name]
+        began = time.perf_counter()
+        error = ""
+        try:
+            poses = model.predict(frame.batch)
+        except CabinposeError as problem:
+            if not self._skip_errors:
+                raise
+            answers.failed += 1
+            poses, error = empty_batch(1, len(model.persons), len(model.joints)), problem.in_one_line()
+        ms = 1e3 * (time.perf_counter() - began)
+        if not error:
+            answers.ms.append(ms)
+        if self._keep and not error:
+            answers.numbers.append(frame.number)
+            answers.batches.append(poses)
+        return Found(model.name, poses, error, ms)
+
+    def status(self, *, whole: bool = False) -> LiveStatus:
+        """Rates and latencies of late, or of the whole run."""
+        since = 0 if whole else -_WINDOW
+        ended = self._ended_s[since:]
+        span = ended[-1] - ended[0] if ended else 0.0
+        return LiveStatus(
+            frames=self.frames,
+            rate_hz=(len(ended) - 1) / span if span > 0 else 0.0,
+            latency=Latency.of(self._latency_ms[since:]),
+            models={name: Latency.of(answers.ms[since:]) for name, answers in self._answers.items()},
+            failed={name: answers.failed for name, answers in self._answers.items()},
+            feed=self.feed.status(),
+        )
+
+    def predictions(self, model: Predictor, *, skeleton: str = "cabinpose", dataset: str | None = None) -> Predictions:
+        """All answers of a detector, by the numbers of the frames."""
+        answers = self._answers[model.name]
+        found = joined([empty_batch(0, len(model.persons), len(model.joints)), *answers.batches])
+        order = np.argsort(np.array(answers.numbers, np.int64), kind="stable")
+        return Predictions(
+            found.joints_2d[order], found.joints_3d[order], found.score[order], found.presence[order],
+            frame=np.array(answers.numbers, np.int64)[order], persons=model.persons, joints=model.joints, model=model.name,
+            skeleton=skeleton, dataset=dataset,
+        )  # fmt: skip

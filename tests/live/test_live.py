@@ -1,0 +1,249 @@
+"""Live: every frame as `predict` and `evaluate` see it, the newest one of a camera, and what goes wrong meanwhile."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cabinpose.app.live.choose import open_feed, parsed_settings
+from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
+from cabinpose.app.live.run import Latency, Live
+from cabinpose.core.clock import HostClock
+from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
+from cabinpose.core.ports import Counts, FrameBatch, PoseBatch, Sample
+from cabinpose.core.recorded import ToFFrame
+from cabinpose.record.config import Rig, SourcePlan, parse_rig
+from cabinpose.store import open_dataset
+from cabinpose.store.predictions import empty_batch, read_predictions
+from cabinpose.store.recording import Recording, tof_frames
+
+Run = Callable[..., Any]  # of a command, see the `run` fixture
+FRAMES = 6
+
+
+class Model:
+    """A detector that notes what it sees, takes its time, and fails where it is told to."""
+
+    name, persons, joints = "model", ("driver",), ("head",)
+
+    def __init__(self, seconds: float = 0.0, fails_on: int = -1) -> None:
+        self.seconds, self.fails_on, self.seen = seconds, fails_on, 0
+
+    def predict(self, frames: FrameBatch) -> PoseBatch:
+        time.sleep(self.seconds)
+        self.seen += 1
+        if self.seen - 1 == self.fails_on:
+            raise ModelError("it cannot", hint="nothing to do")
+        batch = empty_batch(len(frames["depth"]), 1, 1)
+        batch.joints_2d[:] = np.nanmean(frames["depth"])
+        return batch
+
+
+class Camera:
+    """A source of `count` frames, one each `every_s`; the depth of frame n is n + 1 steps. It hangs at the end, or ends."""
+
+    def __init__(self, count: int, every_s: float) -> None:
+        self.name, self.counts = "camera", Counts()
+        self._count, self._every_s, self._next_s = count, every_s, 0.0
+
+    def check(self) -> Sequence[str]:
+        return ()
+
+    def open(self) -> None:
+        self._next_s = time.monotonic()
+
+    def close(self) -> None:
+        pass
+
+    def read(self, timeout_s: float) -> Sequence[Sample]:
+        wait = self._next_s - time.monotonic()
+        time.sleep(max(min(wait, timeout_s), 0.0))
+        if wait > timeout_s or self.counts.received == self._count:
+            return ()
+        self._next_s += self._every_s
+        number = self.counts.received
+        self.counts.received += 1
+        return [Sample(number, HostClock().now_ns(), None, b"", (image(number),))]
+
+
+def image(number: int) -> ToFFrame:
+    return ToFFrame(
+        np.full((4, 6), number + 1, np.uint16), 1e-4, np.zeros((0, 0), np.uint16), np.zeros((0, 0), np.uint8),
+        np.diag([5.0, 5.0, 1.0]), np.zeros(5), np.zeros(5),
+    )  # fmt: skip
+
+
+def camera_rig(camera: Camera) -> Rig:
+    base = parse_rig({"sources": {"camera": {"kind": "numbered"}}})
+    plan = SourcePlan("camera", "numbered", lambda name, settings, clock: camera, base.sources[0].settings)
+    return Rig(base.take, base.storage, (plan,), base.text)
+
+
+# ------------------------------------------------------------------------------------------------ every frame
+
+
+def test_dataset_gives_what_predict_writes(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    live, predicted = tmp_path / "live.jsonl", tmp_path / "predicted.jsonl"
+    assert run("live", "--source", dataset_folder, "--predictions", live).code == 0
+    assert run("predict", dataset_folder, "--model", "in_car", "--out", predicted).code == 0
+    assert live.read_bytes() == predicted.read_bytes()
+    assert len(read_predictions(live).frame) == FRAMES
+
+
+def test_dataset_gives_the_metrics_of_evaluate(run: Run, dataset_folder: Path) -> None:
+    live = json.loads(run("live", "--source", dataset_folder, "--json").out.splitlines()[-1])["summary"]["metrics"][0]
+    judged = run("evaluate", dataset_folder, "--model", "in_car", "--resamples", 0, "--json")
+    assert live["values"] == json.loads(judged.out)["models"][0]["values"]
+    assert live["values"]
+
+
+def test_recording_gives_what_predict_finds(run: Run, dataset_folder: Path, recording: Path, tmp_path: Path) -> None:
+    out, predicted = tmp_path / "live.jsonl", tmp_path / "predicted.jsonl"
+    assert run("live", "--source", recording, "--predictions", out).code == 0
+    run("predict", dataset_folder, "--model", "in_car", "--out", predicted)
+    found, expected = read_predictions(out), read_predictions(predicted)
+    for name in ("frame", "joints_2d", "joints_3d", "score", "presence"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def test_recorded_frame_has_the_numbers_of_the_dataset(dataset_folder: Path, recording: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    with Recording(recording) as opened:
+        batches = [batch_of(message) for _, message in tof_frames(opened, "camera")]
+    assert len(batches) == FRAMES
+    for row, batch in enumerate(batches):
+        np.testing.assert_array_equal(batch["depth"][0], dataset["depth"][row].values)
+        np.testing.assert_array_equal(batch["amplitude"][0], dataset["amplitude"][row].values)
+        np.testing.assert_array_equal(batch["camera_k"][0], dataset["camera_k"].values[row])
+
+
+def test_json_has_a_line_for_each_frame(run: Run, dataset_folder: Path) -> None:
+    lines = [json.loads(line) for line in run("live", "--source", dataset_folder, "--frames", 2, "--json").out.splitlines()]
+    assert [line.get("frame") for line in lines] == [0, 1, None]
+    head = lines[0]["models"][0]["people"]["driver"]["head"]
+    assert (len(head["px"]), len(head["m"])) == (2, 3)
+    assert 0 <= head["presence"] <= 1
+    assert lines[-1]["summary"]["frames"] == 2
+
+
+# ------------------------------------------------------------------------------------------------ the newest frame
+
+
+def seen_by(live: Live, until: Callable[[], bool]) -> list[LiveFrame]:
+    live.feed.start()
+    try:
+        return [frame for frame, _ in live.run(lambda: not until())]
+    finally:
+        live.feed.stop()
+
+
+def test_slow_detector_sees_the_newest_frames() -> None:
+    camera = Camera(40, 0.01)
+    live = Live(LatestFrame(camera_rig(camera)), [Model(seconds=0.055)])
+    frames = seen_by(live, lambda: camera.counts.received == 40 and live.feed.status().passed_over + live.frames == 40)
+    numbers = [frame.number for frame in frames]
+    assert numbers == sorted(set(numbers))  # each once, in order
+    assert numbers[-1] == 39  # the last one is never left out
+    status = live.status(whole=True)
+    assert status.frames + status.feed.passed_over == 40  # every frame is looked at or counted
+    assert status.feed.passed_over >= 20
+
+
+def test_frames_are_recorded_meanwhile(tmp_path: Path) -> None:
+    camera, out = Camera(20, 0.01), tmp_path / "out.mcap"
+    live = Live(LatestFrame(camera_rig(camera), out), [Model(seconds=0.05)])
+    frames = seen_by(live, lambda: camera.counts.received == 20)
+    assert len(frames) < 20
+    with Recording(out) as recording:
+        depths = [message.depth[0, 0] for _, message in tof_frames(recording, "camera")]
+    assert depths == list(range(1, 21))  # all of them, not only those that the detector saw
+
+
+def test_camera_that_falls_silent_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(30, 0.01)
+    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda names: [Model()])
+    monkeypatch.setattr("cabinpose.app.live.choose.open_feed", lambda *_, **__: LatestFrame(camera_rig(camera)))
+    outcome = run("live", "--source", "simulated", "--duration", 2.5)
+    assert outcome.code == 1
+    assert "simulated fell silent: no data for" in outcome.err
+    assert "30 frames" in outcome.out
+
+
+def test_asking_waits_no_longer_than_it_must() -> None:
+    camera = Camera(0, 1.0)
+    live = Live(LatestFrame(camera_rig(camera)), [Model()])
+    asked = threading.Event()
+    threading.Timer(0.3, asked.set).start()
+    assert seen_by(live, asked.is_set) == []
+
+
+# ------------------------------------------------------------------------------------------------ what goes wrong
+
+
+def test_failing_detector_ends_the_run_or_is_counted(dataset_folder: Path) -> None:
+    live = Live(open_feed(str(dataset_folder)), [Model(fails_on=2)])
+    with pytest.raises(CabinposeError, match="it cannot"):
+        list(live.run())
+    model = Model(fails_on=2)
+    live = Live(open_feed(str(dataset_folder)), [model], skip_errors=True, keep=True)
+    errors = [found[0].error for _, found in live.run()]
+    assert [bool(error) for error in errors] == [number == 2 for number in range(FRAMES)]
+    assert live.status().failed == {"model": 1}
+    assert live.predictions(model).frame.tolist() == [0, 1, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--source", "nix"), "unknown source 'nix'"),
+        (("--source", "nix.mcap"), "there is no file nix.mcap"),
+        (("--source", "."), "no dataset"),
+        (("--source", "{dataset}", "--record", "x.mcap"), "is recorded already"),
+        (("--source", "{dataset}", "--set", "loop=true"), "loop cannot be set"),
+        (("--source", "{recording}:other"), "unknown source of the recording 'other'"),
+        (("--source", "{dataset}", "--frames", "0"), "--frames 0 is nothing to look at"),
+        (("--source", "{dataset}", "--model", "in_car", "in_car"), "each model is named once"),
+        (("--source", "simulated", "--set", "dataset"), "sets nothing"),
+        (("--source", "simulated"), "has no frames to see"),
+    ],
+)
+def test_bad_input(run: Run, dataset_folder: Path, recording: Path, arguments: Sequence[str], message: str) -> None:
+    words = [word.format(dataset=dataset_folder, recording=recording) for word in arguments]
+    outcome = run("live", *words)
+    assert outcome.code == 2
+    assert message in outcome.err
+    assert outcome.err.count("hint:") == 1
+
+
+def test_camera_of_a_rig_and_settings_over_it(dataset_folder: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(
+        f"sources:\n  tof: {{kind: simulated, dataset: {dataset_folder}}}\n  suit: {{kind: mvn, port: 9763}}\n", encoding="utf-8"
+    )
+    feed = open_feed(str(rig), parsed_settings(["faults.rate_hz=100", "loop=false"]))
+    assert feed.name == "tof"  # the only camera
+    live = Live(feed, [Model()])
+    assert 1 <= len(seen_by(live, lambda: False)) <= FRAMES
+    with pytest.raises(ConfigError, match="unknown source 'other'"):
+        open_feed(f"{rig}:other")
+
+
+@pytest.mark.parametrize("words", [["a=1", "a.b=2"], ["=1"], ["a=[1"]])
+def test_settings_that_say_nothing(words: list[str]) -> None:
+    with pytest.raises(ConfigError):
+        parsed_settings(words)
+
+
+def test_percentiles() -> None:
+    values: list[Any] = list(range(1, 101))
+    latency = Latency.of(values)
+    assert latency is not None
+    assert (latency.p50, latency.p95, latency.p99) == pytest.approx((50.5, 95.05, 99.01))
+    assert Latency.of([]) is None
