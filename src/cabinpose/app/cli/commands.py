@@ -29,6 +29,7 @@ from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.live import LiveCommand
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
+from cabinpose.app.cli.studio import Studio
 
 
 @dataclass(frozen=True)
@@ -453,6 +454,7 @@ Command = (
     | Annotated[Forget, subcommand("forget")]
     | Annotated[Calibrate, subcommand("calibrate")]
     | Annotated[Align, subcommand("align")]
+    | Annotated[Studio, subcommand("studio")]
     | Annotated[Lab, subcommand("lab")]
     | Annotated[Bench, subcommand("bench")]
 )
@@ -472,7 +474,7 @@ RUNNERS = MappingProxyType(
         Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
         Record: "record", Recover: "recover", Forget: "forget", Calibrate: "calibrate", Align: "align", Lab: "lab",
-        EvaluateMocap: "evaluate_mocap", LiveCommand: "live",
+        EvaluateMocap: "evaluate_mocap", LiveCommand: "live", Studio: "studio",
     }
 )  # fmt: skip
 

@@ -1,0 +1,52 @@
+"""`cabinpose studio`: the studio in the browser."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Optional
+
+from tyro.conf import Positional
+
+from cabinpose.app.cli.arguments import Maybe, several
+
+
+@dataclass(frozen=True)
+class Studio:
+    """Configure scenes, look at data, label, compare models and run them live, in the browser.
+
+    Serves on this machine alone, unless --host and --token say otherwise. Ctrl-C ends it.
+    """
+
+    thing: Annotated[Positional[Optional[Path]], several("[DATASET|RECORDING|SCENE.yaml]")] = None
+    """What to open: the folder of a dataset, a recording (.mcap) or a scene (.yaml)."""
+    predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
+    """Predictions files of the dataset to compare."""
+    labels: Maybe[Path] = None
+    """Journal of the labels; default: DATASET.labels.jsonl beside the dataset."""
+    host: str = "127.0.0.1"
+    """Address to serve on; another than this machine's own needs --token."""
+    port: int = 8570
+    """Port to serve on; 0 takes a free one."""
+    token: Maybe[str] = None
+    """Word that a browser has to bring; needed for --host beyond this machine."""
+
+
+def run(command: Studio) -> None:
+    """Open what was named and serve until Ctrl-C."""
+    from cabinpose.app.extras import require
+
+    require("nicegui", extra="studio")
+    from cabinpose.app.studio.serve import serve
+    from cabinpose.app.studio.workspace import open_workspace
+
+    workspace = open_workspace(command.thing, labels=command.labels)
+    for path in command.predictions:
+        workspace.add_predictions(path)
+    serve(workspace, host=command.host, port=command.port, token=command.token, ready=_ready)
+
+
+def _ready(address: str) -> None:
+    print(address)
+    print("open it in a browser; Ctrl-C ends the studio", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""The studio in the browser: configure scenes, look at data, label, compare, run detectors live."""

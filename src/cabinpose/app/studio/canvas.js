@@ -1,0 +1,195 @@
+// A frame's image in colours and its people's joints over it. Depth and amplitude come as 16 bits a pixel and are coloured here, so
+// that contrast and zoom cost the server nothing; a joint is dragged here, and the server told where it was let go.
+const HIT_PX = 12; // on the screen, from a joint to the pointer that takes it
+
+export default {
+  template: `
+    <div ref="box" class="frame-canvas" tabindex="0" style="position:relative;outline:none;overflow:hidden;width:100%;height:100%">
+      <canvas ref="canvas" style="width:100%;height:100%;display:block;cursor:crosshair;touch-action:none"></canvas>
+      <div ref="note" style="position:absolute;left:8px;bottom:6px;font:12px monospace;color:#fff;background:#0009;
+        padding:1px 6px;border-radius:4px;pointer-events:none"></div>
+      <div v-if="state" style="position:absolute;inset:0;display:flex;align-items:center;justify-content:center;color:#889;
+        font:14px sans-serif;pointer-events:none">{{ state }}</div>
+    </div>`,
+  props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, selected: Array, palette: Array },
+  data: () => ({ state: "loading", image: null, view: null, drag: null, pointer: null, loads: 0 }),
+  mounted() {
+    const canvas = this.$refs.canvas;
+    this.context = canvas.getContext("2d");
+    this.observer = new ResizeObserver(() => this.fit());
+    this.observer.observe(this.$refs.box);
+    canvas.addEventListener("wheel", this.wheel, { passive: false });
+    for (const [name, handler] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up], ["pointerleave", this.leave]])
+      canvas.addEventListener(name, handler);
+    canvas.addEventListener("dblclick", () => { this.view = null; this.draw(); });
+    this.$refs.box.addEventListener("keydown", this.key);
+    this.load();
+  },
+  unmounted() { this.observer.disconnect(); },
+  watch: {
+    url() { this.load(); },
+    near() { this.colour(); }, far() { this.colour(); }, palette() { this.colour(); },
+    people: { handler() { if (!this.drag) this.draw(); }, deep: true },
+    selected() { this.draw(); },
+  },
+  methods: {
+    async load() {
+      const load = ++this.loads;
+      if (!this.url) { this.state = "no image"; this.image = null; return; }
+      try {
+        const answer = await fetch(this.url);
+        if (!answer.ok) throw new Error(await answer.text());
+        const bytes = await answer.arrayBuffer();
+        if (load !== this.loads) return; // another frame was asked for meanwhile
+        const [width, height] = ["x-width", "x-height"].map((name) => +answer.headers.get(name));
+        const step = +answer.headers.get("x-step"), kind = answer.headers.get("x-kind");
+        const values = answer.headers.get("x-bits") === "8" ? new Uint8Array(bytes) : new Uint16Array(bytes);
+        const same = this.image && this.image.width === width && this.image.height === height;
+        this.image = { width, height, step, kind, values, unit: answer.headers.get("x-unit") || "" };
+        if (!same) this.view = null;
+        this.state = "";
+        this.colour();
+        this.$emit("loaded");
+      } catch (error) {
+        if (load === this.loads) { this.image = null; this.state = "this image cannot be had: " + error.message; this.draw(); }
+      }
+    },
+    colour() {
+      const image = this.image;
+      if (!image) return;
+      const picture = new ImageData(image.width, image.height), out = new Uint32Array(picture.data.buffer), palette = this.palette || [];
+      if (image.kind === "classes") {
+        const table = palette.map(([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r);
+        for (let i = 0; i < out.length; i++) out[i] = table[image.values[i] % table.length];
+      } else {
+        const table = new Uint32Array(65536), low = this.near / image.step, high = this.far / image.step, last = palette.length - 1;
+        for (let value = 1; value < 65536; value++) {
+          const share = Math.min(Math.max((value - low) / Math.max(high - low, 1e-9), 0), 1);
+          const [r, g, b] = palette[Math.round((image.kind === "grey" ? Math.sqrt(share) : share) * last)] || [0, 0, 0];
+          table[value] = (255 << 24) | (b << 16) | (g << 8) | r;
+        }
+        table[0] = image.kind === "grey" ? (255 << 24) : 0xff2e2826; // invalid
+        for (let i = 0; i < out.length; i++) out[i] = table[image.values[i]];
+      }
+      this.bitmap = new OffscreenCanvas(image.width, image.height);
+      this.bitmap.getContext("2d").putImageData(picture, 0, 0);
+      this.draw();
+    },
+    fit() {
+      const box = this.$refs.box.getBoundingClientRect(), ratio = window.devicePixelRatio || 1, canvas = this.$refs.canvas;
+      canvas.width = Math.max(box.width * ratio, 1); canvas.height = Math.max(box.height * ratio, 1);
+      this.draw();
+    },
+    place() { // the view: screen = pixel * scale + offset; the whole image until the user zooms
+      const canvas = this.$refs.canvas, image = this.image;
+      if (this.view) return this.view;
+      const scale = Math.min(canvas.width / image.width, canvas.height / image.height);
+      return { scale, x: (canvas.width - image.width * scale) / 2, y: (canvas.height - image.height * scale) / 2 };
+    },
+    draw() {
+      const c = this.context, canvas = this.$refs.canvas;
+      if (!c) return;
+      c.setTransform(1, 0, 0, 1, 0, 0);
+      c.clearRect(0, 0, canvas.width, canvas.height);
+      if (!this.image || !this.bitmap) return;
+      const { scale, x, y } = this.place(), ratio = window.devicePixelRatio || 1;
+      c.imageSmoothingEnabled = false;
+      c.drawImage(this.bitmap, x, y, this.image.width * scale, this.image.height * scale);
+      const at = ([u, v]) => [(u + 0.5) * scale + x, (v + 0.5) * scale + y]; // an integer pixel is a pixel's centre
+      (this.people || []).forEach((person, p) => {
+        const there = (j) => person.joints[j] && person.joints[j].u !== null;
+        c.lineWidth = 2 * ratio; c.strokeStyle = person.colour; c.setLineDash(person.dashed ? [5 * ratio, 4 * ratio] : []);
+        for (const [a, b] of person.limbs || this.limbs || []) {
+          if (!there(a) || !there(b)) continue;
+          c.beginPath();
+          c.moveTo(...at([person.joints[a].u, person.joints[a].v]));
+          c.lineTo(...at([person.joints[b].u, person.joints[b].v]));
+          c.stroke();
+        }
+        c.setLineDash([]);
+        person.joints.forEach((joint, j) => {
+          if (!there(j)) return;
+          const [sx, sy] = at([joint.u, joint.v]), chosen = this.selected && this.selected[0] === p && this.selected[1] === j;
+          c.beginPath(); c.arc(sx, sy, (chosen ? 6 : 4) * ratio, 0, 7);
+          c.fillStyle = joint.colour || person.colour; c.fill();
+          c.lineWidth = (chosen ? 2.5 : 1) * ratio; c.strokeStyle = chosen ? "#fff" : "#111"; c.stroke();
+          if (joint.doubt) { c.beginPath(); c.arc(sx, sy, 10 * ratio, 0, 7); c.strokeStyle = "#ff3bd4"; c.lineWidth = 1.5 * ratio; c.stroke(); }
+          if (chosen) {
+            c.font = `${13 * ratio}px sans-serif`; c.lineWidth = 3 * ratio; c.strokeStyle = "#000c"; c.fillStyle = "#fff";
+            c.strokeText(joint.name, sx + 10 * ratio, sy - 8 * ratio); c.fillText(joint.name, sx + 10 * ratio, sy - 8 * ratio);
+          }
+        });
+      });
+    },
+    pixel(event) {
+      const box = this.$refs.canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1, { scale, x, y } = this.place();
+      const sx = (event.clientX - box.left) * ratio, sy = (event.clientY - box.top) * ratio;
+      return { u: (sx - x) / scale - 0.5, v: (sy - y) / scale - 0.5, sx, sy };
+    },
+    nearest(event) {
+      const { sx, sy } = this.pixel(event), { scale, x, y } = this.place(), ratio = window.devicePixelRatio || 1;
+      let best = null, least = HIT_PX * ratio;
+      (this.people || []).forEach((person, p) => person.fixed || person.joints.forEach((joint, j) => {
+        if (joint.u === null) return;
+        const distance = Math.hypot((joint.u + 0.5) * scale + x - sx, (joint.v + 0.5) * scale + y - sy);
+        if (distance < least) { least = distance; best = [p, j]; }
+      }));
+      return best;
+    },
+    wheel(event) {
+      event.preventDefault();
+      if (!this.image) return;
+      const { u, v, sx, sy } = this.pixel(event), scale = this.place().scale * Math.exp(-event.deltaY / 400);
+      const whole = Math.min(this.$refs.canvas.width / this.image.width, this.$refs.canvas.height / this.image.height);
+      this.view = scale <= whole ? null : { scale: Math.min(scale, 64 * whole), x: 0, y: 0 };
+      if (this.view) { this.view.x = sx - (u + 0.5) * this.view.scale; this.view.y = sy - (v + 0.5) * this.view.scale; }
+      this.draw();
+    },
+    down(event) {
+      this.$refs.box.focus();
+      if (!this.image) return;
+      this.$refs.canvas.setPointerCapture(event.pointerId);
+      const hit = event.button === 0 ? this.nearest(event) : null;
+      const panning = event.button !== 0 || event.shiftKey;
+      this.drag = { hit, panning, moved: false, from: [event.clientX, event.clientY], view: { ...this.place() } };
+      if (hit) this.$emit("pick", { person: hit[0], joint: hit[1] });
+    },
+    move(event) {
+      if (!this.image) return;
+      const { u, v } = this.pixel(event), drag = this.drag;
+      this.tell(u, v);
+      if (!drag) return;
+      const [dx, dy] = [event.clientX - drag.from[0], event.clientY - drag.from[1]];
+      drag.moved = drag.moved || Math.hypot(dx, dy) > 3;
+      if (!drag.moved) return;
+      if (drag.panning) {
+        const ratio = window.devicePixelRatio || 1;
+        this.view = { scale: drag.view.scale, x: drag.view.x + dx * ratio, y: drag.view.y + dy * ratio };
+      } else if (drag.hit && this.editable) {
+        Object.assign(this.people[drag.hit[0]].joints[drag.hit[1]], { u, v });
+      }
+      this.draw();
+    },
+    up(event) {
+      const drag = this.drag;
+      this.drag = null;
+      if (!this.image || !drag || drag.panning) return;
+      const { u, v } = this.pixel(event);
+      if (drag.hit && drag.moved && this.editable) this.$emit("place", { person: drag.hit[0], joint: drag.hit[1], u, v, dragged: true });
+      else if (!drag.hit && !drag.moved && u > -0.5 && v > -0.5 && u < this.image.width - 0.5 && v < this.image.height - 0.5)
+        this.$emit("place", { u, v, dragged: false });
+    },
+    leave() { this.$refs.note.textContent = ""; },
+    tell(u, v) {
+      const { width, height, values, step, unit } = this.image, [x, y] = [Math.round(u), Math.round(v)];
+      const inside = x >= 0 && y >= 0 && x < width && y < height, value = inside ? values[y * width + x] : 0;
+      this.$refs.note.textContent = inside ? `${x}, ${y}: ${value ? (value * step).toFixed(unit === "m" ? 3 : 0) + " " + unit : "invalid"}` : "";
+    },
+    key(event) {
+      if (event.ctrlKey || event.metaKey || event.altKey) { if (!(event.ctrlKey && event.key === "z")) return; }
+      event.preventDefault();
+      this.$emit("key", { key: event.key, shift: event.shiftKey, ctrl: event.ctrlKey });
+    },
+    focus() { this.$refs.box.focus(); },
+  },
+};

@@ -1,0 +1,50 @@
+"""The canvas component: a frame in colours, with joints that can be dragged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from nicegui.element import Element
+from nicegui.events import GenericEventArguments
+
+from cabinpose.app.view.draw import colour_map
+
+
+class FrameCanvas(Element, component="canvas.js"):
+    """An image of a frame and the joints of its people; zoomed by the wheel, moved with Shift or the middle button."""
+
+    def __init__(
+        self,
+        *,
+        editable: bool = False,
+        on_pick: Callable[[int, int], Any] | None = None,
+        on_place: Callable[[Mapping[str, Any]], Any] | None = None,
+        on_key: Callable[[Mapping[str, Any]], Any] | None = None,
+    ) -> None:
+        """on_pick: person and joint that was taken · on_place: u, v and, where one was dragged, person and joint · on_key: key."""
+        super().__init__()
+        self.classes("w-full h-full")
+        self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "selected": None}
+        self._props["limbs"], self._props["palette"] = [], colour_map().tolist()
+        if on_pick is not None:
+            self.on("pick", lambda e: on_pick(int(e.args["person"]), int(e.args["joint"])))
+        for event, handler in (("place", on_place), ("key", on_key)):
+            if handler is not None:
+                self.on(event, _with_arguments(handler))
+
+    def show(self, url: str, *, near: float, far: float, palette: Sequence[Sequence[int]] | None = None) -> None:
+        """Show the image behind a URL of `pictures`, coloured from `near` to `far` in its unit."""
+        self._props |= {"url": url, "near": near, "far": far, "palette": palette or colour_map().tolist()}
+        self.update()
+
+    def joints(
+        self, people: Sequence[Mapping[str, Any]], limbs: Sequence[Sequence[int]], selected: tuple[int, int] | None = None
+    ) -> None:
+        """Draw people: `colour`, `joints` (each `name`, `u`, `v` or None, maybe `colour` and `doubt`), maybe `dashed`, `fixed`."""
+        self._props |= {"people": list(people), "limbs": [list(limb) for limb in limbs], "selected": selected}
+        self.update()
+
+
+def _with_arguments(handler: Callable[[Mapping[str, Any]], Any]) -> Callable[[GenericEventArguments], Any]:
+    return lambda event: handler(event.args)

@@ -1,0 +1,244 @@
+"""The Dataset tab: any dataset, filtered, frame by frame, on every image and in the cloud, with its statistics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+from numpy.typing import NDArray
+
+from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.clouds import person_colour
+from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
+from cabinpose.app.studio.workspace import Workspace, depth_range
+from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
+from cabinpose.app.view.summary import BIN_M, summarise
+from cabinpose.core.frames import apply
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import LIMBS
+from cabinpose.store.convert.frames import label_colours
+
+_FILTERS = ("subject", "action", "car", "pov")
+_STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
+_GREY = [[value, value, value] for value in range(256)]
+_INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
+
+
+def dataset_tab(workspace: Workspace) -> None:
+    """Build the tab."""
+    if workspace.dataset is None:
+        empty_state("No dataset is open", "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
+        return
+    DatasetTab(workspace)
+
+
+class DatasetTab:
+    """The tab of one browser: which frames are chosen, and which one is shown."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        assert workspace.dataset is not None
+        self._workspace, self._dataset = workspace, workspace.dataset
+        self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
+        self._visibility = self._dataset["visibility"].values
+        self._joints = [str(name) for name in self._dataset["joint"].values]
+        self._limbs = [[self._joints.index(a), self._joints.index(b)] for a, b in LIMBS if {a, b} <= set(self._joints)]
+        self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
+        self._position = 0
+        with ui.row().classes("studio-tab no-wrap w-full"):
+            with ui.column().classes("studio-side"):
+                self._build_side()
+            with ui.column().classes("studio-main"):
+                self._build_main()
+        ui.keyboard(on_key=self._key)
+        self._show()
+
+    def _build_side(self) -> None:
+        ui.label("Frames with").style("font-weight: 600")
+        self._filters = {}
+        for name, values in self._coordinates.items():
+            options = sorted({str(value) for value in values.ravel() if str(value)})
+            self._filters[name] = ui.select(
+                options, label="view" if name == "pov" else name, multiple=True, clearable=True, on_change=self._filter
+            ).props("dense outlined use-chips").style("width: 100%")
+        with ui.row().classes("no-wrap items-center w-full"):
+            self._joint = ui.select(self._joints, label="joint", clearable=True, on_change=self._filter).props("dense outlined")
+            self._joint.style("flex: 1; min-width: 0")
+            self._state = ui.select(_STATES, label="seen", clearable=True, on_change=self._filter).props("dense outlined")
+            self._state.style("flex: 1; min-width: 0")
+        self._count = ui.label()
+        ui.separator()
+        names = [name for name in IMAGES if name in self._dataset]
+        self._image = ui.select(names, value="depth", label="image", on_change=self._show).props("dense outlined")
+        self._image.style("width: 100%")
+        with ui.row().classes("no-wrap items-center w-full"):
+            self._skeleton = ui.checkbox("skeletons", value=True, on_change=self._show)
+            self._auto = ui.checkbox("colours by frame", value=True, on_change=self._show)
+        near, far = depth_range(self._dataset, 0)
+        self._range = ui.range(min=0.0, max=round(max(4.0, far), 2), step=0.01, value={"min": near, "max": far}).props("label")
+        self._range.on_value_change(self._show)
+        ui.separator()
+        self._facts = ui.column().style("gap: 2px; font-size: 13px; width: 100%")
+        ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense").style("width: 100%")
+
+    def _build_main(self) -> None:
+        with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
+            with ui.element("div").classes("studio-pane"):
+                self._canvas = FrameCanvas()
+            with ui.element("div").classes("studio-pane") as pane:
+                self._scene = ui.scene(grid=False, background_color="#1b1e24", on_click=lambda _: None).style(
+                    "width: 100%; height: 100%"
+                )
+                pane.on("resize", self._scene.update)
+        with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
+            ui.button(icon="chevron_left", on_click=lambda: self._go(self._position - 1)).props("flat round dense")
+            self._slider = ui.slider(min=0, max=1, value=0, on_change=lambda e: self._go(int(e.value))).style("flex: 1")
+            ui.button(icon="chevron_right", on_click=lambda: self._go(self._position + 1)).props("flat round dense")
+            self._number = ui.label().style("min-width: 150px; text-align: right; font-variant-numeric: tabular-nums")
+        self._camera_set = False
+
+    def _key(self, event: Any) -> None:
+        if event.action.keydown and event.key in ("ArrowLeft", "ArrowRight"):
+            self._go(self._position + (1 if event.key == "ArrowRight" else -1))
+
+    def _filter(self) -> None:
+        chosen = np.ones(self._dataset.sizes["frame"], bool)
+        for name, select in self._filters.items():
+            if select.value:
+                values = self._coordinates[name].astype(str)
+                hit = np.isin(values, select.value)
+                chosen &= hit.any(axis=1) if hit.ndim == 2 else hit
+        if self._state.value is not None:
+            columns = slice(None) if self._joint.value is None else [self._joints.index(self._joint.value)]
+            chosen &= (self._visibility[:, :, columns] == self._state.value).any(axis=(1, 2))
+        self._rows = np.flatnonzero(chosen)
+        self._go(0)
+
+    def _go(self, position: int) -> None:
+        position = min(max(position, 0), max(len(self._rows) - 1, 0))
+        self._position = position
+        self._show()
+
+    def show_frame(self, number: int) -> None:
+        """Show the frame of this number, whatever the filters say."""
+        row = int(np.flatnonzero(self._dataset["frame"].values == number)[0])
+        if row not in self._rows:
+            self._rows = np.arange(self._dataset.sizes["frame"])
+        self._go(int(np.searchsorted(self._rows, row)))
+
+    def _show(self) -> None:
+        count = len(self._rows)
+        self._count.text = f"{count} of {self._dataset.sizes['frame']} frames"
+        self._slider.max = max(count - 1, 1)
+        self._slider.value = self._position
+        if not count:
+            self._number.text = "no frame fits"
+            self._canvas.show("", near=0, far=1)
+            self._canvas.joints([], [])
+            self._facts.clear()
+            return
+        row = int(self._rows[self._position])
+        small = self._dataset[[str(n) for n in self._dataset.data_vars if "y" not in self._dataset[n].dims]]
+        frame = small.isel(frame=row).load()
+        self._number.text = f"frame {int(frame['frame'])}"
+        self._show_image(row)
+        self._canvas.joints(people_of(frame) if self._skeleton.value else [], self._limbs)
+        self._show_cloud(row, frame)
+        self._facts.clear()
+        with self._facts:
+            for name, value in _facts(frame):
+                with ui.row().classes("no-wrap w-full").style("gap: 8px"):
+                    ui.label(name).style("opacity: .65; min-width: 90px")
+                    ui.label(value)
+
+    def _show_image(self, row: int) -> None:
+        name = self._image.value
+        if name in DEPTHS:
+            near, far = depth_range(self._dataset, row) if self._auto.value else (self._range.value["min"], self._range.value["max"])
+            palette = None
+        elif name in GREYS:
+            near, far, palette = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0, _GREY
+        else:
+            near, far = 0.0, 255.0
+            palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES
+        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=palette)
+
+    def _show_cloud(self, row: int, frame: Any) -> None:
+        self._scene.clear()
+        depth = self._image.value if self._image.value in DEPTHS else "depth"
+        vehicle_from_camera = frame["vehicle_from_camera"].values
+        with self._scene:
+            self._scene.gltf(f"/clouds/{row}/{depth}.glb")
+            for index, person in enumerate(frame["joints_3d"].values):
+                points = apply(vehicle_from_camera, person.astype(np.float64))
+                there = np.isfinite(points).all(axis=1)
+                for a, b in self._limbs:
+                    if there[a] and there[b]:
+                        self._scene.line(points[a].tolist(), points[b].tolist()).material(person_colour(index))
+                for point in points[there]:
+                    self._scene.sphere(0.015).move(*point.tolist()).material(person_colour(index))
+        if not self._camera_set:  # from the camera's place, a little behind it
+            self._camera_set = True
+            eye = vehicle_from_camera[:3, 3] - 0.4 * vehicle_from_camera[:3, 2] + np.array([0, 0, 0.2])
+            target = vehicle_from_camera[:3, 3] + 1.2 * vehicle_from_camera[:3, 2]
+            self._scene.move_camera(*eye.tolist(), *target.tolist(), 0, 0, 1, duration=0)
+
+    def _statistics(self) -> None:
+        workspace = self._workspace
+        assert workspace.manifest is not None
+        assert workspace.folder is not None
+        chosen = self._dataset.isel(frame=self._rows) if len(self._rows) else self._dataset
+        summary = summarise(self._dataset, workspace.manifest, workspace.folder, chosen)
+        with ui.dialog().props("maximized") as dialog, ui.card().style("width: 100%"):
+            with ui.row().classes("items-center w-full"):
+                ui.label(f"{summary.selected} of {summary.frames} frames").style("font-size: 18px; flex: 1")
+                ui.button(icon="close", on_click=dialog.close).props("flat round dense")
+            with ui.row().classes("w-full").style("gap: 12px"):
+                for title in ("by_car", "by_pov", "by_seat", "by_people", "by_subject", "by_action", "visibility"):
+                    counts: dict[str, int] = getattr(summary, title)
+                    _bars(title.replace("by_", "").replace("pov", "view"), list(counts), list(counts.values()))
+                bins = [f"{i * BIN_M:.2f}" for i in range(len(summary.depth_histogram))]
+                _bars("depth, m (share of pixels)", bins, list(summary.depth_histogram))
+        dialog.on("hide", dialog.delete)
+        dialog.open()
+
+
+def people_of(frame: Any) -> list[dict[str, Any]]:
+    """The people of a frame (in memory) as `FrameCanvas.joints` draws them; joints coloured by how they are seen."""
+    people = []
+    for index, slot in enumerate(frame["person"].values):
+        uv, states = frame["joints_2d"].values[index], frame["visibility"].values[index]
+        joints = [
+            {
+                "name": str(name),
+                "u": float(u) if state > Visibility.ABSENT and np.isfinite(u) else None,
+                "v": float(v) if state > Visibility.ABSENT and np.isfinite(v) else None,
+                "colour": "#{:02x}{:02x}{:02x}".format(*VISIBILITY_COLOUR.get(Visibility(int(state)), (128, 128, 128))),
+            }
+            for name, (u, v), state in zip(frame["joint"].values, uv, states, strict=True)
+        ]
+        people.append({"slot": str(slot), "colour": person_colour(index), "joints": joints})
+    return people
+
+
+def _facts(frame: Any) -> list[tuple[str, str]]:
+    rows = [("car", str(frame["car"].values)), ("view", str(frame["pov"].values)), ("sequence", str(frame["sequence"].values))]
+    for index, slot in enumerate(frame["person"].values):
+        subject = str(frame["subject"].values[index])
+        if subject:
+            rows.append((str(slot), f"{subject}, {frame['action'].values[index]}"))
+    return rows
+
+
+def _bars(title: str, names: list[str], values: list[Any]) -> None:
+    ui.echart(
+        {
+            "title": {"text": title, "textStyle": {"fontSize": 13, "color": "#888"}},
+            "grid": {"left": 48, "right": 12, "top": 34, "bottom": 60},
+            "tooltip": {"trigger": "axis"},
+            "xAxis": {"type": "category", "data": names, "axisLabel": {"rotate": 40}},
+            "yAxis": {"type": "value"},
+            "series": [{"type": "bar", "data": values, "color": "#3b82c4"}],
+        }
+    ).style("width: 400px; height: 260px")

@@ -1,0 +1,57 @@
+"""The page: a header, a tab for each job, and what to do where there is nothing yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nicegui import ui
+
+from cabinpose.app.studio.dataset_tab import dataset_tab
+from cabinpose.app.studio.workspace import Workspace
+
+_STYLE = """
+body { font-family: system-ui, sans-serif; }
+.w-full { width: 100%; } .h-full { height: 100%; } .items-center { align-items: center; } .no-wrap { flex-wrap: nowrap; }
+.nicegui-content { padding: 0; }
+.studio-tab { height: calc(100vh - 48px); padding: 10px; gap: 10px; align-items: stretch; }
+.studio-side { width: 290px; min-width: 290px; overflow-y: auto; gap: 8px; }
+.studio-main { flex: 1; min-width: 0; height: 100%; gap: 8px; }
+.studio-pane { flex: 1; min-width: 0; min-height: 0; border-radius: 6px; overflow: hidden; background: #1b1e24; }
+.studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
+.studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
+.studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
+.q-tab-panel { padding: 0; overflow: hidden; }
+"""
+
+
+def studio_page(workspace: Workspace) -> None:
+    """Build the page for one browser."""
+    ui.add_css(_STYLE)
+    dark = ui.dark_mode(value=None)
+    tabs: dict[str, Callable[[Workspace], None]] = {"Dataset": dataset_tab}
+    ui.colors(primary="#2f6f9f")
+    with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
+        ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
+        with ui.tabs().props("dense align=left no-caps inline-label") as bar:
+            for name in tabs:
+                ui.tab(name)
+        ui.label(_opened(workspace)).classes("studio-opened")
+        ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
+            "Light or dark"
+        )
+    with ui.tab_panels(bar, value=_first(workspace, list(tabs)), keep_alive=True).classes("w-full").style("width: 100%"):
+        for name, build in tabs.items():
+            with ui.tab_panel(name):
+                build(workspace)
+
+
+def _opened(workspace: Workspace) -> str:
+    thing = workspace.folder or workspace.recording or workspace.scene
+    if workspace.dataset is not None and workspace.folder is not None:
+        return f"{workspace.folder.resolve().name}: {workspace.dataset.sizes['frame']} frames"
+    return thing.name if thing is not None else "nothing is open"
+
+
+def _first(workspace: Workspace, tabs: list[str]) -> str:
+    wanted = "Scene" if workspace.scene is not None else "Live" if workspace.recording is not None else "Dataset"
+    return wanted if wanted in tabs else tabs[0]

@@ -1,0 +1,64 @@
+"""Images for the browser: 16 bits a pixel as they are, coloured there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from fastapi import APIRouter, HTTPException, Response
+from numpy.typing import NDArray
+
+from cabinpose.store.schema import DEPTH_SCALE_M
+
+DEPTHS = ("depth", "depth_clean", "depth_styled")
+GREYS = ("amplitude", "confidence")
+CLASSES = ("labels", "instance")
+IMAGES = (*DEPTHS, *GREYS, *CLASSES)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image as it travels. values: (H, W) uint16 or uint8, 0 = invalid · step: of a value, in `unit` · kind: how to colour it."""
+
+    values: NDArray[np.uint16] | NDArray[np.uint8]
+    kind: str  # ramp, grey or classes
+    step: float = 1.0
+    unit: str = ""
+
+    def response(self, *, keep: bool) -> Response:
+        """As HTTP; keep: the browser may keep it, since it never changes."""
+        height, width = self.values.shape
+        headers = {
+            "x-width": str(width), "x-height": str(height), "x-step": repr(self.step), "x-unit": self.unit, "x-kind": self.kind,
+            "x-bits": str(8 * self.values.dtype.itemsize), "cache-control": "private, max-age=3600" if keep else "no-store",
+        }  # fmt: skip
+        little = self.values.astype(self.values.dtype.newbyteorder("<"))
+        return Response(little.tobytes(), media_type="application/octet-stream", headers=headers)
+
+
+def picture(name: str, image: NDArray[np.generic]) -> Picture:
+    """A variable's image: depths are float32 m with NaN where invalid."""
+    if name in DEPTHS:
+        ticks = np.nan_to_num(np.asarray(image, np.float64), nan=0.0) / DEPTH_SCALE_M
+        return Picture(np.clip(np.rint(ticks), 0, 65535).astype(np.uint16), "ramp", DEPTH_SCALE_M, "m")
+    if name in GREYS:
+        return Picture(image.astype(np.uint16), "grey")
+    return Picture(image.astype(np.uint8), "classes")
+
+
+def image_routes(dataset: Callable[[], xr.Dataset | None]) -> APIRouter:
+    """`/frames/{row}/{variable}`: an image of the dataset that is open."""
+    router = APIRouter()
+
+    @router.get("/frames/{row}/{name}")
+    def image(row: int, name: str) -> Response:
+        opened = dataset()
+        if opened is None or name not in IMAGES or name not in opened:
+            raise HTTPException(404, "there is no such image")
+        if not 0 <= row < opened.sizes["frame"]:
+            raise HTTPException(404, "there is no such frame")
+        return picture(name, opened[name][row].values).response(keep=True)
+
+    return router

@@ -1,0 +1,107 @@
+"""What the studio has open: a dataset with its labels and predictions, a recording, a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cabinpose.app.view.complete import completed
+from cabinpose.core.errors import ConfigError
+from cabinpose.evaluate.offline import check_predictions, dataset_id
+from cabinpose.store import Manifest, open_dataset, read_manifest
+from cabinpose.store.labels import Labels, with_labels
+from cabinpose.store.predictions import Predictions, read_predictions
+from cabinpose.store.schema import MANIFEST_NAME
+
+
+@dataclass
+class Workspace:
+    """What is open, shared by all tabs of all browsers."""
+
+    folder: Path | None = None
+    dataset: xr.Dataset | None = None
+    manifest: Manifest | None = None
+    recording: Path | None = None
+    scene: Path | None = None
+    labels_path: Path | None = None
+    predictions: dict[str, Predictions] = field(default_factory=dict)
+    _labels: Labels | None = None
+
+    @property
+    def labels(self) -> Labels:
+        """The journal of labels, opened when it is needed first; DatasetError where another studio has it."""
+        assert self.dataset is not None
+        assert self.folder is not None
+        assert self.manifest is not None
+        if self._labels is None:
+            path = self.labels_path or self.folder.with_name(self.folder.name + ".labels.jsonl")
+            persons, joints = ([str(n) for n in self.dataset[name].values] for name in ("person", "joint"))
+            self._labels = Labels(path, dataset_id(self.manifest), persons, joints)
+        return self._labels
+
+    def corrected(self) -> xr.Dataset:
+        """The dataset with the labels that were set; as it was while there are none."""
+        assert self.dataset is not None
+        if self._labels is None or not self._labels.history:
+            return self.dataset
+        return with_labels(self.dataset, self._labels.now)
+
+    def add_predictions(self, path: Path) -> str:
+        """Open a predictions file of the dataset; the name it goes by. Raises PredictionsError."""
+        assert self.dataset is not None
+        assert self.folder is not None
+        assert self.manifest is not None
+        predictions = read_predictions(path)
+        check_predictions(predictions, self.dataset, (dataset_id(self.manifest), self.folder.resolve().name))
+        name = predictions.model if predictions.model not in self.predictions else f"{predictions.model} ({path.name})"
+        self.predictions[name] = predictions
+        return name
+
+    def found_predictions(self) -> list[Path]:
+        """Predictions files that lie beside the dataset or in it, of the first megabyte of names."""
+        if self.folder is None:
+            return []
+        places = [self.folder.resolve().parent, self.folder.resolve()]
+        return sorted(p for place in places for p in place.glob("*.jsonl") if _is_predictions(p))
+
+    def close(self) -> None:
+        """Let go of the labels."""
+        if self._labels is not None:
+            self._labels.close()
+            self._labels = None
+
+
+def open_workspace(thing: Path | None, *, labels: Path | None = None) -> Workspace:
+    """Open a dataset, a recording (.mcap) or a scene (.yaml); nothing for None. Raises ConfigError for anything else."""
+    if thing is None:
+        return Workspace()
+    if thing.is_dir():
+        if not (thing / MANIFEST_NAME).is_file():
+            raise ConfigError(f"{thing} is no dataset: it has no {MANIFEST_NAME}", hint="give the folder of a dataset")
+        return Workspace(thing, completed(open_dataset(thing)), read_manifest(thing), labels_path=labels)
+    if not thing.is_file():
+        raise ConfigError(f"there is no {thing}", hint="give a dataset, a recording (.mcap) or a scene (.yaml)")
+    if thing.suffix == ".mcap":
+        return Workspace(recording=thing)
+    if thing.suffix in (".yaml", ".yml"):
+        return Workspace(scene=thing)
+    raise ConfigError(f"{thing} is nothing the studio opens", hint="give a dataset, a recording (.mcap) or a scene (.yaml)")
+
+
+def depth_range(dataset: xr.Dataset, row: int) -> tuple[float, float]:
+    """Near and far end of the colours for a frame's depth, m: all but the outermost hundredths."""
+    depth: NDArray[np.float32] = dataset["depth"][row].values
+    valid = depth[np.isfinite(depth)]
+    return (0.0, 1.0) if not valid.size else (float(np.quantile(valid, 0.01)), float(np.quantile(valid, 0.99)))
+
+
+def _is_predictions(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return b"cabinpose-predictions" in file.readline(4096)
+    except OSError:
+        return False

@@ -1,0 +1,221 @@
+"""Corrected labels beside a dataset: a journal of every joint that a person set, which no crash can lose.
+
+JSON lines. The first line says what the labels are of (`format`, `version`, `dataset`, `persons`, `joints`); each further one is a
+change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (see `core.pose.Visibility`), `u`, `v`
+(px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds; what is undone is another change, so
+that the history stays. A change is on the disk before `set` returns.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import FileIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import xarray as xr
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+
+FORMAT: Final = "cabinpose-labels"
+VERSION: Final = 1
+
+
+@dataclass(frozen=True)
+class JointLabel:
+    """Where a joint is: uv (px) and xyz (m, camera frame), NaN where unknown, and how well it is seen."""
+
+    uv: tuple[float, float]
+    xyz: tuple[float, float, float]
+    visibility: Visibility
+
+
+Key = tuple[int, str, str]  # number of the frame, person, joint
+
+
+class Labels:
+    """The journal of one dataset, open for changes by one process at a time."""
+
+    def __init__(self, path: Path, dataset_id: str, persons: Iterable[str], joints: Iterable[str]) -> None:
+        """Open, or make, the journal of a dataset (`evaluate.offline.dataset_id`).
+
+        A last line that a crash cut short is dropped. Raises DatasetError where the journal is of another dataset, damaged
+        elsewhere, or open in another process.
+        """
+        self.path = path
+        self.persons, self.joints = tuple(persons), tuple(joints)
+        header = {
+            "format": FORMAT, "version": VERSION, "dataset": dataset_id, "persons": self.persons, "joints": self.joints,
+        }  # fmt: skip
+        self._file = _locked(path)
+        try:
+            text = self._file.readall()
+            whole = text[: text.rfind(b"\n") + 1]
+            if not whole:
+                whole = json.dumps(header).encode() + b"\n"
+                self._file.truncate(0)
+                self._append(whole)
+            elif len(whole) < len(text):
+                self._file.truncate(len(whole))
+            _, self.history = _parsed(path, whole, header)
+        except BaseException:
+            self._file.close()
+            raise
+        self._now: dict[Key, JointLabel] = {(c.frame, c.person, c.joint): c.label for c in self.history}
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._now
+
+    def get(self, frame: int, person: str, joint: str) -> JointLabel | None:
+        """What holds for a joint; None where nobody set it."""
+        return self._now.get((frame, person, joint))
+
+    @property
+    def now(self) -> dict[Key, JointLabel]:
+        """What holds for every joint that was set."""
+        return self._now
+
+    def frames(self) -> set[int]:
+        """Numbers of the frames in which something was set."""
+        return {frame for frame, _, _ in self._now}
+
+    def set(self, changes: Iterable[tuple[Key, JointLabel]], *, role: str, how: str) -> None:
+        """Set joints, all or none of them; returns when they are on the disk. Raises DatasetError where the disk refuses."""
+        time = datetime.now(UTC).isoformat(timespec="milliseconds")
+        made = [Change(time, role, how, *key, label) for key, label in changes]
+        for change in made:
+            if change.person not in self.persons or change.joint not in self.joints:
+                raise DatasetError(
+                    f"{self.path} has no {change.joint} of {change.person}", hint=f"its joints: {', '.join(self.joints)}"
+                )
+        self._append("".join(change.line() for change in made).encode())
+        self.history += made
+        self._now |= {(c.frame, c.person, c.joint): c.label for c in made}
+
+    def close(self) -> None:
+        """Let others open the journal."""
+        self._file.close()
+
+    def _append(self, lines: bytes) -> None:
+        end = self._file.seek(0, os.SEEK_END)
+        try:
+            written = self._file.write(lines)
+            if written != len(lines):
+                raise OSError(28, "no space left on device")
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._file.truncate(end)
+            raise DatasetError(
+                f"{self.path} cannot be written ({error.strerror})", hint="make room on the disk; what was set before is kept"
+            ) from error
+
+
+@dataclass(frozen=True)
+class Change:
+    """One line of the journal."""
+
+    time: str
+    role: str
+    how: str
+    frame: int
+    person: str
+    joint: str
+    label: JointLabel
+
+    def line(self) -> str:
+        """As it stands in the file."""
+        uv, xyz = ([float(x) if np.isfinite(x) else None for x in values] for values in (self.label.uv, self.label.xyz))
+        row = {
+            "time": self.time, "role": self.role, "how": self.how, "frame": int(self.frame), "person": self.person,
+            "joint": self.joint, "visibility": int(self.label.visibility),
+            **dict(zip("uv", uv, strict=True)), **dict(zip("xyz", xyz, strict=True)),
+        }  # fmt: skip
+        return json.dumps(row, allow_nan=False) + "\n"
+
+
+def read_labels(path: Path) -> tuple[dict[str, Any], dict[Key, JointLabel]]:
+    """The header of a journal and what holds for each joint, read without locking it. Raises DatasetError."""
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise DatasetError(f"cannot read {path} ({error.strerror})", hint="give the labels that the studio wrote") from error
+    header, changes = _parsed(path, text[: text.rfind(b"\n") + 1], None)
+    return header, {(c.frame, c.person, c.joint): c.label for c in changes}
+
+
+def with_labels(dataset: xr.Dataset, labels: dict[Key, JointLabel]) -> xr.Dataset:
+    """The dataset with the joints that were set: `joints_2d`, `joints_3d` and `visibility` in memory, everything else as it was.
+
+    Frames that the dataset does not hold are passed over.
+    """
+    rows = {int(number): row for row, number in enumerate(dataset["frame"].values)}
+    persons = {str(name): i for i, name in enumerate(dataset["person"].values)}
+    joints = {str(name): i for i, name in enumerate(dataset["joint"].values)}
+    changed = {name: dataset[name].copy(data=np.array(dataset[name].values)) for name in ("joints_2d", "joints_3d", "visibility")}
+    for (frame, person, joint), label in labels.items():
+        if frame not in rows or person not in persons or joint not in joints:
+            continue
+        at = rows[frame], persons[person], joints[joint]
+        changed["joints_2d"].values[at] = label.uv
+        changed["joints_3d"].values[at] = label.xyz
+        changed["visibility"].values[at] = label.visibility
+    return dataset.assign(changed)
+
+
+def _locked(path: Path) -> FileIO:
+    try:
+        file = FileIO(path, "a+")
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be written ({error.strerror})", hint="name another file for the labels") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise DatasetError(
+            f"{path} is open in another studio", hint="close that one, or name another file with --labels"
+        ) from error
+    file.seek(0)
+    return file
+
+
+def _parsed(path: Path, text: bytes, expected: dict[str, Any] | None) -> tuple[dict[str, Any], list[Change]]:
+    lines = _lines(path, text)
+    try:
+        header = next(lines)
+    except StopIteration:
+        raise DatasetError(f"{path} is empty", hint="give the labels that the studio wrote") from None
+    if header.get("format") != FORMAT or header.get("version") != VERSION:
+        raise DatasetError(f"{path} holds no labels of this version", hint="name another file for the labels")
+    if expected is not None and header.get("dataset") != expected["dataset"]:
+        raise DatasetError(f"{path} holds the labels of another dataset", hint="name another file with --labels")
+    changes = []
+    for number, row in enumerate(lines, 2):
+        try:
+            label = JointLabel(_point(row, "uv"), _point(row, "xyz"), Visibility(row["visibility"]))  # type: ignore[arg-type]
+            named = tuple(str(row[key]) for key in ("time", "role", "how"))
+            changes.append(Change(*named, int(row["frame"]), str(row["person"]), str(row["joint"]), label))
+        except (KeyError, TypeError, ValueError) as error:
+            raise DatasetError(f"{path}:{number}: no label ({error!r})", hint="mend or remove the line") from error
+    return header, changes
+
+
+def _lines(path: Path, text: bytes) -> Iterator[dict[str, Any]]:
+    for number, line in enumerate(text.splitlines(), 1):
+        try:
+            row = json.loads(line)
+            if not isinstance(row, dict):
+                raise ValueError("not an object")
+        except ValueError as error:
+            raise DatasetError(f"{path}:{number}: not a line of JSON", hint="mend or remove the line") from error
+        yield row
+
+
+def _point(row: dict[str, Any], names: str) -> tuple[float, ...]:
+    return tuple(float("nan") if row[name] is None else float(row[name]) for name in names)
