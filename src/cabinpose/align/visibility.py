@@ -35,7 +35,7 @@ def visibility(camera: Camera, depth_m: NDArray[np.floating], joints: F64) -> tu
     states[known & ~inside] = Visibility.OUTSIDE_IMAGE
     ends = joints[_ENDS]
     for joint in np.flatnonzero(inside):
-        surface = _surface(depth_m, uv[joint])
+        surface = surface_depth(depth_m, uv[joint])
         states[joint] = Visibility.VISIBLE
         if np.isnan(surface):
             continue
@@ -48,7 +48,7 @@ def visibility(camera: Camera, depth_m: NDArray[np.floating], joints: F64) -> tu
     return states, before
 
 
-def _surface(depth_m: NDArray[np.floating], uv: F64) -> float:
+def surface_depth(depth_m: NDArray[np.floating], uv: F64) -> float:
     """Median depth around a pixel, m; NaN where nothing was measured."""
     u, v = np.rint(uv).astype(int)
     window = depth_m[max(v - _WINDOW, 0) : v + _WINDOW + 1, max(u - _WINDOW, 0) : u + _WINDOW + 1]

@@ -1,9 +1,9 @@
 """Corrected labels beside a dataset: a journal of every joint that a person set, which no crash can lose.
 
 JSON lines. The first line says what the labels are of (`format`, `version`, `dataset`, `persons`, `joints`); each further one is a
-change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (see `core.pose.Visibility`), `u`, `v`
-(px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds; what is undone is another change, so
-that the history stays. A change is on the disk before `set` returns.
+change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (see `core.pose.Visibility`; null = no
+label any more), `u`, `v` (px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds; what is
+undone is another change, so that the history stays. A change is on the disk before `set` returns.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ class Labels:
         except BaseException:
             self._file.close()
             raise
-        self._now: dict[Key, JointLabel] = {(c.frame, c.person, c.joint): c.label for c in self.history}
+        self._now: dict[Key, JointLabel] = {}
+        _apply(self._now, self.history)
 
     def __contains__(self, key: object) -> bool:
         return key in self._now
@@ -86,8 +87,11 @@ class Labels:
         """Numbers of the frames in which something was set."""
         return {frame for frame, _, _ in self._now}
 
-    def set(self, changes: Iterable[tuple[Key, JointLabel]], *, role: str, how: str) -> None:
-        """Set joints, all or none of them; returns when they are on the disk. Raises DatasetError where the disk refuses."""
+    def set(self, changes: Iterable[tuple[Key, JointLabel | None]], *, role: str, how: str) -> None:
+        """Set joints, all or none of them, or take their labels away (None); returns when that is on the disk.
+
+        Raises DatasetError where the disk refuses, and for a person or joint that the dataset does not have.
+        """
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
         made = [Change(time, role, how, *key, label) for key, label in changes]
         for change in made:
@@ -97,7 +101,7 @@ class Labels:
                 )
         self._append("".join(change.line() for change in made).encode())
         self.history += made
-        self._now |= {(c.frame, c.person, c.joint): c.label for c in made}
+        _apply(self._now, made)
 
     def close(self) -> None:
         """Let others open the journal."""
@@ -127,16 +131,18 @@ class Change:
     frame: int
     person: str
     joint: str
-    label: JointLabel
+    label: JointLabel | None
 
     def line(self) -> str:
         """As it stands in the file."""
-        uv, xyz = ([float(x) if np.isfinite(x) else None for x in values] for values in (self.label.uv, self.label.xyz))
-        row = {
+        row: dict[str, Any] = {
             "time": self.time, "role": self.role, "how": self.how, "frame": int(self.frame), "person": self.person,
-            "joint": self.joint, "visibility": int(self.label.visibility),
-            **dict(zip("uv", uv, strict=True)), **dict(zip("xyz", xyz, strict=True)),
+            "joint": self.joint, "visibility": None,
         }  # fmt: skip
+        if self.label is not None:
+            row["visibility"] = int(self.label.visibility)
+            values = (*self.label.uv, *self.label.xyz)
+            row |= {name: float(x) if np.isfinite(x) else None for name, x in zip("uvxyz", values, strict=True)}
         return json.dumps(row, allow_nan=False) + "\n"
 
 
@@ -147,7 +153,9 @@ def read_labels(path: Path) -> tuple[dict[str, Any], dict[Key, JointLabel]]:
     except OSError as error:
         raise DatasetError(f"cannot read {path} ({error.strerror})", hint="give the labels that the studio wrote") from error
     header, changes = _parsed(path, text[: text.rfind(b"\n") + 1], None)
-    return header, {(c.frame, c.person, c.joint): c.label for c in changes}
+    labels: dict[Key, JointLabel] = {}
+    _apply(labels, changes)
+    return header, labels
 
 
 def with_labels(dataset: xr.Dataset, labels: dict[Key, JointLabel]) -> xr.Dataset:
@@ -198,9 +206,13 @@ def _parsed(path: Path, text: bytes, expected: dict[str, Any] | None) -> tuple[d
     changes = []
     for number, row in enumerate(lines, 2):
         try:
-            label = JointLabel(_point(row, "uv"), _point(row, "xyz"), Visibility(row["visibility"]))  # type: ignore[arg-type]
-            named = tuple(str(row[key]) for key in ("time", "role", "how"))
-            changes.append(Change(*named, int(row["frame"]), str(row["person"]), str(row["joint"]), label))
+            label = None if row["visibility"] is None else JointLabel(
+                (_number(row["u"]), _number(row["v"])),
+                (_number(row["x"]), _number(row["y"]), _number(row["z"])),
+                Visibility(row["visibility"]),
+            )
+            time, role, how, person, joint = (str(row[key]) for key in ("time", "role", "how", "person", "joint"))
+            changes.append(Change(time, role, how, int(row["frame"]), person, joint, label))
         except (KeyError, TypeError, ValueError) as error:
             raise DatasetError(f"{path}:{number}: no label ({error!r})", hint="mend or remove the line") from error
     return header, changes
@@ -217,5 +229,15 @@ def _lines(path: Path, text: bytes) -> Iterator[dict[str, Any]]:
         yield row
 
 
-def _point(row: dict[str, Any], names: str) -> tuple[float, ...]:
-    return tuple(float("nan") if row[name] is None else float(row[name]) for name in names)
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _apply(labels: dict[Key, JointLabel], changes: Iterable[Change]) -> None:
+    """Let changes take effect, in their order."""
+    for change in changes:
+        key = change.frame, change.person, change.joint
+        if change.label is None:
+            labels.pop(key, None)
+        else:
+            labels[key] = change.label

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 from tyro.conf import Positional
 
@@ -19,7 +19,7 @@ class Studio:
     Serves on this machine alone, unless --host and --token say otherwise. Ctrl-C ends it.
     """
 
-    thing: Annotated[Positional[Optional[Path]], several("[DATASET|RECORDING|SCENE.yaml]")] = None
+    thing: Annotated[Positional[Path | None], several("[DATASET|RECORDING|SCENE.yaml]")] = None
     """What to open: the folder of a dataset, a recording (.mcap) or a scene (.yaml)."""
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files of the dataset to compare."""

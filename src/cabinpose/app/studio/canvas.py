@@ -22,7 +22,7 @@ class FrameCanvas(Element, component="canvas.js"):
         on_place: Callable[[Mapping[str, Any]], Any] | None = None,
         on_key: Callable[[Mapping[str, Any]], Any] | None = None,
     ) -> None:
-        """on_pick: person and joint that was taken · on_place: u, v and, where one was dragged, person and joint · on_key: key."""
+        """on_pick: person and joint that was taken · on_place: u, v, `dragged`, and the person and joint if it was · on_key: key."""
         super().__init__()
         self.classes("w-full h-full")
         self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "selected": None}
@@ -41,7 +41,7 @@ class FrameCanvas(Element, component="canvas.js"):
     def joints(
         self, people: Sequence[Mapping[str, Any]], limbs: Sequence[Sequence[int]], selected: tuple[int, int] | None = None
     ) -> None:
-        """Draw people: `colour`, `joints` (each `name`, `u`, `v` or None, maybe `colour` and `doubt`), maybe `dashed`, `fixed`."""
+        """Draw people: `colour`, `joints` (each `name`, `u`, `v` or None, maybe `colour`, `doubt`), maybe `dashed`, `fixed`."""
         self._props |= {"people": list(people), "limbs": [list(limb) for limb in limbs], "selected": selected}
         self.update()
 

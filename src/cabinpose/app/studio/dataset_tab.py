@@ -130,7 +130,7 @@ class DatasetTab:
     def _show(self) -> None:
         count = len(self._rows)
         self._count.text = f"{count} of {self._dataset.sizes['frame']} frames"
-        self._slider.max = max(count - 1, 1)
+        self._slider.props(f"max={max(count - 1, 1)}")
         self._slider.value = self._position
         if not count:
             self._number.text = "no frame fits"
@@ -155,7 +155,8 @@ class DatasetTab:
     def _show_image(self, row: int) -> None:
         name = self._image.value
         if name in DEPTHS:
-            near, far = depth_range(self._dataset, row) if self._auto.value else (self._range.value["min"], self._range.value["max"])
+            chosen = self._range.value
+            near, far = depth_range(self._dataset, row) if self._auto.value else (chosen["min"], chosen["max"])
             palette = None
         elif name in GREYS:
             near, far, palette = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0, _GREY
@@ -172,7 +173,7 @@ class DatasetTab:
             self._scene.gltf(f"/clouds/{row}/{depth}.glb")
             for index, person in enumerate(frame["joints_3d"].values):
                 points = apply(vehicle_from_camera, person.astype(np.float64))
-                there = np.isfinite(points).all(axis=1)
+                there: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
                 for a, b in self._limbs:
                     if there[a] and there[b]:
                         self._scene.line(points[a].tolist(), points[b].tolist()).material(person_colour(index))
@@ -182,7 +183,8 @@ class DatasetTab:
             self._camera_set = True
             eye = vehicle_from_camera[:3, 3] - 0.4 * vehicle_from_camera[:3, 2] + np.array([0, 0, 0.2])
             target = vehicle_from_camera[:3, 3] + 1.2 * vehicle_from_camera[:3, 2]
-            self._scene.move_camera(*eye.tolist(), *target.tolist(), 0, 0, 1, duration=0)
+            (x, y, z), (look_x, look_y, look_z) = eye.tolist(), target.tolist()
+            self._scene.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
 
     def _statistics(self) -> None:
         workspace = self._workspace

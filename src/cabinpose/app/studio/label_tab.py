@@ -1,0 +1,272 @@
+"""The Label tab: a model proposes, the person corrects, and everything is on the disk at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from nicegui import run, ui
+
+from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.clouds import person_colour
+from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.labelling import Labelling, Shown
+from cabinpose.app.studio.models import choices, load_choice
+from cabinpose.app.studio.pictures import DEPTHS, GREYS
+from cabinpose.app.studio.workspace import Workspace, depth_range
+from cabinpose.app.view.draw import VISIBILITY_COLOUR
+from cabinpose.core.errors import CabinposeError
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import LIMBS
+
+_COLOUR = {state: "#{:02x}{:02x}{:02x}".format(*rgb) for state, rgb in VISIBILITY_COLOUR.items()}
+_STATE_KEYS = {
+    "v": Visibility.VISIBLE, "s": Visibility.SELF_OCCLUDED, "h": Visibility.OCCLUDED, "o": Visibility.OUTSIDE_IMAGE,
+    "x": Visibility.ABSENT,
+}  # fmt: skip
+_NUDGE = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
+_HELP = (
+    ("click", "place the chosen joint, and go to the next"), ("drag", "move a joint"), ("Tab", "next joint; Shift: the one before"),
+    ("v s h o x", "visible, self-occluded, hidden, outside, absent"), ("arrows", "move it by 1 px; Shift: 5 px"),
+    ("Enter", "accept all that is shown, and go to the next frame"), ("c", "copy from the last labelled frame"),
+    ("i", "interpolate up to the next labelled frame"), ("z", "undo"), ("f b", "next frame, the one before"),
+    ("wheel", "zoom; Shift and drag: move; double click: all"),
+)  # fmt: skip
+_ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
+
+
+def label_tab(workspace: Workspace) -> None:
+    """Build the tab."""
+    if workspace.dataset is None:
+        empty_state("No dataset is open", "Open the dataset whose joints you want to label or correct:", "cabinpose studio DATASET")
+        return
+    try:
+        labelling = Labelling(workspace)
+    except CabinposeError as error:
+        empty_state("The labels cannot be opened", str(error), error.hint or "")
+        return
+    LabelTab(workspace, labelling)
+
+
+class LabelTab:
+    """The tab of one browser."""
+
+    def __init__(self, workspace: Workspace, labelling: Labelling) -> None:
+        self._workspace, self._labelling = workspace, labelling
+        self._dataset = labelling.dataset
+        self._person = labelling.persons[0]
+        self._chosen = 0
+        self._queue = list(range(len(labelling.numbers)))
+        self._position = 0
+        self._changes_seen = len(labelling.labels.history)
+        with ui.row().classes("studio-tab no-wrap w-full"):
+            with ui.column().classes("studio-side"):
+                self._build_side()
+            with ui.column().classes("studio-main"):
+                with ui.element("div").classes("studio-pane w-full"):
+                    self._canvas = FrameCanvas(editable=True, on_pick=self._pick, on_place=self._place, on_key=self._key)
+                with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
+                    ui.button(icon="chevron_left", on_click=lambda: self._go(-1)).props("flat round dense").tooltip("b")
+                    self._slider = ui.slider(min=0, max=max(len(self._queue) - 1, 1), value=0, on_change=self._slid)
+                    self._slider.style("flex: 1")
+                    ui.button(icon="chevron_right", on_click=lambda: self._go(1)).props("flat round dense").tooltip("f")
+                    self._number = ui.label().style("min-width: 230px; text-align: right; font-variant-numeric: tabular-nums")
+        self._show()
+        ui.timer(1.0, self._look_for_others)
+
+    @property
+    def _row(self) -> int:
+        return self._queue[self._position]
+
+    def _build_side(self) -> None:
+        self._model = ui.select(choices(self._workspace), value="", label="proposals from", on_change=self._use_model)
+        self._model.props("dense outlined").classes("w-full").mark("proposals")
+        people = ui.select(list(self._labelling.persons), value=self._person, label="person", on_change=self._set_person)
+        people.props("dense outlined").classes("w-full")
+        self._order = ui.select(_ORDERS, value="order", label="frames", on_change=self._reorder).props("dense outlined")
+        self._order.classes("w-full")
+        images = [name for name in (*DEPTHS, *GREYS) if name in self._dataset]
+        with ui.row().classes("no-wrap w-full items-center"):
+            self._image = ui.select(images, value="depth", on_change=self._show).props("dense outlined").style("flex: 1")
+            self._contrast = ui.range(min=0.0, max=1.0, step=0.01, value={"min": 0.0, "max": 1.0}, on_change=self._show)
+            self._contrast.style("flex: 1").tooltip("contrast")
+        self._list = ui.column().classes("w-full").style("gap: 0")
+        with ui.row().classes("no-wrap w-full").style("gap: 6px"):
+            for words, key in (("Accept", "Enter"), ("Copy", "c"), ("Interpolate", "i"), ("Undo", "z")):
+                ui.button(words, on_click=lambda key=key: self._key({"key": key})).props("dense outline no-caps").style(
+                    "flex: 1; font-size: 12px"
+                ).tooltip(key)
+        self._saved = ui.label().style("font-size: 12px; opacity: .7")
+        with ui.expansion("Keys", icon="keyboard").classes("w-full").props("dense"):
+            for keys, what in _HELP:
+                with ui.row().classes("no-wrap w-full").style("gap: 8px; font-size: 12px"):
+                    ui.label(keys).classes("studio-key").style("white-space: nowrap")
+                    ui.label(what)
+
+    # ------------------------------------------------------------------------------------------------ what is asked for
+
+    def _pick(self, person: int, joint: int) -> None:
+        if person == 0:
+            self._chosen = joint
+            self._show()
+
+    def _place(self, where: Mapping[str, Any]) -> None:
+        dragged = bool(where["dragged"])
+        if dragged:
+            self._chosen = int(where["joint"])
+        u, v = float(where["u"]), float(where["v"])
+        if not np.isfinite([u, v]).all():
+            return
+        joint = self._labelling.joints[self._chosen]
+        self._do(lambda: self._labelling.place(self._row, self._person, joint, u, v))
+        if not dragged:
+            self._next_joint()
+        self._show()
+
+    def _key(self, pressed: Mapping[str, Any]) -> None:
+        key, shift = str(pressed["key"]), bool(pressed.get("shift"))
+        labelling, joint = self._labelling, self._labelling.joints[self._chosen]
+        if key == "Enter":
+            self._do(lambda: labelling.accept(self._row, self._person))
+            self._go(1)
+            return
+        if key in ("f", "b"):
+            self._go(1 if key == "f" else -1)
+            return
+        if key == "Tab":
+            self._next_joint(-1 if shift else 1)
+        elif key in _STATE_KEYS:
+            self._do(lambda: labelling.mark(self._row, self._person, joint, _STATE_KEYS[key]))
+            self._next_joint()
+        elif key in _NUDGE:
+            self._nudge(joint, *_NUDGE[key], 5 if shift else 1)
+        elif key == "c" and not self._do(lambda: labelling.copy(self._row, self._person)):
+            ui.notify("no frame before this one is labelled whole")
+        elif key == "i" and not self._do(lambda: labelling.interpolate(self._row, self._person)):
+            ui.notify("interpolating needs a labelled frame before this one and one after it, of the same sequence")
+        elif key == "z" and not self._do(labelling.undo):
+            ui.notify("nothing to undo")
+        self._show()
+
+    def _do(self, change: Callable[[], Any]) -> Any:
+        """Make a change; a disk that refuses it is told, and nothing is lost."""
+        try:
+            return change()
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
+            return True
+
+    def _nudge(self, joint: str, du: int, dv: int, step: int) -> None:
+        label = next(s.label for s in self._labelling.shown(self._row, self._person) if s.joint == joint)
+        if label is not None and np.isfinite(label.uv).all():
+            u, v = label.uv
+            self._do(lambda: self._labelling.place(self._row, self._person, joint, u + step * du, v + step * dv))
+
+    def _next_joint(self, step: int = 1) -> None:
+        self._chosen = (self._chosen + step) % len(self._labelling.joints)
+
+    def _set_person(self, event: Any) -> None:
+        self._person, self._chosen = str(event.value), 0
+        self._reorder()
+
+    async def _use_model(self) -> None:
+        try:
+            self._labelling.use(await run.io_bound(load_choice, self._workspace, self._model.value))
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+        await self._reorder()
+
+    async def _reorder(self) -> None:
+        """Bring the frames into the order that is asked for; unsure ones first needs the model on all of them."""
+        rows = list(range(len(self._labelling.numbers)))
+        if self._order.value == "unsure":
+            if self._labelling.model is None:
+                ui.notify("choose what proposals come from: its doubts give the order")
+            else:
+                with_model = ui.notification("looking at all frames", spinner=True, timeout=None)
+                rows = await run.io_bound(self._labelling.unsure, rows)
+                with_model.dismiss()
+        elif self._order.value == "open":
+            rows = [row for row in rows if not self._labelling.done(row, self._person)]
+        self._queue, self._position = rows or [0], 0
+        self._slider.props(f"max={max(len(self._queue) - 1, 1)}")
+        self._show()
+
+    def _slid(self, event: Any) -> None:
+        if int(event.value) != self._position:
+            self._position = min(int(event.value), len(self._queue) - 1)
+            self._chosen = 0
+            self._show()
+
+    def _go(self, step: int) -> None:
+        self._position = min(max(self._position + step, 0), len(self._queue) - 1)
+        self._chosen = 0
+        self._show()
+
+    def _look_for_others(self) -> None:
+        """Show what another tab has changed."""
+        if len(self._labelling.labels.history) != self._changes_seen:
+            self._show()
+
+    # ------------------------------------------------------------------------------------------------ what is shown
+
+    def _show(self) -> None:
+        labelling, row = self._labelling, self._row
+        self._changes_seen = len(labelling.labels.history)
+        shown = labelling.shown(row, self._person)
+        limbs = [
+            [labelling.joints.index(a), labelling.joints.index(b)] for a, b in LIMBS if {a, b} <= set(labelling.joints)
+        ]
+        colour = person_colour(labelling.persons.index(self._person))
+        whole = {"colour": colour, "joints": [_drawn(s) for s in shown], "dashed": not all(s.origin == "label" for s in shown)}
+        self._canvas.joints([whole], limbs, (0, self._chosen))
+        self._show_image(row)
+        done = labelling.done(row, self._person)
+        self._slider.value = self._position
+        self._number.text = f"frame {labelling.numbers[row]}, {self._position + 1} of {len(self._queue)}" + (", done" if done else "")
+        self._list.clear()
+        with self._list:
+            for index, each in enumerate(shown):
+                self._joint_row(index, each)
+        whole_frames = sum(labelling.done(r, self._person) for r in range(len(labelling.numbers)))
+        self._saved.text = (
+            f"{whole_frames} of {len(labelling.numbers)} frames done; {len(labelling.labels.history)} changes in "
+            f"{labelling.labels.path.name}"
+        )
+
+    def _joint_row(self, index: int, shown: Shown) -> None:
+        state = shown.label.visibility if shown.label is not None else Visibility.ABSENT
+        row = ui.row().classes("no-wrap items-center w-full").style(
+            "gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer;"
+            + ("background: #2f6f9f44" if index == self._chosen else "")
+        )
+        row.on("click", lambda: self._pick(0, index))
+        with row:
+            ui.element("div").style(f"width: 10px; height: 10px; border-radius: 5px; background: {_COLOUR.get(state, '#0000')}")
+            ui.label(shown.joint).style("flex: 1")
+            if shown.doubt:
+                ui.icon("warning", color="pink").tooltip(shown.doubt)
+            ui.label({"label": "", "none": "to place"}.get(shown.origin, shown.origin)).style("opacity: .6; font-size: 12px")
+
+    def _show_image(self, row: int) -> None:
+        name, chosen = self._image.value, self._contrast.value
+        if name in DEPTHS:
+            low, high = depth_range(self._dataset, row)
+        else:
+            low, high = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0
+        near, far = low + chosen["min"] * (high - low), low + chosen["max"] * (high - low)
+        grey = [[value, value, value] for value in range(256)] if name in GREYS else None
+        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=grey)
+
+
+def _drawn(shown: Shown) -> dict[str, Any]:
+    label = shown.label
+    there = label is not None and np.isfinite(label.uv).all()
+    return {
+        "name": shown.joint,
+        "u": float(label.uv[0]) if label is not None and there else None,
+        "v": float(label.uv[1]) if label is not None and there else None,
+        "colour": _COLOUR.get(label.visibility, "#808080") if label is not None else "#808080",
+        "doubt": bool(shown.doubt),
+    }

@@ -1,0 +1,305 @@
+"""What labelling does, apart from how it looks: place, mark, accept, copy, interpolate, undo; what is unsure or suspicious."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cabinpose.align.visibility import surface_depth, visibility
+from cabinpose.app.studio.workspace import Workspace
+from cabinpose.core.camera import Camera
+from cabinpose.core.ports import Predictor
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import JOINTS, LIMBS, REACH_M, UPPER_BODY
+from cabinpose.evaluate.offline import frame_batch
+from cabinpose.store.labels import JointLabel, Key
+from cabinpose.store.lazy import camera_of
+from cabinpose.store.predictions import Predictions
+
+Origin = Literal["label", "dataset", "proposal", "none"]
+PRESENT = 0.5  # a joint that a model finds less probable is not proposed
+FAR_PX = 20.0  # a label so far from what a model sees there is suspicious: PCKh's threshold is 13 px for a whole head of 26
+LONG = 0.25  # and one whose bone differs so much, as a share, from the same bone of the subject in other frames
+_REMEMBERED = 512  # frames of proposals kept
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A joint as the tab shows it: what holds, and where that comes from."""
+
+    joint: str
+    label: JointLabel | None
+    origin: Origin
+    doubt: str = ""
+
+
+class Labelling:
+    """Labels of one dataset in work. Rows are positions in the dataset; frames are told by their numbers."""
+
+    def __init__(self, workspace: Workspace, role: str = "annotator", *, joints: Sequence[str] | None = None) -> None:
+        assert workspace.dataset is not None
+        self.dataset = workspace.dataset
+        self.labels = workspace.labels
+        self.role = role
+        known = [str(name) for name in self.dataset["joint"].values]
+        self.joints = tuple(joints or [name for name in UPPER_BODY if name in known] or known)
+        self._column = {name: i for i, name in enumerate(known)}
+        self.persons = tuple(str(name) for name in self.dataset["person"].values)
+        self.numbers: NDArray[np.int64] = self.dataset["frame"].values.astype(np.int64)
+        small = self.dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].load()
+        self._uv, self._xyz, self._seen = (small[name].values for name in ("joints_2d", "joints_3d", "visibility"))
+        self._sequence = small["sequence"].values
+        self._undo: list[list[tuple[Key, JointLabel | None]]] = []
+        self.model: Predictor | Predictions | None = None
+        self._proposed = lru_cache(_REMEMBERED)(self._propose)
+
+    # ------------------------------------------------------------------------------------------------ what holds
+
+    def shown(self, row: int, person: str) -> list[Shown]:
+        """The person's joints in a frame: labels, else what the model proposes, else what the dataset holds."""
+        proposals = self.proposals(row).get(person, {})
+        doubts = self.doubts(row, person)
+        return [self._one(row, person, joint, proposals, doubts) for joint in self.joints]
+
+    def _one(
+        self, row: int, person: str, joint: str, proposals: dict[str, JointLabel], doubts: dict[str, str]
+    ) -> Shown:
+        label = self.labels.get(int(self.numbers[row]), person, joint)
+        if label is not None:
+            return Shown(joint, label, "label", doubts.get(joint, ""))
+        if joint in proposals:
+            return Shown(joint, proposals[joint], "proposal")
+        held = self._held(row, person, joint)
+        return Shown(joint, held, "dataset" if held is not None else "none")
+
+    def _held(self, row: int, person: str, joint: str) -> JointLabel | None:
+        """What the dataset says of a joint."""
+        at = row, self.persons.index(person), self._column[joint]
+        state = Visibility(int(self._seen[at]))
+        if state == Visibility.ABSENT or not np.isfinite(self._uv[at]).all():
+            return None
+        (u, v), (x, y, z) = self._uv[at].tolist(), self._xyz[at].tolist()
+        return JointLabel((u, v), (x, y, z), state)
+
+    def done(self, row: int, person: str) -> bool:
+        """Whether every joint of a person has its label in this frame."""
+        return all((int(self.numbers[row]), person, joint) in self.labels for joint in self.joints)
+
+    def key_frames(self, person: str) -> list[int]:
+        """Rows in which the person is labelled whole."""
+        frames = self.labels.frames()
+        return [row for row, number in enumerate(self.numbers.tolist()) if number in frames and self.done(row, person)]
+
+    # ------------------------------------------------------------------------------------------------ changes
+
+    def place(self, row: int, person: str, joint: str, u: float, v: float) -> JointLabel:
+        """Put a joint at a pixel; in 3D as far behind the measured surface as it was held to be, else at its usual depth."""
+        now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
+        frame = self._frame(row)
+        xyz = self._lifted(frame, joint, (u, v), now)
+        state = now.visibility if now is not None and now.visibility > Visibility.OUTSIDE_IMAGE else Visibility.VISIBLE
+        label = JointLabel((u, v), xyz, state)
+        self._set([((int(self.numbers[row]), person, joint), label)], "placed")
+        return label
+
+    def mark(self, row: int, person: str, joint: str, state: Visibility) -> None:
+        """Say how a joint is seen; absent: the person has no such joint here, and it loses its place."""
+        now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
+        nowhere = JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), state)
+        label = nowhere if now is None or state == Visibility.ABSENT else replace(now, visibility=state)
+        self._set([((int(self.numbers[row]), person, joint), label)], "marked")
+
+    def accept(self, row: int, person: str) -> int:
+        """Take everything that is shown of a person as it is; the number of joints that became labels."""
+        number = int(self.numbers[row])
+        changes = [
+            ((number, person, shown.joint), shown.label or _nowhere())
+            for shown in self.shown(row, person)
+            if shown.origin != "label"
+        ]
+        if changes:
+            self._set(changes, "accepted")
+        return len(changes)
+
+    def copy(self, row: int, person: str) -> bool:
+        """Take the labels of the last labelled frame before this one; False where there is none."""
+        before = [key for key in self.key_frames(person) if key < row]
+        if not before:
+            return False
+        source, number = int(self.numbers[before[-1]]), int(self.numbers[row])
+        copied = [(joint, self.labels.get(source, person, joint)) for joint in self.joints]
+        self._set([((number, person, joint), label) for joint, label in copied if label is not None], "copied")
+        return True
+
+    def interpolate(self, row: int, person: str) -> int:
+        """Label the frames between the labelled ones on both sides of this row, joints on straight lines in 3D, else in 2D.
+
+        Only within a sequence; the number of frames that were labelled.
+        """
+        keys = self.key_frames(person)
+        before, after = [k for k in keys if k <= row], [k for k in keys if k > row]
+        if not before or not after or self._sequence[before[-1]] != self._sequence[after[0]]:
+            return 0
+        first, last = before[-1], after[0]
+        changes: list[tuple[Key, JointLabel | None]] = []
+        for between in range(first + 1, last):
+            share = (between - first) / (last - first)
+            camera = self._camera(between)
+            for joint in self.joints:
+                a, b = (self.labels.get(int(self.numbers[k]), person, joint) for k in (first, last))
+                if a is None or b is None:
+                    continue
+                key = int(self.numbers[between]), person, joint
+                if key not in self.labels:
+                    changes.append((key, _between(a, b, share, camera)))
+        if changes:
+            self._set(changes, "interpolated")
+        return last - first - 1
+
+    def undo(self) -> bool:
+        """Take the last change of this session back; False where there is none."""
+        if not self._undo:
+            return False
+        self.labels.set(self._undo.pop(), role=self.role, how="undone")
+        return True
+
+    def _set(self, changes: Sequence[tuple[Key, JointLabel | None]], how: str) -> None:
+        before = [(key, self.labels.get(*key)) for key, _ in changes]
+        self.labels.set(changes, role=self.role, how=how)
+        self._undo.append(before)
+
+    # ------------------------------------------------------------------------------------------------ proposals
+
+    def use(self, model: Predictor | Predictions | None) -> None:
+        """Take proposals from a detector, from a predictions file, or from nothing."""
+        self.model = model
+        self._proposed.cache_clear()
+
+    def proposals(self, row: int) -> dict[str, dict[str, JointLabel]]:
+        """What the model sees in a frame, by person and joint; empty without a model."""
+        return {} if self.model is None else self._proposed(row)[0]
+
+    def unsure(self, rows: Sequence[int]) -> list[int]:
+        """Rows, the one whose least sure joint is least sure first; a frame in which somebody is not found comes before all."""
+        return sorted(rows, key=lambda row: self._proposed(row)[1]) if self.model is not None else list(rows)
+
+    def _propose(self, row: int) -> tuple[dict[str, dict[str, JointLabel]], float]:
+        model = self.model
+        assert model is not None
+        if isinstance(model, Predictions):
+            batch = model.take(self.numbers[row : row + 1])
+        else:
+            batch = model.predict(frame_batch(self.dataset, slice(row, row + 1)))
+        frame, found, least = self._frame(row), {}, 1.0
+        camera, depth = self._camera(row), frame["depth"].values
+        for p, person in enumerate(model.persons):
+            if person not in self.persons:
+                continue
+            wanted = [(j, joint) for j, joint in enumerate(model.joints) if joint in self.joints]
+            sure = {joint: float(batch.presence[0, p, j]) for j, joint in wanted}
+            xyz = {joint: batch.joints_3d[0, p, j].astype(float) for j, joint in wanted}
+            states = _states(camera, depth, xyz)
+            joints = {
+                joint: JointLabel(tuple(batch.joints_2d[0, p, j].tolist()), tuple(xyz[joint].tolist()), states[joint])
+                for j, joint in wanted
+                if sure[joint] >= PRESENT and np.isfinite(batch.joints_2d[0, p, j]).all()
+            }
+            if joints:
+                found[person] = joints
+                least = min(least, *sure.values())
+        somebody = (self._seen[row] > Visibility.OUTSIDE_IMAGE).any(axis=1)
+        missed = any(there and person not in found for there, person in zip(somebody, self.persons, strict=True))
+        return found, -1.0 if missed else least
+
+    # ------------------------------------------------------------------------------------------------ doubts
+
+    def doubts(self, row: int, person: str) -> dict[str, str]:
+        """Why labels are suspicious, by joint: far from what the model sees, or on a bone of an unusual length."""
+        number = int(self.numbers[row])
+        proposals = self.proposals(row).get(person, {})
+        why: dict[str, str] = {}
+        for joint in self.joints:
+            label = self.labels.get(number, person, joint)
+            if label is None or label.visibility <= Visibility.OUTSIDE_IMAGE:
+                continue
+            if joint in proposals:
+                apart = float(np.hypot(*np.subtract(label.uv, proposals[joint].uv)))
+                if apart > FAR_PX:
+                    why[joint] = f"{apart:.0f} px from what the model sees"
+        for parent, child in LIMBS:
+            length = self._bone(number, person, parent, child)
+            others = (self._bone(n, person, parent, child) for n in self.labels.frames() if n != number)
+            known = [bone for bone in others if bone is not None]
+            if length is None or len(known) < 3:
+                continue
+            usual = float(np.median(known))
+            if abs(length / usual - 1) > LONG:
+                why.setdefault(child, f"{parent} to {child} is {100 * length:.0f} cm, usually {100 * usual:.0f}")
+        return why
+
+    def _bone(self, number: int, person: str, parent: str, child: str) -> float | None:
+        a, b = self.labels.get(number, person, parent), self.labels.get(number, person, child)
+        if a is None or b is None:
+            return None
+        length = float(np.linalg.norm(np.subtract(a.xyz, b.xyz)))
+        return length if np.isfinite(length) else None
+
+    # ------------------------------------------------------------------------------------------------ frames
+
+    @lru_cache(8)  # noqa: B019 - as long-lived as the studio
+    def _frame(self, row: int) -> xr.Dataset:
+        return self.dataset[["depth", "camera_k", "camera_dist"]].isel(frame=row).load()
+
+    def _camera(self, row: int) -> Camera:
+        frame = self._frame(row)
+        height, width = frame["depth"].shape
+        return camera_of(frame, width, height)
+
+    def _lifted(
+        self, frame: xr.Dataset, joint: str, uv: tuple[float, float], now: JointLabel | None
+    ) -> tuple[float, float, float]:
+        """A joint's point from the surface at its pixel: as far behind it as it was before, where that is known and possible."""
+        depth = frame["depth"].values
+        height, width = depth.shape
+        camera = camera_of(frame, width, height)
+        if not camera.contains(np.array(uv)):
+            return (float("nan"),) * 3
+        surface = surface_depth(depth, np.array(uv))
+        behind = REACH_M[joint] / _USUAL if joint in REACH_M else 0.0
+        if now is not None and np.isfinite(now.xyz).all() and camera.contains(np.array(now.uv)):
+            held = now.xyz[2] - surface_depth(depth, np.array(now.uv))
+            if np.isnan(surface):  # nothing was measured here: it stays as far away as it was
+                return tuple(camera.unproject(np.array(uv), np.array(now.xyz[2])).tolist())
+            if 0.0 <= held <= REACH_M.get(joint, 0.0):
+                behind = held
+        x, y, z = camera.unproject(np.array(uv), np.array(surface + behind)).tolist()
+        return x, y, z
+
+
+_USUAL = 3.0  # REACH_M is the greatest depth of a joint below the surface of a heavy body; the usual one is about a third of it
+
+
+def _nowhere() -> JointLabel:
+    return JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), Visibility.ABSENT)
+
+
+def _states(camera: Camera, depth: NDArray[np.float32], xyz: dict[str, NDArray[np.float64]]) -> dict[str, Visibility]:
+    """How each of some joints is seen, told from the depth; visible for joints that are none of ours."""
+    points = np.array([xyz.get(joint, np.full(3, np.nan)) for joint in JOINTS])
+    states, _ = visibility(camera, depth, points)
+    told = dict(zip(JOINTS, states.tolist(), strict=True))
+    return {joint: Visibility(told.get(joint) or Visibility.VISIBLE) for joint in xyz}
+
+
+def _between(a: JointLabel, b: JointLabel, share: float, camera: Camera) -> JointLabel:
+    """A label on the way from one to another; how it is seen is taken from the nearer one."""
+    xyz = (1 - share) * np.array(a.xyz) + share * np.array(b.xyz)
+    uv = camera.project(xyz) if np.isfinite(xyz).all() else (1 - share) * np.array(a.uv) + share * np.array(b.uv)
+    (u, v), (x, y, z) = uv.tolist(), xyz.tolist()
+    return JointLabel((u, v), (x, y, z), (a if share < 0.5 else b).visibility)
