@@ -13,7 +13,7 @@ from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
-from cabinpose.evaluate.samples import TruthChunk, collect
+from cabinpose.evaluate.samples import Samples, TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store import Manifest
 from cabinpose.store.predictions import Predictions
@@ -106,6 +106,20 @@ def evaluate(
     Report
         Every number with unit, threshold, denominator, sample count and interval.
     """
+    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons, progress=progress)
+    return make_report(samples, options, model_name(model), name, notes)
+
+
+def samples_of(
+    dataset: xr.Dataset,
+    model: Predictions | Predictor,
+    options: EvaluationOptions,
+    *,
+    joints: Sequence[str] | None = None,
+    persons: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> tuple[Samples, tuple[str, ...]]:
+    """The errors that `evaluate` reports on, of every person in every frame, and what there is to note; arguments as there."""
     chosen = tuple(joints) if joints is not None else common_joints(dataset, [model])
     predicted = model.persons
     if persons is not None:
@@ -116,12 +130,11 @@ def evaluate(
     true = [str(p) for p in dataset["person"].values]
     chunks = _chunks(dataset, model, chosen, predicted, progress or (lambda _: None))
     samples = collect(chunks, evaluated_skeleton(chosen), true, predicted, options)
-    notes: tuple[str, ...] = ()
-    if isinstance(model, Predictions):
-        absent = int((~np.isin(samples.frames, model.frame)).sum())
-        if absent:
-            notes = (f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed",)
-    return make_report(samples, options, model_name(model), name, notes)
+    absent = int((~np.isin(samples.frames, model.frame)).sum()) if isinstance(model, Predictions) else 0
+    if not absent:
+        return samples, ()
+    note = f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed"
+    return samples, (note,)
 
 
 def _chunks(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from cabinpose.app.studio.compare_tab import compare_tab
 from cabinpose.app.studio.dataset_tab import dataset_tab
 from cabinpose.app.studio.label_tab import label_tab
 from cabinpose.app.studio.workspace import Workspace
@@ -29,7 +30,7 @@ def studio_page(workspace: Workspace) -> None:
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
-    tabs: dict[str, Callable[[Workspace], None]] = {"Dataset": dataset_tab, "Label": label_tab}
+    tabs: dict[str, Callable[[Workspace], None]] = {"Dataset": dataset_tab, "Label": label_tab, "Compare": compare_tab}
     ui.colors(primary="#2f6f9f")
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
