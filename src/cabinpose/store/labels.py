@@ -1,9 +1,9 @@
 """Corrected labels beside a dataset: a journal of every joint that a person set, which no crash can lose.
 
-JSON lines. The first line says what the labels are of (`format`, `version`, `dataset`, `persons`, `joints`); each further one is a
-change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (see `core.pose.Visibility`; null = no
-label any more), `u`, `v` (px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds; what is
-undone is another change, so that the history stays. A change is on the disk before `set` returns.
+JSON lines. The first line says what the labels are of (`format`, `version`, `dataset`, `persons`, `joints`). Each other line is a
+change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (`core.pose.Visibility`, or null where
+the label was taken away), `u`, `v` (px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds. An
+undo is another change, so the history stays. A change is on the disk before `set` returns.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import FileIO
@@ -156,6 +156,14 @@ def read_labels(path: Path) -> tuple[dict[str, Any], dict[Key, JointLabel]]:
     labels: dict[Key, JointLabel] = {}
     _apply(labels, changes)
     return header, labels
+
+
+def labels_of(path: Path, dataset_ids: Sequence[str]) -> dict[Key, JointLabel]:
+    """What holds for each joint of a dataset that goes by one of these ids. Raises DatasetError for labels of another one."""
+    header, labels = read_labels(path)
+    if header.get("dataset") not in dataset_ids:
+        raise DatasetError(f"{path} holds the labels of another dataset", hint="give the dataset that was labelled")
+    return labels
 
 
 def with_labels(dataset: xr.Dataset, labels: dict[Key, JointLabel]) -> xr.Dataset:

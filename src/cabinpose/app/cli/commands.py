@@ -166,6 +166,8 @@ class Evaluate:
     """Models to run: names of those in the package, or ONNX files."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """The people in these slots; default: in those that all models answer for."""
+    labels: Maybe[Path] = None
+    """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
     out: Maybe[Path] = None
     """Folder for index.html and report.json."""
     splits: SplitsFlag = None

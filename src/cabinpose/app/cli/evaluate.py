@@ -25,6 +25,7 @@ from cabinpose.evaluate.offline import check_predictions, common_joints, dataset
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
 from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store.labels import labels_of, with_labels
 from cabinpose.store.part import disk_errors
 from cabinpose.store.predictions import Predictions, read_predictions
 
@@ -41,6 +42,8 @@ def run(command: Evaluate) -> None:
         )
     _check_out(command)
     whole = open_dataset(command.dataset)
+    if command.labels is not None:
+        whole = with_labels(whole, labels_of(command.labels, (dataset_id(read_manifest(command.dataset)),)))
     files = [read_predictions(path) for path in command.predictions]
     names = (dataset_id(read_manifest(command.dataset)), command.dataset.resolve().name)
     for file in files:

@@ -22,7 +22,7 @@ class FrameCanvas(Element, component="canvas.js"):
         on_place: Callable[[Mapping[str, Any]], Any] | None = None,
         on_key: Callable[[Mapping[str, Any]], Any] | None = None,
     ) -> None:
-        """on_pick: person and joint that was taken · on_place: u, v, `dragged`, and the person and joint if it was · on_key: key."""
+        """on_pick: person and joint · on_place: u, v, `dragged`, and the person and joint where one was dragged · on_key: key."""
         super().__init__()
         self.classes("w-full h-full")
         self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "selected": None}

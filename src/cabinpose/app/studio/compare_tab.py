@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.empty import empty_state
-from cabinpose.app.studio.models import choices, load_choice
+from cabinpose.app.studio.models import detectors, load_choice
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import PoseBatch, joined
@@ -81,8 +82,7 @@ class CompareTab:
         ui.label("Predictions").style("font-weight: 600")
         self._list = ui.column().classes("w-full").style("gap: 2px")
         with ui.row().classes("no-wrap w-full items-center"):
-            models = {value: words for value, words in choices(self._workspace).items() if value and not value.startswith("file:")}
-            self._model = ui.select(models, value="in_car", label="model").props("dense outlined").style("flex: 1")
+            self._model = ui.select(detectors(), value="in_car", label="model").props("dense outlined").style("flex: 1")
             self._run = ui.button("Run", on_click=self._run_model).props("dense no-caps")
         self._progress = ui.linear_progress(value=0, show_value=False).classes("w-full")
         self._progress.visible = False
@@ -90,11 +90,13 @@ class CompareTab:
         files = {str(path): path.name for path in self._workspace.found_predictions()}
         if files:
             with ui.row().classes("no-wrap w-full items-center"):
-                self._file = ui.select(files, label="file beside the dataset").props("dense outlined").style("flex: 1; min-width: 0")
+                self._file = ui.select(files, label="file beside the dataset").props("dense outlined")
+                self._file.style("flex: 1; min-width: 0")
                 ui.button("Open", on_click=self._open).props("dense no-caps outline")
         ui.separator()
         ui.label("Γt, the distance up to which a joint is a hit")
-        self._space = ui.toggle({"3d": "3D, cm", "2d": "2D, px"}, value="3d", on_change=self._space_changed).props("dense no-caps")
+        self._space = ui.toggle({"3d": "3D, cm", "2d": "2D, px"}, value="3d", on_change=self._space_changed)
+        self._space.props("dense no-caps")
         self._threshold = ui.slider(min=1.0, max=30.0, step=0.5, value=10.0).props("label-always").on(
             "change", lambda _: self._refresh()
         )
@@ -108,8 +110,6 @@ class CompareTab:
         self._refresh()
 
     def _open(self) -> None:
-        from pathlib import Path
-
         if not self._file.value:
             return
         try:
@@ -149,8 +149,8 @@ class CompareTab:
         found = joined(batches)
         return Predictions(
             found.joints_2d, found.joints_3d, found.score, found.presence,
-            frame=workspace.dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints, model=model.name,
-            dataset=dataset_id(workspace.manifest),
+            frame=workspace.dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints,
+            model=model.name, dataset=dataset_id(workspace.manifest),
         )  # fmt: skip
 
     # ------------------------------------------------------------------------------------------------ what is shown
@@ -214,10 +214,14 @@ class CompareTab:
             )
         unit = "cm" if space == "3d" else "px"
         titles = {"model": "model"} | {
-            "mAD": f"mAD {unit}", "mAD@d": f"mAD@Γt {unit}", "mAP@d (literal)": "mAP@Γt %", "mAR@d (literal)": "mAR@Γt %", "PCKh": "PCKh@0.5 %",
+            "mAD": f"mAD {unit}", "mAD@d": f"mAD@Γt {unit}", "mAP@d (literal)": "mAP@Γt %", "mAR@d (literal)": "mAR@Γt %",
+            "PCKh": "PCKh@0.5 %",
             "AUC": "AUC of PCKh %",
         }  # fmt: skip
-        columns = [{"name": key, "label": title, "field": key, "align": "left" if key == "model" else "right"} for key, title in titles.items()]
+        columns = [
+            {"name": key, "label": title, "field": key, "align": "left" if key == "model" else "right"}
+            for key, title in titles.items()
+        ]
         ui.table(rows=rows, columns=columns).props("dense flat bordered").classes("w-full").mark("numbers")
 
     def _curve(self) -> None:
@@ -270,8 +274,9 @@ class CompareTab:
         for index, (name, each) in enumerate(self._judged.items()):
             where = each.samples.px if self._space.value == "2d" else each.samples.m
             error = np.where(each.samples.counts & where.found, where.error, np.nan) * (1.0 if unit == "px" else 100.0)
-            series = []
-            for words, limit in (("all found", np.inf), (f"< {_NEAR_CM:g} {unit}", _NEAR_CM), (f"< {threshold:g} {unit}", threshold)):
+            series: list[dict[str, Any]] = []
+            limits = {"all found": np.inf, f"< {_NEAR_CM:g} {unit}": _NEAR_CM, f"< {threshold:g} {unit}": threshold}
+            for words, limit in limits.items():
                 kept = [column[np.isfinite(column) & (column < limit)] for column in error.T]
                 series.append({"name": words, "type": "boxplot", "data": [_box(values) for values in kept]})
             outliers = [
@@ -279,7 +284,8 @@ class CompareTab:
                 for joint, column in enumerate(error.T)
                 for x in _outliers(column[np.isfinite(column)])
             ]
-            series.append({"name": "outliers of all found", "type": "scatter", "symbolSize": 4, "data": outliers, "color": "#d66"})
+            dots = {"name": "outliers of all found", "type": "scatter", "symbolSize": 4, "data": outliers, "color": "#d66"}
+            series.append(dots)
             ui.echart(
                 {
                     "title": {"text": f"{name}: d by joint, {unit}", "textStyle": _TITLE | {"color": _colour(index)}},
@@ -301,7 +307,7 @@ class CompareTab:
         number_ = int(frame["frame"])
         joints = [str(name) for name in frame["joint"].values]
         limbs = [[joints.index(a), joints.index(b)] for a, b in LIMBS if {a, b} <= set(joints)]
-        people = [{**person, "colour": "#ffffff", "fixed": True} for person in people_of(frame)]
+        people: list[dict[str, Any]] = [{**person, "colour": "#ffffff", "fixed": True} for person in people_of(frame)]
         for person in people:
             for joint in person["joints"]:
                 joint["colour"] = "#ffffff"

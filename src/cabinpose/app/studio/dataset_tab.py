@@ -173,7 +173,7 @@ class DatasetTab:
             self._scene.gltf(f"/clouds/{row}/{depth}.glb")
             for index, person in enumerate(frame["joints_3d"].values):
                 points = apply(vehicle_from_camera, person.astype(np.float64))
-                there: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
+                there = np.asarray(np.isfinite(points).all(axis=1))
                 for a, b in self._limbs:
                     if there[a] and there[b]:
                         self._scene.line(points[a].tolist(), points[b].tolist()).material(person_colour(index))

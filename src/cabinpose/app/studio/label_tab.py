@@ -27,7 +27,8 @@ _STATE_KEYS = {
 }  # fmt: skip
 _NUDGE = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 _HELP = (
-    ("click", "place the chosen joint, and go to the next"), ("drag", "move a joint"), ("Tab", "next joint; Shift: the one before"),
+    ("click", "place the chosen joint, and go to the next"), ("drag", "move a joint"),
+    ("Tab", "next joint; Shift: the one before"),
     ("v s h o x", "visible, self-occluded, hidden, outside, absent"), ("arrows", "move it by 1 px; Shift: 5 px"),
     ("Enter", "accept all that is shown, and go to the next frame"), ("c", "copy from the last labelled frame"),
     ("i", "interpolate up to the next labelled frame"), ("z", "undo"), ("f b", "next frame, the one before"),
@@ -39,7 +40,7 @@ _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled 
 def label_tab(workspace: Workspace) -> None:
     """Build the tab."""
     if workspace.dataset is None:
-        empty_state("No dataset is open", "Open the dataset whose joints you want to label or correct:", "cabinpose studio DATASET")
+        empty_state("No dataset is open", "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
         return
     try:
         labelling = Labelling(workspace)
@@ -166,9 +167,9 @@ class LabelTab:
     def _next_joint(self, step: int = 1) -> None:
         self._chosen = (self._chosen + step) % len(self._labelling.joints)
 
-    def _set_person(self, event: Any) -> None:
+    async def _set_person(self, event: Any) -> None:
         self._person, self._chosen = str(event.value), 0
-        self._reorder()
+        await self._reorder()
 
     async def _use_model(self) -> None:
         try:
@@ -185,7 +186,7 @@ class LabelTab:
                 ui.notify("choose what proposals come from: its doubts give the order")
             else:
                 with_model = ui.notification("looking at all frames", spinner=True, timeout=None)
-                rows = await run.io_bound(self._labelling.unsure, rows)
+                rows = await run.io_bound(self._labelling.unsure, rows) or rows
                 with_model.dismiss()
         elif self._order.value == "open":
             rows = [row for row in rows if not self._labelling.done(row, self._person)]
@@ -224,7 +225,8 @@ class LabelTab:
         self._show_image(row)
         done = labelling.done(row, self._person)
         self._slider.value = self._position
-        self._number.text = f"frame {labelling.numbers[row]}, {self._position + 1} of {len(self._queue)}" + (", done" if done else "")
+        place = f"frame {labelling.numbers[row]}, {self._position + 1} of {len(self._queue)}"
+        self._number.text = place + (", done" if done else "")
         self._list.clear()
         with self._list:
             for index, each in enumerate(shown):

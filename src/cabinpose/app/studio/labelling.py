@@ -198,21 +198,21 @@ class Labelling:
             batch = model.predict(frame_batch(self.dataset, slice(row, row + 1)))
         frame, found, least = self._frame(row), {}, 1.0
         camera, depth = self._camera(row), frame["depth"].values
-        for p, person in enumerate(model.persons):
+        for slot, person in enumerate(model.persons):
             if person not in self.persons:
                 continue
             wanted = [(j, joint) for j, joint in enumerate(model.joints) if joint in self.joints]
-            sure = {joint: float(batch.presence[0, p, j]) for j, joint in wanted}
-            xyz = {joint: batch.joints_3d[0, p, j].astype(float) for j, joint in wanted}
+            sure = {joint: float(batch.presence[0, slot, j]) for j, joint in wanted}
+            xyz = {joint: batch.joints_3d[0, slot, j].astype(float) for j, joint in wanted}
             states = _states(camera, depth, xyz)
             joints = {
-                joint: JointLabel(tuple(batch.joints_2d[0, p, j].tolist()), tuple(xyz[joint].tolist()), states[joint])
+                joint: JointLabel(tuple(batch.joints_2d[0, slot, j].tolist()), tuple(xyz[joint].tolist()), states[joint])
                 for j, joint in wanted
-                if sure[joint] >= PRESENT and np.isfinite(batch.joints_2d[0, p, j]).all()
+                if sure[joint] >= PRESENT and np.isfinite(batch.joints_2d[0, slot, j]).all()
             }
             if joints:
                 found[person] = joints
-                least = min(least, *sure.values())
+                least = min(least, *(abs(p - PRESENT) for p in sure.values()))  # one that is surely not there is sure
         somebody = (self._seen[row] > Visibility.OUTSIDE_IMAGE).any(axis=1)
         missed = any(there and person not in found for there, person in zip(somebody, self.persons, strict=True))
         return found, -1.0 if missed else least

@@ -14,7 +14,12 @@ _FILE = "file:"
 def choices(workspace: Workspace) -> dict[str, str]:
     """Values and words of a select; "" is nothing."""
     files = {_FILE + name: f"{name} (predictions)" for name in workspace.predictions}
-    return {"": "nothing", **files, **{name: name for name in packaged_models() if name not in _OTHERS}}
+    return {"": "nothing", **files, **{name: name for name in detectors()}}
+
+
+def detectors() -> list[str]:
+    """Names of the packaged models."""
+    return list(packaged_models())
 
 
 def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | None:
@@ -25,5 +30,3 @@ def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | N
         return workspace.predictions[value.removeprefix(_FILE)]
     return load_model(value)
 
-
-_OTHERS: tuple[str, ...] = ()

@@ -9,6 +9,8 @@ from nicegui import ui
 from cabinpose.app.studio.compare_tab import compare_tab
 from cabinpose.app.studio.dataset_tab import dataset_tab
 from cabinpose.app.studio.label_tab import label_tab
+from cabinpose.app.studio.live_session import LiveRoom
+from cabinpose.app.studio.live_tab import live_tab
 from cabinpose.app.studio.workspace import Workspace
 
 _STYLE = """
@@ -26,11 +28,16 @@ body { font-family: system-ui, sans-serif; }
 """
 
 
-def studio_page(workspace: Workspace) -> None:
+def studio_page(workspace: Workspace, live: LiveRoom) -> None:
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
-    tabs: dict[str, Callable[[Workspace], None]] = {"Dataset": dataset_tab, "Label": label_tab, "Compare": compare_tab}
+    tabs: dict[str, Callable[[], None]] = {
+        "Dataset": lambda: dataset_tab(workspace),
+        "Label": lambda: label_tab(workspace),
+        "Compare": lambda: compare_tab(workspace),
+        "Live": lambda: live_tab(workspace, live),
+    }
     ui.colors(primary="#2f6f9f")
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
@@ -44,7 +51,7 @@ def studio_page(workspace: Workspace) -> None:
     with ui.tab_panels(bar, value=_first(workspace, list(tabs)), keep_alive=True).classes("w-full").style("width: 100%"):
         for name, build in tabs.items():
             with ui.tab_panel(name):
-                build(workspace)
+                build()
 
 
 def _opened(workspace: Workspace) -> str:

@@ -20,7 +20,10 @@ IMAGES = (*DEPTHS, *GREYS, *CLASSES)
 
 @dataclass(frozen=True)
 class Picture:
-    """An image as it travels. values: (H, W) uint16 or uint8, 0 = invalid · step: of a value, in `unit` · kind: how to colour it."""
+    """An image as it travels.
+
+    values: (H, W), 0 = invalid · kind: how to colour it · step: of a value, in `unit`.
+    """
 
     values: NDArray[np.uint16] | NDArray[np.uint8]
     kind: str  # ramp, grey or classes

@@ -9,10 +9,12 @@ from collections.abc import Callable
 
 import uvicorn
 from fastapi import FastAPI
+from nicegui import app as nicegui_app
 from nicegui import ui
 
 from cabinpose.app.studio.access import Guard
 from cabinpose.app.studio.clouds import cloud_routes
+from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.page import studio_page
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.workspace import Workspace
@@ -22,7 +24,12 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def serve(
-    workspace: Workspace, *, host: str = "127.0.0.1", port: int = 0, token: str | None = None, ready: Callable[[str], None] = print
+    workspace: Workspace,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    token: str | None = None,
+    ready: Callable[[str], None] = print,
 ) -> None:
     """Serve until Ctrl-C. `ready` is given the address once it can be opened; port 0 takes a free one.
 
@@ -48,8 +55,11 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     app = FastAPI(openapi_url=None)
     app.include_router(image_routes(lambda: workspace.dataset))
     app.include_router(cloud_routes(lambda: workspace.dataset))
+    live = LiveRoom()
+    app.include_router(live.routes())
+    nicegui_app.on_shutdown(live.stop)
     ui.run_with(
-        app, root=lambda: studio_page(workspace), title="cabinpose studio", dark=None, tailwind=False,
+        app, root=lambda: studio_page(workspace, live), title="cabinpose studio", dark=None, tailwind=False,
         show_welcome_message=False, reconnect_timeout=10.0, storage_secret=secrets.token_hex(),
     )  # fmt: skip
     app.add_middleware(Guard, token=token)
@@ -65,4 +75,5 @@ def _bound(host: str, port: int) -> socket.socket:
     except OSError as error:
         listening.close()
         raise ConfigError(f"{host}:{port} cannot be listened on ({error.strerror})", hint="give another --port, or 0") from error
+    listening.listen()  # who opens the address at once waits for the first answer instead of being refused
     return listening

@@ -1,0 +1,108 @@
+"""A live run in the background, for browsers to look at."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, HTTPException, Response
+from numpy.typing import NDArray
+
+from cabinpose.app.live.choose import open_feed
+from cabinpose.app.live.feed import LiveFrame
+from cabinpose.app.live.run import Found, Live, LiveStatus
+from cabinpose.app.studio.pictures import picture
+from cabinpose.core.errors import CabinposeError
+from cabinpose.core.ports import Predictor
+
+_RECENT = 16  # frames kept for browsers that have been told of them and come for their images
+
+
+class LiveSession:
+    """Detectors on a source, on a thread of its own; `latest` is what browsers show."""
+
+    def __init__(
+        self, source: str, settings: dict[str, Any], models: Sequence[Predictor], *, record: Path | None = None
+    ) -> None:
+        """Raises ConfigError for a source that is not there; connecting is done by the thread, see `error`."""
+        self.source, self.record = source, record
+        self._live = Live(open_feed(source, settings, realtime=True, out=record), models, skip_errors=True)
+        self.models = tuple(models)
+        self.latest: tuple[LiveFrame, tuple[Found, ...]] | None = None
+        self.recent: deque[LiveFrame] = deque(maxlen=_RECENT)
+        self.error = ""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="live", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it still looks."""
+        return self._thread.is_alive()
+
+    def status(self) -> LiveStatus:
+        """Rates, latencies and what the source says."""
+        return self._live.status()
+
+    def stop(self) -> None:
+        """End the run and what is recorded."""
+        self._stop.set()
+        self._thread.join(10.0)
+
+    def _run(self) -> None:
+        try:
+            self._live.feed.start()
+            try:
+                for frame, found in self._live.run(lambda: not self._stop.is_set()):
+                    self.recent.append(frame)
+                    self.latest = frame, found
+            finally:
+                self._live.feed.stop()
+        except CabinposeError as error:
+            self.error = error.in_one_line()
+        except Exception as error:  # noqa: BLE001 - a thread's end would otherwise be seen by nobody
+            self.error = f"the run failed: {error!r}"
+
+
+def image_of(frame: LiveFrame, name: str) -> NDArray[Any]:
+    """The depth or amplitude of a live frame; KeyError where the camera gives none."""
+    image: NDArray[Any] = frame.batch[name][0]  # type: ignore[literal-required]
+    return image
+
+
+class LiveRoom:
+    """The one live run of a studio, and the frame that a browser froze."""
+
+    def __init__(self) -> None:
+        self.session: LiveSession | None = None
+        self.frozen: tuple[LiveFrame, tuple[Found, ...]] | None = None
+
+    def shown(self) -> tuple[LiveFrame, tuple[Found, ...]] | None:
+        """The frozen frame, else the newest."""
+        if self.frozen is not None:
+            return self.frozen
+        return self.session.latest if self.session is not None else None
+
+    def routes(self) -> APIRouter:
+        """`/live/{host_ns}/{variable}`: an image of the frame that came then, if it is one of the last ones or frozen."""
+        router = APIRouter()
+
+        @router.get("/live/{host_ns}/{name}")
+        def image(host_ns: int, name: str) -> Response:
+            frames = [*(self.session.recent if self.session is not None else ()), *(self.frozen or ())[:1]]
+            frame = next((f for f in frames if f.host_ns == host_ns), None)
+            if frame is None or name not in ("depth", "amplitude") or name not in frame.batch:
+                raise HTTPException(404, "there is no such image")
+            return picture(name, image_of(frame, name)).response(keep=False)
+
+        return router
+
+    def stop(self) -> None:
+        """End what runs."""
+        if self.session is not None:
+            self.session.stop()
+            self.session = None
+        self.frozen = None

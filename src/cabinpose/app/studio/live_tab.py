@@ -1,0 +1,158 @@
+"""The Live tab: a camera, a recording or a dataset as it plays, and what detectors find in it."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nicegui import run, ui
+
+from cabinpose.app.live.choose import parsed_settings
+from cabinpose.app.live.run import Found
+from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.clouds import person_colour
+from cabinpose.app.studio.live_session import LiveRoom, LiveSession, image_of
+from cabinpose.app.studio.models import detectors
+from cabinpose.app.studio.workspace import Workspace
+from cabinpose.core.errors import CabinposeError
+from cabinpose.core.ports import Predictor
+from cabinpose.core.skeleton import LIMBS
+from cabinpose.estimate.predictor import load_model
+from cabinpose.evaluate.options import EvaluationOptions
+
+_PERIOD_S = 0.1  # between looks for a new frame
+_KINDS = ("simulated", "synth", "royale", "bta", "genicam")
+_PRESENT = EvaluationOptions().presence
+_GREY = [[value, value, value] for value in range(256)]
+
+
+def live_tab(workspace: Workspace, room: LiveRoom) -> None:
+    """Build the tab."""
+    LiveTab(workspace, room)
+
+
+class LiveTab:
+    """The tab of one browser; the run itself is the studio's, shared by all."""
+
+    def __init__(self, workspace: Workspace, room: LiveRoom) -> None:
+        self._workspace, self._room = workspace, room
+        self._drawn: Any = None
+        with ui.row().classes("studio-tab no-wrap w-full"):
+            with ui.column().classes("studio-side"):
+                self._build_side()
+            with ui.column().classes("studio-main"):
+                with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
+                    with ui.element("div").classes("studio-pane"):
+                        self._depth = FrameCanvas()
+                    with ui.element("div").classes("studio-pane"):
+                        self._amplitude = FrameCanvas()
+                self._rates = ui.label("Choose a source and a model, then start.").mark("rates")
+                self._trouble = ui.label().style("color: #d33")
+        ui.timer(_PERIOD_S, self._look)
+
+    def _build_side(self) -> None:
+        opened = self._workspace.recording or self._workspace.folder
+        sources = [*([str(opened)] if opened is not None else []), *_KINDS]
+        self._source = ui.select(sources, value=sources[0], label="source").props("dense outlined").classes("w-full")
+        self._settings = ui.textarea("settings, KEY=VALUE a line", placeholder="use_case=MODE_9_5FPS_2000").props(
+            "dense outlined autogrow"
+        )
+        self._settings.classes("w-full")
+        self._models = ui.select(detectors(), value=["in_car"], label="models", multiple=True).props("dense outlined use-chips")
+        self._models.classes("w-full")
+        self._recording = ui.checkbox("record meanwhile")
+        with ui.row().classes("no-wrap w-full").style("gap: 6px"):
+            self._start = ui.button("Start", icon="play_arrow", on_click=self._begin).props("dense no-caps").style("flex: 1")
+            ui.button("Stop", icon="stop", on_click=self._end).props("dense no-caps outline").style("flex: 1")
+        self._freeze = ui.button("Freeze", icon="ac_unit", on_click=self._toggle).props("dense no-caps outline").classes("w-full")
+        self._joints = ui.column().classes("w-full").style("gap: 0; font-size: 13px")
+
+    async def _begin(self) -> None:
+        self._start.disable()
+        try:
+            settings = parsed_settings([line.strip() for line in str(self._settings.value or "").splitlines() if line.strip()])
+            names = list(self._models.value or ())
+            models: list[Predictor] = await run.io_bound(lambda: [load_model(name) for name in names]) or []
+            self._room.stop()
+            record = Path(f"live-{datetime.now():%Y%m%d-%H%M%S}.mcap") if self._recording.value else None  # noqa: DTZ005 - local
+            self._room.session = LiveSession(str(self._source.value), settings, models, record=record)
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
+        finally:
+            self._start.enable()
+
+    async def _end(self) -> None:
+        await run.io_bound(self._room.stop)
+
+    def _toggle(self) -> None:
+        room = self._room
+        room.frozen = None if room.frozen is not None else room.shown()
+        self._freeze.props("color=primary" if room.frozen is not None else "color=default")
+        self._freeze.text = "Go on" if room.frozen is not None else "Freeze"
+
+    def _look(self) -> None:
+        """Show the newest frame, and how the run does."""
+        session, shown = self._room.session, self._room.shown()
+        if session is not None:
+            self._trouble.text = session.error
+            self._tell(session)
+        if shown is None or shown is self._drawn or session is None:
+            return
+        self._drawn = shown
+        frame, found = shown
+        depth = image_of(frame, "depth")
+        valid = depth[np.isfinite(depth)]
+        near, far = np.quantile(valid[::7], (0.01, 0.99)).tolist() if valid.size else (0.0, 1.0)
+        people, limbs = _people(session.models, found)
+        self._depth.show(f"/live/{frame.host_ns}/depth", near=near, far=far)
+        self._depth.joints(people, limbs)
+        if "amplitude" in frame.batch:
+            white = float(np.quantile(image_of(frame, "amplitude")[::7], 0.995)) or 1.0
+            self._amplitude.show(f"/live/{frame.host_ns}/amplitude", near=0.0, far=white, palette=_GREY)
+            self._amplitude.joints(people, limbs)
+        self._table(session.models, found)
+
+    def _tell(self, session: LiveSession) -> None:
+        status = session.status()
+        late = f"{status.latency.p50:.0f} / {status.latency.p95:.0f} / {status.latency.p99:.0f} ms" if status.latency else "–"
+        state = "" if session.running else "ended: "
+        recorded = f"; recording to {session.record}" if session.record is not None and session.running else ""
+        trouble = f"; {status.feed.error}" if status.feed.error else ""
+        self._rates.text = (
+            f"{state}{status.frames} frames, {status.rate_hz:.1f} a second; arrival to joints p50 / p95 / p99 {late}; "
+            f"{status.feed.passed_over} left out, {status.feed.counts.lost} lost{recorded}{trouble}"
+        )
+
+    def _table(self, models: tuple[Predictor, ...], found: tuple[Found, ...]) -> None:
+        """How long each model took, and how many joints of whom it found."""
+        self._joints.clear()
+        with self._joints:
+            for model, answer in zip(models, found, strict=True):
+                trouble = f"; {answer.error}" if answer.error else ""
+                ui.label(f"{model.name}: {answer.ms:.1f} ms{trouble}").style("font-weight: 600")
+                for p, person in enumerate(model.persons):
+                    sure = answer.poses.presence[0, p]
+                    count = int((sure >= _PRESENT).sum())
+                    if count:
+                        least = int(np.argmin(np.where(sure >= _PRESENT, sure, 2)))
+                        ui.label(f"{person}: {count} joints, least sure {model.joints[least]} {sure[least]:.2f}")
+
+
+def _people(models: tuple[Predictor, ...], found: tuple[Found, ...]) -> tuple[list[dict[str, Any]], list[list[int]]]:
+    people: list[dict[str, Any]] = []
+    limbs: list[list[int]] = []
+    for number, (model, answer) in enumerate(zip(models, found, strict=True)):
+        names = list(model.joints)
+        limbs = [[names.index(a), names.index(b)] for a, b in LIMBS if {a, b} <= set(names)]
+        for p in range(len(model.persons)):
+            there = answer.poses.presence[0, p] >= _PRESENT
+            places = answer.poses.joints_2d[0, p]
+            seen = there & np.isfinite(places).all(axis=1)
+            joints = [
+                {"name": name, "u": float(u) if ok else None, "v": float(v) if ok else None}
+                for name, (u, v), ok in zip(names, places, seen, strict=True)
+            ]
+            people.append({"colour": person_colour(p + 2 * number), "joints": joints, "limbs": limbs, "fixed": True})
+    return people, limbs

@@ -1,0 +1,71 @@
+"""Who may use the studio."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+from starlette.testclient import TestClient
+
+from cabinpose.app.studio.access import COOKIE, Guard
+from cabinpose.app.studio.serve import serve
+from cabinpose.app.studio.workspace import Workspace
+from cabinpose.core.errors import ConfigError
+
+
+def client(token: str | None, host: str = "127.0.0.1:8570") -> TestClient:
+    app = FastAPI()
+
+    @app.get("/")
+    def index() -> str:
+        return "here"
+
+    app.add_middleware(Guard, token=token)
+    return TestClient(app, base_url=f"http://{host}")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8570", "localhost:1", "localhost", "[::1]:9"])
+def test_this_machine_may_look_by_its_own_name(host: str) -> None:
+    assert client(None).get("/", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize("host", ["evil.example:8570", "192.168.1.7:8570", "127.0.0.1.evil.example", ""])
+def test_other_names_are_refused(host: str) -> None:
+    assert client(None).get("/", headers={"host": host}).status_code == 403
+
+
+def test_script_of_another_page_is_refused() -> None:
+    assert client(None).get("/", headers={"origin": "http://evil.example"}).status_code == 403
+    assert client(None).get("/", headers={"origin": "http://127.0.0.1:8570"}).status_code == 200
+
+
+def test_token_is_needed_and_kept() -> None:
+    studio = client("secret", "studio.example")
+    assert studio.get("/").status_code == 403
+    assert studio.get("/?token=wrong").status_code == 403
+    answer = studio.get("/?token=secret")
+    assert answer.status_code == 200
+    assert COOKIE in answer.cookies
+    assert "HttpOnly" in answer.headers["set-cookie"]
+    assert studio.get("/").status_code == 200  # by the cookie
+
+
+def test_beyond_this_machine_only_with_a_token(run: Callable[..., Any]) -> None:
+    with pytest.raises(ConfigError, match="open to other machines"):
+        serve(Workspace(), host="0.0.0.0")
+    outcome = run("studio", "--host", "0.0.0.0")
+    assert outcome.code == 2
+    assert "--token" in outcome.err
+
+
+def test_port_that_is_taken_is_told(run: Callable[..., Any]) -> None:
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        outcome = run("studio", "--port", taken.getsockname()[1])
+    assert outcome.code == 2
+    assert "cannot be listened on" in outcome.err

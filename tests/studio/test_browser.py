@@ -1,0 +1,148 @@
+"""The studio in a browser, done as a person does it: clicks, drags, keys."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cabinpose.store import open_dataset
+from cabinpose.store.labels import read_labels
+
+JOINTS = 14  # of the upper body, which labels are of
+
+
+def tab(page: Any, name: str) -> None:
+    page.get_by_role("tab", name=name).click()
+
+
+def canvas(page: Any) -> Any:
+    """The canvas that is to be seen, once its image is there."""
+    shown = page.locator(".frame-canvas:visible").first
+    shown.locator("canvas").wait_for()
+    page.wait_for_function(
+        "[...document.querySelectorAll('.frame-canvas')].some(e => e.offsetParent && !e.innerText.includes('loading'))"
+    )
+    return shown
+
+
+def on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]:
+    """Where a pixel of the whole image is on the screen."""
+    box = shown.bounding_box()
+    width, height = size
+    scale = min(box["width"] / width, box["height"] / height)
+    x = box["x"] + (box["width"] - width * scale) / 2 + (uv[0] + 0.5) * scale
+    y = box["y"] + (box["height"] - height * scale) / 2 + (uv[1] + 0.5) * scale
+    return x, y
+
+
+def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if value := what():
+            return value
+        time.sleep(0.1)
+    raise AssertionError("it did not happen")
+
+
+def labels_beside(dataset: Path) -> dict[Any, Any]:
+    path = dataset.with_name(dataset.name + ".labels.jsonl")
+    return read_labels(path)[1] if path.exists() and path.stat().st_size else {}
+
+
+@pytest.mark.slow
+def test_label_drag_kill_and_go_on(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """Accept a frame, drag a wrist in the next one, kill the server in the middle: everything is there again."""
+    server = start(dataset_folder)
+    page.goto(server.address)
+    tab(page, "Label")
+    shown = canvas(page)
+    page.get_by_text("0 of 6 frames done").wait_for()
+    shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])  # only the keyboard's focus
+    page.keyboard.press("Enter")
+    page.get_by_text("1 of 6 frames done").wait_for()
+    dataset = open_dataset(dataset_folder)
+    joints = [str(name) for name in dataset["joint"].values]
+    size = dataset.sizes["x"], dataset.sizes["y"]
+    neck = dataset["joints_2d"].values[1, 0, joints.index("neck")]
+    here, there = on_screen(shown, neck, size), on_screen(shown, neck + (12, -7), size)
+    page.mouse.move(*here)
+    page.mouse.down()
+    page.mouse.move((here[0] + there[0]) / 2, (here[1] + there[1]) / 2, steps=3)
+    page.mouse.move(*there, steps=3)
+    page.mouse.up()
+    held = until(lambda: labels_beside(dataset_folder).get((1, "driver", "neck")))
+    np.testing.assert_allclose(held.uv, neck + (12, -7), atol=0.6)  # less than a pixel of the screen
+    server.kill()
+    assert len(labels_beside(dataset_folder)) == JOINTS + 1
+    again = start(dataset_folder)
+    page.goto(again.address)
+    tab(page, "Label")
+    page.get_by_text("1 of 6 frames done").wait_for()
+    assert labels_beside(dataset_folder)[1, "driver", "neck"].uv == held.uv
+    assert again.stop() in (0, 130)
+
+
+@pytest.mark.slow
+def test_labelling_a_frame_takes_few_seconds(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """With proposals: look, drag two joints, accept. What a person's hands have to do is counted, see docs/benchmarks.md."""
+    page.goto(start(dataset_folder).address)
+    tab(page, "Label")
+    shown = canvas(page)
+    page.get_by_label("proposals from").click()
+    page.get_by_role("option", name="in_car").click()
+    page.get_by_text("proposal", exact=True).first.wait_for()
+    shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
+    page.keyboard.press("Enter")
+    until(lambda: len(labels_beside(dataset_folder)) == JOINTS)
+
+
+@pytest.mark.slow
+def test_dataset_is_filtered_and_browsed(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    page.goto(start(dataset_folder).address)
+    page.get_by_text("6 of 6 frames").wait_for()
+    action = str(open_dataset(dataset_folder)["action"].values[2, 0])
+    page.get_by_label("action").click()
+    page.get_by_role("option", name=action, exact=True).click()
+    count = int((open_dataset(dataset_folder)["action"].values == action).any(axis=1).sum())
+    page.get_by_text(f"{count} of 6 frames").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Statistics").click()
+    page.get_by_text(re.compile(rf"^{count} of 6 frames$")).last.wait_for()
+
+
+@pytest.mark.slow
+def test_model_is_run_and_compared(page: Any, start: Callable[..., Any], dataset_folder: Path, run: Callable[..., Any]) -> None:
+    """The numbers are those of `evaluate`."""
+    page.goto(start(dataset_folder).address)
+    tab(page, "Compare")
+    page.get_by_role("button", name="Run").click()
+    row = page.locator("tr", has_text="in_car")
+    row.wait_for()
+    told = row.locator("td").all_inner_texts()
+    report = run("evaluate", dataset_folder, "--model", "in_car", "--resamples", 0, "--all").out
+    for value, name in ((told[1], "mAD 3D"), (told[3], "mAP@10 cm (literal) 3D"), (told[5], "PCKh@0.5 3D")):
+        line = next(line for line in report.splitlines() if line.startswith(name))
+        assert line.removeprefix(name).split()[0] == value
+
+
+@pytest.mark.slow
+def test_second_studio_says_who_has_the_labels(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    first = start(dataset_folder)
+    page.goto(first.address)
+    tab(page, "Label")
+    page.get_by_text("0 of 6 frames done").wait_for()
+    page.goto(start(dataset_folder).address)
+    tab(page, "Label")
+    page.get_by_text("is open in another studio").wait_for()
+
+
+@pytest.mark.slow
+def test_nothing_open_says_what_to_do(page: Any, start: Callable[..., Any]) -> None:
+    page.goto(start().address)
+    page.get_by_text("cabinpose studio DATASET").first.wait_for()

@@ -1,0 +1,178 @@
+"""What labelling does, without a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cabinpose.app.studio.labelling import Labelling
+from cabinpose.app.studio.workspace import Workspace, open_workspace
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.store.labels import JointLabel
+from cabinpose.store.lazy import camera_of
+from cabinpose.store.predictions import Predictions, empty_batch
+
+DRIVER = "driver"
+
+
+@pytest.fixture
+def workspace(dataset_folder: Path) -> Iterator[Workspace]:
+    opened = open_workspace(dataset_folder)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def labelling(workspace: Workspace) -> Labelling:
+    return Labelling(workspace)
+
+
+def truth_as_predictions(workspace: Workspace, shift: float = 0.0, presence: float = 0.9) -> Predictions:
+    """The dataset's own joints, moved to the right by some pixels, as if a model had found them."""
+    dataset = workspace.dataset
+    assert dataset is not None
+    batch = empty_batch(dataset.sizes["frame"], dataset.sizes["person"], dataset.sizes["joint"])
+    there = dataset["visibility"].values > Visibility.OUTSIDE_IMAGE
+    batch.joints_2d[there] = dataset["joints_2d"].values[there] + (shift, 0)
+    batch.joints_3d[there] = dataset["joints_3d"].values[there]
+    batch.presence[there] = presence
+    names = [tuple(str(n) for n in dataset[d].values) for d in ("person", "joint")]
+    return Predictions(
+        batch.joints_2d, batch.joints_3d, batch.score, batch.presence, dataset["frame"].values, names[0], names[1], "oracle"
+    )
+
+
+def test_joints_go_along_the_skeleton(labelling: Labelling) -> None:
+    assert labelling.joints == UPPER_BODY
+
+
+def test_dataset_s_joints_are_shown_until_they_are_labels(labelling: Labelling) -> None:
+    shown = labelling.shown(0, DRIVER)
+    assert {s.origin for s in shown} == {"dataset"}
+    count = labelling.accept(0, DRIVER)
+    assert count == len(UPPER_BODY)
+    assert {s.origin for s in labelling.shown(0, DRIVER)} == {"label"}
+    assert labelling.done(0, DRIVER)
+    assert labelling.key_frames(DRIVER) == [0]
+
+
+def test_placed_joint_lies_behind_the_measured_surface(workspace: Workspace, labelling: Labelling) -> None:
+    """Where the truth was, the joint's own depth comes back from its distance to the surface."""
+    assert workspace.dataset is not None
+    frame = workspace.dataset.isel(frame=0).load()
+    joint = UPPER_BODY.index("chest")
+    column = [str(n) for n in frame["joint"].values].index("chest")
+    u, v = frame["joints_2d"].values[0, column].tolist()
+    label = labelling.place(0, DRIVER, "chest", u, v)
+    np.testing.assert_allclose(label.xyz, frame["joints_3d"].values[0, column], atol=0.002)
+    moved = labelling.place(0, DRIVER, "chest", u + 6, v)
+    height, width = frame["depth"].shape
+    np.testing.assert_allclose(camera_of(frame, width, height).project(np.array(moved.xyz)), (u + 6, v), atol=1e-6)
+    assert labelling.shown(0, DRIVER)[joint].origin == "label"
+
+
+def test_joint_outside_the_image_has_no_depth(labelling: Labelling) -> None:
+    assert np.isnan(labelling.place(0, DRIVER, "head", -40.0, 10.0).xyz).all()
+
+
+def test_mark_keeps_the_place_but_for_absent(labelling: Labelling) -> None:
+    before = labelling.shown(0, DRIVER)[0].label
+    assert before is not None
+    labelling.mark(0, DRIVER, "head", Visibility.OCCLUDED)
+    after = labelling.shown(0, DRIVER)[0].label
+    assert after == JointLabel(before.uv, before.xyz, Visibility.OCCLUDED)
+    labelling.mark(0, DRIVER, "head", Visibility.ABSENT)
+    gone = labelling.shown(0, DRIVER)[0].label
+    assert gone is not None
+    assert np.isnan(gone.uv).all()
+
+
+def test_undo_takes_back_one_change_at_a_time(labelling: Labelling) -> None:
+    labelling.place(0, DRIVER, "head", 50.0, 60.0)
+    labelling.accept(0, DRIVER)
+    assert labelling.undo()
+    assert [s.origin for s in labelling.shown(0, DRIVER)] == ["label", *["dataset"] * (len(UPPER_BODY) - 1)]
+    assert labelling.undo()
+    assert {s.origin for s in labelling.shown(0, DRIVER)} == {"dataset"}
+    assert not labelling.undo()
+    assert [c.how for c in labelling.labels.history[-15:]].count("undone") == len(UPPER_BODY)
+
+
+def test_copy_takes_the_last_labelled_frame(labelling: Labelling) -> None:
+    assert not labelling.copy(2, DRIVER)
+    labelling.accept(1, DRIVER)
+    labelling.place(1, DRIVER, "head", 44.0, 55.0)
+    assert labelling.copy(3, DRIVER)
+    label = labelling.shown(3, DRIVER)[0].label
+    assert label is not None
+    assert label.uv == (44.0, 55.0)
+
+
+def test_interpolation_is_straight_in_space(workspace: Workspace, labelling: Labelling) -> None:
+    labelling.accept(0, DRIVER)
+    labelling.accept(4, DRIVER)
+    labelling._sequence[:] = 0  # of a recording: one sequence
+    assert labelling.interpolate(2, DRIVER) == 3
+    first, middle, last = (labelling.labels.get(int(labelling.numbers[row]), DRIVER, "neck") for row in (0, 2, 4))
+    assert first is not None
+    assert middle is not None
+    assert last is not None
+    np.testing.assert_allclose(middle.xyz, (np.array(first.xyz) + last.xyz) / 2, atol=1e-9)
+    assert workspace.dataset is not None
+    frame = workspace.dataset.isel(frame=2).load()
+    height, width = frame["depth"].shape
+    np.testing.assert_allclose(middle.uv, camera_of(frame, width, height).project(np.array(middle.xyz)), atol=1e-6)
+    labelling._sequence[4] = 1
+    labelling.undo()
+    assert labelling.interpolate(2, DRIVER) == 0  # never from one sequence into another
+
+
+def test_proposals_come_before_the_dataset_and_after_labels(workspace: Workspace, labelling: Labelling) -> None:
+    labelling.use(truth_as_predictions(workspace, shift=3.0))
+    shown = labelling.shown(0, DRIVER)
+    assert shown[0].origin == "proposal"
+    labelling.place(0, DRIVER, "head", 50.0, 60.0)
+    assert labelling.shown(0, DRIVER)[0].origin == "label"
+    labelling.use(None)
+    assert labelling.shown(0, DRIVER)[1].origin == "dataset"
+
+
+def test_unsure_frames_come_first(workspace: Workspace, labelling: Labelling) -> None:
+    predictions = truth_as_predictions(workspace)
+    predictions.presence[3, 0][predictions.presence[3, 0] > 0] = 0.6
+    predictions.presence[5] = 0.0  # nobody is found there
+    labelling.use(predictions)
+    assert labelling.unsure(range(6))[0] == 5
+    assert labelling.unsure([0, 1, 3])[0] == 3
+
+
+def test_label_far_from_what_the_model_sees_is_suspicious(workspace: Workspace, labelling: Labelling) -> None:
+    labelling.use(truth_as_predictions(workspace))
+    labelling.accept(0, DRIVER)
+    assert labelling.doubts(0, DRIVER) == {}
+    head = labelling.shown(0, DRIVER)[0].label
+    assert head is not None
+    labelling.place(0, DRIVER, "head", head.uv[0] + 30, head.uv[1])
+    assert "30 px from what the model sees" in labelling.doubts(0, DRIVER)["head"]
+
+
+def test_bone_of_an_unusual_length_is_suspicious(labelling: Labelling) -> None:
+    for row in range(4):
+        labelling.accept(row, DRIVER)
+    key = int(labelling.numbers[0]), DRIVER, "neck"
+    neck = labelling.labels.get(*key)
+    assert neck is not None
+    moved = JointLabel(neck.uv, (neck.xyz[0] + 0.3, *neck.xyz[1:]), neck.visibility)
+    labelling.labels.set([(key, moved)], role="annotator", how="placed")
+    assert "usually" in labelling.doubts(0, DRIVER)["neck"]
+
+
+def test_second_studio_on_the_same_labels_is_told(dataset_folder: Path, labelling: Labelling) -> None:
+    other = open_workspace(dataset_folder)
+    with pytest.raises(DatasetError, match="open in another studio"):
+        Labelling(other)
