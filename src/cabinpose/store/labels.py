@@ -1,9 +1,9 @@
 """Corrected labels beside a dataset: a journal of every joint that a person set, which no crash can lose.
 
 JSON lines. The first line says what the labels are of (`format`, `version`, `dataset`, `persons`, `joints`). Each other line is a
-change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (`core.pose.Visibility`, or null where
-the label was taken away), `u`, `v` (px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds. An
-undo is another change, so the history stays. A change is on the disk before `set` returns.
+change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (`core.pose.Visibility`, or null: the
+label was taken away), `u`, `v` (px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds.
+An undo is another change, so the history stays. A change is on the disk before `set` returns.
 """
 
 from __future__ import annotations
@@ -214,11 +214,7 @@ def _parsed(path: Path, text: bytes, expected: dict[str, Any] | None) -> tuple[d
     changes = []
     for number, row in enumerate(lines, 2):
         try:
-            label = None if row["visibility"] is None else JointLabel(
-                (_number(row["u"]), _number(row["v"])),
-                (_number(row["x"]), _number(row["y"]), _number(row["z"])),
-                Visibility(row["visibility"]),
-            )
+            label = _label(row)
             time, role, how, person, joint = (str(row[key]) for key in ("time", "role", "how", "person", "joint"))
             changes.append(Change(time, role, how, int(row["frame"]), person, joint, label))
         except (KeyError, TypeError, ValueError) as error:
@@ -235,6 +231,13 @@ def _lines(path: Path, text: bytes) -> Iterator[dict[str, Any]]:
         except ValueError as error:
             raise DatasetError(f"{path}:{number}: not a line of JSON", hint="mend or remove the line") from error
         yield row
+
+
+def _label(row: dict[str, Any]) -> JointLabel | None:
+    if row["visibility"] is None:
+        return None
+    u, v, x, y, z = (_number(row[name]) for name in "uvxyz")
+    return JointLabel((u, v), (x, y, z), Visibility(row["visibility"]))
 
 
 def _number(value: Any) -> float:

@@ -97,8 +97,8 @@ class CompareTab:
         ui.label("Γt, the distance up to which a joint is a hit")
         self._space = ui.toggle({"3d": "3D, cm", "2d": "2D, px"}, value="3d", on_change=self._space_changed)
         self._space.props("dense no-caps")
-        self._threshold = ui.slider(min=1.0, max=30.0, step=0.5, value=10.0).props("label-always").on(
-            "change", lambda _: self._refresh()
+        self._threshold = (
+            ui.slider(min=1.0, max=30.0, step=0.5, value=10.0).props("label-always").on("change", lambda _: self._refresh())
         )
         self._threshold.style("margin-top: 18px").mark("threshold")
         self._corrected = ui.checkbox("against the corrected labels", value=True, on_change=self._refresh)
@@ -315,9 +315,7 @@ class CompareTab:
             batch = model.take(np.array([number_]))
             own = [[model.joints.index(a), model.joints.index(b)] for a, b in LIMBS if {a, b} <= set(model.joints)]
             for p in range(len(model.persons)):
-                seen = [
-                    {"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)
-                ]
+                seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
                 people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})
         near, far = depth_range(workspace.dataset, row)
         self._canvas.show(f"/frames/{row}/depth", near=near, far=far)

@@ -59,9 +59,11 @@ class DatasetTab:
         self._filters = {}
         for name, values in self._coordinates.items():
             options = sorted({str(value) for value in values.ravel() if str(value)})
-            self._filters[name] = ui.select(
-                options, label="view" if name == "pov" else name, multiple=True, clearable=True, on_change=self._filter
-            ).props("dense outlined use-chips").style("width: 100%")
+            self._filters[name] = (
+                ui.select(options, label="view" if name == "pov" else name, multiple=True, clearable=True, on_change=self._filter)
+                .props("dense outlined use-chips")
+                .style("width: 100%")
+            )
         with ui.row().classes("no-wrap items-center w-full"):
             self._joint = ui.select(self._joints, label="joint", clearable=True, on_change=self._filter).props("dense outlined")
             self._joint.style("flex: 1; min-width: 0")

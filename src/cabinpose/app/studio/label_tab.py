@@ -216,9 +216,7 @@ class LabelTab:
         labelling, row = self._labelling, self._row
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
-        limbs = [
-            [labelling.joints.index(a), labelling.joints.index(b)] for a, b in LIMBS if {a, b} <= set(labelling.joints)
-        ]
+        limbs = [[labelling.joints.index(a), labelling.joints.index(b)] for a, b in LIMBS if {a, b} <= set(labelling.joints)]
         colour = person_colour(labelling.persons.index(self._person))
         whole = {"colour": colour, "joints": [_drawn(s) for s in shown], "dashed": not all(s.origin == "label" for s in shown)}
         self._canvas.joints([whole], limbs, (0, self._chosen))
@@ -239,9 +237,13 @@ class LabelTab:
 
     def _joint_row(self, index: int, shown: Shown) -> None:
         state = shown.label.visibility if shown.label is not None else Visibility.ABSENT
-        row = ui.row().classes("no-wrap items-center w-full").style(
-            "gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer;"
-            + ("background: #2f6f9f44" if index == self._chosen else "")
+        row = (
+            ui.row()
+            .classes("no-wrap items-center w-full")
+            .style(
+                "gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer;"
+                + ("background: #2f6f9f44" if index == self._chosen else "")
+            )
         )
         row.on("click", lambda: self._pick(0, index))
         with row:

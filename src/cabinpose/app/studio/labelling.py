@@ -67,9 +67,7 @@ class Labelling:
         doubts = self.doubts(row, person)
         return [self._one(row, person, joint, proposals, doubts) for joint in self.joints]
 
-    def _one(
-        self, row: int, person: str, joint: str, proposals: dict[str, JointLabel], doubts: dict[str, str]
-    ) -> Shown:
+    def _one(self, row: int, person: str, joint: str, proposals: dict[str, JointLabel], doubts: dict[str, str]) -> Shown:
         label = self.labels.get(int(self.numbers[row]), person, joint)
         if label is not None:
             return Shown(joint, label, "label", doubts.get(joint, ""))

@@ -29,4 +29,3 @@ def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | N
     if value.startswith(_FILE):
         return workspace.predictions[value.removeprefix(_FILE)]
     return load_model(value)
-
