@@ -22,7 +22,8 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Counts, FrameSource, Sample
 from cabinpose.core.recorded import Channels, Facts, Markers, SegmentPoses
 from cabinpose.core.skeleton import RIGS
-from cabinpose.record.emulate.vicon import Outage, ViconEmulator, ViconEmulatorSettings
+from cabinpose.record.emulate.vicon import ViconEmulator
+from cabinpose.record.emulate.vicon_content import Outage, ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion, generated_motion, motion_of_c3d
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon import ViconSettings, ViconSource

@@ -17,11 +17,13 @@ from pydantic import BaseModel, ValidationError
 from cabinpose.app.cli.commands import Emulate, EmulateMvn, EmulateVicon
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
+from cabinpose.record.emulate.base import log_line
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
 from cabinpose.record.emulate.vicon import Sent as ViconSent
-from cabinpose.record.emulate.vicon import ViconEmulator, ViconEmulatorSettings
+from cabinpose.record.emulate.vicon import ViconEmulator
+from cabinpose.record.emulate.vicon_content import ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
 from cabinpose.record.emulate.vicon_motion import generated_motion, motion_of_c3d
 from cabinpose.store.convert.mvnx import read_mvnx
@@ -59,14 +61,15 @@ def _mvn(command: EmulateMvn) -> dict[str, Any]:
             sent["duplicate"] += max(0, datagram.copies - 1)
             sent["late"] += datagram.late
             if file is not None:
-                file.write(datagram.line() + "\n")
+                file.write(log_line(datagram))
 
-        emulator = MvnEmulator(settings, _motion(command.motion), log=note)
+        samples = None if command.seconds is None else round(command.seconds * command.rate)
+        emulator = MvnEmulator(settings, _motion(command.motion), samples=samples, log=note)
         emulator.open()
         host, port = emulator.address
         print(f"streaming {command.motion} at {command.rate:g} Hz, {settings.transport} {host}:{port}", file=sys.stderr)
         with suppress(KeyboardInterrupt):  # the way to end it, and no failure
-            emulator.run(None if command.seconds is None else round(command.seconds * command.rate))
+            emulator.run()
     return sent | {"samples": emulator.samples}
 
 
@@ -102,7 +105,7 @@ def _vicon(command: EmulateVicon) -> dict[str, Any]:
 
         def note(sent: ViconSent) -> None:
             if file is not None:
-                file.write(sent.line() + "\n")
+                file.write(log_line(sent))
 
         emulator = ViconEmulator(motion, settings, tell=note)
         with emulator, suppress(KeyboardInterrupt):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cabinpose.core.ports import Counts
-from cabinpose.record.sources.tof.counting import DeviceClock, FrameNumbers, FramePeriod
+from cabinpose.record.sources.counting import DeviceClock, FrameNumbers, FramePeriod
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=300), st.integers(0, 2**16 - 1))

@@ -1,6 +1,6 @@
-"""Which frame of a camera is which: numbers without gaps where nothing was lost, and device time that does not wrap.
+"""Which sample of a device is which: numbers without gaps where nothing was lost, and device time that does not wrap.
 
-Cameras count frames, or give time stamps alone; both wrap, and begin anew when the camera restarts.
+Devices count what they send, or give time stamps alone; both wrap, and begin anew when the device restarts.
 """
 
 from __future__ import annotations
@@ -8,15 +8,17 @@ from __future__ import annotations
 from cabinpose.core.clock import Unwrapper
 from cabinpose.core.ports import Counts
 
-_LATE = 16  # frames: a counter that goes back further has begun anew
 _JUMP = 100_000  # frames lost at once, an hour at 30 Hz: more is a counter that was set, not a loss
 
 
 class FrameNumbers:
-    """Numbers frames by the device's counter, of `modulus` values (None = it never wraps); keeps the `Counts` of a source."""
+    """Numbers frames by the device's counter, of `modulus` values (None = it never wraps); keeps the `Counts` of a source.
 
-    def __init__(self, counts: Counts, modulus: int | None = None) -> None:
-        self._counts = counts
+    late: by fewer frames than this one may be late; a counter that goes back further has begun anew.
+    """
+
+    def __init__(self, counts: Counts, modulus: int | None = None, *, late: int = 16) -> None:
+        self._counts, self._most_late = counts, late
         self._unwrap = None if modulus is None else Unwrapper(modulus)
         self._anew = True  # the next frame begins a count
         self._offset = 0  # of our numbers over the device's
@@ -28,7 +30,7 @@ class FrameNumbers:
         if not self._anew:
             number = self._continuous(counter) + self._offset
             step = number - self._last
-            if -_LATE < step <= 0:
+            if -self._most_late < step <= 0:
                 self._late(number)
                 return number
             if 0 < step <= _JUMP:
@@ -56,8 +58,9 @@ class FrameNumbers:
     def _forward(self, lost: int) -> int:
         self._counts.lost += lost
         self._last += 1 + lost
-        late = range(max(self._last - lost, self._last - _LATE + 1), self._last)
-        self._missing = {n for n in self._missing if n > self._last - _LATE} | set(late)
+        oldest = self._last - self._most_late + 1
+        if lost or self._missing:
+            self._missing = {n for n in self._missing if n >= oldest} | set(range(max(self._last - lost, oldest), self._last))
         return self._last
 
     def _late(self, number: int) -> None:
