@@ -20,6 +20,7 @@ from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Outcome, Recorder
 from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSettings, NumberedSource
+from cabinpose.record.split import SplitWriter
 from cabinpose.store.recording import Recording, RecordingWriter, SourceStatus
 from cabinpose.store.recording.scan import Chunk, Scanner
 
@@ -81,7 +82,8 @@ def plain(number: int, size: int = 8) -> Sample:
 def recorder_of(path: Path, sources: Sequence[Any], *, queue_bytes: int = 1 << 26, **options: Any) -> Recorder:
     clock, wake = HostClock(), threading.Event()
     lanes = [Lane(source, "scripted", clock, wake, queue_bytes=queue_bytes) for source in sources]
-    return Recorder(lanes, RecordingWriter(path, sync_s=0, **options), clock, wake)
+    writer = SplitWriter(path, lambda file, part: RecordingWriter(file, sync_s=0, part=part, **options), clock)
+    return Recorder(lanes, writer, clock, wake)
 
 
 def recorded(path: Path) -> tuple[dict[str, list[int]], dict[str, SourceStatus]]:
@@ -260,7 +262,8 @@ def test_a_message_that_cannot_be_written_is_counted(tmp_path: Path) -> None:
 def test_too_little_space_ends_the_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock, wake = HostClock(), threading.Event()
     lane = Lane(NumberedSource("suit", NumberedSettings(rate_hz=200), clock), "numbered", clock, wake)
-    recorder = Recorder([lane], RecordingWriter(tmp_path / "a.mcap"), clock, wake, min_free_bytes=1 << 62)
+    writer = SplitWriter(tmp_path / "a.mcap", lambda file, _: RecordingWriter(file), clock)
+    recorder = Recorder([lane], writer, clock, wake, min_free_bytes=1 << 62)
     recorder.start()
     outcome = finished(recorder)
     assert outcome.error is not None

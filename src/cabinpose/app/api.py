@@ -54,7 +54,8 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
     Parameters
     ----------
     path
-        The folder of a dataset, a recording (.mcap), or a predictions file (.jsonl, .parquet).
+        The folder of a dataset, a recording (.mcap, or a folder with the files of one take), or a predictions file (.jsonl,
+        .parquet).
 
     Returns
     -------
@@ -67,11 +68,12 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
         For what is none of these; and what the readers raise for damaged files.
     """
     place = Path(path)
-    if place.is_dir():
+    of_takes = place.is_dir() and not (place / "dataset.yaml").exists() and any(place.glob("*.mcap"))
+    if place.is_dir() and not of_takes:
         from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray
 
         return open_dataset(place)
-    if place.suffix == ".mcap":
+    if place.suffix == ".mcap" or of_takes:
         from cabinpose.store.recording import Recording  # noqa: PLC0415 - the extra `record`
 
         return Recording(place)

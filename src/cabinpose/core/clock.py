@@ -6,6 +6,7 @@ relates to the host's.
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import threading
@@ -42,8 +43,8 @@ class HostClock:
         return event.wait(max(timeout_s, 0.0))
 
     def join(self, thread: threading.Thread, timeout_s: float) -> bool:
-        """Wait for the end of a thread; whether it has ended."""
-        thread.join(max(timeout_s, 0.0))
+        """Wait for the end of a thread, for ever where `timeout_s` is infinite; whether it has ended."""
+        thread.join(None if timeout_s == math.inf else max(timeout_s, 0.0))
         return not thread.is_alive()
 
     def readable(self, connection: socket.socket, timeout_s: float) -> bool:

@@ -21,6 +21,7 @@ from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.ports import FrameSource
 from cabinpose.core.yaml_text import read_yaml
+from cabinpose.record.split import Limit
 from cabinpose.store.recording import Compression, Take
 
 ENTRY_POINTS = "cabinpose.sources"
@@ -58,7 +59,15 @@ class Storage(BaseModel):
     sync_s: float = Field(
         1.0, ge=0, le=600, description="pause between requests to the disk to hold it all, s; 0 = only at the end"
     )
+    split_every: str | None = Field(None, description="go on in a new file after so long or so much: 10min, 2GB; left out: never")
     min_free_mb: float = Field(512.0, ge=0, description="the take ends before the disk has less free, MB")
+
+    @field_validator("split_every")
+    @classmethod
+    def _limit(cls, text: str | None) -> str | None:
+        if text is not None:
+            Limit.of(text)
+        return text
 
 
 class RigFile(BaseModel):

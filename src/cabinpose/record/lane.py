@@ -87,11 +87,10 @@ class Lane:
 
     def join(self, timeout_s: float) -> bool:
         """Wait for it; False where it hangs, in which case it is left to itself."""
-        self._thread.join(timeout_s)
-        if self._thread.is_alive():
+        ended = self._clock.join(self._thread, timeout_s)
+        if not ended:
             self._error = self._error or "does not stop"
-            return False
-        return True
+        return ended
 
     @property
     def ended(self) -> bool:
@@ -193,7 +192,7 @@ class Lane:
                 self._state, self._away = "retrying", True
             finally:
                 self._close()
-            self._stop.wait(pause)
+            self._clock.wait(self._stop, pause)
             pause = min(2 * pause, MOST_RETRY_S)
         if self._stop.is_set():
             self._state = "stopped"

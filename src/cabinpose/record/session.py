@@ -10,6 +10,7 @@ from cabinpose.core.errors import CabinposeError
 from cabinpose.record.config import Rig
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
+from cabinpose.record.split import Limit, SplitWriter
 from cabinpose.store.recording import RecordingWriter
 
 
@@ -24,16 +25,22 @@ def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
     lanes = [
         Lane(plan.build(clock), plan.kind, clock, wake, queue_bytes=queue_bytes, queue_s=storage.queue_s) for plan in rig.sources
     ]
-    writer = RecordingWriter(
-        out,
-        rig.take,
-        rig=rig.text,
-        started_ns=clock.now_ns(),
-        compression=storage.compression,
-        chunk_bytes=int(storage.chunk_mb * 1e6),
-        flush_s=storage.flush_s,
-        sync_s=storage.sync_s,
-    )
+    started_ns = clock.now_ns()
+
+    def make(path: Path, part: int | None) -> RecordingWriter:
+        return RecordingWriter(
+            path,
+            rig.take,
+            rig=rig.text,
+            started_ns=started_ns,
+            compression=storage.compression,
+            chunk_bytes=int(storage.chunk_mb * 1e6),
+            flush_s=storage.flush_s,
+            sync_s=storage.sync_s,
+            part=part,
+        )
+
+    writer = SplitWriter(out, make, clock, None if storage.split_every is None else Limit.of(storage.split_every))
     recorder = Recorder(lanes, writer, clock, wake, min_free_bytes=int(storage.min_free_mb * 1e6))
     try:
         recorder.start()

@@ -51,9 +51,11 @@ def refuse_selection(command: Info | View | Export, message: str) -> None:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a DATASET|RECORDING is a recording, also one that a recovery left; ConfigError for a file that is neither."""
+    """Whether a DATASET|RECORDING is a recording, one that a recovery left or a folder of takes among them; ConfigError for a
+    file that is neither.
+    """
     if path.is_dir():
-        return False
+        return not (path / "dataset.yaml").exists() and any(path.glob("*.mcap"))
     if ".mcap" in path.suffixes:
         return True
     if path.exists():

@@ -19,7 +19,7 @@ from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
-    from cabinpose.record.config import Rig
+    from cabinpose.record.config import Rig, Storage
     from cabinpose.record.recorder import Outcome, Recorder
     from cabinpose.store.recording import SourceStatus
 
@@ -35,6 +35,8 @@ def run(command: Record) -> int:
     rig = load_rig(command.config)
     if command.take is not None:
         rig = dataclasses.replace(rig, take=load_take(command.take))
+    if command.split_every is not None:
+        rig = dataclasses.replace(rig, storage=_split(rig.storage, command.split_every))
     if command.check:
         _check(command, rig)
         return 0
@@ -43,6 +45,17 @@ def run(command: Record) -> int:
     if command.duration is not None and command.duration <= 0:
         raise ConfigError(f"a take of {command.duration:g} s is none", hint="give --duration more than 0")
     return _record(command, rig, command.out)
+
+
+def _split(storage: Storage, text: str) -> Storage:
+    """How the recording is written, with another limit of its files."""
+    from cabinpose.record.split import Limit
+
+    try:
+        Limit.of(text)
+    except ValueError as error:
+        raise ConfigError(f"--split-every {text} is no limit of a file", hint=str(error)) from error
+    return storage.model_copy(update={"split_every": text})
 
 
 def _check(command: Record, rig: Rig) -> None:
@@ -77,9 +90,12 @@ def _record(command: Record, rig: Rig, out: Path) -> int:
             outcome = recorder.stop()
     totals = {s.source: dataclasses.asdict(s) for s in outcome.sources}
     if command.as_json:
-        print_json({"recording": str(out), "seconds": outcome.seconds, "bytes": outcome.bytes_written, "sources": totals})
+        files = [str(file) for file in outcome.files]
+        told = {"recording": str(out), "files": files, "seconds": outcome.seconds, "bytes": outcome.bytes_written}
+        print_json({**told, "sources": totals})
     else:
-        print(f"{out}: {outcome.seconds:.1f} s, {outcome.bytes_written / 1e6:.1f} MB")
+        several = f" in {len(outcome.files)} files" if len(outcome.files) > 1 else ""
+        print(f"{out}: {outcome.seconds:.1f} s, {outcome.bytes_written / 1e6:.1f} MB{several}")
         print_rows((s.source, _counts(s, outcome.started_ns)) for s in outcome.sources)
     if outcome.error is not None:
         raise outcome.error

@@ -28,6 +28,8 @@ class Record:
     """Say what is missing, of the disk and of each source, and record nothing."""
     duration: Maybe[float] = None
     """Stop after so many seconds."""
+    split_every: Annotated[Maybe[str], arg(metavar="10min|2GB")] = None
+    """Go on in a new file after so long (s, min, h) or so much (MB, GB): FILE.mcap, FILE-001.mcap; in place of the rig's."""
     as_json: JsonFlag = False
 
 

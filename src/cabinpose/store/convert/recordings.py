@@ -285,7 +285,7 @@ def _sources(recording: Recording, name: str, writer: _Writer, chosen: Selection
     if not writer.topics:
         return chosen.sources or there
     topics = ("joint_angles",) if chosen.angles else writer.topics
-    given = {channel.topic for channel in recording.channels.values()}
+    given = recording.topics
     able = [source for source in there if any(f"{source}/{topic}" in given for topic in topics)]
     fit = [source for source in able if not chosen.sources or source in chosen.sources]
     if not fit:

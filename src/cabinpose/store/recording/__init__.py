@@ -1,6 +1,7 @@
 """Recordings: MCAP files of what devices said, raw and decoded. See docs/recording.md."""
 
 from cabinpose.store.recording.container import Compression
+from cabinpose.store.recording.files import files_of_take, part_path, parts_beside
 from cabinpose.store.recording.folder import TakeFile, erase, takes_in
 from cabinpose.store.recording.reader import Place, Recording
 from cabinpose.store.recording.recover import Recovered, recover
@@ -28,7 +29,10 @@ __all__ = [
     "TakeFile",
     "TopicSurvey",
     "erase",
+    "files_of_take",
     "marker_series",
+    "part_path",
+    "parts_beside",
     "recover",
     "segment_series",
     "survey",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.store.recording.reader import read_head
+from cabinpose.store.recording.files import read_head
 from cabinpose.store.recording.scan import Scanner
 from cabinpose.store.recording.take import Take
 

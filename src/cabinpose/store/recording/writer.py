@@ -80,12 +80,13 @@ class RecordingWriter:
         flush_s: float = 0.25,
         sync_s: float = 1.0,
         definitions_s: float = DEFINITIONS_S,
+        part: int | None = None,
     ) -> None:
         """rig: the rig's configuration as YAML text, kept as an attachment · started_ns: `HostClock` time of the take ·
         chunk_bytes, flush_s: a chunk is closed when it is so large or so old · sync_s: pause between requests to the disk to
-        hold all of it; 0 = only at the end · definitions_s: how often schemas and channels are repeated for a damaged file's sake
-        (infinite, with no call of `poll`: the same samples give the same bytes). Raises RecordingError where the file exists or
-        cannot be made.
+        hold all of it; 0 = only at the end · definitions_s: how often schemas and channels are repeated for a damaged file's
+        sake (infinite, with no call of `poll`: the same samples give the same bytes) · part: the number of this file, from 0, of
+        a take in several. Raises RecordingError where the file exists or cannot be made.
         """
         self.path = path
         self._take = take or Take()
@@ -101,7 +102,8 @@ class RecordingWriter:
             self._file = ContainerWriter(
                 path, library=LIBRARY, profile=PROFILE, compression=compression, definitions_s=definitions_s
             )
-            self._file.metadata(TAKE_METADATA, {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()})
+            values = {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()}
+            self._file.metadata(TAKE_METADATA, values if part is None else {**values, "part": str(part)})
             if rig:
                 self._file.attachment(RIG_ATTACHMENT, "application/yaml", rig.encode(), log_time=started_ns)
             _sync_folder(path.parent)
