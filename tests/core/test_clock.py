@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import selectors
 import socket
 import threading
 import time
@@ -65,10 +66,13 @@ def test_waiting_ends_when_it_should() -> None:
     hanging.start()
     assert not clock.join(hanging, 0.0)
     one, other = socket.socketpair()
-    with one, other:
+    with one, other, selectors.DefaultSelector() as selector:
+        key = selector.register(one, selectors.EVENT_READ)
         assert not clock.readable(one, 0.0)
+        assert clock.select(selector, 0.0) == []
         other.send(b"x")
         assert clock.readable(one, 60)
+        assert clock.select(selector, 60) == [(key, selectors.EVENT_READ)]
 
 
 def test_a_map_between_clocks_and_its_inverse_keep_every_nanosecond():

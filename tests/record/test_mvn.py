@@ -228,6 +228,7 @@ def test_what_keeps_it_from_opening_is_told() -> None:
         MvnSource("suit", MvnSettings(host="192.0.2.1", port=0)).open()
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_the_check_before_a_take() -> None:
     """Silence is told with the remedy; a stream that runs is fine; a buffer that the system does not grant is told."""
     probe = MvnSource("suit", MvnSettings(port=0))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import select
+import selectors
 import socket
 import threading
 import time
@@ -50,6 +51,10 @@ class HostClock:
     def readable(self, connection: socket.socket, timeout_s: float) -> bool:
         """Wait for bytes, or a connection, on a socket; whether there are any."""
         return bool(select.select([connection], [], [], max(timeout_s, 0.0))[0])
+
+    def select(self, selector: selectors.BaseSelector, timeout_s: float) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for the sockets of a selector; those that are ready, and for what."""
+        return selector.select(max(timeout_s, 0.0))
 
 
 @dataclass

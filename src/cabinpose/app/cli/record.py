@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import signal
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -75,17 +74,18 @@ def _record(command: Record, rig: Rig, out: Path) -> int:
     from cabinpose.app.cli.panel import panel
     from cabinpose.record.session import begin
 
-    recorder = begin(rig, out, HostClock())
-    began = time.monotonic()
+    clock = HostClock()
+    recorder = begin(rig, out, clock)
+    began = clock.now_s()
     until, warned = began + (command.duration or float("inf")), False
     with _asked_to_stop() as asked, panel(out, command.duration) as show:
         try:
-            while recorder.running and time.monotonic() < until and not asked():
+            while recorder.running and clock.now_s() < until and not asked():
                 show(recorder.status())
-                if not warned and time.monotonic() - began > _FIRST_DATA_S:
+                if not warned and clock.now_s() - began > _FIRST_DATA_S:
                     warned = True
                     _warn_of_silence(recorder)
-                time.sleep(max(min(_REFRESH_S, until - time.monotonic()), 0.0))
+                clock.sleep(min(_REFRESH_S, until - clock.now_s()))
         finally:
             outcome = recorder.stop()
     totals = {s.source: dataclasses.asdict(s) for s in outcome.sources}

@@ -170,7 +170,7 @@ class ViconEmulator(Emulator):
         return self._began + count / (self.rate_hz * (1 + self.settings.drift_ppm * 1e-6))
 
     def _serve(self, wait_s: float) -> None:
-        for key, events in self._selector.select(wait_s):
+        for key, events in self._clock.select(self._selector, wait_s):
             if key.fileobj is self._listener:
                 self._accept()
                 continue
