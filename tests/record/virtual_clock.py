@@ -15,7 +15,7 @@ _NEW_S = 0.1  # real time in which a new thread may come to ask this clock for t
 
 
 class VirtualClock(HostClock):
-    """A `HostClock` that leaps to the next deadline once its maker and all threads that have used it wait, for nothing that has come.
+    """A `HostClock` that leaps to the next deadline once nobody has anything to do: its maker and all threads that use it wait.
 
     A thread that is busy, or blocked by something else than this clock, holds time up.
     """
