@@ -17,7 +17,7 @@ from cabinpose.record.lane import is_data
 from cabinpose.store.recording import parts_beside
 
 _PATIENCE_S = 25.0  # for one source; they are asked at the same time
-_LISTEN_S = 5.0  # to a source that is ready: so long may its first data take
+_LISTEN_S = 5.0  # to a source that is ready: the longest wait for its first data
 _READ_S = 0.1
 
 
@@ -31,7 +31,22 @@ class Finding:
 
 
 def check(rig: Rig, out: Path | None, clock: HostClock) -> list[Finding]:
-    """What is missing, of the disk and of each source; nothing is recorded and nothing left open."""
+    """Look at everything that a take needs; nothing is recorded and nothing left open.
+
+    Parameters
+    ----------
+    rig
+        The checked rig.
+    out
+        The file that the take will be written to; None: the disk is not looked at.
+    clock
+        What the sources and the waiting go by.
+
+    Returns
+    -------
+    list of Finding
+        Of the take, the disk and each source, in this order.
+    """
     findings = [_take(rig)]
     if out is not None:
         findings.append(Finding("disk", tuple(_disk(out, rig.storage))))
@@ -89,7 +104,7 @@ def _ask(plan: SourcePlan, clock: HostClock) -> Callable[[], tuple[str, ...]]:
             answer.append(tuple(plan.build(clock).check() or _listen(_without_log(plan).build(clock), clock)))
         except CabinposeError as error:
             answer.append((f"{error}; {error.hint}" if error.hint else str(error),))
-        except Exception as error:  # noqa: BLE001 - a source is anybody's code; its defect is a finding
+        except Exception as error:  # noqa: BLE001 - a source may be code of another package; its defect is a finding
             answer.append((f"its check failed: {error!r}",))
 
     thread = threading.Thread(target=ask, name=f"check-{plan.name}", daemon=True)

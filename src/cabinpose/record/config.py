@@ -122,8 +122,19 @@ def kinds() -> dict[str, str]:
 
 
 def load_rig(path: Path) -> Rig:
-    """Read and check a rig's file. Raises ConfigError naming the key, the reason and what is possible, DependencyError where
-    a kind needs what is not installed.
+    """Read and check a rig's file.
+
+    Parameters
+    ----------
+    path
+        A YAML file; relative paths in it are taken from its folder.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key, the reason and what is possible.
+    DependencyError
+        Where a kind of source needs what is not installed.
     """
     data = read_yaml(path, hint="docs/recording.md has a rig to start from")
     return parse_rig(data, path.read_text(encoding="utf-8"), base=path.parent)

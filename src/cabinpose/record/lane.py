@@ -19,13 +19,13 @@ from cabinpose.core.recorded import Facts
 from cabinpose.store.recording import SourceStatus
 from cabinpose.store.recording.messages import sample_bytes
 
-READ_S = 0.1  # how long a source may wait for a sample: so soon does it see that the take is over
+READ_S = 0.1  # how long a source waits for a sample before it looks whether the take is over
 RETRY_S = 0.5  # pause before a source is opened again; it doubles up to
 MOST_RETRY_S = 5.0
 _WINDOW_S = 2.0  # over which rates are measured
 _WINDOW_SAMPLES = 1000
-_SILENT_S = 1.0  # a source is silent after so long without data,
-_SILENT_INTERVALS = 10  # and after so many of its mean intervals
+_SILENT_S = 1.0  # a source without data for this long is silent
+_SILENT_INTERVALS = 10  # if that is also longer than this many of its mean intervals
 _OVERHEAD = 256  # bytes of a sample beside its raw bytes and arrays
 
 
@@ -45,7 +45,7 @@ class LaneStatus:
 class Lane:
     """A source, its thread and its queue. `wake` is set when samples wait.
 
-    queue_bytes, queue_s: no sample is taken into the queue beyond so many bytes, or while the oldest has waited for longer.
+    A sample is dropped where it would fill the queue beyond `queue_bytes`, or while the oldest in it has waited for `queue_s`.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Lane:
         return self._given
 
     def take(self, most_bytes: int) -> list[Sample]:
-        """The oldest samples of the queue, up to about so many bytes."""
+        """The oldest samples of the queue, of about `most_bytes` in all."""
         taken: list[Sample] = []
         with self._lock:
             while self._queue and most_bytes > 0:
@@ -183,7 +183,7 @@ class Lane:
             except SourceEndedError:
                 self._state = "ended"
                 break
-            except Exception as error:  # noqa: BLE001 - a source is anybody's code: its defects must not end the others' take
+            except Exception as error:  # noqa: BLE001 - a source may be code of another package, whose defects must not end the take
                 self._error = str(error) or type(error).__name__
                 if not self.opened.is_set():
                     self._state = "failed"

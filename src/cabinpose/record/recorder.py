@@ -1,6 +1,6 @@
 """Several sources into one file, side by side: a thread each, and one that writes.
 
-No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes and seconds, and what
+No source waits for another or for the disk: between each and the file is a queue with a limit in bytes and seconds, and what
 finds it full is dropped and counted. The writing thread takes from the queues in turn.
 """
 

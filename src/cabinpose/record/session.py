@@ -15,10 +15,27 @@ from cabinpose.store.recording import RecordingWriter
 
 
 def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
-    """Open every source of a rig and record into `out`.
+    """Open every source of a rig and record.
 
-    Raises RecordingError (or what a source raises of its family) where the file exists or a source cannot be opened; nothing
-    is left behind then.
+    Parameters
+    ----------
+    rig
+        The checked rig.
+    out
+        The file to write, or the first of several where the rig splits takes.
+    clock
+        Stamps and waits, of the recorder and of all sources.
+
+    Returns
+    -------
+    Recorder
+        Running; `stop` ends the take.
+
+    Raises
+    ------
+    RecordingError
+        Where a file of the take exists or a source cannot be opened (or what a source raises of its family); nothing is left
+        behind then.
     """
     storage, wake = rig.storage, threading.Event()
     queue_bytes = int(storage.queue_mb * 1e6)

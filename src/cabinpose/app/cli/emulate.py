@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
@@ -111,9 +110,7 @@ def _vicon(command: EmulateVicon) -> dict[str, Any]:
         with emulator, suppress(KeyboardInterrupt):
             host, port = emulator.address
             print(f"streaming {command.motion} at {emulator.rate_hz:g} Hz, tcp {host}:{port}", file=sys.stderr)
-            until = math.inf if command.seconds is None else time.monotonic() + command.seconds
-            while (left := until - time.monotonic()) > 0:
-                time.sleep(min(left, 0.5))
+            emulator.join(math.inf if command.seconds is None else command.seconds)
     fates = Counter(sent.fate for sent in emulator.log)
     clients = {"clients": len({sent.client for sent in emulator.log})}
     return clients | {fate: fates[fate] for fate in ("sent", "dropped", "refused")}

@@ -146,7 +146,7 @@ class MvnEmulator(Emulator):
             self.close()
 
     def _run(self) -> None:
-        with contextlib.suppress(RecordingError):  # a receiver that left; the thread has nobody to tell
+        with contextlib.suppress(RecordingError):  # the receiver left; there is no caller to raise to
             self.run()
 
     def _accepted(self) -> bool:
@@ -179,7 +179,7 @@ class MvnEmulator(Emulator):
         for _ in range(copies):
             try:
                 self._socket.sendall(datagram.data)
-            except ConnectionRefusedError:  # udp on loopback: nobody listens, and that is the receiver's affair
+            except ConnectionRefusedError:  # udp on loopback, without a receiver
                 continue
             except OSError as error:
                 raise RecordingError(f"the receiver went away ({error.strerror or error})", hint="start it again") from error

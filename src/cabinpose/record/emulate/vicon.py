@@ -1,10 +1,10 @@
-"""A DataStream server that plays a motion, on loopback unless told otherwise, and keeps account of what it sent.
+"""A DataStream server that plays a motion, on loopback unless told otherwise, and logs what it sent.
 
 It greets, answers and numbers as the vendor's server does by the facts in `vicon_protocol`, so that the vendor's SDK client
 should be satisfied too; that client is not at hand, and has not been tried.
 
 What can go wrong with a real one can be asked for: latency, a clock that is off or drifts, occluded markers and segments, frames
-that never come, a server that dies and returns with its count going on or beginning anew. The content of a frame follows from
+that never come, a server that dies and returns with its count going on or restarting. The content of a frame follows from
 the motion, the seed and its number alone: `frame` says what was in it.
 """
 
@@ -150,7 +150,7 @@ class ViconEmulator(Emulator):
             self._selector.close()
 
     def _live_or_die(self, count: int) -> int:
-        """Follow `die` and `revive`; the count of frames, which may begin anew."""
+        """Follow `die` and `revive`; the count of frames, which may restart."""
         listening = self._listener is not None
         if self._dead.is_set() and listening:
             self._cut()

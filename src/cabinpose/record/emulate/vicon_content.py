@@ -47,9 +47,9 @@ class ViconEmulatorSettings(BaseModel):
     drop: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Share of frames that are never sent."""
     occlude_markers: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of markers not seen, each frame anew."""
+    """Share of markers not seen, drawn for each frame."""
     occlude_segments: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of segments not solved, each frame anew."""
+    """Share of segments not solved, drawn for each frame."""
     up: Literal["z", "y"] = "z"
     """The server's vertical axis."""
     outages: tuple[Outage, ...] = ()

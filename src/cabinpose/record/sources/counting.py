@@ -1,6 +1,6 @@
 """Which sample of a device is which: numbers without gaps where nothing was lost, and device time that does not wrap.
 
-Devices count what they send, or give time stamps alone; both wrap, and begin anew when the device restarts.
+Devices count what they send, or give time stamps alone; both wrap, and restart with the device.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ _JUMP = 100_000  # frames lost at once, an hour at 30 Hz: more is a counter that
 class FrameNumbers:
     """Numbers frames by the device's counter, of `modulus` values (None = it never wraps); keeps the `Counts` of a source.
 
-    late: by fewer frames than this one may be late; a counter that goes back further has begun anew.
+    late: by fewer frames than this one may be late; a counter that goes back further has restarted.
     """
 
     def __init__(self, counts: Counts, modulus: int | None = None, *, late: int = 16) -> None:
         self._counts, self._most_late = counts, late
         self._unwrap = None if modulus is None else Unwrapper(modulus)
-        self._anew = True  # the next frame begins a count
+        self._restarting = True  # the next frame begins a count
         self._offset = 0  # of our numbers over the device's
         self._last = -1  # the highest of ours
         self._missing: set[int] = set()  # counted as lost, and may still come late
 
     def number(self, counter: int) -> int:
-        """The number of a frame that the device calls `counter`; counts what is missing before it, late, double or begun anew."""
-        if not self._anew:
+        """The number of a frame that the device calls `counter`; counts losses before it, a late one, a duplicate, a restart."""
+        if not self._restarting:
             number = self._continuous(counter) + self._offset
             step = number - self._last
             if -self._most_late < step <= 0:
@@ -39,18 +39,18 @@ class FrameNumbers:
         if self._unwrap is not None:
             self._unwrap.restart()
         self._offset = self._last + 1 - self._continuous(counter)
-        self._anew = False
+        self._restarting = False
         return self._forward(0)
 
     def forward(self, lost: int = 0) -> int:
         """The number of the next frame of a device that does not count; `lost` before it are known to be missing."""
-        number = self._forward(0 if self._anew else lost)
-        self._anew = False
+        number = self._forward(0 if self._restarting else lost)
+        self._restarting = False
         return number
 
     def reached_again(self) -> None:
         """The device was lost and reached again: the next frame follows on the last, whatever it is called."""
-        self._anew = True
+        self._restarting = True
 
     def _continuous(self, counter: int) -> int:
         return counter if self._unwrap is None else self._unwrap(counter)
@@ -89,7 +89,7 @@ class DeviceClock:
         return continuous * self._tick_ns
 
     def restart(self) -> None:
-        """Forget what came before: the device has begun anew."""
+        """Forget what came before: the device has restarted."""
         self._unwrap.restart()
 
 
@@ -102,7 +102,7 @@ class FramePeriod:
         self._last: int | None = None
 
     def lost_before(self, device_ns: int) -> int | None:
-        """How many frames are missing before the one of `device_ns`; None where time went back: the device has begun anew."""
+        """How many frames are missing before the one of `device_ns`; None where time went back: the device has restarted."""
         last, self._last = self._last, device_ns
         if last is None:
             return 0

@@ -33,7 +33,7 @@ from cabinpose.record.sources.mvn_sequence import SequenceTracker
 _BATCH = 512  # datagrams of one read: what waits longer is read by the next
 _DATAGRAM = 1 << 16
 _STREAM_LIMIT = 1 << 18  # bytes of a stream that may wait for the rest of a datagram
-_CLOCK_BACK_MS = 1000  # a device clock that falls by more has begun anew
+_CLOCK_BACK_MS = 1000  # a device clock that falls by more has restarted
 _CLOCKS = 1024  # of characters of senders, more than a rig has
 _RETRY_S = 0.5
 _LINUX = sys.platform.startswith("linux")
@@ -158,7 +158,7 @@ class MvnSource(DeviceSource[MvnSettings]):
         self._tracker.settle()
 
     def _read(self, timeout_s: float) -> Sequence[Sample]:
-        with np.errstate(invalid="ignore", over="ignore"):  # a sender's infinities are no fault of ours to warn of
+        with np.errstate(invalid="ignore", over="ignore"):  # a sender's infinities and NaN need no warning
             return self._read_datagrams(timeout_s) if self.settings.transport == "udp" else self._read_stream(timeout_s)
 
     # ---------------------------------------------------------------------------------------------------------- UDP
@@ -181,7 +181,7 @@ class MvnSource(DeviceSource[MvnSettings]):
         return samples
 
     def _kernel_notes(self, ancillary: Sequence[tuple[int, int, bytes]]) -> int:
-        """How long ago the kernel took the datagram, ns; keeps account of those that it dropped."""
+        """How long ago the kernel took the datagram, ns; counts those that it dropped."""
         age_ns = 0
         for level, kind, data in ancillary:
             if level != socket.SOL_SOCKET:
@@ -242,11 +242,11 @@ class MvnSource(DeviceSource[MvnSettings]):
         stream.setblocking(False)
         if self._connected_before:
             self._tracker.reconnected(self._clock.now_ns())
-            self._began_anew()
+            self._restart()
         self._connected_before = True
 
     def _cut(self, data: bytes) -> list[bytes]:
-        """The whole datagrams of the stream so far; what is none is skipped up to the next that begins like one."""
+        """The whole datagrams of the stream so far; bytes that are none are skipped up to the next magic."""
         waiting = self._waiting + data
         cut, at = [], 0
         while len(waiting) - at >= mvn.HEADER.size:
@@ -285,7 +285,7 @@ class MvnSource(DeviceSource[MvnSettings]):
                 return Sample(None, host_ns, self._device_ns(header, host_ns, sender), data, self._decoder(header, payload))
             arrival = self._tracker.arrive(header, payload, hash(data), host_ns, sender)
             if arrival.restarted:
-                self._began_anew()
+                self._restart()
             device_ns = self._device_ns(header, host_ns, sender)
             if arrival.payload is None:
                 return Sample(None, host_ns, device_ns, data)
@@ -296,7 +296,7 @@ class MvnSource(DeviceSource[MvnSettings]):
             self.counts.malformed += 1
             return Sample(None, host_ns, None, data)
 
-    def _began_anew(self) -> None:
+    def _restart(self) -> None:
         self._clocks.clear()
         self._decoder.restart()
 

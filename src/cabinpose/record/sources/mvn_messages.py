@@ -94,12 +94,7 @@ def euler_to_wxyz(euler_deg: F64) -> F64:
     half = np.radians(euler_deg) / 2
     (sx, sy, sz), (cx, cy, cz) = np.sin(half).T, np.cos(half).T
     return np.stack(
-        [
-            cx * cy * cz + sx * sy * sz,
-            sx * cy * cz - cx * sy * sz,
-            cx * sy * cz + sx * cy * sz,
-            cx * cy * sz - sx * sy * cz,
-        ],
+        [cx * cy * cz + sx * sy * sz, sx * cy * cz - cx * sy * sz, cx * sy * cz + sx * cy * sz, cx * cy * sz - sx * sy * cz],
         axis=1,
     )
 
@@ -152,7 +147,7 @@ class Decoder:
         return self._subjects.get(character) or self._subjects.setdefault(character, f"character{character}")
 
     def restart(self) -> None:
-        """The sender has begun anew: it may have another unit, other people and other points."""
+        """The sender has restarted: it may have another unit, other people and other points."""
         self._scale_m.clear()
         self._points.clear()
 

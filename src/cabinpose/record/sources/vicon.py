@@ -8,7 +8,7 @@ captured at `host_ns − (latency_s + network_s)`, and alignment subtracts them.
 
 Loss. The server counts its frames: a gap in the numbers is what was lost, on the way, while the connection was away, or
 since this computer read too slowly. In pull mode a frame that is never asked for is lost as well. A packet with a malformed
-block counts as malformed, not as received; its frame, if it can still be read, is not lost. A counter that begins anew is
+block counts as malformed, not as received; its frame, if it can still be read, is not lost. A counter that restarts is
 a restart, as is a connection made again; a fact `restart` in the stream says which, and how much was lost.
 """
 

@@ -110,7 +110,7 @@ class CameraSource(DeviceSource[CameraT]):
         """The frame; raises MalformedFrameError."""
 
     def _reached_again(self) -> None:
-        """Forget the clock and counter of the camera, which begin anew."""
+        """Forget the clock and counter of the camera, which have restarted."""
 
     def _wait(self, timeout_s: float) -> None:
         """Wait for frames, unless there are facts; an SDK that wants to be asked is asked here instead."""
@@ -136,9 +136,13 @@ class CameraSource(DeviceSource[CameraT]):
         messages: tuple[Message, ...] = ()
         self.counts.received += 1
         try:
-            with np.errstate(invalid="ignore", over="ignore"):  # infinities of a camera are no fault of ours to warn of
+            with np.errstate(invalid="ignore", over="ignore"):  # a camera's infinities and NaN need no warning
                 messages = (_fitting(self._decode(arrival.payload)),)
-        except (ValueError, TypeError, OverflowError):  # MalformedFrameError, and what numpy says of values that are none
+        except (
+            ValueError,
+            TypeError,
+            OverflowError,
+        ):  # MalformedFrameError, and numpy of what is no number
             self.counts.malformed += 1
         return Sample(arrival.sequence, arrival.host_ns, arrival.device_ns, b"", messages)
 

@@ -192,7 +192,7 @@ class GenicamSource(CameraSource[GenicamSettings]):
                 continue
             try:
                 width, height = int(component.width), int(component.height)
-            except (TypeError, ValueError, OverflowError):  # whatever a producer says: found to fit no image
+            except (TypeError, ValueError, OverflowError):  # not numbers: the size then fits no image, and the frame is malformed
                 width = height = 0
             images.append(_Image(str(component.data_format), width, height, np.array(component.data)))
         return _Buffer(_quantity(buffer, "frame_id"), _quantity(buffer, "timestamp_ns"), tuple(images))

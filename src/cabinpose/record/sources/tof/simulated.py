@@ -31,7 +31,7 @@ class SimulatedSettings(CameraSettings):
 
     dataset: Path | None = Field(None, description="folder of the dataset whose frames it sees")
     faults: TofFaults = Field(default_factory=TofFaults, description="its rate, losses, delays and clock")
-    loop: bool = Field(True, description="begin anew after the last frame; otherwise the source ends")
+    loop: bool = Field(True, description="go on with the first frame after the last; otherwise the source ends")
     log: Path | None = Field(None, description="new file for what became of each frame (JSON lines), written when the take ends")
 
 
@@ -45,11 +45,7 @@ class SimulatedSource(CameraSource[SimulatedSettings]):
     Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
 
     def __init__(
-        self,
-        name: str,
-        settings: SimulatedSettings,
-        clock: HostClock,
-        frames: Callable[[], Iterable[Frame]] | None = None,
+        self, name: str, settings: SimulatedSettings, clock: HostClock, frames: Callable[[], Iterable[Frame]] | None = None
     ) -> None:
         super().__init__(name, settings, clock)
         self._frames = frames or self._frames_of_dataset
@@ -109,7 +105,7 @@ class SimulatedSource(CameraSource[SimulatedSettings]):
                 self.settings.log.write_text(lines, encoding="utf-8")
 
     def _alive(self) -> bool:
-        return True  # an end is told by `read`, not mended by reaching it again
+        return True  # `read` tells that the frames have ended; there is nothing to reach again
 
     def _taken(self, counter: int, device_ns: int, frame: Frame) -> None:
         self._deliver((counter, device_ns, frame))
