@@ -144,11 +144,11 @@ def test_a_missing_file_is_said(tmp_path: Path, run: Run) -> None:
 
 
 def test_files_that_only_look_like_parts_are_not_taken(tmp_path: Path) -> None:
-    files = write_split(tmp_path)
-    for other in write_split(tmp_path, "take-extra.mcap", started_ns=2)[1:]:
-        other.rename(tmp_path / other.name.replace("-extra", "").replace("-00", "-01"))
-    assert len(list(tmp_path.glob("take-01?.mcap"))) == 4
-    assert files_of_take(files[0]) == files
+    """One of another take that got the name of a part, and one whose number is not that of its name."""
+    files, others = write_split(tmp_path), write_split(tmp_path, "other.mcap", started_ns=2)
+    others[4].replace(files[4])
+    files[3].rename(tmp_path / "take-012.mcap")
+    assert files_of_take(files[0]) == files[:3]
     with pytest.raises(RecordingError, match="2 takes, not one"):
         Recording(tmp_path)
     empty = tmp_path / "empty"
@@ -209,7 +209,10 @@ def test_the_recorder_loses_nothing_at_the_seams(tmp_path: Path) -> None:
         assert [found.final for _, found in statuses[status.source]].count(True) == 1
     for file in outcome.files[1:]:
         with Recording(file) as part:
-            assert set(part.statuses()) == {"suit", "tof"}
+            counts, came = part.statuses(), [sample.host_ns for _, sample in part.samples()]
+        for told in (counts["suit"], counts["tof"]):
+            assert len(told) > 1, "at its beginning and at its end"
+        assert came
 
 
 def test_a_kill_in_the_second_file_costs_what_it_costs_in_one(tmp_path: Path) -> None:

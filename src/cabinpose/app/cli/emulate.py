@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,7 +20,6 @@ from cabinpose.record.emulate.base import log_line
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
-from cabinpose.record.emulate.vicon import Sent as ViconSent
 from cabinpose.record.emulate.vicon import ViconEmulator
 from cabinpose.record.emulate.vicon_content import ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
@@ -52,15 +51,14 @@ def _mvn(command: EmulateMvn) -> dict[str, Any]:
         },
     )  # fmt: skip
     sent = {"samples": 0, "datagrams": 0, "lost": 0, "duplicate": 0, "late": 0}
-    with _log_file(command.log) as file:
+    with _log_file(command.log) as write:
 
         def note(datagram: Sent) -> None:
+            write(datagram)
             sent["datagrams"] += 1
             sent["lost"] += datagram.copies == 0
             sent["duplicate"] += max(0, datagram.copies - 1)
             sent["late"] += datagram.late
-            if file is not None:
-                file.write(log_line(datagram))
 
         samples = None if command.seconds is None else round(command.seconds * command.rate)
         emulator = MvnEmulator(settings, _motion(command.motion), samples=samples, log=note)
@@ -77,14 +75,19 @@ def _motion(name: str) -> Motion:
     return recorded(read_mvnx(path)) if path.suffix.lower() == ".mvnx" else generated(name)
 
 
-def _log_file(path: Path | None) -> Any:
+@contextmanager
+def _log_file(path: Path | None) -> Iterator[Callable[[Any], None]]:
+    """What writes lines about what was sent, to a new file or nowhere."""
     if path is None:
-        return nullcontext()
+        yield lambda _: None
+        return
     try:
         # Line by line: what was sent is known even of an emulator that was killed.
-        return path.open("x", encoding="utf-8", newline="\n", buffering=1)
+        file = path.open("x", encoding="utf-8", newline="\n", buffering=1)
     except OSError as error:
         raise RecordingError(f"cannot write {path} ({error.strerror or error})", hint="give a new file with --log") from error
+    with file:
+        yield lambda sent: print(log_line(sent), end="", file=file)
 
 
 def _vicon(command: EmulateVicon) -> dict[str, Any]:
@@ -100,13 +103,8 @@ def _vicon(command: EmulateVicon) -> dict[str, Any]:
         },
     )  # fmt: skip
     motion = _vicon_motion(command)
-    with _log_file(command.log) as file:
-
-        def note(sent: ViconSent) -> None:
-            if file is not None:
-                file.write(log_line(sent))
-
-        emulator = ViconEmulator(motion, settings, tell=note)
+    with _log_file(command.log) as write:
+        emulator = ViconEmulator(motion, settings, tell=write)
         with emulator, suppress(KeyboardInterrupt):
             host, port = emulator.address
             print(f"streaming {command.motion} at {emulator.rate_hz:g} Hz, tcp {host}:{port}", file=sys.stderr)
