@@ -153,7 +153,7 @@ def test_a_field_takes_a_byte_a_node() -> None:
     shell = [_box((3, 1.6, 0.05)), _box((3, 1.6, 0.05), (0, 0, 1.3))]
     field = group_field("g", [StubPart(str(i), surface(m)) for i, m in enumerate(shell)])
     nodes = math.prod(math.ceil((n + 2 * BAND_M) / STEP_M) + 1 for n in (3, 1.6, 1.35))
-    assert field.nbytes < 1.1 * nodes
+    assert field.values.nbytes < 1.1 * nodes
 
 
 def test_copies_of_a_seat_share_one_field() -> None:

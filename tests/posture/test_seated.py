@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from scipy.spatial.transform import Rotation
+from seated_posture import solve_posture
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import apply, invert
@@ -23,7 +24,6 @@ from cabinpose.synth.posture import (
     draw_offset,
     random_action,
     sample_pose,
-    solve_posture,
 )
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.posture.seating import CENTRED

@@ -20,15 +20,14 @@ from cabinpose.scene.body.dress import Dressed, dress
 from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
-from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
-from cabinpose.scene.body.skeleton import RIM_RADIUS_M, rest_arrays
+from cabinpose.scene.body.skeleton import rest_arrays
 from cabinpose.scene.surface import Surface
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 BODY_DENSITY = 985.0  # kg/m3, whole body at mid breath (Durnin & Womersley 1974 give 1.02 to 1.07 without lung air)
-FLESH_M = 0.003  # by which a finger's flesh gives way around a rim
 
 
 class Person:
@@ -83,25 +82,6 @@ class Person:
         """The surface the camera sees, at rest."""
         size = self.stature_m / float(np.ptp(load_chart().rest[:, 2]))
         return dress(self._space, self.rest_skin, self.rest, self.eyes_rest, self.outfit, size)
-
-    @cached_property
-    def rim_grip(self) -> float:
-        """`hand.grip` at which the fingers touch a rim of 30 mm on the palm frame's y axis (bisection, to 1/256)."""
-        frames = main_frames(np.zeros(len(DOFS)), self.rest, np.eye(4))
-        palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
-        native.end_frames(self.rest, *frames, palms, soles)
-        curls = np.isin(self._space.bone_index[:, 0], [BONE_INDEX[f"lfinger{f}_{k}"] for f in range(2, 6) for k in (1, 2, 3)])
-        index, weight, rest = self._space.bone_index[curls], self._space.bone_weight[curls], self.rest_skin[None, curls]
-        low, high, out, transforms = 0.0, 1.0, np.empty_like(rest), np.empty((len(BONES), 3, 4))
-        for _ in range(8):
-            q = np.zeros(len(DOFS))
-            q[DOF_INDEX["lhand.grip"]] = grip = (low + high) / 2
-            native.skin_transforms(q, self.rest, *frames, transforms)
-            native.skin_layers(transforms, index, weight, rest, out)
-            local = (out[0] - palms[0, :3, 3]) @ palms[0, :3, :3]
-            free = np.hypot(local[:, 0], local[:, 2]).min() > RIM_RADIUS_M - FLESH_M
-            low, high = (grip, high) if free else (low, grip)
-        return low
 
     def joints(self, q: Array, vehicle_from_root: Matrix) -> Array:
         """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""

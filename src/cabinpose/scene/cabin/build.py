@@ -107,7 +107,6 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         )  # fmt: skip
         parts.extend(made)
         h = layout.h_front * (1.0, side, 1.0)
-        room = float(layout.half_width(h[0], layout.belt_z)) - d.w20_mm / 1000
         upper = _shoulder_exit(h, shape, default.torso_angle, side, True) if fixed else _d_ring(layout, h, side)
         belt = BeltAnchors(
             upper,
@@ -118,7 +117,7 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         heel = np.array([0.0, h[1], 0.0])
         seats[slot] = Seat(
             slot, h, np.pi if fixed else 0.0, default, (low, high), float(layout.cushion), heel,
-            "pedals" if slot == "driver" and not fixed else "floor", belt, 2 * min(room, d.w20_mm / 1000),
+            "pedals" if slot == "driver" and not fixed else "floor", belt,
             shape.cushion_below_h, shape.back_behind_h,
         )  # fmt: skip
     return seats
@@ -200,11 +199,9 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
             upper,
             h + (-0.11, -side * reach, -0.09), h + (-0.13, side * reach, -0.12), rides_seat=False,
         )  # fmt: skip
-        room = float(layout.half_width(h[0], layout.belt_z)) - abs(y)
-        lateral = 2 * min(room, w20 / 2 if three else w20) if abs(y) > 0.1 else w20
         seats[slot] = Seat(
             slot, h, 0.0, default, (default, default), float(layout.cushion_2), np.array([h[0] + heel_ahead, y, 0.0]), "floor",
-            belt, lateral, shape.cushion_below_h, shape.back_behind_h,
+            belt, shape.cushion_below_h, shape.back_behind_h,
         )  # fmt: skip
     return seats
 

@@ -74,7 +74,7 @@ class SeatSpec(_Strict):
     feet: Literal["pedals", "floor"] | None = Field(
         None, description="What the feet rest on; default: pedals for the driver where pedals are given, else floor."
     )
-    width_mm: float = Field(620.0, ge=350, le=1200, description="Room for the shoulders.")
+    width_mm: float = Field(620.0, ge=350, le=1200, description="Not used; kept for files that give it.")
     cushion_below_h_mm: float = Field(
         1000 * PAN_BELOW_H - 40, ge=0, le=200, description="Free surface of the cushion below the H-point."
     )

@@ -67,9 +67,9 @@ class Seat:
     """A place to sit: where its H-point may be, how its parts follow, what its occupant's feet rest on.
 
     design_h_point: (3,) vehicle, m, at the default setting's zero · facing_yaw: 0 looks forward, pi backward ·
-    cushion_angle: A27, rad · heel_m: (3,) vehicle, the heel point · lateral_width_m: room for the occupant's
-    shoulders · cushion_below_h_m, backrest_behind_h_m: free foam surface from the H-point, down and along the normal
-    of the torso line (SAE J826: the manikin's pans are 98 mm below and 135 mm behind, foam pressed in).
+    cushion_angle: A27, rad · heel_m: (3,) vehicle, the heel point · cushion_below_h_m, backrest_behind_h_m: free foam surface
+    from the H-point, down and along the normal of the torso line (SAE J826: the manikin's pans are 98 mm below and 135 mm
+    behind, foam pressed in).
     """
 
     slot: str
@@ -81,7 +81,6 @@ class Seat:
     heel_m: Vector
     foot_support: str
     belt: BeltAnchors | None
-    lateral_width_m: float
     cushion_below_h_m: float
     backrest_behind_h_m: float
 

@@ -131,12 +131,6 @@ class GroupField:
         """The clearance that stands for every point beyond the grid, m."""
         return -BAND_M if self.sealed else BAND_M
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the grid and the triangles, bytes."""
-        meshes = sum(p.mesh.corners.nbytes + p.mesh.normals.nbytes + p.mesh.vertices.nbytes for p in self.parts)
-        return self.values.nbytes + self.probes.nbytes + meshes
-
     def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: NDArray[np.float64]) -> None:
         """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
         native.sample(points, group_from_vehicle, self.grid, clearance)
@@ -333,11 +327,6 @@ class ContactField:
         self.groups: tuple[GroupField, ...] = tuple(fields)
         self._half = np.array([(np.array(g.values.shape) - 1) * g.step / 2.0 for g in fields])
         self._centre = np.array([g.origin for g in fields]) + self._half
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the fields, bytes."""
-        return sum(g.nbytes for g in {id(g.values): g for g in self.groups}.values())
 
     def at(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> PlacedField:
         """The fields where these seat settings and this wheel angle (rad) put them."""

@@ -93,16 +93,6 @@ class Sensor(BaseModel):
         return ratio.numerator, ratio.denominator
 
     @property
-    def unambiguous_range_m(self) -> float:
-        """Range at which the phase wraps, c / 2f; with two frequencies that of their greatest common divisor."""
-        if not self.frequencies_hz:
-            return float("inf")
-        frequency = self.frequencies_hz[0]
-        if len(self.frequencies_hz) == 2:
-            frequency /= self.frequency_ratio[0]
-        return SPEED_OF_LIGHT / (2 * frequency)
-
-    @property
     def phases(self) -> int:
         """Correlation samples in a frame."""
         return 4 * len(self.frequencies_hz)

@@ -42,16 +42,14 @@ _FEMUR_STATIONS = 11
 class SeatFit:
     """A person's trunk and thighs in a seat, in the seat's frame (origin H-point, x forward, z up), whatever its travel.
 
-    q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above
-    the horizontal while the thigh rests on the cushion, rad · h_offset_m: distance of the femur heads' middle from the
-    H-point · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest · thigh_top: (11,) height of the skin above
-    the femur's axis, from hip to knee.
+    q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above the
+    horizontal while the thigh rests on the cushion, rad · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest ·
+    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee.
     """
 
     q: Array
     seat_from_root: Matrix
     thigh_angle: float
-    h_offset_m: float
     shoulders: Array
     front: NDArray[np.float32]
     thigh_top: Array
@@ -160,7 +158,7 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
     front = skin[mesh.trunk & (skin @ normal > 0.0)][::4].astype(np.float32)
     thigh_top = _thigh_top(skin[mesh.left_thigh], skeleton.bone("lthigh"), femur)
-    return SeatFit(q, root, thigh, float(np.linalg.norm(place)), shoulders, front, thigh_top)
+    return SeatFit(q, root, thigh, shoulders, front, thigh_top)
 
 
 def _thigh_top(skin: Array, vehicle_from_thigh: Matrix, femur: float) -> Array:
