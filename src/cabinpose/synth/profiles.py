@@ -15,10 +15,10 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cabinpose._native import core as native
+from cabinpose.core.arrays import Floats, Ints
 from cabinpose.core.errors import ConfigError, MocapError, unknown_name
 from cabinpose.core.frames import axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from cabinpose.store.convert.bvh import UpAxis
     from cabinpose.synth.posture.retarget import RetargetedMotion
 
-Array = NDArray[np.float64]
 
 _SPINE = tuple(i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in ("lumbar", "thorax", "neck", "head"))
 _ARMS = tuple(
@@ -88,14 +87,7 @@ def _checked_range(name: str, axis: GaussianAxis | IncrementalAxis) -> tuple[flo
     return max(low, lower), min(high, upper)
 
 
-def truncated_normal(
-    mean: NDArray[np.float64],
-    sigma: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    *,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
+def truncated_normal(mean: Floats, sigma: Floats, lower: Floats, upper: Floats, *, rng: np.random.Generator) -> Floats:
     """Draw from normal distributions truncated to [lower, upper], by inversion: one uniform number per element.
 
     Where sigma is 0 the result is the mean, moved into the range. Inverting through the nearer tail keeps precision
@@ -119,18 +111,18 @@ def truncated_normal(
 class _GaussianTable:
     """index: (K,) degrees of freedom · mean (NaN: the posture's), sigma, lower, upper: (K,) each, in our units."""
 
-    index: NDArray[np.int64]
-    mean: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    index: Ints
+    mean: Floats
+    sigma: Floats
+    lower: Floats
+    upper: Floats
 
 
 class Recorded(NamedTuple):
     """One frame of a recording: q (D,) rad, and the root's rotation (3, 3) where x is the first pose's heading."""
 
-    q: Array
-    root: Array
+    q: Floats
+    root: Floats
 
 
 class _Profile(_Model):
@@ -154,7 +146,7 @@ class _Profile(_Model):
     def preflight(self) -> None:
         """Raises before any work starts what every frame would fail of."""
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """A copy of the posture q (D,) rad with this profile's degrees of freedom set, for frame `index`."""
         raise NotImplementedError
 
@@ -176,8 +168,7 @@ class GaussianProfile(_Profile):
             low, high = _checked_range(name, axis)
             if axis.mean_deg is not None and not low - _LIMIT_SLACK_DEG <= axis.mean_deg <= high + _LIMIT_SLACK_DEG:
                 raise ConfigError(
-                    f"{name}: the mean {axis.mean_deg:g} lies outside {low:g} .. {high:g}",
-                    hint="choose a mean within the range",
+                    f"{name}: the mean {axis.mean_deg:g} lies outside {low:g} .. {high:g}", hint="choose a mean within the range"
                 )
         return axes
 
@@ -197,7 +188,7 @@ class GaussianProfile(_Profile):
     def held(self) -> tuple[str, ...]:
         return tuple(self.axes)
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """The degrees of freedom drawn anew, within their ranges."""
         t = self._table
         result = q.copy()
@@ -261,7 +252,7 @@ class IncrementalProfile(_Profile):
     def held(self) -> tuple[str, ...]:
         return tuple(self.axes)
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """Combination `index`; ConfigError where it does not exist."""
         result = q.copy()
         for name, value in self.combination(index).items():
@@ -306,7 +297,7 @@ class MocapProfile(_Profile):
         """MocapError for a file that is missing, broken, not retargetable or too short."""
         self.whole_body(0)
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """The recording's upper body on a seated posture, from its start again after its end.
 
         Arms are taken as they are, against the chest. The spine keeps the seat's posture and adds the recording's departure
@@ -329,7 +320,7 @@ class MocapProfile(_Profile):
         return Recorded(motion.q[frame].copy(), axis_rotation("z", -heading) @ motion.root[frame])
 
     @property
-    def _motion(self) -> tuple[RetargetedMotion, float, Array]:
+    def _motion(self) -> tuple[RetargetedMotion, float, Floats]:
         return _recorded_motion(self.path, self.unit_m, self.up)
 
     @property
@@ -348,7 +339,7 @@ _UPPER_BODY = tuple(dof.name for dof in DOFS if not dof.name[1:].startswith(("hi
 
 
 @lru_cache(maxsize=8)
-def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[RetargetedMotion, float, Array]:
+def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[RetargetedMotion, float, Floats]:
     """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
     from cabinpose.store.convert.bvh import read_bvh  # noqa: PLC0415 - scipy's rotations, for recordings alone
     from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body.rig import SEGMENTS
 from cabinpose.scene.contact import (
@@ -52,18 +52,18 @@ class Skinned(Protocol):
     """The part of `scene.body.Person` that contact needs."""
 
     @property
-    def skin_faces(self) -> NDArray[np.int32]: ...
+    def skin_faces(self) -> Ints32: ...
     @property
-    def skin_segment(self) -> NDArray[np.uint8]: ...
+    def skin_segment(self) -> Bytes: ...
 
 
 class Posed(Protocol):
     """The part of `scene.body.PosedBody` that contact needs."""
 
     @property
-    def skin(self) -> NDArray[np.float32]: ...
+    def skin(self) -> Floats32: ...
     @property
-    def joints(self) -> NDArray[np.float64]: ...
+    def joints(self) -> Floats: ...
 
 
 Occupant = tuple[str, Skinned, Posed]
@@ -74,7 +74,7 @@ class _Body(NamedTuple):
 
     slot: str
     solids: PosedSolids
-    joints: NDArray[np.float64]
+    joints: Floats
 
 
 class Rejection(NamedTuple):
@@ -131,7 +131,7 @@ class Verdict(NamedTuple):
 
     rejection: Rejection | None = None
     depth_m: float = 0.0
-    where: NDArray[np.float64] | None = None
+    where: Floats | None = None
 
     @property
     def ok(self) -> bool:
@@ -158,7 +158,7 @@ class Seated:
 
 
 # People share the faces of their model: one cut serves them all, in every cabin. Known by the array itself, which is kept.
-_TOPOLOGIES: dict[int, tuple[NDArray[np.int32], SolidTopology]] = {}
+_TOPOLOGIES: dict[int, tuple[Ints32, SolidTopology]] = {}
 
 
 class Validator:

@@ -8,9 +8,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import cabin as native
+from cabinpose.core.arrays import Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
@@ -44,14 +44,7 @@ _GIRTH = np.array([girth for *_, girth in _TRUNK + _OTHER])
 
 
 def belt_surface(
-    skin: NDArray[np.float32],
-    skin_faces: NDArray[np.int32],
-    joints: NDArray[np.float64],
-    seat: Seat,
-    setting: SeatSetting,
-    cabin: Cabin,
-    *,
-    gap_m: float = 0.004,
+    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004
 ) -> Surface:
     """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
 
@@ -88,7 +81,7 @@ def belt_surface(
 
 
 def _ribbon(
-    skin: NDArray[np.float32], faces: NDArray[np.int32], bones: NDArray[np.float64],
+    skin: Floats32, faces: Ints32, bones: Floats,
     start: Vector, through: Vector, end: Vector, front: Vector, gap: float,
 ) -> Surface:  # fmt: skip
     """One ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body that `front` points to."""
@@ -107,7 +100,7 @@ def _ribbon(
 
 
 @lru_cache(maxsize=2)
-def _ribbon_faces(flip: bool) -> NDArray[np.int32]:
+def _ribbon_faces(flip: bool) -> Ints32:
     """Triangles of a closed ribbon whose outer grid (STEPS, 3) comes before its inner one."""
     index = np.arange(STEPS * 3).reshape(STEPS, 3)
     quads = np.stack((index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]), axis=-1).reshape(-1, 4)

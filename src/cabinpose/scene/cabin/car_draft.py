@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import MeshError
 from cabinpose.core.frames import Matrix, apply
 from cabinpose.core.pose import OCCUPANT_SLOTS
@@ -18,7 +18,6 @@ from cabinpose.scene.cabin.find_wheel import FoundWheel, find_wheel
 from cabinpose.scene.cabin.meshfile import UNITS, MeshFile, NamedMesh, read_mesh
 from cabinpose.scene.cabin.seats import BACK_BOX, BACK_GIVE, CUSHION_BOX, CUSHION_GIVE
 
-Floats = NDArray[np.float64]
 _ROW_M = 0.35  # seats whose H-points are nearer along the car stand in one row
 _REAR_HEEL_M = 0.44  # a rear sitter's heels ahead of the H-point
 
@@ -245,10 +244,7 @@ def _rule_lines(slots: Mapping[str, FoundSeat], wheel: FoundWheel | None) -> Ite
     for slot, seat in slots.items():
         turn = np.array((-1.0, 1.0, 1.0)) if seat.backward else np.ones(3)
         narrow = np.array((1.0, min(1.0, seat.width_m / np.ptp(CUSHION_BOX[:, 1])), 1.0))
-        for part, group, box, give in (
-            ("cushion", "base", CUSHION_BOX, CUSHION_GIVE),
-            ("backrest", "back", BACK_BOX, BACK_GIVE),
-        ):
+        for part, group, box, give in (("cushion", "base", CUSHION_BOX, CUSHION_GIVE), ("backrest", "back", BACK_BOX, BACK_GIVE)):
             corners = seat.h_point + box * narrow * turn
             low = np.maximum(corners.min(axis=0), (-np.inf, -np.inf, seat.floor_z + 0.03))
             yield _rule(

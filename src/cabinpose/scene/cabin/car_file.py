@@ -35,8 +35,7 @@ class Rule(_Strict):
     material: str = Field("hard_plastic", description="What it is made of, for the sensor; a wrong name lists all.")
     give_mm: float = Field(0.0, ge=0, le=120, description="Depth to which its foam may be pressed in.")
     group: str = Field(
-        STATIC_GROUP,
-        description="What it moves with: body, wheel, seat:SLOT/base, seat:SLOT/back or seat:SLOT/headrest.",
+        STATIC_GROUP, description="What it moves with: body, wheel, seat:SLOT/base, seat:SLOT/back or seat:SLOT/headrest."
     )
     hide: bool = Field(False, description="Leave these meshes out, such as the car's outer skin.")
 

@@ -12,8 +12,8 @@ from urllib.parse import unquote
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats, Ints32
 from cabinpose.core.errors import DependencyError, MeshError
 from cabinpose.core.optional import optional_module
 
@@ -35,8 +35,8 @@ class NamedMesh:
     """vertices (V, 3) float64 m, vehicle axes; faces (F, 3) int32; name "node/geometry/material", for patterns."""
 
     name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    vertices: Floats
+    faces: Ints32
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class MeshFile:
     """The meshes of a file, `vehicle_from_mesh` (4x4 with scale), and how unit and axes were found."""
 
     meshes: tuple[NamedMesh, ...]
-    vehicle_from_mesh: NDArray[np.float64]
+    vehicle_from_mesh: Floats
     notes: tuple[str, ...]
 
 
@@ -78,7 +78,7 @@ def read_mesh(
     return MeshFile(meshes, matrix, tuple(notes))
 
 
-def _up_axis(path: Path, given: str, extent: NDArray[np.float64], is_gltf: bool, notes: list[str]) -> str:
+def _up_axis(path: Path, given: str, extent: Floats, is_gltf: bool, notes: list[str]) -> str:
     if given != "auto":
         return _known_axis(path, given)
     if is_gltf:
@@ -96,9 +96,7 @@ def _up_axis(path: Path, given: str, extent: NDArray[np.float64], is_gltf: bool,
     return axis
 
 
-def _front_axis(
-    path: Path, given: str, up: NDArray[np.float64], extent: NDArray[np.float64], is_gltf: bool, notes: list[str]
-) -> str:
+def _front_axis(path: Path, given: str, up: Floats, extent: Floats, is_gltf: bool, notes: list[str]) -> str:
     if given != "auto":
         return _known_axis(path, given)
     if is_gltf and abs(up[1]) > 0.5:
@@ -116,7 +114,7 @@ def _known_axis(path: Path, name: str) -> str:
     return name
 
 
-def _unit(path: Path, given: str, extent: NDArray[np.float64], scale: float, notes: list[str]) -> float:
+def _unit(path: Path, given: str, extent: Floats, scale: float, notes: list[str]) -> float:
     """Metres per unit of the file."""
     low, high = float(extent.min()), float(extent.max())
     fitting = [
@@ -140,7 +138,7 @@ def _unit(path: Path, given: str, extent: NDArray[np.float64], scale: float, not
     return factor
 
 
-def _sizes(extent: NDArray[np.float64]) -> str:
+def _sizes(extent: Floats) -> str:
     return " x ".join(f"{e:.4g}" for e in extent)
 
 

@@ -8,14 +8,14 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats, Floats32
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.frames import Matrix, axis_rotation
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.surface import Surface, merge
 
-Vector = NDArray[np.float64]  # (3,)
+Vector = Floats  # (3,)
 STATIC_GROUP, WHEEL_GROUP = "body", "wheel"
 
 
@@ -177,8 +177,8 @@ class ViewAnchor:
 @dataclass(frozen=True)
 class _Group:
     name: str
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.float32]
+    vertices: Floats32
+    normals: Floats32
     span: slice
 
 
@@ -196,7 +196,7 @@ class Cabin:
     views: Mapping[str, ViewAnchor]
     notes: tuple[str, ...] = ()  # what was found in a user's mesh, and how
     warnings: tuple[str, ...] = ()  # what is wrong with its meshes
-    bounds: NDArray[np.float64] = field(init=False)
+    bounds: Floats = field(init=False)
     _template: Surface = field(init=False, repr=False)
     _groups: tuple[_Group, ...] = field(init=False, repr=False)
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
+from cabinpose.core.arrays import Bools, Floats, Floats32, Ints, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.contact.pairs import SOLIDS
@@ -96,13 +97,13 @@ class GroupField:
     name: str
     parts: tuple[GroupPart, ...]
     values: NDArray[np.int8]
-    origin: NDArray[np.float64]
+    origin: Floats
     step: float
-    probes: NDArray[np.float64]
-    probe_part: NDArray[np.int32]
-    probe_give: NDArray[np.float64]
-    part_low: NDArray[np.float64]
-    part_high: NDArray[np.float64]
+    probes: Floats
+    probe_part: Ints32
+    probe_give: Floats
+    part_low: Floats
+    part_high: Floats
     interior: bool
     sealed: bool
 
@@ -117,12 +118,12 @@ class GroupField:
         return self.step * math.sqrt(3.0) / 2.0 + QUANTUM_M
 
     @cached_property
-    def probe_balls(self) -> NDArray[np.float64]:
+    def probe_balls(self) -> Floats:
         """`balls_of` the probes."""
         return balls_of(self.probes)
 
     @cached_property
-    def grid(self) -> tuple[NDArray[np.float64], float, float, float, NDArray[np.int8]]:
+    def grid(self) -> tuple[Floats, float, float, float, NDArray[np.int8]]:
         """The field for the kernels: origin, step, quantum, the clearance beyond the grid, values."""
         return self.origin, self.step, QUANTUM_M, self.outside_m, self.values
 
@@ -131,13 +132,11 @@ class GroupField:
         """The clearance that stands for every point beyond the grid, m."""
         return -BAND_M if self.sealed else BAND_M
 
-    def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: NDArray[np.float64]) -> None:
+    def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: Floats) -> None:
         """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
         native.sample(points, group_from_vehicle, self.grid, clearance)
 
-    def below(
-        self, points: NDArray[np.float32], balls: NDArray[np.float64], group_from_vehicle: Matrix, threshold_m: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def below(self, points: Floats32, balls: Floats, group_from_vehicle: Matrix, threshold_m: float) -> tuple[Ints, Floats]:
         """Numbers and clearance (m) of the points (N, 3) m, vehicle frame, with less clearance than `threshold_m`.
 
         balls: `balls_of(points)`.
@@ -146,14 +145,14 @@ class GroupField:
         return index, clearance
 
 
-def balls_of(points: NDArray[np.floating]) -> NDArray[np.float64]:
+def balls_of(points: NDArray[np.floating]) -> Floats:
     """Centre and radius (ceil(N / 32), 4) of balls around every 32 consecutive points of (N, 3), m."""
     balls = np.empty((-(-len(points) // 32), 4))
     native.balls_of(points, balls)
     return balls
 
 
-def _probes(part: GroupPart) -> NDArray[np.float64]:
+def _probes(part: GroupPart) -> Floats:
     """Points of a part that may go into a body unseen by the skin's own points.
 
     Of hard parts the vertices, and points every `PROBE_M` along the edges that bend outwards sharply. Of soft parts the
@@ -180,9 +179,7 @@ def _probes(part: GroupPart) -> NDArray[np.float64]:
     return np.concatenate((mesh.vertices, a[edge] + t * (b[edge] - a[edge])))
 
 
-def _lower_to_part(
-    part: GroupPart, origin: NDArray[np.float64], step: float, values: NDArray[np.float32], exact: NDArray[np.bool_]
-) -> None:
+def _lower_to_part(part: GroupPart, origin: Floats, step: float, values: Floats32, exact: Bools) -> None:
     """Exact as far as a verdict can depend on it: to the part's give, flesh and the interpolation bound below the surface."""
     above = part.shell_m + 2.0 * step
     reach = part.give_m + above
@@ -198,7 +195,7 @@ def _lower_to_part(
     native.merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, above, values, exact)
 
 
-def bit_rows(values: NDArray[np.float32], level: float) -> NDArray[np.uint64]:
+def bit_rows(values: Floats32, level: float) -> NDArray[np.uint64]:
     """Which nodes of (ni, nj, nk) are at least `level`: (ni, nj, ceil(nk / 64)) words of 64 nodes along the last axis."""
     bits = np.empty((*values.shape[:2], -(-values.shape[2] // 64)), np.uint64)
     native.bit_rows(values, level, bits)
@@ -232,9 +229,7 @@ def _free_bytes() -> int:
     return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def group_field(
-    name: str, parts: Sequence[ContactPart], *, step: float = STEP_M, seeds: NDArray[np.float64] | None = None
-) -> GroupField:
+def group_field(name: str, parts: Sequence[ContactPart], *, step: float = STEP_M, seeds: Floats | None = None) -> GroupField:
     """The field of the parts of one group.
 
     `seeds` (S, 3) m, points that are inside the interior: where given, all that cannot be reached from them, such as
@@ -293,7 +288,7 @@ class Contact:
     part: str
     depth_m: float
     excess_m: float
-    where: NDArray[np.float64]
+    where: Floats
     point: int
 
 
@@ -337,9 +332,7 @@ class ContactField:
         groups = tuple(zip(self.groups, vehicle_from_group, invert(vehicle_from_group), strict=True))
         return PlacedField(groups, centre - half, centre + half)
 
-    def clearance(
-        self, points: NDArray[np.floating], settings: Mapping[str, Any], wheel_angle: float = 0.0
-    ) -> NDArray[np.float64]:
+    def clearance(self, points: NDArray[np.floating], settings: Mapping[str, Any], wheel_angle: float = 0.0) -> Floats:
         """`PlacedField.clearance` for one call; who asks often keeps what `at` returns."""
         return self.at(settings, wheel_angle).clearance(points)
 
@@ -352,10 +345,10 @@ class PlacedField:
     """
 
     groups: tuple[tuple[GroupField, Matrix, Matrix], ...]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    low: Floats
+    high: Floats
 
-    def clearance(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def clearance(self, points: NDArray[np.floating]) -> Floats:
         """(N,) m that points (N, 3) m of the vehicle frame may still move before a part gives way no more.
 
         Signed distance to the nearest part plus that part's give, cut at ±`BAND_M` and good to a few millimetres:
@@ -366,7 +359,7 @@ class PlacedField:
             group.lower(there, group_from_vehicle, result)
         return result
 
-    def deepest(self, points: NDArray[np.float32], tolerance_m: float, *, give: bool = True) -> Contact | None:
+    def deepest(self, points: Floats32, tolerance_m: float, *, give: bool = True) -> Contact | None:
         """The point of (N, 3) m, vehicle frame, that goes farthest beyond give + `tolerance_m`; None where none does.
 
         Exact at the points: those within the interpolation bound of the tolerance are measured on the triangles.
@@ -413,13 +406,7 @@ class PlacedField:
 
 
 def _measure(
-    group: GroupField,
-    points: NDArray[np.float32],
-    index: NDArray[np.intp],
-    clearance: NDArray[np.float64],
-    group_from_vehicle: Matrix,
-    tolerance: float,
-    give: bool,
+    group: GroupField, points: Floats32, index: Ints, clearance: Floats, group_from_vehicle: Matrix, tolerance: float, give: bool
 ) -> Contact | None:
     """The worst of the points that the grid left open, measured on the triangles."""
     if clearance.min() < -tolerance - group.bound_m:

@@ -53,8 +53,7 @@ class Sensor(BaseModel):
     min_amplitude_e: float = Field(default=45.0, ge=0, description="Amplitude below which a pixel is invalid (electrons).")
     vignetting_exponent: float = Field(default=4.0, ge=0, description="The lens passes cos^n of the angle off axis.")
     illumination_exponent: float = Field(
-        default=0.0,
-        description="Radiant intensity of the light, cos^n of the angle off axis; negative: it fills the edge.",
+        default=0.0, description="Radiant intensity of the light, cos^n of the angle off axis; negative: it fills the edge."
     )
     field_radius_px: float | None = Field(
         default=None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."

@@ -7,16 +7,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.seat_fit import SeatFit
-
-Array = NDArray[np.float64]
 
 GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
 _PEDAL_M = 0.006  # between sole and pad
@@ -65,8 +63,8 @@ class FootGoal(NamedTuple):
 
     tool: Matrix
     target: Matrix
-    weight: Array
-    prior: Array
+    weight: Floats
+    prior: Floats
     must: bool
 
 

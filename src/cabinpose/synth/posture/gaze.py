@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cabinpose.core.arrays import Floats
 
 HEAD_SHARE = (0.8, 0.75)  # of a gaze's yaw and pitch that the head does; the eyes do the rest (Stahl 1999)
 
 
-def head_rotation(vehicle_yaw: float, pitch: float, roll: float = 0.0) -> Array:
+def head_rotation(vehicle_yaw: float, pitch: float, roll: float = 0.0) -> Floats:
     """A head's frame (4, 4): heading `vehicle_yaw` (rad, + left), pitched up by `pitch`, tilted to the left by `roll`."""
     cy, sy, cp, sp, cr, sr = (f(a) for a in (vehicle_yaw, -pitch, -roll) for f in (math.cos, math.sin))
     result = np.eye(4)
@@ -23,7 +22,7 @@ def head_rotation(vehicle_yaw: float, pitch: float, roll: float = 0.0) -> Array:
     return result
 
 
-def look_angles(eye: Array, point: Array, heading: float) -> tuple[float, float]:
+def look_angles(eye: Floats, point: Floats, heading: float) -> tuple[float, float]:
     """Yaw (+ left, from `heading`) and pitch (+ up), rad, of the line from an eye to a point."""
     v = point - eye
     yaw = math.atan2(v[1], v[0]) - heading

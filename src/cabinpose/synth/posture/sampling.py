@@ -9,8 +9,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import Matrix, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, Person
@@ -41,8 +41,6 @@ from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.profiles import Profile
 
-Array = NDArray[np.float64]
-
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
@@ -67,7 +65,7 @@ class OccupantPose:
     held_up_by: what was most in the way then, "" where nothing was.
     """
 
-    q: Array
+    q: Floats
     vehicle_from_root: Matrix
     action: str
     wheel_angle: float | None
@@ -82,7 +80,7 @@ class _Hand(NamedTuple):
     place: Place
     noise: tuple[float, float, float]
     clock: float
-    point: Array | None
+    point: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +95,15 @@ class _Situation:
     root: Matrix
     wheel: SteeringWheel | None
     wheel_angle: float
-    comfort: Array  # (2, 7) what each arm's prior departs by, rad
+    comfort: Floats  # (2, 7) what each arm's prior departs by, rad
     close: tuple[bool, bool]  # neighbours within touch, at the left hand and at the right
 
     @property
-    def up(self) -> Array:
+    def up(self) -> Floats:
         return np.array([0.0, 0.0, 1.0])
 
     @property
-    def forward(self) -> Array:
+    def forward(self) -> Floats:
         return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
 
 
@@ -135,7 +133,7 @@ def random_action(
 
 
 @lru_cache(maxsize=64)
-def _shares(actions: tuple[str, ...]) -> Array:
+def _shares(actions: tuple[str, ...]) -> Floats:
     """The probability of each action in a random choice among them."""
     weights = np.array([ACTIONS[n].weight for n in actions])
     return np.asarray(weights / weights.sum())
@@ -151,8 +149,8 @@ class Drawn:
     sitter: Sitter
     action: str
     wheel_angle: float | None
-    must: Array
-    h_point: Array
+    must: Floats
+    h_point: Floats
 
 
 def draw_pose(
@@ -327,7 +325,7 @@ def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     return random
 
 
-def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Generator) -> None:
+def _move_trunk(q: Floats, action: Action, side_sign: float, rng: np.random.Generator) -> None:
     for name, spread in BREATHING.items():
         value = _draw(spread, rng)
         if name in action.trunk:
