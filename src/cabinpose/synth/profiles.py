@@ -51,6 +51,12 @@ def limits_deg(name: str) -> tuple[float, float]:
     return dof.lower / scale, dof.upper / scale
 
 
+def check_within(name: str, angle: float, low: float, high: float, slack: float = _LIMIT_SLACK_DEG) -> None:
+    """ConfigError where an angle lies outside a joint's limits, in the unit of all three."""
+    if not low - slack <= angle <= high + slack:
+        raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"the range of motion is {low:g} .. {high:g}")
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -200,9 +206,7 @@ class GaussianProfile(_Profile):
 def standing(angles_deg: Mapping[str, float]) -> GaussianProfile:
     """A profile that holds each of these degrees of freedom at its angle; ConfigError outside the joint's limits."""
     for name, angle in angles_deg.items():
-        low, high = limits_deg(name)
-        if not low - _LIMIT_SLACK_DEG <= angle <= high + _LIMIT_SLACK_DEG:
-            raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"the range of motion is {low:g} .. {high:g}")
+        check_within(name, angle, *limits_deg(name))
     return GaussianProfile(axes={name: GaussianAxis(mean_deg=angle, sigma_deg=0.0) for name, angle in angles_deg.items()})
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
+from cabinpose.core.arrays import Floats, Ints32
 from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.body.rig import SEGMENTS
+from cabinpose.scene.body import SEGMENTS, Person, PosedBody
 from cabinpose.scene.contact import (
     FLESH_M,
     OUTSIDE,
@@ -48,25 +48,7 @@ _AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
 Cause = Literal["self", "person", "car", "reach", "camera"]
 
 
-class Skinned(Protocol):
-    """The part of `scene.body.Person` that contact needs."""
-
-    @property
-    def skin_faces(self) -> Ints32: ...
-    @property
-    def skin_segment(self) -> Bytes: ...
-
-
-class Posed(Protocol):
-    """The part of `scene.body.PosedBody` that contact needs."""
-
-    @property
-    def skin(self) -> Floats32: ...
-    @property
-    def joints(self) -> Floats: ...
-
-
-Occupant = tuple[str, Skinned, Posed]
+Occupant = tuple[str, Person, PosedBody]
 
 
 class _Body(NamedTuple):
@@ -205,7 +187,7 @@ class Validator:
         slot, person, posed = occupant
         return _Body(slot, PosedSolids.of(self._topology(person, posed), posed.skin), posed.joints)
 
-    def _topology(self, person: Skinned, posed: Posed) -> SolidTopology:
+    def _topology(self, person: Person, posed: PosedBody) -> SolidTopology:
         known = _TOPOLOGIES.get(id(person.skin_faces))
         if known is None:
             topology = solid_topology(person.skin_faces, person.skin_segment, SEGMENTS, posed.skin)

@@ -15,6 +15,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.cabin.model import Cabin, Seat, SeatSetting, Vector
+from cabinpose.scene.cabin.shapes import slab_faces
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
@@ -102,10 +103,5 @@ def _ribbon(
 @lru_cache(maxsize=2)
 def _ribbon_faces(flip: bool) -> Ints32:
     """Triangles of a closed ribbon whose outer grid (STEPS, 3) comes before its inner one."""
-    index = np.arange(STEPS * 3).reshape(STEPS, 3)
-    quads = np.stack((index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]), axis=-1).reshape(-1, 4)
-    rim = np.concatenate((index[0, :], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
-    side = np.stack((rim, np.roll(rim, -1), np.roll(rim, -1) + STEPS * 3, rim + STEPS * 3), axis=-1)
-    quads = np.concatenate((quads, quads[:, ::-1] + STEPS * 3, side))
-    faces = np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])).astype(np.int32)
+    faces = slab_faces(STEPS, 3)
     return np.ascontiguousarray(faces[:, ::-1] if flip else faces)

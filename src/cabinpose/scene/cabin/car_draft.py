@@ -99,7 +99,8 @@ def _turned_to_front(mesh: Path, up: str, front: str, unit: str) -> tuple[MeshFi
         return _with_seats(mesh, file, found, [])
     up_name, first = _axis_name(file.vehicle_from_mesh[2, :3]), _axis_name(file.vehicle_from_mesh[0, :3])
     best = (_forward(found), file, found, list[str]())
-    turned = [_opposite(first)] if found else [a for a in _axes_beside(up_name) if a.strip("-") != first.strip("-")]
+    # With seats only the opposite front is tried, without any the two across.
+    turned = [a for a in _axes_beside(up_name) if a != first and (a.strip("-") == first.strip("-")) == bool(found)]
     if best[0] <= 0:
         for axis in turned:
             other = read_mesh(mesh, up_axis=up_name, front_axis=axis, unit=unit)
@@ -133,10 +134,6 @@ def _forward(seats: Sequence[FoundSeat]) -> int:
 def _axis_name(direction: Floats) -> str:
     axis = int(np.argmax(np.abs(direction)))
     return f"{'-' if direction[axis] < 0 else ''}{'xyz'[axis]}"
-
-
-def _opposite(axis: str) -> str:
-    return axis.strip("-") if axis.startswith("-") else f"-{axis}"
 
 
 def _axes_beside(up: str) -> list[str]:

@@ -123,9 +123,9 @@ def _triangles(quads: Ints) -> Ints32:
     return np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])).astype(np.int32)
 
 
-def _grid_quads(rows: int, columns: int, wrap: bool, start: int = 0) -> Ints:
+def _grid_quads(rows: int, columns: int, wrap: bool) -> Ints:
     """Quads of a (rows, columns) grid of vertices numbered row by row; `wrap` closes the columns."""
-    index = start + np.arange(rows * columns).reshape(rows, columns)
+    index = np.arange(rows * columns).reshape(rows, columns)
     if wrap:
         index = np.concatenate((index, index[:, :1]), axis=1)
     return np.stack((index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]), axis=-1).reshape(-1, 4)
@@ -194,22 +194,21 @@ def tube(path: ArrayLike, radius: float | Sequence[float], sides: int = 8, *, ro
     return sweep(p, ellipse(r, r, sides))
 
 
-def slab(inner: ArrayLike, outer: ArrayLike) -> Solid:
-    """The solid between two grids (M, N, 3) of facing points."""
-    a, b = np.asarray(inner, dtype=np.float64), np.asarray(outer, dtype=np.float64)
-    rows, columns = a.shape[:2]
+def slab_faces(rows: int, columns: int) -> Ints32:
+    """Triangles (F, 3) of the solid between two grids of vertices, numbered row by row, the second after the first."""
     count = rows * columns
     index = np.arange(count).reshape(rows, columns)
     rim = np.concatenate((index[0, :], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
-    nxt = np.roll(rim, -1)
-    quads = np.concatenate(
-        (
-            _grid_quads(rows, columns, wrap=False),
-            _grid_quads(rows, columns, wrap=False, start=count)[:, ::-1],
-            np.stack((rim, nxt, nxt + count, rim + count), axis=-1),
-        )
-    )
-    return Solid(np.concatenate((a.reshape(-1, 3), b.reshape(-1, 3))), _triangles(quads)).outward()
+    following = np.roll(rim, -1)
+    sheet = _grid_quads(rows, columns, wrap=False)
+    side = np.stack((rim, following, following + count, rim + count), axis=-1)
+    return _triangles(np.concatenate((sheet, sheet[:, ::-1] + count, side)))
+
+
+def slab(inner: ArrayLike, outer: ArrayLike) -> Solid:
+    """The solid between two grids (M, N, 3) of facing points."""
+    a, b = np.asarray(inner, dtype=np.float64), np.asarray(outer, dtype=np.float64)
+    return Solid(np.concatenate((a.reshape(-1, 3), b.reshape(-1, 3))), slab_faces(*a.shape[:2])).outward()
 
 
 def prism(profile: ArrayLike, y_low: ArrayLike, y_high: ArrayLike, cells: int = 1) -> Solid:

@@ -16,7 +16,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,9 @@ from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
 from cabinpose.scene.contact.triangles import TriangleMesh, edge_keys, sampled_surface, triangle_mesh
-from cabinpose.scene.surface import Surface
+
+if TYPE_CHECKING:  # a cabin places its cameras by contact
+    from cabinpose.scene.cabin.model import Part
 
 STEP_M = 0.010  # grid step of static parts and seats
 FINE_STEP_M = 0.005  # grid step of the wheel, whose rim is 30 mm thick
@@ -45,26 +47,11 @@ STATIC_GROUP = "body"
 WHEEL_GROUP = "wheel"
 
 
-class ContactPart(Protocol):
-    """What contact needs to know of a part of the cabin; lengths in m."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def surface(self) -> Surface: ...
-    @property
-    def group(self) -> str: ...
-    @property
-    def give_m(self) -> float: ...
-    @property
-    def solid(self) -> bool: ...
-
-
 class ContactScene(Protocol):
     """Parts in groups, and where the groups are: a cabin, or a room."""
 
     @property
-    def parts(self) -> Sequence[Any]: ...
+    def parts(self) -> Sequence[Part]: ...
     @property
     def seats(self) -> Mapping[str, Any]: ...
     def group_transforms(self, settings: Mapping[str, Any], *, wheel_angle: float = 0.0) -> Mapping[str, Matrix]: ...
@@ -131,18 +118,6 @@ class GroupField:
     def outside_m(self) -> float:
         """The clearance that stands for every point beyond the grid, m."""
         return -BAND_M if self.sealed else BAND_M
-
-    def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: Floats) -> None:
-        """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
-        native.sample(points, group_from_vehicle, self.grid, clearance)
-
-    def below(self, points: Floats32, balls: Floats, group_from_vehicle: Matrix, threshold_m: float) -> tuple[Ints, Floats]:
-        """Numbers and clearance (m) of the points (N, 3) m, vehicle frame, with less clearance than `threshold_m`.
-
-        balls: `balls_of(points)`.
-        """
-        index, clearance = native.points_below(points, balls, group_from_vehicle, self.grid, threshold_m, SEAL_M)
-        return index, clearance
 
 
 def balls_of(points: NDArray[np.floating]) -> Floats:
@@ -229,7 +204,7 @@ def _free_bytes() -> int:
     return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def group_field(name: str, parts: Sequence[ContactPart], *, step: float = STEP_M, seeds: Floats | None = None) -> GroupField:
+def group_field(name: str, parts: Sequence[Part], *, step: float = STEP_M, seeds: Floats | None = None) -> GroupField:
     """The field of the parts of one group.
 
     `seeds` (S, 3) m, points that are inside the interior: where given, all that cannot be reached from them, such as
@@ -240,7 +215,7 @@ def group_field(name: str, parts: Sequence[ContactPart], *, step: float = STEP_M
     ready = []
     for part in parts:
         mesh = triangle_mesh(part.surface.vertices, part.surface.faces, closed=part.solid)
-        ready.append(GroupPart(part.name, mesh, float(part.give_m), float(getattr(part, "shell_m", 0.0))))
+        ready.append(GroupPart(part.name, mesh, float(part.give_m), float(part.shell_m)))
     pad = 2.0 * step if seeds is not None else BAND_M
     low = np.min([p.mesh.low for p in ready], axis=0) - pad
     high = np.max([p.mesh.high for p in ready], axis=0) + pad
@@ -300,9 +275,9 @@ class ContactField:
 
     def __init__(self, cabin: ContactScene) -> None:
         """Builds the fields of the cabin's parts that take part in contact (`solid`, or open with a `shell_m`)."""
-        groups: dict[str, list[Any]] = {}
+        groups: dict[str, list[Part]] = {}
         for part in cabin.parts:
-            if part.solid or getattr(part, "shell_m", 0.0) > 0.0:
+            if part.solid or part.shell_m > 0.0:
                 groups.setdefault(part.group, []).append(part)
         chest = np.array((0.0, 0.0, 0.35))
         seeds = [np.asarray(seat.h_point(seat.default)) + chest for seat in cabin.seats.values()]
@@ -356,7 +331,7 @@ class PlacedField:
         """
         result, there = np.full(len(points), BAND_M), np.ascontiguousarray(points)
         for group, _, group_from_vehicle in self.groups:
-            group.lower(there, group_from_vehicle, result)
+            native.sample(there, group_from_vehicle, group.grid, result)
         return result
 
     def deepest(self, points: Floats32, tolerance_m: float, *, give: bool = True) -> Contact | None:
@@ -373,7 +348,8 @@ class PlacedField:
             if not (near or group.interior):
                 continue
             yielding = 0.0 if give else group.give_m
-            index, clearance = group.below(points, balls, group_from_vehicle, group.bound_m - tolerance_m + yielding)
+            threshold = group.bound_m - tolerance_m + yielding
+            index, clearance = native.points_below(points, balls, group_from_vehicle, group.grid, threshold, SEAL_M)
             if len(index):
                 found = _measure(group, points, index, clearance, group_from_vehicle, tolerance_m, give)
                 if found is not None and (worst is None or found.excess_m > worst.excess_m):
