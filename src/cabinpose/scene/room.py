@@ -152,7 +152,7 @@ def _chair(x: float, y: float, rng: np.random.Generator) -> list[Surface]:
 
 
 def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> list[Surface]:
-    """Furniture of one side of the room, kept outside |y| = `inner`."""
+    """Furniture along one side of the room, farther from the middle than |y| = `inner` (m)."""
     pieces: list[Surface] = []
     for _ in range(rng.integers(1, 5)):
         px, py = rng.uniform(*x), side * (inner + rng.uniform(0.25, 0.9))

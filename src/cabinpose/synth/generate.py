@@ -92,7 +92,7 @@ def generate(
     overwrite
         Replace a dataset of ours.
     progress
-        Called before the work, and after every frame, or part of a cluster.
+        Called before the work starts and after every frame (on a cluster: every part).
 
     Returns
     -------

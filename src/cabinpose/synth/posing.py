@@ -1,4 +1,4 @@
-"""People take their seats: row after row, those of a row posed together, and who does not fit is drawn anew.
+"""Poses of the people in one car: row by row, those of a row solved together; a person who does not fit is drawn again.
 
 The solver lets all of a row give way to each other. What the verdict refuses then costs the person it names another draw of an
 action and all that goes with it; where it names two, they take turns.

@@ -1,4 +1,4 @@
-"""RetargetedMotion profiles: how an occupant departs from the posture that was solved for the seat.
+"""Motion profiles: how an occupant departs from the posture that was solved for the seat.
 
 Three kinds, chosen by `kind` in a configuration: `gaussian` (a truncated normal distribution per degree of freedom),
 `incremental` (every combination of steps within the range of motion) and `mocap` (a recording, retargeted). Angles are
@@ -132,32 +132,32 @@ class Recorded(NamedTuple):
 
 
 class _Profile(_Model):
-    """What every profile can do.
+    """Interface of a motion profile.
 
-    may_skip: whether a frame is left out, rather than the run ended, where no scene holds.
+    may_skip: whether a frame without a valid scene is skipped; otherwise it ends the run.
     """
 
     may_skip: ClassVar[bool] = False
 
     @property
     def held(self) -> tuple[str, ...]:
-        """The degrees of freedom that stand at what `apply` gives them."""
+        """Degrees of freedom that the solver must not change: they keep the value that `apply` sets."""
         return ()
 
     @property
     def followed(self) -> tuple[str, ...]:
-        """The degrees of freedom that come as near to what `apply` gives them as the car and the body allow."""
+        """Degrees of freedom that the solver keeps near the value that `apply` sets, as far as car and body allow."""
         return ()
 
     def preflight(self) -> None:
-        """Raises before any work starts what every frame would fail of."""
+        """Raise now, before any work starts, the error that would end every frame."""
 
     def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """A copy of the posture q (D,) rad with this profile's degrees of freedom set, for frame `index`."""
         raise NotImplementedError
 
     def whole_body(self, index: int) -> Recorded | None:
-        """The pose of somebody who stands, for frame `index`; None where that is `apply` to a pose of any kind."""
+        """The whole pose of a standing person for frame `index`; None where the profile changes a given pose by `apply`."""
         return None
 
 
@@ -195,7 +195,7 @@ class GaussianProfile(_Profile):
         return tuple(self.axes)
 
     def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
-        """The degrees of freedom drawn anew, within their ranges."""
+        """A copy of q in which each named degree of freedom is drawn from its truncated normal distribution."""
         t = self._table
         result = q.copy()
         mean = np.where(np.isnan(t.mean), q[t.index], t.mean)
@@ -287,7 +287,7 @@ class MocapProfile(_Profile):
 
     @cached_property
     def count(self) -> int:
-        """The number of poses taken from the recording before it begins anew; MocapError where there is none."""
+        """The number of poses taken from the recording before it is repeated; MocapError where there is none."""
         motion, frame_s, _ = self._motion
         last = len(motion.q) - 1 if self.end_s is None else min(round(self.end_s / frame_s), len(motion.q) - 1)
         if last < self._first:

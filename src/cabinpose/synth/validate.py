@@ -163,7 +163,7 @@ class Validator:
         return Seated(settings, wheel_angle, None if self.contact is None else self.contact.at(settings, wheel_angle))
 
     def turned(self, seated: Seated, wheel_angle: float) -> Seated:
-        """The same people with the wheel at another angle (rad). Nobody may sit yet whom it could meet."""
+        """The empty cabin with the wheel at another angle (rad); ValueError where somebody sits already, whom it could touch."""
         if wheel_angle == seated.wheel_angle:
             return seated
         if seated.bodies:
@@ -171,9 +171,23 @@ class Validator:
         return self.empty(seated.settings, wheel_angle)
 
     def admit(self, seated: Seated, occupant: Occupant) -> tuple[Verdict, Seated]:
-        """The verdict of `check` on the people seated and one more, and the people seated then: with him where it holds.
+        """Whether one more person fits.
 
-        Only what the newcomer changes is tested: the person alone, with the others, and in the car.
+        Only what the new person changes is tested: the person alone, with the others, and in the car.
+
+        Parameters
+        ----------
+        seated
+            The cabin and the people who are accepted already.
+        occupant
+            Slot, person and posed body of the new one.
+
+        Returns
+        -------
+        Verdict
+            As of `check` on all of them.
+        Seated
+            With the new person where the verdict is ok, else as it was.
         """
         bodies = (*seated.bodies, self._body(occupant))
         verdict = _among(bodies, len(bodies) - 1)

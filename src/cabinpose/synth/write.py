@@ -33,7 +33,9 @@ from cabinpose.synth.validate import Rejection, by_cause
 Frame = dict[str, Any]
 Content = Literal["cars", "people", "seats", "views"]
 _AHEAD = 3  # frames that a thread may be ahead of what is written
-_SWITCH_S = 0.0005  # a thread that comes out of the core waits no longer than this for the interpreter: a frame is 10 ms of work
+# Interval (s) after which the interpreter lets another thread run. Kernels release the lock; at Python's default of 5 ms a thread
+# that returns from one would wait for half of a frame's 10 ms of work.
+_SWITCH_S = 0.0005
 
 
 class FrameMaker:

@@ -26,8 +26,8 @@ from cabinpose.scene.body.shape import load_shape_space
 _SWEEPS, _EVENING = 50, 8  # of the membrane; of the skin, for directions that its hollows do not turn
 _LEAST_GAP_M = 0.002  # of cloth off the skin
 _SECTORS = 48  # of the turn about what cloth hangs from
-_CLEAR_M = 0.002  # what evening takes from what stands out, about
-_INWARDS_M = 0.006  # at most, of evening
+_CLEAR_M = 0.002  # about how much smoothing flattens a bump of the body
+_INWARDS_M = 0.006  # smoothing moves a vertex inwards by no more than this
 _LIFT_M = 0.005  # of a top off the trousers' folds: its hem shows
 
 

@@ -39,7 +39,7 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
     mesh
         The mesh file, of whatever axes and unit.
     out
-        Where the YAML shall be; the mesh's path in it counts from there. Nothing is written.
+        Path of the YAML, to which the mesh's path in it is relative. Nothing is written.
     up_axis, front_axis, unit
         As in the YAML, where they are known.
 

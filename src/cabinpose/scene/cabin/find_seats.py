@@ -195,9 +195,9 @@ def _outermost(along: Floats, off: Floats, span: tuple[float, float], reach: flo
 
 
 def _floor_before(points: Floats, h: Floats) -> float | None:
-    """Height of the floor under the heels of somebody with his H-point at `h`, m: None: there is none.
+    """Height (m) of the floor under the heels of a person with the H-point `h` (3,); None where there is no surface.
 
-    Of the highest points of each column below the knees the lowest tenth: a seat in front or a toe board may be there too.
+    The 10 % quantile of the highest points of each column below the knees, since a seat in front or a toe board may be there too.
     """
     from_h = points - h
     ahead = (from_h[:, 0] > 0.40) & (from_h[:, 0] < 0.75) & (np.abs(from_h[:, 1]) < 0.15) & (from_h[:, 2] < -0.05)

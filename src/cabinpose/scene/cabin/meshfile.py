@@ -1,6 +1,6 @@
 """Reads a car's mesh file (glTF, GLB, OBJ, STL, PLY) into named triangle meshes in metres, vehicle axes.
 
-Up axis, front and unit are as given, or found with a reason; what cannot be read as it was meant is refused.
+Up axis, front axis and unit are as given, or detected with a note that says why; a file that could be misread is refused.
 """
 
 from __future__ import annotations
@@ -54,9 +54,25 @@ def read_mesh(
 ) -> MeshFile:  # fmt: skip
     """The file's meshes in the vehicle frame.
 
-    up_axis, front_axis: 'x', '-x', 'y' ... or 'auto' · unit: m, cm, mm, inch or 'auto' · scale: applied on top of the
-    unit · origin: the vehicle's origin in the file's own coordinates. Raises MeshError for a file that is missing,
-    broken, empty, not finite or of nonsensical size, DependencyError where Draco needs DracoPy.
+    Parameters
+    ----------
+    path
+        The mesh file.
+    up_axis, front_axis
+        'x', '-x', 'y' ... or 'auto'.
+    unit
+        m, cm, mm, inch or 'auto'.
+    scale
+        Factor on top of the unit.
+    origin
+        The vehicle's origin in the file's own coordinates.
+
+    Raises
+    ------
+    MeshError
+        For a file that is missing, broken, empty, flat, not finite, or not of the size of a car.
+    DependencyError
+        For Draco compression without DracoPy.
     """
     raw = _read(path)
     points = np.concatenate([m.vertices for m in raw])
@@ -204,7 +220,9 @@ def _gltf_scene(path: Path) -> trimesh.Scene:
 
 
 def _beside(path: Path, uri: str) -> Path:
-    """The file that a mesh names; a mesh of a stranger must not make us read any other file, or a device without an end."""
+    """The file that a mesh names, refused outside of the mesh's folder: a downloaded mesh must not make us read private files
+    or an endless device.
+    """
     folder, found = path.parent.resolve(), (path.parent / unquote(uri)).resolve()
     if not found.is_relative_to(folder):
         raise MeshError(f"{path} names the file '{uri}', which is outside its folder", hint="copy it there, or export a .glb")

@@ -4,9 +4,9 @@ A group's field holds, at the nodes of a regular grid in the group's own frame, 
 distance + give": how far a point may still move before a part gives way no more. Negative means too deep. A seat
 that slides or reclines takes its field along; only the transform changes.
 
-Nodes hold one byte (clearance cut at ±95 mm), interpolation is trilinear. Distances are exact as far as a verdict can
-depend on them and approximate beyond. The field sorts points into "clear" and "look closer": `PlacedField.deepest`
-measures the few points that the interpolation bound leaves open on the triangles themselves.
+Nodes hold one byte (clearance cut at ±95 mm), interpolation is trilinear. Distances are exact in the range that can decide a
+verdict and approximate beyond it. By the field a point is surely clear, or it has to be measured: `PlacedField.deepest` measures
+the few points within the interpolation bound on the triangles themselves.
 """
 
 from __future__ import annotations

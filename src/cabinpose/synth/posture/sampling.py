@@ -141,7 +141,7 @@ def _shares(actions: tuple[str, ...]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What one person seeks, drawn once, and where the search for it begins: for `settled`.
+    """The goals of one person, drawn once, and the start of the solver's search: the input of `settled`.
 
     must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame.
     """
@@ -158,13 +158,38 @@ def draw_pose(
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
-    """What `person` in `seat` seeks: the action's places for hands, head and trunk, feet on pedals or floor.
+    """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
-    An `initial` pose takes the place of what its degrees of freedom would seek. A profile comes on top of it: what it holds
-    stands, and hands of arms that it does not name stay on the rim or in the lap. `index` is the combination of an incremental
-    profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `neighbours`
-    is what those beside and opposite mean for it.
-    Raises ConfigError for an action that makes no sense here, MocapError for an unfit recording.
+    Parameters
+    ----------
+    person, seat, setting, cabin
+        Who sits where, and how the seat is set.
+    action
+        Name of the action, of `ACTIONS`.
+    profile
+        Motion profile on top of the action: the degrees of freedom that it holds are fixed; hands of arms that it does not name
+        stay on the rim or in the lap.
+    initial
+        Profile that holds an initial pose, in place of the goals of its degrees of freedom.
+    index
+        Combination of an incremental profile, or pose of a recording.
+    offset
+        Of the pelvis from the seat's place.
+    neighbours
+        What the people beside and opposite mean for this person; None where there is nobody.
+    rng
+        Source of all randomness.
+
+    Returns
+    -------
+    Drawn
+
+    Raises
+    ------
+    ConfigError
+        For an action that makes no sense in this seat.
+    MocapError
+        For a recording that cannot be used.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -224,7 +249,22 @@ def draw_pose(
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
-    """The poses of people who sit down together, in the car as `placed`, among those `around` who stay as they are."""
+    """Solve the poses of people who take their seats together.
+
+    Parameters
+    ----------
+    drawn
+        Their goals.
+    around
+        People whose poses stay as they are.
+    placed
+        The car's distance fields at the seats' settings; None: without a car.
+
+    Returns
+    -------
+    list of OccupantPose
+        In the order of `drawn`.
+    """
     sitters = [d.sitter for d in drawn]
     left = solve((*sitters, *around), placed)
     result = []
