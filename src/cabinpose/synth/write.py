@@ -155,10 +155,27 @@ def make_frames(
     threads: int,
     sampler: SceneSampler | None = None,
 ) -> Iterator[FrameReport]:
-    """Make parts one after the other and write each, whole or not at all; yields a report after every frame.
+    """Make parts one after the other; each is written whole or not at all.
 
-    Threads make frames; this one writes them, in order. They share people and cars, which are those of the `sampler`, made for
-    the same configuration and seed, where one is given.
+    Several threads make frames and share people and cars; the calling thread writes the frames in order.
+
+    Parameters
+    ----------
+    folder
+        Of the dataset.
+    plans
+        The parts.
+    config, manifest
+        What the frames show, and what `dataset.yaml` says.
+    threads
+        How many make frames.
+    sampler
+        A sampler of the same configuration and seed whose people and cars are used; its own by default.
+
+    Yields
+    ------
+    FrameReport
+        After every frame.
     """
     may_skip = any(profile.may_skip for profile in config.profiles)
     shared = sampler or SceneSampler(config, manifest.seed)

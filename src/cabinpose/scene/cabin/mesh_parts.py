@@ -85,10 +85,32 @@ def mesh_parts(
     h_points: Floats,
     shell_m: float,
 ) -> tuple[list[Part], list[str], list[str]]:
-    """Parts, notes and warnings.
+    """Sort the meshes of a file into the parts of a cabin.
 
-    rules: the user's, with the box (low, high: (3,) m, vehicle frame) of those that have `within` ·
-    groups: vehicle_from_group by name · h_points: (S, 3) m, vehicle frame.
+    Parameters
+    ----------
+    path
+        The mesh file, for messages.
+    meshes
+        In the vehicle frame.
+    rules
+        The user's, each with its box (low, high: (3,) m, vehicle frame) where it has `within`.
+    groups
+        `vehicle_from_group` by name, at the design position.
+    h_points
+        (S, 3) m, vehicle frame.
+    shell_m
+        Thickness on both sides of open surfaces.
+
+    Returns
+    -------
+    parts, notes, warnings
+        Parts in the frames of their groups, what was done to the meshes, and what is wrong with them.
+
+    Raises
+    ------
+    MeshError
+        Where the rules hide every mesh.
     """
     parts, notes, warnings = [], [], []
     for mesh, rule, share in _shares(meshes, (*rules, *((rule, None) for rule in COMMON_RULES))):

@@ -205,10 +205,24 @@ def _free_bytes() -> int:
 
 
 def group_field(name: str, parts: Sequence[Part], *, step: float = STEP_M, seeds: Floats | None = None) -> GroupField:
-    """The field of the parts of one group.
+    """The clearance field of the parts of one group.
 
-    `seeds` (S, 3) m, points that are inside the interior: where given, all that cannot be reached from them, such as
-    what is behind a window pane or a door panel, counts as too deep.
+    Parameters
+    ----------
+    name
+        Of the group.
+    parts
+        In the group's frame.
+    step
+        Of the grid, m.
+    seeds
+        (S, 3) m, points inside the interior. Where given, all that cannot be reached from them, such as the space behind a
+        window pane or a door panel, counts as too deep.
+
+    Raises
+    ------
+    ConfigError
+        Where the grid would not fit into the free memory.
     """
     vertices = np.concatenate([part.surface.vertices for part in parts])
     _check_memory(name, np.ptp(vertices, axis=0) / step)

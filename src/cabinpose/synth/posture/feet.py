@@ -134,8 +134,20 @@ def foot_goals(
     person: Person, root: Matrix, seat: Seat, setting: SeatSetting, fit: SeatFit, cabin: Cabin,
     plans: tuple[FootPlan, FootPlan], *, faced: bool = False, room: tuple[float, float] = (math.inf, math.inf),
 ) -> tuple[FootGoal, FootGoal]:  # fmt: skip
-    """Where both feet go. root: `vehicle_from_root` (4, 4) · faced: somebody sits opposite, so that toes stay on the own side ·
-    room: (m) to the left and to the right of the seat's middle, beyond which neighbours have their feet.
+    """Goals of both feet.
+
+    Parameters
+    ----------
+    person, root
+        Who sits, and `vehicle_from_root` (4, 4).
+    seat, setting, fit, cabin
+        The seat, how it is set, the person's fit in it, and the car.
+    plans
+        What the left and the right foot do.
+    faced
+        Whether somebody sits opposite; toes then stay on the own side of the middle.
+    room
+        Space (m) to the left and to the right of the seat's middle before the feet of neighbours.
     """
     result = []
     for side, plan in enumerate(plans):

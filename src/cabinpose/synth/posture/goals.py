@@ -40,11 +40,24 @@ def sitter(
     head: Matrix,
     holds: tuple[bool, bool],
 ) -> Sitter:
-    """Somebody who seeks all this, from the comfortable posture on.
+    """The solver's input for one person, from the goals of hands, feet and head.
 
-    q: (D,) rad the comfortable trunk; arms and legs are taken from the tasks · root, head: `vehicle_from_root` and
-    `vehicle_from_head` (4, 4) · skeleton: of the trunk in q · hands: each palm's task, and the bone that carries its target ("":
-    the vehicle) · holds: hands that are closed around the wheel.
+    Parameters
+    ----------
+    person, seat
+        Who sits where.
+    q
+        (D,) rad, the comfortable trunk; arms and legs are taken from the tasks.
+    root, head
+        `vehicle_from_root` and `vehicle_from_head`, (4, 4).
+    skeleton
+        Of the trunk in q.
+    hands
+        Each palm's task and the bone that carries its target ("": the vehicle).
+    feet
+        Each foot's goal.
+    holds
+        Whether the left and the right hand are closed around the wheel.
     """
     q, stiffness = q.copy(), _STIFFNESS.copy()
     rows: list[tuple[str, Matrix, str, Matrix, Floats]] = []

@@ -92,9 +92,21 @@ def _between(seat: Seat, cabin: Cabin, taken: Sequence[str]) -> tuple[int, float
 def neighbours_of(
     person: Person, slot: str, cabin: Cabin, others: Mapping[str, Person], *, rng: np.random.Generator
 ) -> Neighbours | None:
-    """What the people around a seat mean for the one who is to sit in it; None where there is nobody near.
+    """What the people around a seat mean for the person who is to sit in it.
 
-    others: everybody else in the car by slot.
+    Parameters
+    ----------
+    person, slot, cabin
+        Who is to sit where.
+    others
+        Everybody else in the car, by slot.
+    rng
+        Decides who leans forward, and how far.
+
+    Returns
+    -------
+    Neighbours or None
+        None where nobody sits beside or opposite.
     """
     seat = cabin.seats[slot]
     row = [s for s in others if beside_each_other(seat, cabin.seats[s])]
