@@ -208,8 +208,6 @@ def test_bad_input(people: dict[str, Person]) -> None:
     child = BodyModel.load().person(Phenotype(0.5, 0.0, 0.5, 0.5, 0.1, 0.5))
     with pytest.raises(SceneError, match="misses the"):
         solve_posture(child, driver, far, cabin)
-    with pytest.raises(ConfigError, match="none of the actions"):
-        random_action(rear, cabin, rng=rng, among=("drive",))
 
 
 def test_random_actions_follow_their_weights() -> None:
@@ -221,7 +219,6 @@ def test_random_actions_follow_their_weights() -> None:
     total = sum(ACTIONS[n].weight for n in known)
     for name in known:
         assert drawn.count(name) / 4000 == pytest.approx(ACTIONS[name].weight / total, abs=0.025)
-    assert {random_action(seat, cabin, rng=rng, among=("drive", "sleep")) for _ in range(20)} == {"drive", "sleep"}
 
 
 def test_an_offset_moves_the_pelvis_and_hands_stay_on_the_wheel(people: dict[str, Person]) -> None:

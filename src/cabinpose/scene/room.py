@@ -72,8 +72,9 @@ def _box(low: tuple[float, float, float], high: tuple[float, float, float], labe
     return _solid(_UNIT_BOX * np.subtract(high, low) + low, _normals(_UNIT_BOX), label, material)
 
 
-def _pot(radius: float, height: float, sides: int = 12) -> Floats:
+def _pot(radius: float, height: float) -> Floats:
     """Triangles (F, 3, 3) of a cylinder that stands upright on the origin."""
+    sides = 12
     angle = 2 * np.pi * np.arange(sides) / sides
     low = np.stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)), axis=1)
     high = low + (0.0, 0.0, height)

@@ -211,12 +211,11 @@ def slab(inner: ArrayLike, outer: ArrayLike) -> Solid:
     return Solid(np.concatenate((a.reshape(-1, 3), b.reshape(-1, 3))), slab_faces(*a.shape[:2])).outward()
 
 
-def prism(profile: ArrayLike, y_low: ArrayLike, y_high: ArrayLike, cells: int = 1) -> Solid:
+def prism(profile: ArrayLike, y_low: ArrayLike, y_high: ArrayLike) -> Solid:
     """A closed outline (N, 2) in x, z, pulled from `y_low` to `y_high` (m, one value or one per point)."""
     outline = np.asarray(profile, dtype=np.float64)
-    low, high = (np.broadcast_to(np.asarray(y, dtype=np.float64), len(outline)) for y in (y_low, y_high))
-    steps = np.linspace(0, 1, cells + 1)
-    return loft(np.stack([np.stack((outline[:, 0], low + s * (high - low), outline[:, 1]), axis=-1) for s in steps]))
+    ends = (np.broadcast_to(np.asarray(y, dtype=np.float64), len(outline)) for y in (y_low, y_high))
+    return loft(np.stack([np.stack((outline[:, 0], y, outline[:, 1]), axis=-1) for y in ends]))
 
 
 def smooth_curve(points: ArrayLike, count: int, *, closed: bool = False) -> Floats:

@@ -141,17 +141,17 @@ def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int
     return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
 
 
-def on_surface(point: Floats, fingers: Floats, up: Floats, prior: Floats = SIDE_ARM) -> LimbTask:
+def on_surface(point: Floats, fingers: Floats, up: Floats) -> LimbTask:
     """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
     target = palm_frame(point + (0.045 - PALM_M) * up, -up, fingers)
-    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), prior, _STIFFNESS)
+    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), SIDE_ARM, _STIFFNESS)
 
 
-def at_point(point: Floats, shoulder: Floats, up: Floats, prior: Floats = REACH_ARM, finger: float = HAND_M) -> LimbTask:
+def at_point(point: Floats, shoulder: Floats, up: Floats, prior: Floats = REACH_ARM) -> LimbTask:
     """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
     direction = point - shoulder
     direction = direction / np.linalg.norm(direction)
-    target = palm_frame(point - finger * direction, -up, direction)
+    target = palm_frame(point - HAND_M * direction, -up, direction)
     return LimbTask(target, _FIRM, np.array([0.02, 0.04, 0.04]), prior, _STIFFNESS)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
@@ -107,28 +107,10 @@ class _Situation:
         return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
 
 
-def random_action(
-    seat: Seat,
-    cabin: Cabin,
-    *,
-    rng: np.random.Generator,
-    among: tuple[str, ...] | None = None,
-    left_out: frozenset[str] = frozenset(),
-) -> str:
-    """An action that makes sense in a seat, by the actions' weights, or evenly from `among` (those that make sense).
-
-    left_out: what is not chosen by weight. Raises ConfigError where none of `among` makes sense here.
-    """
-    known = actions_for(seat, cabin)
-    if among is not None:
-        names = tuple(n for n in among if n in known)
-        if not names:
-            raise ConfigError(
-                f"none of the actions {', '.join(among)} makes sense in the {seat.slot} seat of the {cabin.name}",
-                hint=f"there: {', '.join(known)}",
-            )
-        return names[int(rng.integers(len(names)))]
-    known = tuple(name for name in known if name not in left_out) or known
+def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, left_out: frozenset[str] = frozenset()) -> str:
+    """An action that makes sense in a seat, drawn by the actions' weights; none of those `left_out`, unless all are."""
+    everything = actions_for(seat, cabin)
+    known = tuple(name for name in everything if name not in left_out) or everything
     return known[int(rng.choice(len(known), p=_shares(known)))]
 
 
