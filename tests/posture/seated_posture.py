@@ -1,4 +1,4 @@
-"""The seated posture every motion starts from: one body in one seat, feet and hands where they belong."""
+"""A neutral posture: one body in one seat, head level, feet on pedals or floor, hands on the wheel or in the lap."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import SceneError, unknown_name
+from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
@@ -54,8 +54,6 @@ def solve_posture(
     seat.check(setting)
     has_wheel = seat.slot == "driver" and cabin.steering_wheel is not None
     hands = hands or ("wheel" if has_wheel else "lap")
-    if hands not in ("wheel", "lap"):
-        raise unknown_name("place for hands", hands, ("wheel", "lap"))
     fit = fit_seat(person, seat, setting.torso_angle)
     root = seat.vehicle_from_seat(setting) @ fit.seat_from_root
     q = fit.q.copy()
@@ -65,9 +63,7 @@ def solve_posture(
     for side in (0, 1):
         if holds:
             if cabin.steering_wheel is None or not has_wheel:
-                raise SceneError(
-                    f"the {seat.slot} seat of the {cabin.name} has no steering wheel", hint="rest the hands in the lap"
-                )
+                raise SceneError(f"the {seat.slot} seat of the {cabin.name} has no steering wheel")
             hold = rim_grip(person, cabin.steering_wheel.rim_section_m)
             q[DOF_INDEX["lr"[side] + "hand.grip"]] = hold.grip
             task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2), hold)
@@ -83,17 +79,8 @@ def solve_posture(
     missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - seat.h_point(setting)))
     for side, name in enumerate(("lhand", "rhand")):
         if holds and missed[name] > HAND_MISS_M:
-            raise unreachable(person, seat, cabin, name, "steering wheel", missed[name])
+            raise SceneError(f"{name} misses the steering wheel by {1e3 * missed[name]:.0f} mm")
         foot = TASKS[2 + side]
         if feet[side].must and missed[foot] > MISS_M:
-            raise unreachable(person, seat, cabin, foot, "pedals", missed[foot])
+            raise SceneError(f"{foot} misses the pedals by {1e3 * missed[foot]:.0f} mm")
     return SeatedPosture(who.q, who.root, missed, fit)
-
-
-def unreachable(person: Person, seat: Seat, cabin: Cabin, hand: str, target: str, missed: float) -> SceneError:
-    """The error for a hand or foot that does not get to its target (missed: m)."""
-    return SceneError(
-        f"{hand} of a person of {person.stature_m:.2f} m misses the {target} by {1e3 * missed:.0f} mm"
-        f" in the {seat.slot} seat of the {cabin.name}",
-        hint="choose another action, a taller person or a seat setting further forward",
-    )
