@@ -426,10 +426,37 @@ class EmulateVicon:
 
 
 @dataclass(frozen=True)
+class EmulateStepper:
+    """Play the controller of a stepper motor (GRBL or Marlin) on a pseudo-terminal, whose name it prints. Ctrl-C ends it."""
+
+    dialect: Literal["grbl", "marlin"] = "grbl"
+    """What it speaks."""
+    link: Maybe[Path] = None
+    """Name that leads to the pseudo-terminal, for a rig's `port`."""
+    backlash: float = 0.0
+    """Degrees by which the shaft stays behind where the motor turns back."""
+    miss_every: int = 0
+    """Every so many moves the motor misses steps; 0: never."""
+    miss: float = 0.9
+    """Degrees that it misses then."""
+    fault: Literal["none", "error", "alarm", "hang", "drop", "garbage"] = "none"
+    """What goes wrong: a refusal, an alarm, silence, the line, or what comes over it."""
+    fault_at: int = 1
+    """At which move; 0: from the start."""
+    seconds: Maybe[float] = None
+    """How long; default: until Ctrl-C."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Emulate:
     """Play a device that is not there: a server that sends the real bytes, on loopback unless told otherwise."""
 
-    device: Annotated[EmulateMvn, subcommand("mvn")] | Annotated[EmulateVicon, subcommand("vicon")]
+    device: (
+        Annotated[EmulateMvn, subcommand("mvn")]
+        | Annotated[EmulateVicon, subcommand("vicon")]
+        | Annotated[EmulateStepper, subcommand("stepper")]
+    )
 
 
 Command = (

@@ -16,7 +16,8 @@ from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse, EvaluateM
 from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.app.finite import finite
-from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError
+from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError, RecordingError
+from cabinpose.core.recorded import MOTOR_CHANNELS
 from cabinpose.core.resample import resample_positions
 from cabinpose.evaluate.mocap.bones import Bone, bone_lengths, mvn_bones, rigid_pairs
 from cabinpose.evaluate.mocap.result import Judgement
@@ -30,6 +31,7 @@ if TYPE_CHECKING:  # they need the extra `record`, which is asked for first
     from cabinpose.app.mocap.figures import Section
     from cabinpose.app.mocap.inputs import PointTracks
 
+_MOTOR_GAP_S = 60.0  # an encoder may speak only when it turns
 Outcome = tuple[Judgement, "list[Section]", dict[str, Any]]
 
 
@@ -76,20 +78,23 @@ def _sse(command: EvaluateSse) -> Outcome:
 
 
 def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
-    from cabinpose.app.mocap.inputs import read_channel, read_orientations
+    from cabinpose.app.mocap.inputs import read_channels, read_orientations
 
     time, turned, origin_ns = read_orientations(path, command.sensor, source=command.source)
-    if command.motor is None:
-        step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
-        samples = command.samples or None
-        return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
-    source, slash, channel = command.motor.partition("/")
-    if not slash:
+    source, slash, channel = (command.motor or "").partition("/")
+    if command.motor is not None and not slash:
         raise ConfigError(f"'{command.motor}' names no channel", hint="write --motor SOURCE/CHANNEL")
-    at, degrees, motor_ns = read_channel(path, source, channel)
-    offset_s = (motor_ns - origin_ns) / 1e9
-    reference = resample_positions(at + offset_s, np.radians(degrees), time, max_gap_s=60.0, policy="previous")
-    return sse_run(time, turned, axis=axis, reference_rad=reference)
+    motor = read_channels(path, (channel,) if slash else MOTOR_CHANNELS, source=source or None)
+    samples = command.samples or None
+    if motor is not None:
+        at_s, values = (motor[0] - origin_ns) / 1e9, motor[1]
+        values = resample_positions(at_s, values, time, max_gap_s=_MOTOR_GAP_S, policy="previous")
+        marks = None if slash else np.nan_to_num(values[:, 1], nan=-1).astype(np.int64)
+        return sse_run(time, turned, axis=axis, step=marks, reference_rad=np.radians(values[:, 0]), samples=samples)
+    if slash:
+        raise RecordingError(f"{path}: {source} gives no channel '{channel}'", hint=f"see cabinpose info {path}")
+    step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
+    return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
 
 
 def _sfe(command: EvaluateSfe) -> Outcome:

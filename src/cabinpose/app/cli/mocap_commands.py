@@ -49,7 +49,7 @@ class EvaluateSse(MocapReport):
     still_s: float = 0.5
     """Seconds that it does so at least."""
     motor: Maybe[str] = None
-    """SOURCE/CHANNEL that recorded the motor's angle in degrees, in place of steps."""
+    """SOURCE/CHANNEL that recorded the motor's angle in degrees; default: a source of kind stepper, else steps by stillness."""
 
 
 @dataclass(frozen=True)

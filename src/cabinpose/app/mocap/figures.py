@@ -69,11 +69,12 @@ def sse_sections(judgement: Judgement, runs: Sequence[SseRun], measures: Sequenc
     """Error by angle of the motor, for each axis."""
     charts: dict[str, dict[str, tuple[list[float], list[float]]]] = {"error": {}, "tilt": {}}
     for run in runs:
-        steps = np.unique(run.reference_rad.round(9))
+        steps = np.unique(run.step)
+        angle = [float(np.degrees(run.reference_rad[run.step == s].mean())) for s in steps]
         for what, values in (("error", run.turn_rad - run.reference_rad), ("tilt", run.tilt_rad)):
-            mean = [float(np.degrees(values[np.abs(run.reference_rad - s) < 1e-6].mean())) for s in steps]
+            mean = [float(np.degrees(values[run.step == s].mean())) for s in steps]
             name = run.axis if run.axis not in charts[what] else f"{run.axis} {len(charts[what]) + 1}"
-            charts[what][name] = (np.degrees(steps).tolist(), mean)
+            charts[what][name] = (angle, mean)
     drawn = series_chart("Sensor − motor, °", "angle of the motor, °", charts["error"], width=620)
     drawn += series_chart("Tilt off the axis, °", "angle of the motor, °", charts["tilt"], width=620)
     return [

@@ -108,15 +108,17 @@ def read_sensors(path: Path, *, source: str | None = None, subject: str | None =
     return _motion(path, subject or "", names, time_ns, None, np.full((*turned.shape[:2], 3), np.nan), turned, "")
 
 
-def read_channel(path: Path, source: str, channel: str) -> tuple[F64, F64, int]:
-    """Times (T,) s and values (T,) of one channel of a recording's source, and the clock's origin."""
-    rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, Channels)]
-    names = tuple(dict.fromkeys(n for _, m in rows for n in m.names))
-    if channel not in names:
-        raise RecordingError(f"{source} gives no channel '{channel}'", hint=f"it gives: {', '.join(names) or 'none'}")
-    kept = [(ns, m.values[m.names.index(channel)]) for ns, m in rows if channel in m.names]
+def read_channels(path: Path, channels: Sequence[str], *, source: str | None = None) -> tuple[NDArray[np.int64], F64] | None:
+    """Host times (T,) ns and values (T, C) of channels that come together, of a source (None: any); None where none has them."""
+    kept = [
+        (ns, [m.values[m.names.index(channel)] for channel in channels])
+        for ns, m in _messages(path, source)
+        if isinstance(m, Channels) and set(channels) <= set(m.names)
+    ]
+    if not kept:
+        return None
     time_ns, rising = np.unique(np.array([ns for ns, _ in kept], np.int64), return_index=True)
-    return (time_ns - time_ns[0]) / 1e9, np.array([v for _, v in kept])[rising], int(time_ns[0])
+    return time_ns, np.array([values for _, values in kept])[rising]
 
 
 def _recorded(recording: Recording, source: str | None, subject: str | None, origin_ns: int | None) -> PointTracks:

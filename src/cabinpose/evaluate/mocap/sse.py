@@ -103,6 +103,8 @@ def sse_run(
         raise AlignmentError("neither steps nor a reference are given", hint="give `step` (see find_steps) or `reference_rad`")
     if reference_rad is not None:
         reference = np.asarray(reference_rad, np.float64)
+        if step is None:
+            marks = np.unique(reference.round(9), return_inverse=True)[1]
         marks = np.where(np.isfinite(reference), marks, -1)
     else:
         reference = marks.astype(np.float64) * step_rad
@@ -112,7 +114,7 @@ def sse_run(
     reference = reference[used] - (reference[used[0]] if len(used) else 0.0)
     if not len(used) or np.ptp(reference) == 0:
         raise AlignmentError("the sensor was not turned: there is but one step", hint="a run needs two steps or more")
-    turned = product(conjugate(mean_orientation(q[used][np.abs(reference) < 1e-9])), q[used])
+    turned = product(conjugate(mean_orientation(q[used][marks[used] == marks[used[0]]])), q[used])
     about = turn_about(turned, AXES[axis])
     direction = 1.0 if np.cos(about - reference).sum() >= np.cos(about + reference).sum() else -1.0
     # The turn nearest to the reference: right up to half a turn of error, also where steps are large or samples were left out.
