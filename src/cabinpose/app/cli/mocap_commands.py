@@ -80,8 +80,8 @@ class EvaluateSfe(MocapReport):
 class _AgainstOptical(MocapReport):
     """What both evaluations against an optical system can be told."""
 
-    takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]RECORDING")] = ()
-    """Recordings (.mcap) of suit and optical system; default label: the take's action."""
+    takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]TAKE")] = ()
+    """Recordings (.mcap) of both systems, or SUIT.c3d,OPTICAL.c3d, two files of one trigger; default label: the take's action."""
     suit: str = "suit"
     """Source of the suit."""
     optical: str = "optical"
@@ -99,7 +99,7 @@ class _AgainstOptical(MocapReport):
     max_gap_s: float = 0.1
     """Longest pause of a stream that is interpolated over."""
     delay_ms: Maybe[float] = None
-    """By how much the suit's stamps are late against the optical system's; default: from how both see the segments turn."""
+    """By how much the suit's stamps are late; default: from how both see the segments turn, in two files 0."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class EvaluateDse(_AgainstOptical):
 
 @dataclass(frozen=True)
 class EvaluateDfe(_AgainstOptical):
-    """Joints' positions, suit against optical system, in up to 18 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
+    """Joints' positions, suit against optical system, in up to 20 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
 
 
 @dataclass(frozen=True)
