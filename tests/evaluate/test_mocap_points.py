@@ -14,6 +14,7 @@ import pytest
 from moving_body import OFFSETS
 from scipy.spatial.transform import Rotation
 
+from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap import compare
 from cabinpose.app.mocap.inputs import PointTracks, read_motion
 from cabinpose.core.errors import AlignmentError
@@ -148,7 +149,7 @@ def pair(motions: dict[Path, PointTracks], files: tuple[Path, Path], monkeypatch
 
 
 def test_dfe_of_two_files(pair: Path) -> None:
-    (run,), notes = compare.dfe_runs(pair, "", compare.Setup(rate_hz=20.0))
+    (run,), notes = compare.dfe_runs(pair, "", EvaluateDfe(rate=20.0))
     error = dict(zip(run.names, 1e3 * np.nanmedian(run.position_error_m(PELVIS_STAGE), axis=0), strict=True))
     assert notes[1].endswith(": neck")  # which Plug-in Gait does not have
     assert len(error) == 19
@@ -158,7 +159,7 @@ def test_dfe_of_two_files(pair: Path) -> None:
 
 
 def test_a_given_delay_is_taken(pair: Path) -> None:
-    (run,), notes = compare.dse_runs(pair, "", compare.Setup(delay_s=0.1))
+    (run,), notes = compare.dse_runs(pair, "", EvaluateDse(delay_ms=100.0))
     assert "suit +100.0 ms" in notes[0]
     assert np.degrees(np.nanmedian(run.geodesic_rad[:, run.names.index("rhand")])) > 1
 
@@ -175,7 +176,7 @@ def test_files_of_one_system_or_in_the_wrong_order(
     pair: Path, files: tuple[Path, Path], suit: int, optical: int, absent: str
 ) -> None:
     with pytest.raises(AlignmentError, match=rf"1 of 17 pairs are in both recordings, 2 needed; missing: .*{absent}") as caught:
-        compare.dse_runs(Path(f"{files[suit]},{files[optical]}"), "", compare.Setup())
+        compare.dse_runs(Path(f"{files[suit]},{files[optical]}"), "", EvaluateDse())
     there = ("pLeftTopOfHand", "LFEO")
     assert f"the suit gives: {'p' if suit == 0 else 'H'}" in str(caught.value.hint)
     assert all(there[which] in str(caught.value.hint) for which in (suit, optical))

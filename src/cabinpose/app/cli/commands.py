@@ -27,7 +27,7 @@ from cabinpose.app.cli.arguments import (
 from cabinpose.app.cli.car_commands import Car
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
-from cabinpose.app.cli.record_commands import Forget, Record, Recover
+from cabinpose.app.cli.record_commands import EmulateStepper, Forget, Record, Recover
 
 
 @dataclass(frozen=True)
@@ -422,29 +422,6 @@ class EmulateVicon:
     """File for a line of JSON on each frame for each client, and its fate."""
     seed: int = 0
     """Seed of the motion, and of what is dropped and occluded."""
-    as_json: JsonFlag = False
-
-
-@dataclass(frozen=True)
-class EmulateStepper:
-    """Play the controller of a stepper motor (GRBL or Marlin) on a pseudo-terminal, whose name it prints. Ctrl-C ends it."""
-
-    dialect: Literal["grbl", "marlin"] = "grbl"
-    """What it speaks."""
-    link: Maybe[Path] = None
-    """Name that leads to the pseudo-terminal, for a rig's `port`."""
-    backlash: float = 0.0
-    """Degrees by which the shaft stays behind where the motor turns back."""
-    miss_every: int = 0
-    """Every so many moves the motor misses steps; 0: never."""
-    miss: float = 0.9
-    """Degrees that it misses then."""
-    fault: Literal["none", "error", "alarm", "hang", "drop", "garbage"] = "none"
-    """What goes wrong: a refusal, an alarm, silence, the line, or what comes over it."""
-    fault_at: int = 1
-    """At which move; 0: from the start."""
-    seconds: Maybe[float] = None
-    """How long; default: until Ctrl-C."""
     as_json: JsonFlag = False
 
 

@@ -14,8 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from cabinpose.app.cli.commands import Emulate, EmulateMvn, EmulateStepper, EmulateVicon
+from cabinpose.app.cli.commands import Emulate, EmulateMvn, EmulateVicon
 from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.record_commands import EmulateStepper
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded

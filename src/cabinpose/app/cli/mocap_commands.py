@@ -1,4 +1,4 @@
-"""What can be typed about how good a suit's ground truth is; see `commands`."""
+"""The options of `cabinpose evaluate-mocap`; see `commands`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cabinpose.app.cli.arguments import JsonFlag, Maybe, several
 
 @dataclass(frozen=True)
 class MocapReport:
-    """What all four evaluations can be told about their report."""
+    """Options of all four evaluations on their report."""
 
     out: Maybe[Path] = None
     """Folder for the page (index.html) and its numbers (report.json)."""
     resamples: int = 1000
     """Resamples of the bootstrap; 0: no intervals."""
     block_s: Maybe[float] = None
-    """Seconds of a block of the bootstrap; default: by how long the errors remember themselves."""
+    """Seconds of a block of the bootstrap; default: from the correlation time of the errors."""
     seed: int = 0
     """Seed of the bootstrap."""
     overwrite: bool = False
@@ -77,8 +77,8 @@ class EvaluateSfe(MocapReport):
 
 
 @dataclass(frozen=True)
-class _AgainstOptical(MocapReport):
-    """What both evaluations against an optical system can be told."""
+class AgainstOptical(MocapReport):
+    """Options of both evaluations against an optical system."""
 
     takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]TAKE")] = ()
     """Recordings (.mcap) of both systems, or SUIT.c3d,OPTICAL.c3d, two files of one trigger; default label: the take's action."""
@@ -103,7 +103,7 @@ class _AgainstOptical(MocapReport):
 
 
 @dataclass(frozen=True)
-class EvaluateDse(_AgainstOptical):
+class EvaluateDse(AgainstOptical):
     """Segments' turns since the first frame, suit against optical system, in up to 17 pairs, by plane of motion."""
 
     sensors: bool = False
@@ -113,7 +113,7 @@ class EvaluateDse(_AgainstOptical):
 
 
 @dataclass(frozen=True)
-class EvaluateDfe(_AgainstOptical):
+class EvaluateDfe(AgainstOptical):
     """Joints' positions, suit against optical system, in up to 20 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.mocap.inputs import PointTracks, read_motion, read_sensors
+from cabinpose.app.cli.mocap_commands import AgainstOptical, EvaluateDfe, EvaluateDse
+from cabinpose.app.mocap.inputs import PointTracks, pairs_of, read_motion, read_sensors, windows
 from cabinpose.core.angular import angular_speed
 from cabinpose.core.delay import estimate_delay
 from cabinpose.core.errors import AlignmentError, RecordingError
@@ -29,23 +30,6 @@ _MOSTLY = 0.5  # part of the samples in which a segment has to be known
 _JOINTS_NEEDED = 3
 What = Literal["position", "orientation"]
 _TABLES: Mapping[What, tuple[Pair, ...]] = {"position": JOINT_PAIRS, "orientation": SEGMENT_PAIRS}
-
-
-@dataclass(frozen=True)
-class Setup:
-    """Which streams of a take are compared and how; see `cabinpose evaluate-mocap dse --help`. Times in s, heading in rad."""
-
-    suit: str = "suit"
-    optical: str = "optical"
-    subject: str | None = None
-    optical_subject: str | None = None
-    windows: tuple[Window, ...] = ()
-    pairs: Mapping[str, str] = field(default_factory=dict)
-    rate_hz: float | None = None
-    max_gap_s: float = 0.1
-    delay_s: float | None = None
-    sensors: bool = False
-    heading_rad: float | None = None
 
 
 @dataclass(frozen=True)
@@ -91,27 +75,28 @@ class _Both:
         return [(window.name, window.frames(self.time_s)) for window in windows]
 
 
-def dse_runs(take: Path, label: str, setup: Setup) -> tuple[list[DseRun], list[str]]:
+def dse_runs(take: Path, label: str, command: EvaluateDse) -> tuple[list[DseRun], list[str]]:
     """The runs of a take, one a window (without windows: one), and what is to be said about them.
 
     take: a recording, or the files of both systems with a comma between them.
     """
-    both = _both(take, setup, "orientation")
+    both = _both(take, command, "orientation")
+    heading_rad = None if command.heading_deg is None else float(np.radians(command.heading_deg))
     suit, optical = both.orientations()
     runs = [
-        dse_run(both.time_s[rows], suit[rows], optical[rows], both.names, condition=plane, heading_rad=setup.heading_rad)
-        for plane, rows in both.runs(label, setup.windows)
+        dse_run(both.time_s[rows], suit[rows], optical[rows], both.names, condition=plane, heading_rad=heading_rad)
+        for plane, rows in both.runs(label, windows(command.windows))
     ]
     return runs, both.notes
 
 
-def dfe_runs(take: Path, label: str, setup: Setup) -> tuple[list[DfeRun], list[str]]:
+def dfe_runs(take: Path, label: str, command: EvaluateDfe) -> tuple[list[DfeRun], list[str]]:
     """As `dse_runs`, of joints."""
-    both = _both(take, setup, "position")
+    both = _both(take, command, "position")
     suit, optical = both.positions()
     pelvises = _turned_pelvises(both, suit, optical) if any(m.points for m in both.motions) else {}
     runs = []
-    for plane, rows in both.runs(label, setup.windows):
+    for plane, rows in both.runs(label, windows(command.windows)):
         given = {system: frames[rows] for system, frames in pelvises.items()}
         runs.append(dfe_run(both.time_s[rows], suit[rows], optical[rows], both.names, condition=plane, **given))
     return runs, both.notes
@@ -145,44 +130,45 @@ def _turned_pelvises(both: _Both, suit: F64, optical: F64) -> dict[str, F64]:
     return frames
 
 
-def _both(take: Path, setup: Setup, what: What) -> _Both:
-    suit, optical, note = _streams(take, setup)
-    table, pairs = _TABLES[what], _pairs(what, suit, optical, setup)
-    rate = setup.rate_hz if setup.rate_hz is not None else round(min(suit.rate_hz, optical.rate_hz), 3)
+def _both(take: Path, command: AgainstOptical, what: What) -> _Both:
+    suit, optical, note = _streams(take, command)
+    table, pairs = _TABLES[what], _pairs(what, suit, optical, command)
+    rate = command.rate if command.rate is not None else round(min(suit.rate_hz, optical.rate_hz), 3)
     time = common_clock([suit.time_s, optical.time_s], rate)
     notes = [note, missing(table, pairs)]
-    return _Both((suit, optical), pairs, time, setup.max_gap_s, [note for note in notes if note])
+    return _Both((suit, optical), pairs, time, command.max_gap_s, [note for note in notes if note])
 
 
-def _streams(take: Path, setup: Setup) -> tuple[PointTracks, PointTracks, str]:
+def _streams(take: Path, command: AgainstOptical) -> tuple[PointTracks, PointTracks, str]:
     """Suit and optical system, the suit's times brought onto the optical system's, and what is to be said of that."""
     first, comma, second = str(take).partition(",")
-    read_suit = read_sensors if setup.sensors else read_motion
+    read_suit = read_sensors if isinstance(command, EvaluateDse) and command.sensors else read_motion
+    given_s = None if command.delay_ms is None else command.delay_ms / 1e3
     if comma and not take.exists():  # two files, whose times begin at one trigger
-        suit = read_suit(Path(first), source=None, subject=setup.subject, origin_ns=0)
-        optical = read_motion(Path(second), subject=setup.optical_subject, origin_ns=0)
-        delay_s = setup.delay_s or 0.0
+        suit = read_suit(Path(first), source=None, subject=command.subject, origin_ns=0)
+        optical = read_motion(Path(second), subject=command.optical_subject, origin_ns=0)
+        delay_s = given_s or 0.0
         note = f"{suit.path.name}, {optical.path.name}: suit {1e3 * delay_s:+.1f} ms after the optical system, as given"
         with suppress(AlignmentError):  # the trigger's check, without which the evaluation does as well
-            note += "; measured: " + _delay(suit, optical, setup)[1]
+            note += "; measured: " + _delay(suit, optical, command)[1]
     else:
-        suit = read_suit(take, source=setup.suit, subject=setup.subject)
-        wanted = setup.optical_subject
+        suit = read_suit(take, source=command.suit, subject=command.subject)
+        wanted = command.optical_subject
         try:
-            optical = read_motion(take, source=setup.optical, subject=wanted or suit.subject, origin_ns=suit.origin_ns)
+            optical = read_motion(take, source=command.optical, subject=wanted or suit.subject, origin_ns=suit.origin_ns)
         except RecordingError:
-            optical = read_motion(take, source=setup.optical, subject=wanted, origin_ns=suit.origin_ns)
-        if setup.delay_s is None:
-            delay_s, note = _delay(suit, optical, setup)
+            optical = read_motion(take, source=command.optical, subject=wanted, origin_ns=suit.origin_ns)
+        if given_s is None:
+            delay_s, note = _delay(suit, optical, command)
         else:
-            delay_s, note = setup.delay_s, f"suit {1e3 * setup.delay_s:+.1f} ms after the optical system, as given"
+            delay_s, note = given_s, f"suit {1e3 * given_s:+.1f} ms after the optical system, as given"
         note = f"{take.name}: {note}"
     return replace(suit, time_s=suit.time_s - delay_s), optical, note
 
 
-def _delay(suit: PointTracks, optical: PointTracks, setup: Setup) -> tuple[float, str]:
+def _delay(suit: PointTracks, optical: PointTracks, command: AgainstOptical) -> tuple[float, str]:
     """By how much the suit's stamps are late: from the angular speeds of all segments that both systems see, together."""
-    pairs = _pairs("orientation", suit, optical, setup)
+    pairs = _pairs("orientation", suit, optical, command)
     turned = [
         [motion.orientations()[:, motion.names.index(name)] for name in names]
         for motion, names in ((optical, [p.optical for p in pairs]), (suit, [p.suit for p in pairs]))
@@ -209,9 +195,9 @@ def _delay(suit: PointTracks, optical: PointTracks, setup: Setup) -> tuple[float
     )
 
 
-def _pairs(what: What, suit: PointTracks, optical: PointTracks, setup: Setup) -> tuple[Pair, ...]:
+def _pairs(what: What, suit: PointTracks, optical: PointTracks, command: AgainstOptical) -> tuple[Pair, ...]:
     table = _TABLES[what]
-    named = {k: v for k, v in setup.pairs.items() if any(k in (p.name, p.suit) for p in table)}
+    named = {k: v for k, v in pairs_of(command.pairs).items() if any(k in (p.name, p.suit) for p in table)}
     least = 1 if what == "orientation" else _JOINTS_NEEDED
     if suit.points or optical.points:
         least = max(least, 2)  # one is the head, which has one name in both models: two files of one system have it too

@@ -284,7 +284,7 @@ def windows(words: Sequence[str]) -> tuple[Window, ...]:
     return tuple(found)
 
 
-def pairs(words: Sequence[str]) -> dict[str, str]:
+def pairs_of(words: Sequence[str]) -> dict[str, str]:
     """NAME=SEGMENT as a mapping. Raises ConfigError for what is none, and for names of no pair."""
     known = {name for p in (*SEGMENT_PAIRS, *JOINT_PAIRS) for name in (p.name, p.suit)}
     found = {}

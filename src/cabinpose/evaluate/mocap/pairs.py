@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from cabinpose.core.errors import AlignmentError, unknown_name
-from cabinpose.core.skeleton import JOINTS, PARENT, RIGS
+from cabinpose.core.skeleton import JOINTS, RIGS
 
 
 class Pair(NamedTuple):
@@ -67,13 +67,13 @@ def missing(pairs: Sequence[Pair], found: Sequence[Pair]) -> str:
     return f"not recorded by both systems: {', '.join(absent)}" if absent else ""
 
 
-def joint_limbs(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Lines of a stick figure between joints of ours (indices into `names`), over joints that are not there."""
+def limbs(names: Sequence[str], parents: Mapping[str, str]) -> list[tuple[int, int]]:
+    """Lines of a stick figure between joints or segments (indices into `names`), over those that are not there."""
     lines = []
     for child in names:
-        parent = PARENT.get(child)
+        parent = parents.get(child)
         while parent is not None and parent not in names:
-            parent = PARENT.get(parent)
+            parent = parents.get(parent)
         if parent is not None:
             lines.append((names.index(parent), names.index(child)))
     return lines

@@ -21,7 +21,7 @@ import tty
 from collections.abc import Generator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import ClassVar, Literal, Self, TypeAlias
+from typing import ClassVar, Literal, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -42,6 +42,7 @@ _GRBL = re.compile(rf"<(\w+)[^|]*\|[MW]Pos:({_ANGLE}(?:,{_ANGLE})*)")
 _STOPS = {"grbl": (b"!", b"\x18"), "marlin": (b"M410\n",)}  # feed hold, then reset · quick stop
 _FAILURES = ("error", "alarm", "!!")
 
+T = TypeVar("T")
 Steps: TypeAlias = Generator[Sample | None, None, None]  # None: still waiting
 
 
@@ -109,17 +110,13 @@ class StepperSource:
         self._fd = _opened(self.settings.port, self.settings.baud)
         self._text, self._garbled, self._may_turn = b"", False, False
         until = time.monotonic() + self.settings.answer_s
-        found: list[tuple[str, float]] = []
-        while not found:
+        state = ""
+        while not state:
             with suppress(_NoAnswerError):
-                _finish(self._ask(found, within_s=1.0))
-            if not found and time.monotonic() > until:
+                state, _ = _finish(self._ask(within_s=1.0, locked=self.settings.home))
+            if not state and time.monotonic() > until:
                 raise self._no_answer("a question for its state", self.settings.answer_s)
         _finish(self._listen(2 * _BEAT_S))  # answers to questions that were asked too early
-        if found[0][0] == "Alarm" and not self.settings.home:
-            raise RecordingError(
-                f"{self.settings.port}: the controller is in the state ALARM", hint="unlock it ($X), or `home: true` in the rig"
-            )
         self._run = self._protocol()
 
     def read(self, timeout_s: float) -> Sequence[Sample]:
@@ -158,24 +155,21 @@ class StepperSource:
             yield from self._command(f"${100 + AXES.index(axis)}={number}" if grbl else f"M92 {axis}{number}")
         for line in ("G21", "G90", f"G92 {axis}0"):  # millimetres, that is degrees here; absolute; this is 0
             yield from self._command(line)
-        found: list[tuple[str, float]] = []
-        yield from self._ask(found)
-        origin, at = found[-1][1], 0.0
+        (_, origin), at = (yield from self._ask()), 0.0
         for step, angle in enumerate(settings.angles_deg):
             yield from self._turn(origin, at, angle)
             at = angle
             until = time.monotonic() + settings.settle_s
             while time.monotonic() < until + settings.dwell_s:
-                yield from self._ask(found)
-                self._refuse_alarm(found[-1][0])
-                yield self._sample(found[-1][1] - origin, step if time.monotonic() > until else -1)
+                _, angle_deg = yield from self._ask()
+                yield self._sample(angle_deg - origin, step if time.monotonic() > until else -1)
                 yield from self._listen(_BEAT_S)
         yield from self._turn(origin, at, 0.0)  # so that a cable is not wound up by one run after another
         self._may_turn = False
 
     def _turn(self, origin: float, start: float, end: float) -> Steps:
         """One move, until the controller says that it is over and at its end."""
-        settings, found = self.settings, [("", origin + start)]
+        settings = self.settings
         yield self._sample(start, -1)
         if end == start:
             return
@@ -184,40 +178,39 @@ class StepperSource:
         if settings.dialect == "marlin":
             yield from self._command("M400", limit_s)
         until = time.monotonic() + limit_s
-        while found[-1][0] != "Idle" or abs(found[-1][1] - origin - end) > _STRAY_DEG:
+        while True:
+            yield from self._listen(_BEAT_S)
+            state, angle_deg = yield from self._ask()
+            yield self._sample(angle_deg - origin, -1)
+            if state == "Idle" and abs(angle_deg - origin - end) < _STRAY_DEG:
+                return
             if time.monotonic() > until:
-                state, at = found[-1]
                 raise RecordingError(
-                    f"{settings.port}: after {limit_s:.0f} s the motor is at {at - origin:.2f}°, not {end:.2f}° (state {state})",
+                    f"{settings.port}: after {limit_s:.0f} s the motor is at {angle_deg - origin:.2f}°, not {end:.2f}° ({state})",
                     hint="look at the axis, its speed limit and its steps per degree in the controller",
                 )
-            yield from self._listen(_BEAT_S)
-            yield from self._ask(found)
-            self._refuse_alarm(found[-1][0])
-            yield self._sample(found[-1][1] - origin, -1)
 
-    def _ask(self, found: list[tuple[str, float]], within_s: float | None = None) -> Steps:
-        """Ask for the state and the angle (degrees), which `found` gets."""
+    def _ask(self, within_s: float | None = None, *, locked: bool = False) -> Generator[None, None, tuple[str, float]]:
+        """The state and the angle, degrees. Raises RecordingError for a controller that is locked, unless it may be."""
         axis, within_s = self.settings.axis, within_s or self.settings.answer_s
         if self.settings.dialect == "grbl":
             lines = yield from self._answer(b"?", "<", within_s)
-            if place := _GRBL.match(lines[-1]):
-                angles = place[2].split(",")
-                if AXES.index(axis) >= len(angles):
-                    raise RecordingError(
-                        f"{self.settings.port}: the controller has no axis {axis}", hint=f"it has: {AXES[: len(angles)]}"
-                    )
-                found.append((place[1], float(angles[AXES.index(axis)])))
+            place = _GRBL.match(lines[-1])
+            state, angles = (place[1], place[2].split(",")[AXES.index(axis) :]) if place else ("", [])
         else:
             lines = yield from self._answer(b"M114\n", "ok", within_s)
-            places = [place for line in lines if (place := re.search(rf"\b{axis}:\s*({_ANGLE})", line))]
-            if places:
-                found.append(("Idle", float(places[0][1])))
-        if not found:
-            raise RecordingError(f"{self.settings.port}: '{lines[-1]}' tells no angle of {axis}", hint="check axis and dialect")
-        self._said = lines[-1]
+            state, angles = "Idle", re.findall(rf"\b{axis}:\s*({_ANGLE})", " ".join(lines))
+        self._said = " ".join(lines)
+        if not angles:
+            raise RecordingError(f"{self.settings.port}: '{self._said}' tells no angle of {axis}", hint="check axis and dialect")
+        if state in ("Alarm", "Door", "Sleep") and not locked:
+            raise RecordingError(
+                f"{self.settings.port}: the controller is in the state {state.upper()}",
+                hint="look at the motor; unlock it ($X), or `home: true` in the rig",
+            )
+        return state, float(angles[0])
 
-    def _command(self, line: str, within_s: float | None = None) -> Steps:
+    def _command(self, line: str, within_s: float | None = None) -> Generator[None, None, None]:
         """Send a line and wait for its `ok`."""
         yield from self._answer(f"{line}\n".encode(), "ok", within_s or self.settings.answer_s)
 
@@ -234,7 +227,7 @@ class StepperSource:
             yield None
         raise self._no_answer(f"'{told}'", within_s)
 
-    def _listen(self, seconds: float) -> Steps:
+    def _listen(self, seconds: float) -> Generator[None, None, None]:
         """Wait, with an ear to alarms that nobody asked for."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
@@ -283,12 +276,6 @@ class StepperSource:
             what, hint = "no answer", "check its power, the port, `baud` and `dialect`"
         return _NoAnswerError(f"{self.settings.port}: {what} within {within_s:g} s to {told}", hint=hint)
 
-    def _refuse_alarm(self, state: str) -> None:
-        if state in ("Alarm", "Door", "Sleep"):
-            raise RecordingError(
-                f"{self.settings.port}: the controller is in the state {state.upper()}", hint="look at the motor; unlock it ($X)"
-            )
-
     def _sample(self, degrees: float, step: int) -> Sample:
         message = Channels(MOTOR_CHANNELS, np.array([degrees, step], np.float64))
         return Sample(None, self._clock.now_ns(), None, self._said.encode(), (message,))
@@ -298,9 +285,13 @@ class _NoAnswerError(RecordingError):
     """The controller is silent, or nobody understands it."""
 
 
-def _finish(steps: Steps) -> None:
-    for _ in steps:
-        pass
+def _finish(steps: Generator[None, None, T]) -> T:
+    """What a generator returns in the end."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return cast(T, end.value)
 
 
 def _opened(port: Path, baud: int) -> int:
