@@ -106,6 +106,9 @@ class Channels:
     values: F64
 
 
+MOTOR_CHANNELS = ("motor_deg", "motor_step")  # of a motor that turns a sensor: its angle, and which standstill is sampled, or -1
+
+
 @dataclass(frozen=True)
 class Facts:
     """What a device says of itself or its subject: name, scale, calibration, frame rate, as plain JSON data."""

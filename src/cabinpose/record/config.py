@@ -36,6 +36,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
         "azure_mkv": f"{_HERE}.tof.azure_mkv:AzureMkvSource",
         "simulated": f"{_HERE}.tof.simulated:SimulatedSource",
         "lsl": f"{_HERE}.lsl:LslSource",
+        "stepper": f"{_HERE}.stepper:StepperSource",
         "replay": f"{_HERE}.replay:ReplaySource",
         "numbered": f"{_HERE}.numbered:NumberedSource",
     }

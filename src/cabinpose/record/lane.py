@@ -1,6 +1,7 @@
 """One source at work: its thread, the bounded queue between it and the file, and what is known of both.
 
-A source that fails is closed and opened again, for as long as the take lasts. What the queue has no room for is counted.
+A source that fails is closed and opened again, for as long as the take lasts; but the take ends with a source that leads it
+(`leads_take`, such as a motor). What the queue has no room for is counted.
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ class Lane:
         self._last_ns: int | None = None
         self._began_ns = self._came_ns = 0  # when the first and the last of them came here; before the first: when it was opened
         self._away = False
-        self._stop = threading.Event()
+        self._stop, self._begun = threading.Event(), threading.Event()
+        self.leads = getattr(source, "leads_take", False)
         self.opened = threading.Event()
         self.failure: RecordingError | None = None
         self._thread = threading.Thread(target=self._run, name=f"source-{self.name}", daemon=True)
@@ -80,6 +82,10 @@ class Lane:
     def start(self) -> None:
         """Begin; `opened` is set once the source is there, or `failure` says why it is not."""
         self._thread.start()
+
+    def begin(self) -> None:
+        """All sources are open: one that leads the take may go on."""
+        self._begun.set()
 
     def stop(self) -> None:
         """Ask the source to stop."""
@@ -175,6 +181,8 @@ class Lane:
                     self._came_ns = self._clock.now_ns()
                 self.opened.set()
                 self._state = "recording"
+                while self.leads and not (self._begun.wait(READ_S) or self._stop.is_set()):
+                    pass
                 while not self._stop.is_set():
                     samples = self._source.read(READ_S)
                     if samples:
@@ -185,7 +193,7 @@ class Lane:
                 break
             except Exception as error:  # noqa: BLE001 - a source may be code of another package, whose defects must not end the take
                 self._error = str(error) or type(error).__name__
-                if not self.opened.is_set():
+                if self.leads or not self.opened.is_set():
                     self._state = "failed"
                     self.failure = error if isinstance(error, RecordingError) else RecordingError(f"{self.name}: {error!r}")
                     break

@@ -56,7 +56,7 @@ class Outcome:
 
 
 class Recorder:
-    """Records until it is stopped, all sources have ended, or the disk refuses."""
+    """Records until it is stopped, all sources or one that leads the take have ended, or the disk refuses."""
 
     def __init__(
         self, lanes: Sequence[Lane], writer: SplitWriter, clock: HostClock, wake: threading.Event, *, min_free_bytes: int = 0
@@ -85,11 +85,14 @@ class Recorder:
                 )
         self._started_ns = self._ended_ns = self._clock.now_ns()
         self._thread.start()
+        for lane in self._lanes:
+            lane.begin()
 
     @property
     def running(self) -> bool:
         """Whether there is still something to record."""
-        return self._thread.is_alive() and self._error is None and not all(lane.ended for lane in self._lanes)
+        over = all(lane.ended for lane in self._lanes) or any(lane.leads and lane.ended for lane in self._lanes)
+        return self._thread.is_alive() and self._error is None and not over
 
     def status(self) -> RecorderStatus:
         """What the panel shows."""
@@ -105,7 +108,8 @@ class Recorder:
         self._wake.set()
         self._clock.join(self._thread, float("inf"))
         counts = tuple(self._account(lane) for lane in self._lanes)
-        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.files, self._writer.bytes_written, self._error)
+        error = next((lane.failure for lane in self._lanes if lane.failure is not None), self._error)
+        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.files, self._writer.bytes_written, error)
 
     def _halt_sources(self) -> None:
         for lane in self._lanes:

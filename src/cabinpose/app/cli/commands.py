@@ -27,7 +27,7 @@ from cabinpose.app.cli.arguments import (
 from cabinpose.app.cli.car_commands import Car
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
-from cabinpose.app.cli.record_commands import Forget, Record, Recover
+from cabinpose.app.cli.record_commands import EmulateStepper, Forget, Record, Recover
 
 
 @dataclass(frozen=True)
@@ -429,7 +429,11 @@ class EmulateVicon:
 class Emulate:
     """Play a device that is not there: a server that sends the real bytes, on loopback unless told otherwise."""
 
-    device: Annotated[EmulateMvn, subcommand("mvn")] | Annotated[EmulateVicon, subcommand("vicon")]
+    device: (
+        Annotated[EmulateMvn, subcommand("mvn")]
+        | Annotated[EmulateVicon, subcommand("vicon")]
+        | Annotated[EmulateStepper, subcommand("stepper")]
+    )
 
 
 Command = (

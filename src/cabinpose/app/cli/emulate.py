@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,11 +16,13 @@ from pydantic import BaseModel, ValidationError
 
 from cabinpose.app.cli.commands import Emulate, EmulateMvn, EmulateVicon
 from cabinpose.app.cli.output import print_json, print_rows
+from cabinpose.app.cli.record_commands import EmulateStepper
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.record.emulate.base import log_line
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
+from cabinpose.record.emulate.stepper import StepperEmulator, StepperEmulatorSettings
 from cabinpose.record.emulate.vicon import ViconEmulator
 from cabinpose.record.emulate.vicon_content import ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
@@ -114,6 +117,44 @@ def _vicon(command: EmulateVicon) -> dict[str, Any]:
     return clients | {fate: fates[fate] for fate in ("sent", "dropped", "refused")}
 
 
+def _wait(seconds: float | None) -> None:
+    until = math.inf if seconds is None else time.monotonic() + seconds
+    while (left := until - time.monotonic()) > 0:
+        time.sleep(min(left, 0.5))
+
+
+def _stepper(command: EmulateStepper) -> dict[str, Any]:
+    settings = _checked(
+        StepperEmulatorSettings,
+        "stepper",
+        {
+            "dialect": command.dialect, "backlash_deg": command.backlash, "miss_every": command.miss_every,
+            "miss_deg": command.miss, "fault": command.fault, "fault_at": command.fault_at,
+        },
+    )  # fmt: skip
+    with StepperEmulator(settings) as emulator:
+        print(f"{settings.dialect} listens on {emulator.port}", file=sys.stderr)
+        with _linked(command.link, emulator.port), suppress(KeyboardInterrupt):
+            _wait(command.seconds)
+        return {"moves": emulator.moves, "stops": emulator.stops, "shaft_deg": round(emulator.true_deg, 4)}
+
+
+@contextmanager
+def _linked(link: Path | None, port: str) -> Iterator[None]:
+    """A symbolic link to the pseudo-terminal, for as long as it is there."""
+    if link is None:
+        yield
+        return
+    try:
+        link.symlink_to(port)
+    except OSError as error:
+        raise RecordingError(f"cannot make {link} ({error.strerror or error})", hint="give a new name with --link") from error
+    try:
+        yield
+    finally:
+        link.unlink(missing_ok=True)
+
+
 def _vicon_motion(command: EmulateVicon) -> ViconMotion:
     path = Path(command.motion)
     if path.suffix.lower() == ".c3d":
@@ -134,4 +175,4 @@ def _checked(model: type[_Settings], device: str, values: dict[str, Any]) -> _Se
         raise ConfigError(f"{where}: {first['msg']}", hint=f"see cabinpose emulate {device} --help") from error
 
 
-_RUNNERS: Mapping[type, Callable[[Any], dict[str, Any]]] = {EmulateMvn: _mvn, EmulateVicon: _vicon}
+_RUNNERS: Mapping[type, Callable[[Any], dict[str, Any]]] = {EmulateMvn: _mvn, EmulateVicon: _vicon, EmulateStepper: _stepper}

@@ -12,11 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse, EvaluateMocap, EvaluateSfe, EvaluateSse, MocapReport
+from cabinpose.app.cli.mocap_commands import (
+    AgainstOptical,
+    EvaluateDfe,
+    EvaluateDse,
+    EvaluateMocap,
+    EvaluateSfe,
+    EvaluateSse,
+    MocapReport,
+)
 from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.app.finite import finite
-from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError
+from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError, RecordingError
+from cabinpose.core.recorded import MOTOR_CHANNELS
 from cabinpose.core.resample import resample_positions
 from cabinpose.evaluate.mocap.bones import Bone, bone_lengths, mvn_bones, rigid_pairs
 from cabinpose.evaluate.mocap.result import Judgement
@@ -26,10 +35,10 @@ from cabinpose.evaluate.mocap.stillness import Window
 from cabinpose.store.part import disk_errors
 
 if TYPE_CHECKING:  # they need the extra `record`, which is asked for first
-    from cabinpose.app.mocap.compare import Setup
     from cabinpose.app.mocap.figures import Section
     from cabinpose.app.mocap.inputs import PointTracks
 
+_MOTOR_GAP_S = 60.0  # an encoder may speak only when it turns
 Outcome = tuple[Judgement, "list[Section]", dict[str, Any]]
 
 
@@ -70,26 +79,28 @@ def _sse(command: EvaluateSse) -> Outcome:
         if axis not in AXES:
             raise ConfigError(f"'{path}' is of no axis", hint=f"write AXIS=FILE, with an axis of {', '.join(AXES)}")
         runs.append(_sse_run(command, axis, path))
-    found = sse(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
-    found = _told(found, command)
+    found = _judged(command, sse, runs)
     return found, sse_sections(found, runs, _measures(found)), {}
 
 
 def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
-    from cabinpose.app.mocap.inputs import read_channel, read_orientations
+    from cabinpose.app.mocap.inputs import read_channels, read_orientations
 
     time, turned, origin_ns = read_orientations(path, command.sensor, source=command.source)
-    if command.motor is None:
-        step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
-        samples = command.samples or None
-        return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
-    source, slash, channel = command.motor.partition("/")
-    if not slash:
+    source, slash, channel = (command.motor or "").partition("/")
+    if command.motor is not None and not slash:
         raise ConfigError(f"'{command.motor}' names no channel", hint="write --motor SOURCE/CHANNEL")
-    at, degrees, motor_ns = read_channel(path, source, channel)
-    offset_s = (motor_ns - origin_ns) / 1e9
-    reference = resample_positions(at + offset_s, np.radians(degrees), time, max_gap_s=60.0, policy="previous")
-    return sse_run(time, turned, axis=axis, reference_rad=reference)
+    motor = read_channels(path, (channel,) if slash else MOTOR_CHANNELS, source=source or None)
+    samples = command.samples or None
+    if motor is not None:
+        at_s, values = (motor[0] - origin_ns) / 1e9, motor[1]
+        values = resample_positions(at_s, values, time, max_gap_s=_MOTOR_GAP_S, policy="previous")
+        marks = None if slash else np.nan_to_num(values[:, 1], nan=-1).astype(np.int64)
+        return sse_run(time, turned, axis=axis, step=marks, reference_rad=np.radians(values[:, 0]), samples=samples)
+    if slash:
+        raise RecordingError(f"{path}: {source} gives no channel '{channel}'", hint=f"see cabinpose info {path}")
+    step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
+    return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
 
 
 def _sfe(command: EvaluateSfe) -> Outcome:
@@ -107,7 +118,7 @@ def _sfe(command: EvaluateSfe) -> Outcome:
         segments = mvn_bones(motion.names)
         linked = segments if len(segments) >= 3 else rigid_pairs(motion.position_m, motion.names)
         bones[condition] = bone_lengths(motion.position_m, motion.names, linked)
-    found = _told(sfe(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s), command)
+    found = _judged(command, sfe, runs)
     lengths = {name: [asdict(bone) for bone in found_] for name, found_ in bones.items()}
     return found, sfe_sections(found, runs, _measures(found), bones), {"lengths": lengths}
 
@@ -134,15 +145,9 @@ def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRu
 def _dse(command: EvaluateDse) -> Outcome:
     from cabinpose.app.mocap.compare import dse_runs
     from cabinpose.app.mocap.figures import dse_sections
-    from cabinpose.app.mocap.inputs import labelled
     from cabinpose.evaluate.mocap.dse import dse
 
-    heading = None if command.heading_deg is None else float(np.radians(command.heading_deg))
-    setup = replace(_setup(command), sensors=command.sensors, heading_rad=heading)
-    found = [dse_runs(path, label, setup) for label, path in labelled(command.takes)]
-    runs = [each for some, _ in found for each in some]
-    judged = dse(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
-    judged = _told(judged, command, [note for _, notes in found for note in notes])
+    runs, judged = _against_optical(command, dse_runs, dse)
     headings = [{"condition": r.condition, "heading_deg": float(np.degrees(r.heading_rad))} for r in runs]
     return judged, dse_sections(judged, runs, _measures(judged)), {"headings": headings}
 
@@ -150,46 +155,31 @@ def _dse(command: EvaluateDse) -> Outcome:
 def _dfe(command: EvaluateDfe) -> Outcome:
     from cabinpose.app.mocap.compare import dfe_runs
     from cabinpose.app.mocap.figures import dfe_sections
-    from cabinpose.app.mocap.inputs import labelled
     from cabinpose.evaluate.mocap.dfe import dfe
 
-    setup = _setup(command)
-    found = [dfe_runs(path, label, setup) for label, path in labelled(command.takes)]
-    runs = [each for some, _ in found for each in some]
-    judged = dfe(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
-    judged = _told(judged, command, [note for _, notes in found for note in notes])
+    runs, judged = _against_optical(command, dfe_runs, dfe)
     return judged, dfe_sections(judged, runs, _measures(judged)), {}
 
 
-def _setup(command: EvaluateDse | EvaluateDfe) -> Setup:
-    from cabinpose.app.mocap.compare import Setup
-    from cabinpose.app.mocap.inputs import pairs, windows
+def _against_optical(
+    command: AgainstOptical, read: Callable[..., Any], judge: Callable[..., Judgement]
+) -> tuple[list[Any], Judgement]:
+    from cabinpose.app.mocap.inputs import labelled
 
     if command.windows and len(command.takes) > 1:
         raise ConfigError(
             "windows are of one recording", hint="give one recording with --windows, or several with PLANE=RECORDING"
         )
-    return Setup(
-        suit=command.suit,
-        optical=command.optical,
-        subject=command.subject,
-        optical_subject=command.optical_subject,
-        windows=windows(command.windows),
-        pairs=pairs(command.pairs),
-        rate_hz=command.rate,
-        max_gap_s=command.max_gap_s,
-        delay_s=None if command.delay_ms is None else command.delay_ms / 1e3,
-    )
+    found = [read(path, label, command) for label, path in labelled(command.takes)]
+    runs = [each for some, _ in found for each in some]
+    return runs, _judged(command, judge, runs, [note for _, notes in found for note in notes])
 
 
-def _generator(command: MocapReport) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(key=command.seed))
-
-
-def _told(found: Judgement, command: MocapReport, notes: Sequence[str] = ()) -> Judgement:
-    """The judgement with the command's options as its settings, and with what the reading of the takes had to say."""
-    left_out = ("out", "overwrite", "as_json")
-    settings = {k: v for k, v in asdict(command).items() if k not in left_out}
+def _judged(command: MocapReport, judge: Callable[..., Judgement], runs: Sequence[Any], notes: Sequence[str] = ()) -> Judgement:
+    """The judgement of runs, with the command's options as its settings, and with what the reading of the takes had to say."""
+    rng = np.random.Generator(np.random.Philox(key=command.seed))
+    found = judge(runs, rng=rng, resamples=command.resamples, block_s=command.block_s)
+    settings = {k: v for k, v in asdict(command).items() if k not in ("out", "overwrite", "as_json")}
     return replace(found, settings=settings, notes=(*dict.fromkeys(notes), *found.notes))
 
 

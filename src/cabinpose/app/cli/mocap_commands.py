@@ -1,4 +1,4 @@
-"""What can be typed about how good a suit's ground truth is; see `commands`."""
+"""The options of `cabinpose evaluate-mocap`; see `commands`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cabinpose.app.cli.arguments import JsonFlag, Maybe, several
 
 @dataclass(frozen=True)
 class MocapReport:
-    """What all four evaluations can be told about their report."""
+    """Options of all four evaluations on their report."""
 
     out: Maybe[Path] = None
     """Folder for the page (index.html) and its numbers (report.json)."""
     resamples: int = 1000
     """Resamples of the bootstrap; 0: no intervals."""
     block_s: Maybe[float] = None
-    """Seconds of a block of the bootstrap; default: by how long the errors remember themselves."""
+    """Seconds of a block of the bootstrap; default: from the correlation time of the errors."""
     seed: int = 0
     """Seed of the bootstrap."""
     overwrite: bool = False
@@ -49,7 +49,7 @@ class EvaluateSse(MocapReport):
     still_s: float = 0.5
     """Seconds that it does so at least."""
     motor: Maybe[str] = None
-    """SOURCE/CHANNEL that recorded the motor's angle in degrees, in place of steps."""
+    """SOURCE/CHANNEL that recorded the motor's angle in degrees; default: a source of kind stepper, else steps by stillness."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ class EvaluateSfe(MocapReport):
 
 
 @dataclass(frozen=True)
-class _AgainstOptical(MocapReport):
-    """What both evaluations against an optical system can be told."""
+class AgainstOptical(MocapReport):
+    """Options of both evaluations against an optical system."""
 
-    takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]RECORDING")] = ()
-    """Recordings (.mcap) of suit and optical system; default label: the take's action."""
+    takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]TAKE")] = ()
+    """Recordings (.mcap) of both systems, or SUIT.c3d,OPTICAL.c3d, two files of one trigger; default label: the take's action."""
     suit: str = "suit"
     """Source of the suit."""
     optical: str = "optical"
@@ -99,11 +99,11 @@ class _AgainstOptical(MocapReport):
     max_gap_s: float = 0.1
     """Longest pause of a stream that is interpolated over."""
     delay_ms: Maybe[float] = None
-    """By how much the suit's stamps are late against the optical system's; default: from how both see the segments turn."""
+    """By how much the suit's stamps are late; default: from how both see the segments turn, in two files 0."""
 
 
 @dataclass(frozen=True)
-class EvaluateDse(_AgainstOptical):
+class EvaluateDse(AgainstOptical):
     """Segments' turns since the first frame, suit against optical system, in up to 17 pairs, by plane of motion."""
 
     sensors: bool = False
@@ -113,8 +113,8 @@ class EvaluateDse(_AgainstOptical):
 
 
 @dataclass(frozen=True)
-class EvaluateDfe(_AgainstOptical):
-    """Joints' positions, suit against optical system, in up to 18 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
+class EvaluateDfe(AgainstOptical):
+    """Joints' positions, suit against optical system, in up to 20 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
 
 
 @dataclass(frozen=True)

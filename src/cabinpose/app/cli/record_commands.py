@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -56,4 +56,27 @@ class Forget:
     """Delete; without it nothing is."""
     shared: bool = False
     """Delete also the takes in which others were recorded beside the subject."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
+class EmulateStepper:
+    """Play the controller of a stepper motor (GRBL or Marlin) on a pseudo-terminal, whose name it prints. Ctrl-C ends it."""
+
+    dialect: Literal["grbl", "marlin"] = "grbl"
+    """What it speaks."""
+    link: Maybe[Path] = None
+    """Name that leads to the pseudo-terminal, for a rig's `port`."""
+    backlash: float = 0.0
+    """Degrees by which the shaft stays behind where the motor turns back."""
+    miss_every: int = 0
+    """Every so many moves the motor misses steps; 0: never."""
+    miss: float = 0.9
+    """Degrees that it misses then."""
+    fault: Literal["none", "error", "alarm", "hang", "drop", "garbage"] = "none"
+    """What goes wrong: a refusal, an alarm, silence, the line, or what comes over it."""
+    fault_at: int = 1
+    """At which move; 0: from the start."""
+    seconds: Maybe[float] = None
+    """How long; default: until Ctrl-C."""
     as_json: JsonFlag = False

@@ -21,8 +21,8 @@ def stick_figure(
 ) -> str:
     """Bodies (N, 3) m of the same joints over each other, seen three times; joints that are missing (NaN) are left out.
 
-    limbs: pairs of joints that are joined by a line · links: pairs of bodies whose joints are joined by thin lines (the errors).
-    The front is seen as by someone who faces the person: the left hand is on the right.
+    limbs: pairs of joints with a line between them · links: pairs of bodies with thin lines between their joints (the errors).
+    The front view is that of someone who faces the person: the left hand is on the right.
     """
     everything = np.concatenate(list(bodies.values()))
     known = everything[np.isfinite(everything).all(axis=1)]
@@ -51,7 +51,7 @@ def stick_figure(
         for (_, points), colour in zip(placed.items(), COLOURS, strict=False):
             panels += _body(points, limbs, colour)
         x += width
-    left = -max(_WIDTH - x, 0) / 2  # every figure as wide, so that letters are as large
+    left = -max(_WIDTH - x, 0) / 2  # all figures have one width, and so letters of one size
     picture = f'<svg viewBox="{left:.0f} 0 {max(x, _WIDTH):.0f} {_HEIGHT}" class="chart" role="img">{"".join(panels)}</svg>'
     return f"<figure>{picture}<figcaption>{escape(title)}</figcaption></figure>"
 

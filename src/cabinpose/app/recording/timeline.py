@@ -15,7 +15,7 @@ _GAP_PX = 1.5  # narrowest mark of a silence
 
 
 def timeline(found: Survey) -> str:
-    """A row for each source: samples in each stretch of time against the usual number, and its silences."""
+    """A row for each source: its samples in each bin of time against the usual number, and its silences."""
     span = max(found.seconds, 1e-9)
     wide = _WIDTH - _LABEL - _RIGHT
     height = _ROW * len(found.sources) + 34
@@ -38,13 +38,13 @@ def timeline(found: Survey) -> str:
 
 
 def _density(source: SourceSurvey, started_ns: int, span: float, wide: int, top: int, colour: str) -> list[str]:
-    """An outline whose height is the number of samples in a stretch, full at the usual rate."""
+    """An outline whose height is the number of samples in a bin of time; full height is the usual rate."""
     if source.samples < 2:
         return []
     usual = 1e9 / max(float(np.median(np.diff(source.arrival_ns))), 1.0)
     bins = int(np.clip(wide // _BIN_PX, 1, max(span * usual / 8, 1)))  # about eight samples each, or more
     counts, _ = np.histogram((source.arrival_ns - started_ns) / 1e9, bins=bins, range=(0, span))
-    share = np.minimum((counts + 1) / (usual * span / bins), 1.0)  # one more or less is where a stretch begins
+    share = np.minimum((counts + 1) / (usual * span / bins), 1.0)  # one sample may fall on either side of a bin's edge
     share[counts == 0] = 0
     base, tall = top + _ROW - 10, _ROW - 10
     points = [f"{_LABEL},{base}"]
