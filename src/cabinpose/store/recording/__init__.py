@@ -12,26 +12,7 @@ from cabinpose.store.recording.take import Participant, Take
 from cabinpose.store.recording.writer import RecordingWriter
 
 __all__ = [
-    "Compression",
-    "Damage",
-    "MarkerSeries",
-    "Participant",
-    "Place",
-    "Recording",
-    "RecordingWriter",
-    "Recovered",
-    "SegmentSeries",
-    "SourceStatus",
-    "SourceSurvey",
-    "Survey",
-    "Take",
-    "TakeFile",
-    "TopicSurvey",
-    "erase",
-    "marker_series",
-    "recover",
-    "segment_series",
-    "survey",
-    "takes_in",
-    "tof_frames",
-]
+    "Compression", "Damage", "MarkerSeries", "Participant", "Place", "Recording", "RecordingWriter", "Recovered",
+    "SegmentSeries", "SourceStatus", "SourceSurvey", "Survey", "Take", "TakeFile", "TopicSurvey", "erase", "marker_series",
+    "recover", "segment_series", "survey", "takes_in", "tof_frames",
+]  # fmt: skip
