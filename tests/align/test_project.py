@@ -16,8 +16,8 @@ from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedEr
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import import_source
 from cabinpose.store.recording import Recording
+from cabinpose.store.source import import_source
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rig_takes

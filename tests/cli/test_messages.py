@@ -106,7 +106,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         ),
         (
             "import two.jsonl --format coco --out z",
-            "two.jsonl is no whole JSON object (it goes on after the end of the object)",
+            "two.jsonl is no whole JSON object (parse error: trailing garbage)",
             "it may be cut short; copy it again, or give another file",
         ),
         ("evaluate d", "there is nothing to evaluate", "give DATASET with --predictions or --model, or --itop-npz with --model"),
@@ -118,7 +118,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (
             "export d --format nope --out z",
             "unknown format 'nope'",
-            "known: adtfdat, bvh, c3d, coco, csv, itop, mvnx, ntu, ply, png-json, sto, trc, xdf, yolo",
+            "known: bvh, c3d, coco, csv, itop, ntu, ply, png-json, sto, trc, yolo",
         ),
         (
             "export d --format ply --images depth8 --out z",

@@ -19,9 +19,9 @@ from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import invert
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.recorded import ToFFrame
-from cabinpose.store.convert.source import UNKNOWN, BlankFrame, Source
 from cabinpose.store.recording import Recording, Take, tof_frames
 from cabinpose.store.schema import DEPTH_SCALE_M, Manifest
+from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 POV = "tof"
 FLOATING_M = 0.02  # a joint farther before the surface is not inside the body that it belongs to
@@ -112,10 +112,9 @@ def align_takes(
     )
 
     def frames() -> Iterator[dict[str, Any]]:
-        blank = BlankFrame(manifest)
         for number, ((path, take, aligned), place, report) in enumerate(zip(takes, places, reports, strict=True)):
             fixed = {"sequence": number, "car": take.car or UNKNOWN, "action": take.action or UNKNOWN}
-            yield from _frames_of(path, aligned, calibration, blank, fixed, persons.index(place), report)
+            yield from _frames_of(path, aligned, calibration, manifest, fixed, persons.index(place), report)
 
     return AlignedTakes(Source(paths[0], manifest, frames), reports)
 
@@ -124,7 +123,7 @@ def _frames_of(
     path: Path,
     aligned: Aligned,
     calibration: Calibration,
-    blank: BlankFrame,
+    manifest: Manifest,
     fixed: dict[str, Any],
     place: int,
     report: TakeReport,
@@ -146,10 +145,10 @@ def _frames_of(
             report.joints_measured += int(np.isfinite(before).sum())
             report.joints_floating += int((before < -FLOATING_M).sum())
             report.states.update(states.tolist())
-            frame = blank.new()
+            frame = blank_frame(manifest)
             frame["depth"] = _ticks(image)
             for name in ("amplitude", "confidence"):
-                if name in blank.manifest.variables:
+                if name in manifest.variables:
                     frame[name] = getattr(image, name)
             frame["joints_3d"][place] = joints
             frame["joints_2d"][place] = camera.project(joints)

@@ -14,7 +14,7 @@ import xarray as xr
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
 from cabinpose.estimate.training import TrainConfig
-from cabinpose.store.split import held_out, read_named_splits, split_datasets
+from cabinpose.store.split import held_out, read_splits, split_datasets
 from cabinpose.store.yaml_file import read_mapping, validated
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
@@ -46,7 +46,7 @@ def training_split(
     side, a side is empty, or the sides share people, whichever datasets these are in.
     """
     if splits is not None:
-        parts = split_datasets(list(datasets.values()), read_named_splits(splits, (train, validate)))
+        parts = split_datasets(list(datasets.values()), read_splits(splits, (train, validate)))
         pairs = list(zip(parts[train], parts[validate], strict=True))
     else:
         pairs = []

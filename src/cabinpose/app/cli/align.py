@@ -12,7 +12,7 @@ from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import Visibility
-from cabinpose.store.convert import check_new_dataset, import_source
+from cabinpose.store.source import check_new_dataset, import_source
 
 _WARN_FLOATING = 0.05
 

@@ -15,7 +15,7 @@ from cabinpose.app.cli.arguments import JsonFlag, Maybe, SelectFlag, SplitFlag, 
 class Export:
     """Write a dataset or a recording in another format, or a trained model as ONNX.
 
-    Datasets: png-json, coco, yolo, itop, ntu, ply. Recordings: c3d, bvh, trc, sto, mvnx, csv, adtfdat, xdf.
+    Datasets: png-json, coco, yolo, itop, ntu, ply. Recordings: c3d, bvh, trc, sto, csv.
     """
 
     out: Path
@@ -41,11 +41,11 @@ class Export:
     source: Annotated[tuple[str, ...], several("NAME [NAME ...]")] = ()
     """Recordings: sources to export; default: all, or the only one that has what the format holds."""
     subject: Maybe[str] = None
-    """Recordings: whose data (c3d, bvh, trc, sto, mvnx); needed where there are several."""
+    """Recordings: whose data (c3d, bvh, trc, sto); needed where there are several."""
     span: Annotated[Optional[tuple[float, float]], several("FROM TO")] = None
     """Recordings: seconds from the start of the take."""
     rate: Maybe[float] = None
-    """Recordings: frames a second (c3d, trc, sto, mvnx); default: what the device told, or the median."""
+    """Recordings: frames a second (c3d, trc, sto); default: what the device told, or the median."""
     angles: bool = False
     """sto: joint angles in place of orientations."""
     overwrite: bool = False
@@ -57,7 +57,7 @@ class Export:
 class Import:
     """Make a dataset of one in another format, or a recording of another tool's file.
 
-    Datasets: png-json (an export of ours), coco, itop, ntu. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv, trc, sto, csv.
+    Datasets: png-json (an export of ours), coco, itop, ntu. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv.
     """
 
     source: Annotated[Positional[Path], arg(metavar="SOURCE")]
@@ -83,9 +83,9 @@ class Import:
     take: Maybe[Path] = None
     """Recordings: YAML file of the take, in place of --subject, --action and --car."""
     name: Maybe[str] = None
-    """Recordings: name of the source (mvnx, c3d, bvh, trc, sto, azure-mkv); default: suit, optical, motion or tof."""
+    """Recordings: name of the source (mvnx, c3d, bvh, azure-mkv); default: suit, optical, motion or tof."""
     begun: Maybe[str] = None
-    """c3d, bvh, trc, sto: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
+    """c3d, bvh: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
     unit_m: Maybe[float] = None
     """bvh: metres of the unit of length; default: that of the CMU database."""
     up: Maybe[Literal["x", "-x", "y", "-y", "z", "-z"]] = None

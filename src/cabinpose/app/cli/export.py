@@ -15,8 +15,8 @@ from cabinpose.app.cli.selection import frames_with, selected, selection
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import IMAGE_KINDS, check_export, export_dataset, export_parts
-from cabinpose.store.split import Splits, read_named_splits, read_splits
+from cabinpose.store.convert import IMAGE_KINDS, check_export, export_parts, write_parts
+from cabinpose.store.split import Splits, read_splits
 from cabinpose.store.yaml_file import read_mapping
 
 
@@ -35,14 +35,8 @@ def run(command: Export) -> None:
     counts = {name: part.sizes["frame"] for name, part in parts.items()}
     frames = sum(counts.values())
     with progress(frames, "frames") as report:
-        folder = export_dataset(
-            dataset,
-            command.format,
-            command.out,
-            images=command.images,
-            splits=splits,
-            overwrite=command.overwrite,
-            report=report,
+        folder = write_parts(
+            parts, command.format, command.out, images=command.images, overwrite=command.overwrite, report=report
         )
     by_split = {} if "" in counts else {"splits": counts}
     if command.as_json:
@@ -59,7 +53,7 @@ def _frames(command: Export, folder: Path, name: str) -> tuple[xr.Dataset, Split
     dataset = open_dataset(folder)
     if command.splits is None or name not in IMAGE_KINDS:
         return selected(dataset, command), {}
-    splits = read_splits(command.splits) if command.split is None else read_named_splits(command.splits, [command.split])
+    splits = read_splits(command.splits, None if command.split is None else [command.split])
     return frames_with(dataset, [selection(command.select)]), splits
 
 

@@ -8,8 +8,9 @@ from cabinpose.app.cli.exchange_commands import Import
 from cabinpose.app.cli.output import print_json, printable, progress
 from cabinpose.app.cli.recording_exchange import import_recording
 from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, check_new_dataset, import_source, open_source
-from cabinpose.store.convert.source import ImportOptions
+from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, open_source
+from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.source import check_new_dataset, import_source
 
 
 def run(command: Import) -> None:

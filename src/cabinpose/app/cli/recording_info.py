@@ -88,12 +88,7 @@ def as_data(found: Survey) -> dict[str, Any]:
         "damage": dataclasses.asdict(found.damage),
         "sources": {
             s.name: {
-                "samples": s.samples,
-                "first_ns": s.first_ns,
-                "last_ns": s.last_ns,
-                "rate_hz": s.rate_hz,
-                "jitter_ms": s.jitter_ms,
-                "missing": s.missing,
+                **{key: getattr(s, key) for key in ("samples", "first_ns", "last_ns", "rate_hz", "jitter_ms", "missing")},
                 "gaps_s": s.gaps.tolist(),
                 "status": None if s.status is None else dataclasses.asdict(s.status),
             }

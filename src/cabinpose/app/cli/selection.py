@@ -12,7 +12,7 @@ import xarray as xr
 from cabinpose.app.cli.commands import Evaluate, Info, Predict, View
 from cabinpose.app.cli.exchange_commands import Export
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
-from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_named_splits
+from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
 
 
 def selected(dataset: xr.Dataset, command: Info | View | Export | Evaluate | Predict) -> xr.Dataset:
@@ -54,4 +54,4 @@ def _split(file: Path | None, name: str | None) -> list[Selection]:
         return []
     if file is None or name is None:
         raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
-    return list(read_named_splits(file, [name]).values())
+    return list(read_splits(file, [name]).values())

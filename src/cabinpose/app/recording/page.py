@@ -17,7 +17,7 @@ from cabinpose.app.recording.timeline import interval_chart, timeline
 from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, jpeg, resized, text
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers, SegmentPoses, ToFFrame
-from cabinpose.store.convert.frames import write_png
+from cabinpose.store.frames import write_png
 from cabinpose.store.recording import Recording, SourceSurvey, Survey, survey
 
 _HEIGHT = 200  # px of a picture

@@ -27,7 +27,7 @@ from cabinpose.app.view.summary import BIN_M, spread, summarise
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import LIMBS
 from cabinpose.store import Manifest
-from cabinpose.store.convert.frames import depth_mm, label_table, people, write_png
+from cabinpose.store.frames import depth_mm, label_table, people, write_png
 from cabinpose.store.lazy import camera_of
 
 _RAY_STEP = 8  # pixels between the rays that the page is given

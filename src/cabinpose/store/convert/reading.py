@@ -1,14 +1,9 @@
-"""What importers share: what they found, what a frame says of itself where a source does not, and reading files.
-
-Unknown is said openly: NaN for joints, intrinsics and extrinsics, `ABSENT` for joints that a source does not have,
-0 for times and seeds, "unknown" for the names of a frame. Nothing is made up to fill a gap.
-"""
+"""What importers of datasets share: what a user may say of a source, its manifest, filling in frames, reading files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +16,9 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.store.schema import Manifest
+from cabinpose.store.source import UNKNOWN
 
-UNKNOWN = "unknown"
+_MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
 _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 
 
@@ -48,20 +44,6 @@ class ImportOptions:
     def camera(self, width: int, height: int) -> Camera | None:
         """The camera that the user gave, for images of a size."""
         return Camera(width, height, *self.intrinsics) if self.intrinsics is not None else None
-
-
-@dataclass(frozen=True)
-class Source:
-    """A foreign dataset: where it is, the manifest of what becomes of it, and its frames in order, made one by one.
-
-    A frame has a value for each of `manifest.stored`. Iterating raises `DatasetError` where the source is damaged. note: what the
-    source has and the dataset will not, for the user to know.
-    """
-
-    path: Path
-    manifest: Manifest
-    frames: Callable[[], Iterator[dict[str, Any]]]
-    note: str = ""
 
 
 def make_manifest(
@@ -99,48 +81,57 @@ def make_manifest(
     )
 
 
-@dataclass(frozen=True)
-class BlankFrame:
-    """Frames that know nothing yet but their shapes: `new()` gives one to fill in."""
-
-    manifest: Manifest
-    _unknown: dict[str, Any] = field(init=False, default_factory=dict)
-
-    def new(self) -> dict[str, Any]:
-        """All that is no image: numbers NaN, joints absent, places empty, times 0. Images are the importer's to add."""
-        result: dict[str, Any] = {}
-        for variable in self.manifest.stored:
-            shape = self.manifest.frame_shape(variable)
-            if variable.is_image:
-                continue
-            if variable.dtype == "str":
-                result[variable.name] = [""] * shape[0] if shape else UNKNOWN
-            elif variable.dtype.startswith("float"):
-                result[variable.name] = np.full(shape, np.nan, variable.dtype)
-            else:
-                result[variable.name] = np.zeros(shape, variable.dtype)
-        return result
-
-
 def put_camera(frame: dict[str, Any], camera: Camera) -> None:
     """Give a frame its intrinsics."""
     frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist)
 
 
 def put_person(
-    frame: dict[str, Any], position: int, camera: Camera, joints_3d: NDArray[np.floating], visibility: NDArray[np.integer]
+    frame: dict[str, Any],
+    position: int,
+    camera: Camera,
+    joints: NDArray[np.integer],
+    xyz: NDArray[np.floating],
+    visibility: NDArray[np.integer],
 ) -> None:
-    """Fill in somebody's joints (J, 3) m in our camera frame, their projections, and states (J,) where they are finite.
+    """Fill in somebody's joints, their projections, and their states where they are finite; the other joints are absent.
 
     What the camera does not have in its image is `OUTSIDE_IMAGE`, whatever the source says of it.
+
+    Parameters
+    ----------
+    frame
+        The frame to fill in.
+    position
+        The place on the person axis.
+    camera
+        The camera of the frame.
+    joints : (N,)
+        Which of our joints the source has, by their indices.
+    xyz : (N, 3)
+        Where they are, m in our camera frame.
+    visibility : (N,)
+        What the source says of them.
     """
-    known = np.isfinite(joints_3d).all(axis=-1) & (visibility > Visibility.ABSENT)
-    joints = np.where(known[:, None], joints_3d, np.nan)
-    uv = camera.project(joints)
+    known = np.isfinite(xyz).all(axis=-1) & (visibility > Visibility.ABSENT)
+    xyz = np.where(known[:, None], xyz, np.nan)
+    uv = camera.project(xyz)
     states = np.where(known & ~camera.contains(uv), Visibility.OUTSIDE_IMAGE, visibility)
-    frame["joints_3d"][position] = joints
-    frame["joints_2d"][position] = uv
-    frame["visibility"][position] = np.where(known, states, Visibility.ABSENT)
+    frame["joints_3d"][position, joints] = xyz
+    frame["joints_2d"][position, joints] = uv
+    frame["visibility"][position, joints] = np.where(known, states, Visibility.ABSENT)
+
+
+def check_projection(
+    path: Path, what: tuple[str, str], projected: NDArray[np.floating], given: NDArray[np.floating], *, hint: str
+) -> None:
+    """Raise `DatasetError` where a file's pixels (..., 2) are not where its points project to, (..., 2) px, in the median.
+
+    what: what the file calls its pixels and its points.
+    """
+    apart = np.linalg.norm(projected - given, axis=-1)
+    if np.isfinite(apart).any() and np.nanmedian(apart) > _MOST_PX:
+        raise DatasetError(f"{path}: {what[0]} lie {np.nanmedian(apart):.0f} px from the projection of {what[1]}", hint=hint)
 
 
 def read_image(path: Path) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""The container of `.adtfdat`: ADTF's indexed file, version 5 (times in nanoseconds), of samples with described structures.
+"""ADTF files (`.adtfdat`) for the tests: ADTF's indexed file, version 5 (times in nanoseconds).
 
 A header of 2048 bytes, chunks of 32 + n bytes on 16-byte borders, then tables: an index of the chunks (`index0`) and, of every
 stream, its name, type and the places of its chunks in that index. Little-endian. Source of the layout: the headers of
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO
 from xml.sax.saxutils import escape, quoteattr
 
@@ -117,3 +118,31 @@ def _text(value: str) -> bytes:
     """A string with its length, which counts the zero at its end."""
     data = value.encode() + b"\0"
     return struct.pack("<I", len(data)) + data
+
+
+_DDL = (
+    '<?xml version="1.0" encoding="iso-8859-1" standalone="no"?><adtf:ddl xmlns:adtf="adtf"><header>'
+    "<language_version>4.00</language_version><author>x</author><date_creation>20200101</date_creation>"
+    "<date_change>20200101</date_change><description>d</description></header><units/><datatypes>"
+    '<datatype description="predefined" name="tFloat32" size="32"/>'
+    '<datatype description="predefined" name="tInt16" size="16"/>'
+    '</datatypes><enums/><structs><struct alignment="1" name="Imu" version="1">'
+    '<element alignment="1" arraysize="2" byteorder="LE" bytepos="0" name="acc" type="tFloat32"/>'
+    '<element alignment="1" arraysize="1" byteorder="LE" bytepos="8" name="n" type="tInt16"/>'
+    "</struct></structs><streams/></adtf:ddl>"
+)
+
+
+def write_imu(path: Path, samples: list[tuple[float, float, int]], *, first_ns: int = 5_000_000) -> Path:
+    """A file of a stream `imu` with a media description, a sample every 10 ms, and a stream `video` without one."""
+    with path.open("wb") as file:
+        writer = IndexedFileWriter(file)
+        properties = {
+            "md_struct": ("cString", "Imu"), "md_definitions": ("cString", _DDL), "md_data_serialized": ("tBool", "false"),
+        }  # fmt: skip
+        imu, video = writer.stream("imu", "adtf/default", properties), writer.stream("video", "adtf/anonymous", {})
+        for k, sample in enumerate(samples):
+            writer.sample(imu, first_ns + k * 10_000_000, struct.pack("<2fh", *sample))
+            writer.sample(video, first_ns + k * 10_000_000 + 1_000_000, b"not described")
+        writer.close()
+    return path

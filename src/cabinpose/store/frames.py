@@ -1,4 +1,4 @@
-"""What the formats share: frames of a dataset in memory one by one, people in them, tables of labels, PNG files."""
+"""Frames of a dataset one by one, for formats and pages: people in them, tables of classes, PNG files."""
 
 from __future__ import annotations
 

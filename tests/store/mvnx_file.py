@@ -1,8 +1,7 @@
-"""Messages of one subject of MVN as an MVNX file (version 4), which `mvnx.read_mvnx` and others' readers read."""
+"""MVNX files (version 4) for the tests: messages of one subject of MVN as `mvnx.read_mvnx` gives them."""
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, groupby
 from pathlib import Path
@@ -11,81 +10,41 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from cabinpose.core.errors import RecordingError
 from cabinpose.core.recorded import (
     F64,
     Channels,
     Facts,
     JointAngles,
-    Markers,
     Message,
     SegmentKinematics,
     SegmentPoses,
     SensorReadings,
-    ToFFrame,
 )
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, THEIRS, turned
-from cabinpose.store.convert.rows import Row, whole_file
+from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, turned
+from cabinpose.store.convert.rows import Row
 
+THEIRS = {name: name.replace("Forearm", "ForeArm") for name in MVN_SEGMENTS}
 _NAMESPACE = "http://www.xsens.com/mvn/mvnx"
 _MS = 1_000_000
-_LATE_NS = 2_000_000_000  # device time by which a message may be late
 
 
-def write_mvnx(path: Path, rows: Iterable[Row], *, frame_rate_hz: float | None = None, overwrite: bool = False) -> Path:
-    """Write the messages of one subject, in their order of time; the file appears when it is whole.
+def write_mvnx(path: Path, rows: Iterable[Row]) -> Path:
+    """Write the messages of one subject, in their order of time, and return the path.
 
     A frame is what has one device time (host time where there is none). The first frame tells which segments, sensors and joints
-    there are. The frame rate is the facts', unless it is given. What MVNX has no place for (other subjects' and optical
-    markers, other channels) raises RecordingError, as do segments that are not MVN's.
+    there are, facts the frame rate.
     """
-    with whole_file(path, overwrite=overwrite) as file:
-        _write(file, rows, frame_rate_hz)
+    with path.open("w", encoding="utf-8") as file:
+        _write(file, rows)
     return path
 
 
-def of_one_subject(rows: Iterable[Row], subject: str | None = None) -> Iterator[Row]:
-    """What MVNX holds of a subject (None: the only one with poses), by its device's time, late messages in their place.
-
-    Props, fingers and other channels are left out. Raises RecordingError where there are poses of several and none was named.
-    """
-    chosen = subject
-    waiting: list[tuple[int, int, Row]] = []
-    newest: int | None = None
-    for number, row in enumerate(rows):
-        time_ns, message = row[0] if row[1] is None else row[1], row[2]
-        if isinstance(message, SegmentPoses) and message.names == MVN_SEGMENTS and message.subject != chosen:
-            if subject is None and chosen is not None:
-                raise RecordingError(f"poses of {chosen} and {message.subject}", hint="say whose are to be written (--subject)")
-            chosen = chosen or message.subject
-        if newest is not None and newest - time_ns > _LATE_NS:  # the device's clock began anew
-            yield from (each for _, _, each in sorted(waiting) if _has_place(each[2], chosen))
-            waiting, newest = [], None
-        newest = time_ns if newest is None else max(newest, time_ns)
-        heapq.heappush(waiting, (time_ns, number, row))
-        while newest - waiting[0][0] > _LATE_NS:
-            _, _, each = heapq.heappop(waiting)
-            if _has_place(each[2], chosen):
-                yield each
-    yield from (each for _, _, each in sorted(waiting) if _has_place(each[2], chosen))
-
-
-def _has_place(message: Message, subject: str | None) -> bool:
-    if isinstance(message, SegmentPoses | SegmentKinematics) and message.names != MVN_SEGMENTS:
-        return False
-    if isinstance(message, Channels) and not any(_channel(name)[1] for name in message.names):
-        return False
-    return not isinstance(message, Markers | ToFFrame) and _subject(message) == subject
-
-
-def _write(file: IO[str], rows: Iterable[Row], frame_rate_hz: float | None) -> None:
+def _write(file: IO[str], rows: Iterable[Row]) -> None:
     facts: list[Mapping[str, object]] = []
     frames = _frames(rows, facts)
-    first = next(frames, None)
-    if first is None:
-        raise RecordingError("there is no frame to write", hint="MVNX needs poses of MVN's segments")
-    header = _Header(facts, first[2], frame_rate_hz)
+    first = next(frames)
+    header = _Header(facts, first[2])
     file.write(header.text())
     for index, frame in enumerate(chain([first], frames)):
         file.write(header.frame(index, *frame))
@@ -94,15 +53,10 @@ def _write(file: IO[str], rows: Iterable[Row], frame_rate_hz: float | None) -> N
 
 def _frames(rows: Iterable[Row], facts: list[Mapping[str, object]]) -> Iterator[tuple[int, int, list[Message]]]:
     """Frames as (host_ns, device_ns, messages); facts before the first are collected in `facts`."""
-    subject = None
     for device_ns, group in groupby(rows, key=lambda row: row[0] if row[1] is None else row[1]):
         host_ns: int | None = None
         messages: list[Message] = []
         for host, _, message in group:
-            about = _subject(message)
-            subject = subject or about
-            if about != subject:
-                raise RecordingError(f"subjects {subject} and {about} in one MVNX file", hint="write them to a file each")
             host_ns = host if host_ns is None else host_ns
             if isinstance(message, Facts):
                 facts.append(message.values)
@@ -110,18 +64,6 @@ def _frames(rows: Iterable[Row], facts: list[Mapping[str, object]]) -> Iterator[
                 messages.append(message)
         if messages and host_ns is not None:
             yield host_ns, device_ns, messages
-
-
-def _subject(message: Message) -> str:
-    if isinstance(message, Facts):
-        return message.about
-    if isinstance(message, SegmentPoses | SegmentKinematics | SensorReadings | JointAngles):
-        return message.subject
-    if isinstance(message, Channels) and message.names:
-        subject, kind, _ = _channel(message.names[0])
-        if kind:
-            return subject
-    raise RecordingError(f"MVNX has no place for {type(message).__name__}", hint="leave it out, or write another format")
 
 
 def _channel(name: str) -> tuple[str, str, str]:
@@ -136,7 +78,7 @@ def _channel(name: str) -> tuple[str, str, str]:
 class _Header:
     """What precedes the frames, and decides what they hold."""
 
-    def __init__(self, facts: list[Mapping[str, object]], messages: list[Message], frame_rate_hz: float | None) -> None:
+    def __init__(self, facts: list[Mapping[str, object]], messages: list[Message]) -> None:
         known: dict[str, Any] = {}
         for each in facts:
             known |= {key: value for key, value in each.items() if key != "calibration"}
@@ -144,10 +86,7 @@ class _Header:
         self._subject: Mapping[str, str] = known.get("mvnx_subject", {})
         self._points: list[Mapping[str, Any]] = known.get("points", [])
         self._calibrations: list[Mapping[str, Any]] = [each for each in facts if "calibration" in each]
-        rate_hz = frame_rate_hz or known.get("frame_rate_hz")
-        if not rate_hz:
-            raise RecordingError("the frame rate is not known", hint="give it: frame_rate_hz (--rate)")
-        self._rate_hz = float(rate_hz)
+        self._rate_hz = float(known["frame_rate_hz"])
         self.sensors: tuple[str, ...] = ()
         self.angles: tuple[str, ...] = ()
         self.contacts: tuple[str, ...] = ()
@@ -201,8 +140,6 @@ class _Header:
         return "\n".join([_tag("frame", attributes), *arrays, "</frame>"]) + "\n"
 
     def _arrays(self, message: Message) -> Iterator[str]:
-        if isinstance(message, SegmentPoses | SegmentKinematics) and message.names != MVN_SEGMENTS:
-            raise RecordingError("MVNX holds MVN's 23 segments, in their order", hint="write another format")
         if isinstance(message, SegmentPoses):
             yield _array("orientation", message.orientation_wxyz)
             yield _array("position", message.position_m)
@@ -212,7 +149,6 @@ class _Header:
             yield _array("angularVelocity", message.angular_velocity)
             yield _array("angularAcceleration", message.angular_acceleration)
         elif isinstance(message, SensorReadings):
-            self._same(message.names, self.sensors, "sensors")
             if len(message.acceleration) and len(message.orientation_wxyz):
                 yield _array("sensorFreeAcceleration", turned(message.orientation_wxyz, message.acceleration) - GRAVITY)
             else:
@@ -221,7 +157,6 @@ class _Header:
             yield _array("sensorMagneticField", message.magnetic_field)
             yield _array("sensorOrientation", message.orientation_wxyz)
         elif isinstance(message, JointAngles):
-            self._same(message.names, self.angles, "joints")
             degrees, joints = dict(zip(message.names, np.degrees(message.angles), strict=True)), [j for j, _, _ in MVN_JOINTS]
             for name, these in (("jointAngle", joints), ("jointAngleXZY", [f"{joint}.xzy" for joint in joints])):
                 if all(joint in degrees for joint in these):
@@ -232,11 +167,6 @@ class _Header:
             contacts, centre = [("foot_contact", label) for label in self.contacts], [("centre_of_mass", axis) for axis in CENTRE]
             yield _array("footContacts", [values[key] for key in contacts if key in values])
             yield _array("centerOfMass", [values[key] for key in centre if key in values])
-
-    @staticmethod
-    def _same(names: tuple[str, ...], first: tuple[str, ...], what: str) -> None:
-        if names != first:
-            raise RecordingError(f"the {what} change within the recording", hint="cut it where they change")
 
 
 def _tag(name: str, attributes: Mapping[str, str], *, empty: bool = False) -> str:
