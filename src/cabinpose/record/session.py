@@ -8,6 +8,7 @@ from pathlib import Path
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import CabinposeError
 from cabinpose.record.config import Rig
+from cabinpose.record.host import host_facts
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
 from cabinpose.store.recording import RecordingWriter
@@ -28,6 +29,7 @@ def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
         out,
         rig.take,
         rig=rig.text,
+        host=host_facts(),
         started_ns=clock.now_ns(),
         compression=storage.compression,
         chunk_bytes=int(storage.chunk_mb * 1e6),

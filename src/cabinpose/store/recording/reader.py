@@ -19,6 +19,7 @@ from cabinpose.store.recording.messages import Decoder, decode_status
 from cabinpose.store.recording.scan import Chunk, Damage, RawMessage, Scanner, messages_in
 from cabinpose.store.recording.schemas import (
     FORMAT,
+    HOST_METADATA,
     HOST_ONLY,
     RAW,
     RIG_ATTACHMENT,
@@ -50,6 +51,7 @@ class Head:
     rig: str
     started_ns: int
     format: str
+    host: dict[str, str]
 
 
 class Recording:
@@ -199,10 +201,13 @@ def read_head(scanner: Scanner) -> Head:
     """The take and the rig of a file, which may be without its end. Raises RecordingError where it has none."""
     values: dict[str, str] | None = None
     take: Take | None = None
+    host: dict[str, str] = {}
     rig, chunks = "", 0
     for found in scanner.walk():
         if isinstance(found, Metadata) and found.name == TAKE_METADATA and values is None:
             values = found.metadata
+        elif isinstance(found, Metadata) and found.name == HOST_METADATA:
+            host = found.metadata
         elif isinstance(found, Attachment) and found.name == RIG_ATTACHMENT:
             rig = found.data.decode("utf-8", "replace")
         elif isinstance(found, Chunk):
@@ -221,7 +226,7 @@ def read_head(scanner: Scanner) -> Head:
         take = take or Take.from_metadata(values)
     except ValueError as error:
         raise RecordingError(f"{scanner.path}: its take cannot be read: {error}", hint="check the file by hand") from error
-    return Head(take, rig, int(started) if started.isdigit() else 0, version)
+    return Head(take, rig, int(started) if started.isdigit() else 0, version, host)
 
 
 _HEAD_CHUNKS = 8  # in which the take is looked for where its metadata record is lost

@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from cabinpose.store.recording.messages import Record, encode, encode_json, enco
 from cabinpose.store.recording.schemas import (
     FACTS,
     FORMAT,
+    HOST_METADATA,
     HOST_ONLY,
     RAW,
     RAW_ENCODING,
@@ -74,6 +75,7 @@ class RecordingWriter:
         take: Take | None = None,
         *,
         rig: str = "",
+        host: Mapping[str, str] | None = None,
         started_ns: int = 0,
         compression: Compression = "none",
         chunk_bytes: int = 4 << 20,
@@ -81,7 +83,8 @@ class RecordingWriter:
         sync_s: float = 1.0,
         definitions_s: float = DEFINITIONS_S,
     ) -> None:
-        """rig: the rig's configuration as YAML text, kept as an attachment · started_ns: `HostClock` time of the take ·
+        """rig: the rig's configuration as YAML text, kept as an attachment · host: facts of the recording computer ·
+        started_ns: `HostClock` time of the take ·
         chunk_bytes, flush_s: a chunk is closed when it is so large or so old · sync_s: pause between requests to the disk to
         hold all of it; 0 = only at the end · definitions_s: how often schemas and channels are repeated for a damaged file's sake
         (infinite, with no call of `poll`: the same samples give the same bytes). Raises RecordingError where the file exists or
@@ -102,6 +105,8 @@ class RecordingWriter:
                 path, library=LIBRARY, profile=PROFILE, compression=compression, definitions_s=definitions_s
             )
             self._file.metadata(TAKE_METADATA, {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()})
+            if host:
+                self._file.metadata(HOST_METADATA, host)
             if rig:
                 self._file.attachment(RIG_ATTACHMENT, "application/yaml", rig.encode(), log_time=started_ns)
             _sync_folder(path.parent)
