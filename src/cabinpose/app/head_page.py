@@ -21,7 +21,7 @@ _SHOWN = 2  # best and worst frames of each take
 _NONE = np.zeros((0, len(JOINTS), 2), np.float32)
 
 
-def write_head_page(folder: Path, takes: Sequence[tuple[str, str]], out: Path) -> None:
+def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], out: Path) -> None:
     """Write one HTML file of an aligned dataset.
 
     Parameters
@@ -29,15 +29,15 @@ def write_head_page(folder: Path, takes: Sequence[tuple[str, str]], out: Path) -
     folder
         The dataset, with `head_residual`.
     takes
-        Recording and subject of each of its sequences.
+        Sequence, recording, subject and place (the person coordinate) of each person in each of its takes.
     out
         The file; one that is there is replaced.
     """
     dataset = open_dataset(folder)
     lines, pictures = {}, []
-    for number, (recording, subject) in enumerate(takes):
-        frames = np.flatnonzero(dataset["sequence"].values == number)
-        apart = np.degrees(np.nanmax(dataset["head_residual"].values[frames], axis=1))
+    for sequence, recording, subject, place in takes:
+        frames = np.flatnonzero(dataset["sequence"].values == sequence)
+        apart = np.degrees(dataset["head_residual"].sel(person=place).values[frames])
         seconds = (dataset["sync_ns"].values[frames] - dataset["sync_ns"].values[frames[0]]) / 1e9
         name = f"{recording}, {subject}"
         lines[name] = seconds.tolist(), apart.tolist()
@@ -46,7 +46,8 @@ def write_head_page(folder: Path, takes: Sequence[tuple[str, str]], out: Path) -
         pictures += [_picture(dataset, int(frames[k]), f"{name}: worst, {apart[k]:.2f} deg") for k in order[: -_SHOWN - 1 : -1]]
     chart = series_chart("angle between the two systems' heads, deg", "s", lines, width=1240, height=300)
     note = "The worlds of suit and optical system are laid on each other by one turn for the whole take: a heading's drift shows."
-    told = f"{len(takes)} {'take' if len(takes) == 1 else 'takes'}, {dataset.sizes['frame']} frames"
+    count = len({sequence for sequence, *_ in takes})
+    told = f"{count} {'take' if count == 1 else 'takes'}, {dataset.sizes['frame']} frames"
     sections = [
         section("Over the takes", chart + legend(list(lines)), note),
         section("Best and worst frames", f"<div class=frames>{''.join(pictures)}</div>"),

@@ -8,6 +8,7 @@ from pathlib import Path
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import CabinposeError
 from cabinpose.record.config import Rig
+from cabinpose.record.host import host_facts
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
 from cabinpose.record.split import Limit, SplitWriter
@@ -42,13 +43,14 @@ def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
     lanes = [
         Lane(plan.build(clock), plan.kind, clock, wake, queue_bytes=queue_bytes, queue_s=storage.queue_s) for plan in rig.sources
     ]
-    started_ns = clock.now_ns()
+    started_ns, host = clock.now_ns(), host_facts()
 
     def make(path: Path, part: int | None) -> RecordingWriter:
         return RecordingWriter(
             path,
             rig.take,
             rig=rig.text,
+            host=host,
             started_ns=started_ns,
             compression=storage.compression,
             chunk_bytes=int(storage.chunk_mb * 1e6),

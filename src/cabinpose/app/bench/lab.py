@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from cabinpose.align.calibration import Calibration, PoseCorrection
 from cabinpose.align.project import align_take
-from cabinpose.align.session import Session, calibrate
+from cabinpose.align.session import Session, calibrate, correct_pose
 from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, record_session
 from cabinpose.app.lab.rig import ERRORS, VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
@@ -64,8 +65,13 @@ def _session(folder: Path, rig: VirtualRig, plan: Plan) -> dict[str, Any]:
     ((subject, truth),) = record_session(folder, rig, plan).items()
     found = calibrate(Session.load(folder / SESSION))
     with Recording(folder / drive_take(subject)) as recording:
-        aligned = align_take(recording, found.calibration)
-    joints = joint_error(aligned, rig, truth)
+        poses = {"as_worn": None, **_corrections(folder, found.calibration, subject)}
+        errors = {
+            how: joint_error(align_take(recording, _with_pose(found.calibration, subject, pose), subject), rig, truth)
+            for how, pose in poses.items()
+        }
+        aligned = align_take(recording, found.calibration, subject)
+    joints = errors["as_worn"]
     return {
         **asdict(calibration_error(found.calibration, rig, truth, subject)),
         "joints": {
@@ -77,4 +83,19 @@ def _session(folder: Path, rig: VirtualRig, plan: Plan) -> dict[str, Any]:
             "suit_delay_ms": joints.suit_delay_ms,
             "by_joint_cm": joints.by_joint(),
         },
+        "pose_corrected": {
+            how: {"mean_cm": each.mean_cm, "by_joint_cm": each.by_joint()} for how, each in errors.items() if how != "as_worn"
+        },
     }
+
+
+def _corrections(folder: Path, calibration: Calibration, subject: str) -> dict[str, PoseCorrection | None]:
+    """The correction of the initial pose by each truth that it can be known by."""
+    session = Session.load(folder / SESSION)
+    asked = {truth: session.subjects[subject].model_copy(update={"pose_truth": truth}) for truth in ("n-pose", "optical")}
+    return {truth: correct_pose(session.names, subject, each, calibration.head(subject).matrix) for truth, each in asked.items()}
+
+
+def _with_pose(calibration: Calibration, subject: str, pose: PoseCorrection | None) -> Calibration:
+    head = calibration.heads[subject].model_copy(update={"pose_correction": pose})
+    return calibration.model_copy(update={"heads": calibration.heads | {subject: head}})

@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 from cabinpose.app.cli.align_commands import Align
-from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import Visibility
@@ -30,14 +30,19 @@ def run(command: Align) -> None:
         raise ConfigError(f"{command.report} exists", hint="--overwrite replaces it, or give another file with --report")
     calibration = Calibration.load(command.calibration)
     takes = align_takes(
-        command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag, licence=command.licence
-    )
+        command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag,
+        correct_pose=command.pose_correction, licence=command.licence,
+    )  # fmt: skip
+    for warning in takes.warnings:
+        print(printable(warning), file=sys.stderr)
     with progress(takes.source.manifest.frames, "frames") as report:
         folder = import_source(takes.source, command.out, overwrite=command.overwrite, report=report)
     if command.report is not None:
         from cabinpose.app.head_page import write_head_page
 
-        write_head_page(folder, [(take.recording, take.subject) for take in takes.reports], command.report)
+        write_head_page(
+            folder, [(take.sequence, take.recording, take.subject, take.person) for take in takes.reports], command.report
+        )
     if command.as_json:
         print_json({"out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]})
         return
@@ -53,6 +58,7 @@ def run(command: Align) -> None:
             *((f"  {why}", f"{count} frames left out") for why, count in take.left_out.items()),
             ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, {told}"),
             ("  head", f"{take.head_deg[0]:.2f} deg rms between suit and optical system, at most {take.head_deg[1]:.2f}"),
+            *((("  initial pose", "corrected"),) if take.pose_corrected else ()),
             ("  joints", ", ".join(states)),
             ("  before the surface", floating),
         ]

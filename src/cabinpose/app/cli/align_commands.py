@@ -35,7 +35,7 @@ class Align:
     """
 
     recordings: Annotated[Positional[tuple[Path, ...]], several("RECORDING [RECORDING ...]")]
-    """Recordings of the rig, one person each."""
+    """Recordings of the rig; everybody whom a take names wears a suit of their own."""
     calibration: Path
     """Calibration of the rig (YAML), made by `cabinpose calibrate`."""
     out: Path
@@ -43,7 +43,9 @@ class Align:
     report: Maybe[Path] = None
     """HTML file to write: how well suit and optical system agree on the head over each take, with its best and worst frame."""
     subject: Maybe[str] = None
-    """Subject code, where a take does not name it."""
+    """Subject code, where a take does not name it, or where only one of its people wears a suit."""
+    pose_correction: bool = True
+    """Correct what the suit's own calibration got wrong, where the rig's calibration knows it."""
     max_lag: float = 2.0
     """Greatest delay between suit and optical system that is looked for, s."""
     licence: str = "private"
@@ -76,6 +78,8 @@ class Lab:
     """A preset car."""
     subjects: tuple[str, ...] = ("S01",)
     """Of the package's people, one after the other."""
+    together: bool = False
+    """Record the first two of them in one car as well, driver and front passenger, each in a suit of their own."""
     exercises: bool = True
     """Record movements in each anatomical plane outside the car as well, for `evaluate-mocap`."""
     seed: int = 0

@@ -7,6 +7,8 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cabinpose.app.cli.align_commands import Calibrate
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
@@ -34,6 +36,8 @@ def run(command: Calibrate) -> None:
     rejected = [why for why in found.views.reasons if why]
     if rejected:
         print(f"{len(rejected)} views without a board, the first: {printable(rejected[0])}", file=sys.stderr)
+    for warning in found.warnings:
+        print(printable(warning), file=sys.stderr)
     print(f"align a take with: cabinpose align TAKE.mcap --calibration {command.out} --out DATASET", file=sys.stderr)
 
 
@@ -59,6 +63,10 @@ def _rows(found: Calibrated, out: Path) -> list[tuple[str, str]]:
         rows.append((f"head of {code}", f"{degrees(turn.rms_rad):.2f} deg between the systems, turned by {turned} deg"))
         rows.append(("  suit's delay", _delay(late.offset_s, late.interval_s, late.correlation)))
         rows.append(("  C1 in the head object", f"{', '.join(f'{1000 * x:.0f}' for x in offset.offset)} mm, {offset.method}"))
+        if (pose := found.calibration.heads[code].pose_correction) is not None:
+            size = {name: 1000 * float(np.linalg.norm(shift)) for name, shift in pose.shifts_m.items()}
+            worst = max(size, key=size.__getitem__)
+            rows.append(("  initial pose", f"by {pose.truth}: points moved by up to {size[worst]:.0f} mm ({worst})"))
     return rows
 
 

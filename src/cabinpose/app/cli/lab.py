@@ -15,7 +15,7 @@ from cabinpose.core.errors import ConfigError
 def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
     require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
-    from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
+    from cabinpose.app.lab.laboratory import PAIR, SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import VirtualRig
 
     rig = load_rig(command.rig) if command.rig is not None else VirtualRig()
@@ -28,12 +28,13 @@ def run(command: Lab) -> None:
             rate_hz=command.rate,
             car=command.car,
             subjects=command.subjects,
+            together=command.together,
             exercises=command.exercises,
             seed=command.seed,
         )
     except ValidationError as error:
         first = error.errors()[0]
-        flag = str(first["loc"][0]).removesuffix("_hz")
+        flag = str(first["loc"][0]).removesuffix("_hz") if first["loc"] else "together"
         reason = first["msg"][0].lower() + first["msg"][1:]
         raise ConfigError(
             f"--{flag}: {reason}, not {first['input']}", hint="`cabinpose lab --help` says what each flag takes"
@@ -48,6 +49,8 @@ def run(command: Lab) -> None:
     print(f"{out}: calibration takes and {frames} frames of {', '.join(truths)} at the wheel, with their truth")
     print(f"calibrate with: cabinpose calibrate {out / SESSION} --out {calibration}", file=sys.stderr)
     print(f"align with: cabinpose align {takes} --calibration {calibration} --out {out / 'dataset'}", file=sys.stderr)
+    if command.together:
+        print(f"and both in one car: {out / PAIR}", file=sys.stderr)
     if command.exercises:
         exercises = out / exercise_take(command.subjects[0])
         print(f"judge the suit with: cabinpose evaluate-mocap dfe {exercises} --out {out / 'dfe'}", file=sys.stderr)

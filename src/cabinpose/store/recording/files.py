@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -12,19 +12,23 @@ from mcap.records import Attachment, Metadata
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.store.recording.scan import Chunk, Scanner, messages_in
-from cabinpose.store.recording.schemas import FORMAT, RIG_ATTACHMENT, TAKE_METADATA
+from cabinpose.store.recording.schemas import FORMAT, HOST_METADATA, RIG_ATTACHMENT, TAKE_METADATA
 from cabinpose.store.recording.take import Take
 
 
 @dataclass(frozen=True)
 class Head:
-    """What a file says of itself before its first chunk. part: its number where it is one of several of a take, from 0."""
+    """What a file says of itself before its first chunk.
+
+    part: its number where it is one of several of a take, from 0 · host: facts of the computer that recorded it.
+    """
 
     take: Take
     rig: str
     started_ns: int
     format: str
     part: int | None = None
+    host: dict[str, str] = field(default_factory=dict)
 
 
 def part_path(first: Path, part: int) -> Path:
@@ -95,10 +99,13 @@ def read_head(scanner: Scanner) -> Head:
     """The take and the rig of a file, which may be without its end. Raises RecordingError where it has none."""
     values: dict[str, str] | None = None
     take: Take | None = None
+    host: dict[str, str] = {}
     rig, chunks = "", 0
     for found in scanner.walk():
         if isinstance(found, Metadata) and found.name == TAKE_METADATA and values is None:
             values = found.metadata
+        elif isinstance(found, Metadata) and found.name == HOST_METADATA:
+            host = found.metadata
         elif isinstance(found, Attachment) and found.name == RIG_ATTACHMENT:
             rig = found.data.decode("utf-8", "replace")
         elif isinstance(found, Chunk):
@@ -118,7 +125,7 @@ def read_head(scanner: Scanner) -> Head:
     except ValueError as error:
         raise RecordingError(f"{scanner.path}: its take cannot be read: {error}", hint="check the file by hand") from error
     part = values.get("part", "")
-    return Head(take, rig, int(started) if started.isdigit() else 0, version, int(part) if part.isdigit() else None)
+    return Head(take, rig, int(started) if started.isdigit() else 0, version, int(part) if part.isdigit() else None, host)
 
 
 _HEAD_CHUNKS = 8  # in which the take is looked for where its metadata record is lost

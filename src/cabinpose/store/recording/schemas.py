@@ -29,6 +29,7 @@ FACTS = TOPICS[Facts]
 STATUS = "status"
 TAKE_TOPIC = "take"
 TAKE_METADATA = "cabinpose.take"
+HOST_METADATA = "cabinpose.host"
 RIG_ATTACHMENT = "rig.yaml"
 FORMAT = "1"
 """Version of what is described here; in the take's metadata record as `format`."""

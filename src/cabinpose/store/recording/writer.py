@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from cabinpose.store.recording.messages import Record, encode, encode_json, enco
 from cabinpose.store.recording.schemas import (
     FACTS,
     FORMAT,
+    HOST_METADATA,
     HOST_ONLY,
     RAW,
     RAW_ENCODING,
@@ -72,6 +73,7 @@ class RecordingWriter:
         take: Take | None = None,
         *,
         rig: str = "",
+        host: Mapping[str, str] | None = None,
         started_ns: int = 0,
         compression: Compression = "none",
         chunk_bytes: int = 4 << 20,
@@ -90,6 +92,8 @@ class RecordingWriter:
             Who does what, where.
         rig
             The rig's configuration as YAML text, kept as an attachment.
+        host
+            Facts of the computer that records.
         started_ns
             `HostClock` time of the take.
         compression
@@ -125,6 +129,8 @@ class RecordingWriter:
             )
             values = {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()}
             self._file.metadata(TAKE_METADATA, values if part is None else {**values, "part": str(part)})
+            if host:
+                self._file.metadata(HOST_METADATA, host)
             if rig:
                 self._file.attachment(RIG_ATTACHMENT, "application/yaml", rig.encode(), log_time=started_ns)
             sync(path.parent)
