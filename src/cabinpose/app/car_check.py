@@ -125,7 +125,7 @@ def _misplaced(cabin: Cabin) -> Iterator[str]:
         below = _down(triangles, h, _CUSHION_DEEP_M)
         if below is None:
             yield (
-                f"{slot}: there is no cushion within {1000 * _CUSHION_DEEP_M:.0f} mm below its H-point {_point(h)}"
+                f"{slot}: there is no cushion within {1000 * _CUSHION_DEEP_M:.0f} mm below its H-point {point_text(h)}"
                 " (it lies beside the seat, or inside it)"
             )
         elif abs(below - seat.cushion_below_h_m) > _CUSHION_OFF_M:
@@ -136,9 +136,9 @@ def _misplaced(cabin: Cabin) -> Iterator[str]:
             )
         floor = _down(triangles, heel + (0.0, 0.0, 0.10), 0.10 + 0.30)
         if floor is None:
-            yield f"{slot}: there is no floor under the heels at {_point(heel)}; correct heel_point, or the origin"
+            yield f"{slot}: there is no floor under the heels at {point_text(heel)}; correct heel_point, or the origin"
         elif abs(floor - 0.10) > _FLOOR_OFF_M:
-            yield f"{slot}: the floor is {1000 * (0.10 - floor):+.0f} mm from the heels at {_point(heel)}; correct heel_point"
+            yield f"{slot}: the floor is {1000 * (0.10 - floor):+.0f} mm from the heels at {point_text(heel)}; correct heel_point"
     yield from _wheel_misplaced(cabin)
     driver = next(iter(cabin.seats.values()))
     missing = open_directions(triangles, apply(driver.vehicle_from_back(driver.default), _HEAD))
@@ -246,5 +246,6 @@ def _is_cut(part: Part) -> bool:
     return part.name.endswith(")") and " (" in part.name
 
 
-def _point(p: Floats) -> str:
-    return "[" + ", ".join(f"{v:.2f}" for v in p) + "]"
+def point_text(point: Floats) -> str:
+    """A point (3,) as text with two decimals, never "-0.00"."""
+    return "[" + ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point) + "]"

@@ -1,13 +1,16 @@
-"""`cabinpose calibrate`: a rig's calibration from its calibration takes."""
+"""`cabinpose calibrate`: find where a rig's camera stands and how late its stamps are."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from cabinpose.app.cli.align_commands import Calibrate
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import PrintsJson
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
@@ -16,9 +19,27 @@ if TYPE_CHECKING:
     from cabinpose.align.session import Calibrated
 
 
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(PrintsJson):
+    """Find where a rig's camera stands, when its stamps are late, and how the suit's head sits in the optical system's.
+
+    From recordings of a checkerboard with markers, of a swinging marker, and of each subject's turning head.
+    """
+
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
+    """YAML file that names the recordings and the board."""
+    out: Path
+    """Calibration to write (YAML)."""
+    overwrite: bool = False
+    """Replace the calibration that is there."""
+
+
+COMMAND = Calibrate
+
+
 def run(command: Calibrate) -> None:
     """Calibrate, write the file, and say how far each step can be trusted."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
+    require("record")
     from cabinpose.align.session import Session, calibrate
 
     if command.out.exists() and not command.overwrite:

@@ -1,4 +1,4 @@
-"""`cabinpose emulate`: devices played. A device's runner is named in `_RUNNERS` and says what it sent."""
+"""`cabinpose emulate`: emulate a device: a server that sends the real bytes."""
 
 from __future__ import annotations
 
@@ -8,37 +8,129 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-import numpy as np
-from pydantic import BaseModel, ValidationError
-
-from cabinpose.app.cli.commands import Emulate, EmulateMvn, EmulateVicon
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
-from cabinpose.record.emulate.mvn import MvnEmulator, Sent
-from cabinpose.record.emulate.mvn_motion import Motion, generated, recorded
-from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
-from cabinpose.record.emulate.vicon import Sent as ViconSent
-from cabinpose.record.emulate.vicon import ViconEmulator, ViconEmulatorSettings
-from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
-from cabinpose.record.emulate.vicon_motion import generated_motion, motion_of_c3d
-from cabinpose.store.convert.mvnx import read_mvnx
 
-_Settings = TypeVar("_Settings", bound=BaseModel)
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from cabinpose.record.emulate.mvn import Sent
+    from cabinpose.record.emulate.mvn_motion import Motion
+    from cabinpose.record.emulate.vicon import Sent as ViconSent
+    from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
+
+_Settings = TypeVar("_Settings", bound="BaseModel")
 
 
-def run(command: Emulate) -> None:
-    """Play a device until it is over or interrupted, then print what was sent."""
-    summary = _RUNNERS[type(command.device)](command.device)
-    if command.device.as_json:
+@dataclass(frozen=True, kw_only=True)
+class EmulateMvn(PrintsJson):
+    """Stream a motion as Xsens MVN's network streamer does, with losses, delays and a wrong order as you ask. Ctrl-C ends it."""
+
+    motion: str = "seated"
+    """seated, walk, or an MVNX file to repeat."""
+    host: str = "127.0.0.1"
+    """Where to stream to (listen: where to be reached)."""
+    port: int = 9763
+    """Port there."""
+    transport: Literal["udp", "tcp", "listen"] = "udp"
+    """udp; tcp to a receiver that waits; listen for one that connects."""
+    types: tuple[int, ...] = (2,)
+    """Types of datagrams: 1 2 3 5 20 21 22 23 24 25. Names and scales (12, 13) come every second."""
+    rate: float = 60.0
+    """Samples a second."""
+    capture_rate: Maybe[float] = None
+    """Samples a second that the sample counter counts; default: the rate."""
+    characters: int = 1
+    """People, side by side."""
+    props: int = 0
+    """Props of each."""
+    fingers: bool = False
+    """With 40 finger segments."""
+    items_per_datagram: Maybe[int] = None
+    """Split samples over datagrams of so many items."""
+    latency: float = 0.0
+    """Seconds from taking a sample to sending it."""
+    clock_offset: float = 0.0
+    """What the sender's clock shows at the start, seconds."""
+    clock_drift: float = 0.0
+    """By how much the sender's clock runs fast, millionths."""
+    loss: float = 0.0
+    """Share of datagrams that are lost."""
+    duplicate: float = 0.0
+    """Share of datagrams that arrive twice."""
+    reorder: float = 0.0
+    """Share of datagrams that arrive late."""
+    seconds: Maybe[float] = None
+    """How long; default: until Ctrl-C."""
+    log: Maybe[Path] = None
+    """File for a line of JSON on each datagram and its fate."""
+    seed: int = 0
+    """Seed of what the network does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmulateVicon(PrintsJson):
+    """Serve a motion as Vicon's DataStream does, to any number of clients. Ctrl-C ends it."""
+
+    motion: str = "generated"
+    """generated, or a C3D file to repeat."""
+    host: str = "127.0.0.1"
+    """Address to listen on."""
+    port: int = 8801
+    """Port to listen on; 0 takes a free one. Vicon's own is 801, which most systems keep for the administrator."""
+    rate: Maybe[float] = None
+    """Frames a second; default: the motion's (generated: 100)."""
+    subjects: int = 1
+    """People of a generated motion, side by side."""
+    first_frame: int = 1
+    """Number of the first frame, as the vendor's SDK tells it."""
+    latency: float = 0.0
+    """Seconds from a frame's capture to its sending, as the server reports them."""
+    clock_drift: float = 0.0
+    """By how much the server's clock runs fast, millionths."""
+    drop: float = 0.0
+    """Share of frames that are never sent."""
+    occlude_markers: float = 0.0
+    """Share of markers that are not seen."""
+    occlude_segments: float = 0.0
+    """Share of segments that are not solved."""
+    up: Literal["z", "y"] = "z"
+    """The server's vertical axis."""
+    die_after: Maybe[float] = None
+    """Die after so many seconds, and return."""
+    dead_for: float = 2.0
+    """Seconds until it returns."""
+    anew: bool = False
+    """When it returns, number frames from the first again."""
+    seconds: Maybe[float] = None
+    """How long; default: until Ctrl-C."""
+    log: Maybe[Path] = None
+    """File for a line of JSON on each frame for each client, and its fate."""
+    seed: int = 0
+    """Seed of the motion, and of what is dropped and occluded."""
+
+
+COMMAND = one_of(mvn=EmulateMvn, vicon=EmulateVicon)
+
+
+def run(command: EmulateMvn | EmulateVicon) -> None:
+    """Emulate a device until its end or Ctrl-C, then print what was sent."""
+    summary = _RUNNERS[type(command)](command)
+    if command.as_json:
         print_json(summary)
     else:
         print_rows((name.replace("_", " "), str(value)) for name, value in summary.items())
 
 
 def _mvn(command: EmulateMvn) -> dict[str, Any]:
+    from cabinpose.record.emulate.mvn import MvnEmulator
+    from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
+
     settings = _checked(
         MvnEmulatorSettings,
         "mvn",
@@ -71,6 +163,9 @@ def _mvn(command: EmulateMvn) -> dict[str, Any]:
 
 
 def _motion(name: str) -> Motion:
+    from cabinpose.record.emulate.mvn_motion import generated, recorded
+    from cabinpose.store.convert.mvnx import read_mvnx
+
     path = Path(name)
     return recorded(read_mvnx(path)) if path.suffix.lower() == ".mvnx" else generated(name)
 
@@ -86,6 +181,8 @@ def _log_file(path: Path | None) -> Any:
 
 
 def _vicon(command: EmulateVicon) -> dict[str, Any]:
+    from cabinpose.record.emulate.vicon import ViconEmulator, ViconEmulatorSettings
+
     outages = [] if command.die_after is None else [(command.die_after, command.dead_for, command.anew)]
     settings = _checked(
         ViconEmulatorSettings,
@@ -117,6 +214,10 @@ def _vicon(command: EmulateVicon) -> dict[str, Any]:
 
 
 def _vicon_motion(command: EmulateVicon) -> ViconMotion:
+    import numpy as np
+
+    from cabinpose.record.emulate.vicon_motion import generated_motion, motion_of_c3d
+
     path = Path(command.motion)
     if path.suffix.lower() == ".c3d":
         return motion_of_c3d(path)
@@ -128,6 +229,8 @@ def _vicon_motion(command: EmulateVicon) -> ViconMotion:
 
 
 def _checked(model: type[_Settings], device: str, values: dict[str, Any]) -> _Settings:
+    from pydantic import ValidationError
+
     try:
         return model.model_validate(values)
     except ValidationError as error:

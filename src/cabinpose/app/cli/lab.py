@@ -1,20 +1,54 @@
-"""`cabinpose lab`: a session of the virtual laboratory."""
+"""`cabinpose lab`: record a session in a virtual laboratory, with its truth."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from pathlib import Path
 
-from pydantic import ValidationError
-
-from cabinpose.app.cli.align_commands import Lab
+from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 
 
+@dataclass(frozen=True, kw_only=True)
+class Lab(PrintsJson):
+    """Record a session in a virtual laboratory: suit, optical system and ToF camera, with real ones' errors, and the truth.
+
+    Writes calibration takes, a take of a driver, the files that `calibrate` and `align` need, and what is true of them all.
+    """
+
+    out: Path
+    """Folder of the session; it has to be new or empty."""
+    rig: Maybe[Path] = None
+    """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of a real one."""
+    only: Maybe[str] = None
+    """One error of the rig alone, all others off; `exact`: none at all."""
+    seconds: float = 20.0
+    """Length of the driver's take."""
+    rate: Maybe[float] = None
+    """Frames per second of the camera in it; default: the rig's."""
+    views: int = 50
+    """Poses of the checkerboard."""
+    car: str = "sedan"
+    """A preset car."""
+    subjects: tuple[str, ...] = ("S01",)
+    """Of the package's people, one after the other."""
+    exercises: bool = True
+    """Record movements in each anatomical plane outside the car as well, for `evaluate-mocap`."""
+    seed: int = 0
+    """Seed of everything that is drawn."""
+
+
+COMMAND = Lab
+
+
 def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
+    require("record")
+    from pydantic import ValidationError
+
     from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import VirtualRig
 

@@ -1,4 +1,4 @@
-"""`cabinpose record`: a take, or the check before it."""
+"""`cabinpose record`: record the devices of a rig, or check that they are ready."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.output import print_json, print_rows
-from cabinpose.app.cli.record_commands import Record
 from cabinpose.app.extras import require
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
@@ -27,9 +27,31 @@ _REFRESH_S = 0.25
 _FIRST_DATA_S = 2.0  # a source that has sent nothing for so long at the start is told of
 
 
+@dataclass(frozen=True, kw_only=True)
+class Record(PrintsJson):
+    """Record what the devices of a rig say into one file (MCAP), until Ctrl-C.
+
+    Nothing connects or listens beyond what the rig names. A device that goes away is reached again; what is lost is counted.
+    """
+
+    config: Path
+    """The rig (YAML): its sources, how to write, and the take."""
+    out: Maybe[Path] = None
+    """Recording to write (.mcap)."""
+    take: Maybe[Path] = None
+    """YAML file of the take (subjects, action, car), in place of the rig's."""
+    check: bool = False
+    """Say what is missing, of the disk and of each source, and record nothing."""
+    duration: Maybe[float] = None
+    """Stop after so many seconds."""
+
+
+COMMAND = Record
+
+
 def run(command: Record) -> int:
     """Check, or record until Ctrl-C, the end of the duration, or of all sources; 1 where one that is needed fell silent."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.record.config import load_rig, load_take
 
     rig = load_rig(command.config)
@@ -46,6 +68,7 @@ def run(command: Record) -> int:
 
 
 def _check(command: Record, rig: Rig) -> None:
+    from cabinpose.core.clock import HostClock
     from cabinpose.record.check import check
 
     findings = check(rig, command.out, HostClock())
@@ -60,6 +83,7 @@ def _check(command: Record, rig: Rig) -> None:
 
 def _record(command: Record, rig: Rig, out: Path) -> int:
     from cabinpose.app.cli.panel import panel
+    from cabinpose.core.clock import HostClock
     from cabinpose.record.session import begin
 
     recorder = begin(rig, out, HostClock())

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
-from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.output import print_json, print_rows, printable
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDING_IMPORTS
 
 if TYPE_CHECKING:  # needs the extra `record`, which is asked for first
+    from cabinpose.app.cli.export import Export
+    from cabinpose.app.cli.import_ import Import
     from cabinpose.store.recording import Take
 
 _NO_TIME_OF_DAY = ("c3d", "bvh", "trc", "sto")
@@ -59,7 +60,7 @@ def import_recording(command: Import) -> bool:
     for flag, formats in _OF_FORMATS.items():
         if name not in formats:
             refuse({flag: of_recording[flag]}, f"{{}} is of {', '.join(formats)}, not of {name}")
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.convert.recordings import RecordingOptions, import_recording
 
     take = _take(command)
@@ -102,7 +103,7 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
         raise ConfigError(f"{command.rate:g} frames a second are none", hint="give --rate more than 0")
     if command.out.resolve() == path.resolve():
         raise ConfigError(f"{path} is the recording itself", hint="give another file with --out")
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.convert.recordings import Selection, export_recording
 
     selection = Selection(command.source, command.subject, command.span, command.rate, command.angles)

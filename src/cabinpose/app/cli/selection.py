@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from cabinpose.app.cli.commands import Evaluate, Info, Predict, View
-from cabinpose.app.cli.exchange_commands import Export
+from cabinpose.app.cli.arguments import SelectsFrames
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
 from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_named_splits
 
 
-def selected(dataset: xr.Dataset, command: Info | View | Export | Evaluate | Predict) -> xr.Dataset:
+def selected(dataset: xr.Dataset, command: SelectsFrames) -> xr.Dataset:
     """The frames of the split that a command names and of its --select; ConfigError or DatasetError where there is none."""
     return frames_with(dataset, [*_split(command.splits, command.split), selection(command.select)])
 

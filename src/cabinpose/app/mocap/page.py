@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 
 from cabinpose.app.mocap.figures import Section
-from cabinpose.app.report.page import document, section
+from cabinpose.app.report.detectors import document, section
 from cabinpose.evaluate.mocap.result import ALL, Judgement, Summary
 
 _FEW = 3  # measures that have tiles

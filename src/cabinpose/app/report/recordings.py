@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.recording.tables import source_rows, topic_rows
-from cabinpose.app.recording.timeline import interval_chart, timeline
+from cabinpose.app.report.timeline import interval_chart, timeline
 from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, jpeg, resized, text
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers, SegmentPoses, ToFFrame
@@ -54,6 +53,53 @@ def write_recording_view(path: Path, sheet: Path, page: Path, *, frames: int, ro
     page.write_text(page_html(found, shots), encoding="utf-8")
 
 
+def source_rows(found: Survey) -> list[list[str]]:
+    """A head and a line for each source. missing: numbers that the file lacks; from `lost` on, what the recorder counted."""
+    head = [
+        "source",
+        "samples",
+        "first_s",
+        "last_s",
+        "rate/s",
+        "jitter_ms",
+        "gaps",
+        "longest_s",
+        "missing",
+        "lost",
+        "dropped",
+        "late",
+        "bad",
+        "restarts",
+    ]
+    return [[title.replace("_", " ") for title in head], *(_source(source, found.started_ns) for source in found.sources)]
+
+
+def topic_rows(found: Survey) -> list[list[str]]:
+    """A head and a line for each topic."""
+    rows = [["topic", "schema", "messages", "rate/s", "MB"]]
+    return rows + [
+        [t.topic, t.schema or "bytes", str(t.messages), f"{t.rate_hz:.1f}", f"{t.bytes / 1e6:.2f}"] for t in found.topics
+    ]
+
+
+def _source(source: SourceSurvey, started_ns: int) -> list[str]:
+    longest = float((source.gaps[:, 1] - source.gaps[:, 0]).max()) if len(source.gaps) else 0.0
+    ends = ["-" if at is None else f"{(at - started_ns) / 1e9:.2f}" for at in (source.first_ns, source.last_ns)]
+    seen = [
+        str(source.samples),
+        *ends,
+        f"{source.rate_hz:.1f}",
+        f"{source.jitter_ms:.2f}",
+        str(len(source.gaps)),
+        f"{longest:.2f}",
+    ]
+    row = [source.name, *seen, str(source.missing)]
+    if (status := source.status) is None:
+        return row + ["?"] * 5
+    late, bad = status.reordered + status.duplicate, status.malformed + status.refused
+    return row + [str(count) for count in (status.lost, status.dropped, late, bad, status.restarts)]
+
+
 def contact_sheet(shots: dict[str, list[_Shot]], rows: int) -> Image:
     """(H, W, 3): a row a moment, a picture a source; one dark strip where no source gives pictures."""
     count = min(rows, max((len(series) for series in shots.values()), default=0))
@@ -69,7 +115,7 @@ def contact_sheet(shots: dict[str, list[_Shot]], rows: int) -> Image:
 def page_html(found: Survey, shots: dict[str, list[_Shot]]) -> str:
     """The page on a surveyed recording."""
     style = (files("cabinpose.app.report") / "assets" / "report.css").read_text(encoding="utf-8")
-    style += (files("cabinpose.app.recording") / "assets" / "recording.css").read_text(encoding="utf-8")
+    style += (files("cabinpose.app.report") / "assets" / "recording.css").read_text(encoding="utf-8")
     take = found.take
     who = ", ".join(f"{s.code} ({s.seat.replace('_', ' ')})" if s.seat else s.code for s in take.subjects)
     said = " · ".join(filter(None, (take.action, take.car, who))) or "nothing is said of this take"

@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.app.report.charts import legend, series_chart
+from cabinpose.app.report.detectors import document, section
 from cabinpose.app.report.frames import overlay
-from cabinpose.app.report.page import document, section
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store import open_dataset
