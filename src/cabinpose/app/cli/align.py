@@ -38,13 +38,13 @@ class Align(PrintsJson):
     report: Maybe[Path] = None
     """HTML file to write: how well suit and optical system agree on the head over each take, with its best and worst frame."""
     subject: Maybe[str] = None
-    """Subject code, where a take does not name it."""
+    """Subject code, if a take does not name it."""
     max_lag: float = 2.0
-    """Greatest delay between suit and optical system that is looked for, s."""
+    """Largest delay between suit and optical system to search, s."""
     licence: str = "private"
     """Licence of the dataset; recordings of people are personal data."""
     overwrite: bool = False
-    """Replace the dataset that is there."""
+    """Replace the dataset in the folder."""
 
 
 COMMAND = Align

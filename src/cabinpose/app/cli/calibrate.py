@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(PrintsJson):
-    """Find where a rig's camera stands, when its stamps are late, and how the suit's head sits in the optical system's.
+    """Find the camera's place in a rig, the delay of its time stamps, and how the suit's head relates to the optical system's.
 
     From recordings of a checkerboard with markers, of a swinging marker, and of each subject's turning head.
     """
@@ -31,7 +31,7 @@ class Calibrate(PrintsJson):
     out: Path
     """Calibration to write (YAML)."""
     overwrite: bool = False
-    """Replace the calibration that is there."""
+    """Replace the calibration file."""
 
 
 COMMAND = Calibrate

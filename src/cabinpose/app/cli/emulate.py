@@ -29,48 +29,48 @@ _Settings = TypeVar("_Settings", bound="BaseModel")
 
 @dataclass(frozen=True, kw_only=True)
 class EmulateMvn(PrintsJson):
-    """Stream a motion as Xsens MVN's network streamer does, with losses, delays and a wrong order as you ask. Ctrl-C ends it."""
+    """Stream a motion as Xsens MVN's network streamer does, with losses, delays and reordering on request. Ctrl-C ends it."""
 
     motion: str = "seated"
     """seated, walk, or an MVNX file to repeat."""
     host: str = "127.0.0.1"
-    """Where to stream to (listen: where to be reached)."""
+    """Address to stream to (listen: address to listen on)."""
     port: int = 9763
-    """Port there."""
+    """Port of that address."""
     transport: Literal["udp", "tcp", "listen"] = "udp"
-    """udp; tcp to a receiver that waits; listen for one that connects."""
+    """udp; tcp: connect to a receiver; listen: wait for a receiver to connect."""
     types: tuple[int, ...] = (2,)
     """Types of datagrams: 1 2 3 5 20 21 22 23 24 25. Names and scales (12, 13) come every second."""
     rate: float = 60.0
     """Samples a second."""
     capture_rate: Maybe[float] = None
-    """Samples a second that the sample counter counts; default: the rate."""
+    """Samples a second by the sample counter; default: the rate."""
     characters: int = 1
-    """People, side by side."""
+    """Number of people, side by side."""
     props: int = 0
-    """Props of each."""
+    """Props per person."""
     fingers: bool = False
-    """With 40 finger segments."""
+    """Send 40 finger segments too."""
     items_per_datagram: Maybe[int] = None
-    """Split samples over datagrams of so many items."""
+    """Largest number of items per datagram; default: samples are not split."""
     latency: float = 0.0
-    """Seconds from taking a sample to sending it."""
+    """Delay from sample to sending, s."""
     clock_offset: float = 0.0
-    """What the sender's clock shows at the start, seconds."""
+    """The sender's clock at the start, s."""
     clock_drift: float = 0.0
-    """By how much the sender's clock runs fast, millionths."""
+    """How fast the sender's clock runs, parts per million."""
     loss: float = 0.0
     """Share of datagrams that are lost."""
     duplicate: float = 0.0
     """Share of datagrams that arrive twice."""
     reorder: float = 0.0
-    """Share of datagrams that arrive late."""
+    """Share of datagrams that arrive late, after later ones."""
     seconds: Maybe[float] = None
-    """How long; default: until Ctrl-C."""
+    """Duration, s; default: until Ctrl-C."""
     log: Maybe[Path] = None
-    """File for a line of JSON on each datagram and its fate."""
+    """File for one line of JSON per datagram: what was sent, lost or delayed."""
     seed: int = 0
-    """Seed of what the network does."""
+    """Seed of the losses, duplicates and delays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,29 +88,29 @@ class EmulateVicon(PrintsJson):
     subjects: int = 1
     """People of a generated motion, side by side."""
     first_frame: int = 1
-    """Number of the first frame, as the vendor's SDK tells it."""
+    """Number of the first frame, as the vendor's SDK reports it."""
     latency: float = 0.0
-    """Seconds from a frame's capture to its sending, as the server reports them."""
+    """Delay from capture to sending that the server reports, s."""
     clock_drift: float = 0.0
-    """By how much the server's clock runs fast, millionths."""
+    """How fast the server's clock runs, parts per million."""
     drop: float = 0.0
     """Share of frames that are never sent."""
     occlude_markers: float = 0.0
-    """Share of markers that are not seen."""
+    """Share of markers that are occluded."""
     occlude_segments: float = 0.0
     """Share of segments that are not solved."""
     up: Literal["z", "y"] = "z"
     """The server's vertical axis."""
     die_after: Maybe[float] = None
-    """Die after so many seconds, and return."""
+    """Stop the server after so many seconds, then start it again."""
     dead_for: float = 2.0
-    """Seconds until it returns."""
+    """Seconds until the server starts again."""
     anew: bool = False
-    """When it returns, number frames from the first again."""
+    """After a restart, number frames from the first again."""
     seconds: Maybe[float] = None
-    """How long; default: until Ctrl-C."""
+    """Duration, s; default: until Ctrl-C."""
     log: Maybe[Path] = None
-    """File for a line of JSON on each frame for each client, and its fate."""
+    """File for one line of JSON per frame and client: sent, dropped or refused."""
     seed: int = 0
     """Seed of the motion, and of what is dropped and occluded."""
 

@@ -32,18 +32,18 @@ Outcome = tuple["Judgement", "list[Section]", dict[str, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class MocapReport(PrintsJson):
-    """What all four evaluations can be told about their report."""
+    """Flags of all four evaluations."""
 
     out: Maybe[Path] = None
     """Folder for the page (index.html) and its numbers (report.json)."""
     resamples: int = 1000
-    """Resamples of the bootstrap; 0: no intervals."""
+    """Resamples of the bootstrap for the intervals; 0: no intervals."""
     block_s: Maybe[float] = None
-    """Seconds of a block of the bootstrap; default: by how long the errors remember themselves."""
+    """Seconds of a block of the bootstrap; default: from the autocorrelation of the errors."""
     seed: int = 0
     """Seed of the bootstrap."""
     overwrite: bool = False
-    """Replace the page that is in the folder."""
+    """Replace the report in the folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,15 +57,15 @@ class EvaluateSse(MocapReport):
     source: Maybe[str] = None
     """Source of the sensor in a recording."""
     step_deg: float = 11.25
-    """Degrees that the motor turns at a step."""
+    """Angle of a step of the motor, degrees."""
     steps: int = 33
-    """How many times the sensor stands still: 33 for a full turn of 32 steps, with the place where it began."""
+    """Number of standstills: 33 for a full turn of 32 steps, the start included."""
     samples: int = 300
-    """Samples taken at each step, from its middle; 0: all."""
+    """Samples used of each standstill, from its middle; 0: all."""
     still_deg_s: float = 1.5
-    """Degrees a second under which the sensor stands still."""
+    """The sensor stands still below this speed, degrees/s."""
     still_s: float = 0.5
-    """Seconds that it does so at least."""
+    """Least duration of a standstill, s."""
     motor: Maybe[str] = None
     """SOURCE/CHANNEL that recorded the motor's angle in degrees, in place of steps."""
 
@@ -85,18 +85,18 @@ class EvaluateSfe(MocapReport):
     last: Maybe[tuple[float, float]] = None
     """Seconds from and to, of the last pose; default: the last time."""
     still_m_s: float = 0.05
-    """Metres a second under which every segment stands still."""
+    """The person stands still when every segment is below this speed, m/s."""
     any_pose: bool = False
-    """Take whatever pose the person is still in, not only an N-pose."""
+    """Use any pose in which the person stands still, not only the N-pose."""
     fit: Literal["pelvis", "body"] = "pelvis"
-    """Lay the poses on each other by the pelvis, or by all joints (markers have no pelvis)."""
+    """Align the poses by the pelvis, or by all joints (markers have no pelvis)."""
     pelvis: str = "Pelvis"
     """Name of the pelvis segment."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _AgainstOptical(MocapReport):
-    """What both evaluations against an optical system can be told."""
+    """Flags of both evaluations against an optical system."""
 
     takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]RECORDING")] = ()
     """Recordings (.mcap) of suit and optical system; default label: the take's action."""
@@ -115,24 +115,24 @@ class _AgainstOptical(MocapReport):
     rate: Maybe[float] = None
     """Samples a second of the common clock; default: the slower system's."""
     max_gap_s: float = 0.1
-    """Longest pause of a stream that is interpolated over."""
+    """Longest gap of a stream that is interpolated, s."""
     delay_ms: Maybe[float] = None
-    """By how much the suit's stamps are late against the optical system's; default: from how both see the segments turn."""
+    """Delay of the suit's time stamps relative to the optical system's, ms; default: estimated from the segments' rotations."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateDse(_AgainstOptical):
-    """Segments' turns since the first frame, suit against optical system, in up to 17 pairs, by plane of motion."""
+    """Rotations of segments since the first frame, suit against optical system, in up to 17 pairs, by plane of motion."""
 
     sensors: bool = False
-    """Take the orientations of the suit's sensors, not of its segments."""
+    """Use the orientations of the suit's sensors, not of its segments."""
     heading_deg: Maybe[float] = None
-    """Heading of the optical world seen from the suit's; default: fitted."""
+    """Heading of the optical system's world relative to the suit's, degrees; default: fitted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateDfe(_AgainstOptical):
-    """Joints' positions, suit against optical system, in up to 18 pairs: raw, laid on each other by pelvis, by pelvis and ICP."""
+    """Joint positions, suit against optical system, in up to 18 pairs: raw, aligned by the pelvis, by pelvis and ICP."""
 
 
 COMMAND = one_of(sse=EvaluateSse, sfe=EvaluateSfe, dse=EvaluateDse, dfe=EvaluateDfe)
@@ -304,7 +304,7 @@ def _generator(command: MocapReport) -> np.random.Generator:
 
 
 def _told(found: Judgement, command: MocapReport, notes: Sequence[str] = ()) -> Judgement:
-    """The judgement with the command's options as its settings, and with what the reading of the takes had to say."""
+    """The judgement with the command's options as settings, and with the notes from reading the takes."""
     left_out = ("out", "overwrite", "as_json")
     settings = {k: v for k, v in asdict(command).items() if k not in left_out}
     return replace(found, settings=settings, notes=(*dict.fromkeys(notes), *found.notes))

@@ -28,7 +28,7 @@ class Export(SelectsFrames):
     """
 
     out: Path
-    """Folder (recordings but for csv, and --onnx: file) to write; it appears when the export is whole."""
+    """Folder to write (a file for --onnx and for recordings other than csv); it appears when the export is complete."""
     dataset: Annotated[Positional[Path | None], several("DATASET|RECORDING")] = None
     """Folder of the dataset, or a recording (.mcap)."""
     format: Maybe[str] = None
@@ -38,7 +38,7 @@ class Export(SelectsFrames):
     name: Maybe[str] = None
     """Name of the ONNX model in reports; default: the file's."""
     card: Maybe[Path] = None
-    """YAML file of what is known of the model (data, seeds, metrics, limits), kept in the ONNX file."""
+    """YAML file of what is known of the model (data, seeds, metrics, limits), stored in the ONNX file."""
     mirrored: bool = False
     """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
     images: Maybe[Literal["depth8", "amplitude8", "depth16"]] = None
@@ -48,15 +48,15 @@ class Export(SelectsFrames):
     source: Annotated[tuple[str, ...], several("NAME [NAME ...]")] = ()
     """Recordings: sources to export; default: all, or the only one that has what the format holds."""
     subject: Maybe[str] = None
-    """Recordings: whose data (c3d, bvh, trc, sto, mvnx); needed where there are several."""
+    """Recordings: the subject to export (c3d, bvh, trc, sto, mvnx); required where there are several."""
     span: Annotated[tuple[float, float] | None, several("FROM TO")] = None
     """Recordings: seconds from the start of the take."""
     rate: Maybe[float] = None
-    """Recordings: frames a second (c3d, trc, sto, mvnx); default: what the device told, or the median."""
+    """Recordings: frames a second (c3d, trc, sto, mvnx); default: the rate that the device reported, or the median."""
     angles: bool = False
     """sto: joint angles in place of orientations."""
     overwrite: bool = False
-    """Replace what is there."""
+    """Replace existing files."""
 
 
 COMMAND = Export

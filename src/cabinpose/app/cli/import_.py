@@ -16,7 +16,7 @@ from cabinpose.core.errors import unknown_name
 
 @dataclass(frozen=True, kw_only=True)
 class Import(PrintsJson):
-    """Make a dataset of one in another format, or a recording of another tool's file.
+    """Make a dataset from one in another format, or a recording from another tool's file.
 
     Datasets: png-json (an export of ours), coco, itop, ntu. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv, trc, sto, csv.
     """
@@ -26,7 +26,7 @@ class Import(PrintsJson):
     format: str
     """Format of the source; see above and docs."""
     out: Path
-    """Folder of the dataset, or recording (.mcap); it appears when the import is whole."""
+    """Folder of the dataset, or recording (.mcap); it appears when the import is complete."""
     images: Maybe[Path] = None
     """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
     keep_invalid: bool = False
@@ -34,11 +34,11 @@ class Import(PrintsJson):
     intrinsics: Maybe[tuple[float, float, float, float]] = None
     """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
     licence: Maybe[str] = None
-    """Datasets: licence of the data; default: what the source says."""
+    """Datasets: licence of the data; default: that of the source."""
     subject: Annotated[tuple[str, ...], several("CODE [CODE ...]")] = ()
     """Recordings: codes of the subjects, in the order of the file."""
     action: Maybe[str] = None
-    """Recordings: what is done, as a short word."""
+    """Recordings: the action, a short word."""
     car: Maybe[str] = None
     """Recordings: the car or mock-up."""
     take: Maybe[Path] = None
@@ -50,11 +50,11 @@ class Import(PrintsJson):
     unit_m: Maybe[float] = None
     """bvh: metres of the unit of length; default: that of the CMU database."""
     up: Maybe[Literal["x", "-x", "y", "-y", "z", "-z"]] = None
-    """c3d, bvh (y or z): the axis that points up; default: as the markers tell, or the file; bvh: y."""
+    """c3d, bvh (y or z): the axis that points up; default: found from markers or file; bvh: y."""
     keep_whole_frames: bool = False
-    """c3d: take the frames that are whole of a file that is cut off, and say how many are lost."""
+    """c3d: of a truncated file, import the complete frames, and report how many are lost."""
     overwrite: bool = False
-    """Replace what is there."""
+    """Replace existing files."""
 
 
 COMMAND = Import

@@ -14,31 +14,31 @@ from cabinpose.core.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Lab(PrintsJson):
-    """Record a session in a virtual laboratory: suit, optical system and ToF camera, with real ones' errors, and the truth.
+    """Record a session in a virtual laboratory: suit, optical system and ToF camera with realistic errors, and the truth.
 
-    Writes calibration takes, a take of a driver, the files that `calibrate` and `align` need, and what is true of them all.
+    Writes calibration takes, a take of a driver, the files that `calibrate` and `align` need, and the truth of all of them.
     """
 
     out: Path
-    """Folder of the session; it has to be new or empty."""
+    """Folder of the session; new or empty."""
     rig: Maybe[Path] = None
-    """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of a real one."""
+    """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of real devices."""
     only: Maybe[str] = None
-    """One error of the rig alone, all others off; `exact`: none at all."""
+    """Switch on this error alone; `exact`: no error."""
     seconds: float = 20.0
-    """Length of the driver's take."""
+    """Length of the driver's take, s."""
     rate: Maybe[float] = None
-    """Frames per second of the camera in it; default: the rig's."""
+    """Frames per second of the camera in the driver's take; default: the rig's."""
     views: int = 50
     """Poses of the checkerboard."""
     car: str = "sedan"
-    """A preset car."""
+    """Name of a preset car."""
     subjects: tuple[str, ...] = ("S01",)
-    """Of the package's people, one after the other."""
+    """People of the package who are recorded, one after the other."""
     exercises: bool = True
     """Record movements in each anatomical plane outside the car as well, for `evaluate-mocap`."""
     seed: int = 0
-    """Seed of everything that is drawn."""
+    """Seed of all random numbers."""
 
 
 COMMAND = Lab

@@ -25,7 +25,7 @@ _TIGHT_S = 600.0  # a disk that is full sooner is shown in red
 
 @contextmanager
 def panel(out: Path, duration: float | None) -> Iterator[Callable[[RecorderStatus], None]]:
-    """What is to be called with the present state: it draws on a terminal, and elsewhere prints a line every ten seconds."""
+    """A function to call with the current state: it draws on a terminal, elsewhere it prints a line every ten seconds."""
     console = Console(stderr=True)
     if console.is_terminal:
         with Live(console=console, auto_refresh=False, transient=True) as live:

@@ -29,9 +29,9 @@ _FIRST_DATA_S = 2.0  # a source that has sent nothing for so long at the start i
 
 @dataclass(frozen=True, kw_only=True)
 class Record(PrintsJson):
-    """Record what the devices of a rig say into one file (MCAP), until Ctrl-C.
+    """Record the data of a rig's devices in one file (MCAP), until Ctrl-C.
 
-    Nothing connects or listens beyond what the rig names. A device that goes away is reached again; what is lost is counted.
+    Only connections that the rig names are opened. A device that disappears is connected again; losses are counted.
     """
 
     config: Path
@@ -41,7 +41,7 @@ class Record(PrintsJson):
     take: Maybe[Path] = None
     """YAML file of the take (subjects, action, car), in place of the rig's."""
     check: bool = False
-    """Say what is missing, of the disk and of each source, and record nothing."""
+    """Check the disk and each source, and record nothing."""
     duration: Maybe[float] = None
     """Stop after so many seconds."""
 

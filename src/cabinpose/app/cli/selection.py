@@ -30,7 +30,7 @@ def frames_with(dataset: xr.Dataset, selections: Sequence[Selection]) -> xr.Data
 
 
 def selection(words: Sequence[str]) -> Selection:
-    """What the words behind --select ask for; ConfigError for one that is not NAME=VALUE[,VALUE]."""
+    """The selection of the words after --select; ConfigError for a word that is not NAME=VALUE[,VALUE]."""
     found: dict[str, tuple[Any, ...]] = {}
     for word in words:
         name, equals, values = word.partition("=")
