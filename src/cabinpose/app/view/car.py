@@ -264,16 +264,14 @@ def _frame_pictures(frame: Mapping[str, NDArray[Any]] | None) -> Image | None:
 
 
 def _legend(sheet: Image, top: int) -> None:
-    left = _MARGIN
-    for colour, words in (
+    points = (
         (_SEAT, "seat: H-point, line of the back, heels"), (_WHEEL, "wheel and axis"), (_PEDAL, "pedals"),
         (_VIEW, "views, their field of view"), (_WRONG, "x where people were refused"),
-    ):  # fmt: skip
-        sheet[top - 11 : top + 1, left : left + 12] = colour
-        text(sheet, words, (left + 18, top), _INK, 14)
-        left += 44 + round(7.2 * len(words))
-    left = _MARGIN
-    for name in ("seat", "trim", "glass", "floor", "steering_wheel"):
-        sheet[top + 9 : top + 21, left : left + 12] = _TINTS[ID[name]]
-        text(sheet, name.replace("_", " "), (left + 18, top + 20), _GREY, 13)
-        left += 44 + round(7.2 * len(name))
+    )  # fmt: skip
+    surfaces = [(_TINTS[ID[name]], name.replace("_", " ")) for name in ("seat", "trim", "glass", "floor", "steering_wheel")]
+    for level, entries, ink in ((top, points, _INK), (top + 20, surfaces, _GREY)):
+        left = _MARGIN
+        for colour, words in entries:
+            sheet[level - 11 : level + 1, left : left + 12] = colour
+            text(sheet, words, (left + 18, level), ink, 14)
+            left += 44 + round(7.2 * len(words))
