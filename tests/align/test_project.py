@@ -11,7 +11,7 @@ import pytest
 from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
 from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take, with_known
-from cabinpose.app.head_page import write_head_page
+from cabinpose.app.report.heads import write_head_page
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 from capsule_people import StubCabin, StubSeat, capsule, person, surface
+from exact_contact import exact_penetrations
 
 from cabinpose.core.frames import Matrix, transform
 from cabinpose.scene.cabin import Part
 from cabinpose.scene.contact import BOTH_YIELD_M, FLESH_M, OUTSIDE
-from cabinpose.scene.contact.exact import exact_penetrations
 from cabinpose.synth import validate
 from cabinpose.synth.validate import Rejection, Validator, Verdict, by_cause, most_common
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse
+from cabinpose.app.cli.evaluate_mocap import EvaluateDfe, EvaluateDse
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import Truth, dress_up, write_motion_take
 from cabinpose.app.mocap.compare import dfe_runs, dse_runs

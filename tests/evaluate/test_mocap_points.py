@@ -14,7 +14,7 @@ import pytest
 from moving_body import OFFSETS
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse
+from cabinpose.app.cli.evaluate_mocap import EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap import compare
 from cabinpose.app.mocap.inputs import PointTracks, read_motion
 from cabinpose.core.errors import AlignmentError

@@ -1,4 +1,4 @@
-"""What a script needs in one line: data without a disk, whatever lies on one, a model on plain arrays, a report.
+"""Functions for scripts: generated frames, data on disk, a model on plain arrays, a report.
 
 These are the names that `import cabinpose` offers; each loads what it needs when it is called.
 """

@@ -1,23 +1,42 @@
-"""`cabinpose predict`: what a model finds in a dataset, as a predictions file."""
+"""`cabinpose predict`: run a model over a dataset and write a predictions file."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from pathlib import Path
 
-import numpy as np
-
-from cabinpose.app.cli.commands import Predict
+from cabinpose.app.cli.arguments import DatasetArgument, SelectsFrames
 from cabinpose.app.cli.output import print_json, printable, progress
-from cabinpose.app.cli.selection import selected
-from cabinpose.core.ports import joined
-from cabinpose.estimate.predictor import load_model
-from cabinpose.evaluate.offline import BATCH, dataset_id, frame_batch
-from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Predict(SelectsFrames):
+    """Run a model over a dataset and write the joints that it finds as a predictions file."""
+
+    dataset: DatasetArgument
+    model: str
+    """Name of a packaged model, or an ONNX file."""
+    out: Path
+    """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
+    overwrite: bool = False
+    """Replace the file."""
+
+
+COMMAND = Predict
 
 
 def run(command: Predict) -> None:
-    """Run the model over the frames in their order and write what it finds."""
+    """Run the model over the frames in their order and write the predictions."""
+    import numpy as np
+
+    from cabinpose.app.cli.selection import selected
+    from cabinpose.core.ports import joined
+    from cabinpose.estimate.predictor import load_model
+    from cabinpose.evaluate.offline import BATCH, dataset_id, frame_batch
+    from cabinpose.store import open_dataset, read_manifest
+    from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
+
     check_new_predictions(command.out, overwrite=command.overwrite)  # before the work, not at its end
     model = load_model(command.model)
     dataset = selected(open_dataset(command.dataset), command)

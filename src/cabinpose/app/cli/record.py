@@ -1,4 +1,4 @@
-"""`cabinpose record`: a take, or the check before it."""
+"""`cabinpose record`: record the devices of a rig, or check that they are ready."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from tyro.conf import arg
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.output import print_json, print_rows
-from cabinpose.app.cli.record_commands import Record
 from cabinpose.app.extras import require
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
@@ -26,9 +28,33 @@ _REFRESH_S = 0.25
 _FIRST_DATA_S = 2.0  # a source that has sent nothing for so long at the start is told of
 
 
+@dataclass(frozen=True, kw_only=True)
+class Record(PrintsJson):
+    """Record the data of a rig's devices in one file (MCAP), until Ctrl-C.
+
+    Only connections that the rig names are opened. A device that disappears is connected again; losses are counted.
+    """
+
+    config: Path
+    """The rig (YAML): its sources, how to write, and the take."""
+    out: Maybe[Path] = None
+    """Recording to write (.mcap)."""
+    take: Maybe[Path] = None
+    """YAML file of the take (subjects, action, car), in place of the rig's."""
+    check: bool = False
+    """Check the disk and each source, and record nothing."""
+    duration: Maybe[float] = None
+    """Stop after so many seconds."""
+    split_every: Annotated[Maybe[str], arg(metavar="10min|2GB")] = None
+    """Go on in a new file after so long (s, min, h) or so much (MB, GB): FILE.mcap, FILE-001.mcap; in place of the rig's."""
+
+
+COMMAND = Record
+
+
 def run(command: Record) -> int:
     """Check, or record until Ctrl-C, the end of the duration, or of all sources; 1 where one that is needed fell silent."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.record.config import load_rig, load_take
 
     rig = load_rig(command.config)
@@ -58,6 +84,7 @@ def _split(storage: Storage, text: str) -> Storage:
 
 
 def _check(command: Record, rig: Rig) -> None:
+    from cabinpose.core.clock import HostClock
     from cabinpose.record.check import check
 
     findings = check(rig, command.out, HostClock())
@@ -72,6 +99,7 @@ def _check(command: Record, rig: Rig) -> None:
 
 def _record(command: Record, rig: Rig, out: Path) -> int:
     from cabinpose.app.cli.panel import panel
+    from cabinpose.core.clock import HostClock
     from cabinpose.record.session import begin
 
     clock = HostClock()

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
-from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.output import print_json, print_rows, printable
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
@@ -17,6 +16,8 @@ from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDI
 from cabinpose.store.convert.rows import epoch_ns
 
 if TYPE_CHECKING:  # needs the extra `record`, which is asked for first
+    from cabinpose.app.cli.export import Export
+    from cabinpose.app.cli.import_ import Import
     from cabinpose.store.recording import Take
 
 
@@ -48,7 +49,7 @@ def import_recording(command: Import) -> bool:
         "--licence": command.licence,
     }  # fmt: skip
     refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.convert.recordings import RecordingOptions, import_recording
 
     take = _take(command)
@@ -89,7 +90,7 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
         raise ConfigError(f"{command.rate:g} frames a second are none", hint="give --rate more than 0")
     if command.out.resolve() == path.resolve():
         raise ConfigError(f"{path} is the recording itself", hint="give another file with --out")
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.convert.recordings import Selection, export_recording
 
     selection = Selection(command.source, command.subject, command.span, command.rate, command.angles)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.cli.mocap_commands import AgainstOptical, EvaluateDfe, EvaluateDse
+from cabinpose.app.cli.evaluate_mocap import AgainstOptical, EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap.inputs import PointTracks, pairs_of, read_motion, read_sensors, windows
 from cabinpose.core.angular import angular_speed
 from cabinpose.core.delay import estimate_delay

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.mocap.stick import stick_figure
-from cabinpose.app.report.charts import box_chart, legend, series_chart
+from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
+from cabinpose.app.report.html import Html, el, join, table
 from cabinpose.core.skeleton import MVN_JOINTS, PARENT
 from cabinpose.evaluate.mocap.bones import Bone
 from cabinpose.evaluate.mocap.dfe import ICP, KABSCH, PELVIS_STAGE, POSITION, STAGES, DfeRun
@@ -28,19 +28,19 @@ _POINTS = 400  # of a line; more than a chart has pixels
 _BOX_NOTE = "Box: quartiles and median; line: 5 % to 95 %."
 
 
-def boxes(judgement: Judgement, measures: Sequence[str], *, chart_by: Literal["measure", "condition"] = "measure") -> str:
+def boxes(judgement: Judgement, measures: Sequence[str], *, chart_by: Literal["measure", "condition"] = "measure") -> Html:
     """A chart a measure with a box for each thing and condition, or the other way round."""
     rows = [s for s in judgement.summaries if s.measure in measures and s.samples]
     rows = [s for s in rows if s.condition in _conditions([r for r in rows if r.measure == s.measure])]
-    charts = []
+    found = []
     for title in dict.fromkeys(getattr(s, chart_by) for s in rows):
         chosen = [s for s in rows if getattr(s, chart_by) == title]
         drawn: dict[str, dict[str, list[float]]] = {}
         for s in chosen:
             drawn.setdefault(s.condition if chart_by == "measure" else s.measure, {})[s.name] = list(s.box)
-        names = legend(list(drawn)) if len(drawn) > 1 else ""
-        charts.append(names + box_chart(f"{title}, {chosen[0].unit}", drawn, height=300))
-    return "".join(charts)
+        found += [legend(drawn)] if len(drawn) > 1 else []
+        found.append(box_chart(f"{title}, {chosen[0].unit}", drawn, height=300))
+    return join(found)
 
 
 def _conditions(rows: Sequence[Summary]) -> list[str]:
@@ -50,18 +50,18 @@ def _conditions(rows: Sequence[Summary]) -> list[str]:
 
 def sse_sections(judgement: Judgement, runs: Sequence[SseRun], measures: Sequence[str]) -> list[Section]:
     """Error by angle of the motor, for each axis."""
-    charts: dict[str, dict[str, tuple[list[float], list[float]]]] = {"error": {}, "tilt": {}}
+    turns: dict[str, dict[str, tuple[list[float], list[float]]]] = {"error": {}, "tilt": {}}
     for run in runs:
         steps = np.unique(run.step)
         angle = [float(np.degrees(run.reference_rad[run.step == s].mean())) for s in steps]
         for what, values in (("error", run.turn_rad - run.reference_rad), ("tilt", run.tilt_rad)):
             mean = [float(np.degrees(values[run.step == s].mean())) for s in steps]
-            name = run.axis if run.axis not in charts[what] else f"{run.axis} {len(charts[what]) + 1}"
-            charts[what][name] = (angle, mean)
-    drawn = series_chart("Sensor − motor, °", "angle of the motor, °", charts["error"], width=620)
-    drawn += series_chart("Tilt off the axis, °", "angle of the motor, °", charts["tilt"], width=620)
+            name = run.axis if run.axis not in turns[what] else f"{run.axis} {len(turns[what]) + 1}"
+            turns[what][name] = (angle, mean)
+    titles = {"error": "Sensor − motor, °", "tilt": "Tilt off the axis, °"}
+    drawn = charts((series_chart(titles[what], "angle of the motor, °", turns[what], width=620) for what in titles), "two")
     return [
-        ("Error by angle", legend(list(charts["error"])) + f'<div class="charts two">{drawn}</div>', "The mean at each step."),
+        ("Error by angle", legend(turns["error"]) + drawn, "The mean at each step."),
         ("Error by axis", boxes(judgement, measures), _BOX_NOTE),
     ]
 
@@ -75,11 +75,7 @@ def sfe_sections(
         bodies = {"first": run.first_m, "last": run.last_m}
         figures.append(stick_figure(f"{run.condition}: {run.drive_s:.1f} s between", bodies, limbs(run.names, _SEGMENT_PARENTS)))
     return [
-        (
-            "Both poses",
-            legend(["first", "last"]) + f'<div class="charts two">{"".join(figures)}</div>',
-            "Laid on each other as the errors are.",
-        ),
+        ("Both poses", legend(["first", "last"]) + charts(figures, "two"), "Laid on each other as the errors are."),
         ("Error by joint", boxes(judgement, measures), f"{_BOX_NOTE} Over the frames of the last pose."),
         (
             "Lengths over the take",
@@ -100,8 +96,7 @@ def dse_sections(judgement: Judgement, runs: Sequence[DseRun], measures: Sequenc
                 both = {"suit": run.suit_rad, "optical": run.optical_rad, "error": run.difference_rad}
                 drawn = {k: (run.time_s[thin].tolist(), np.degrees(v[thin, i]).tolist()) for k, v in both.items()}
                 lines.append(series_chart(f"{name}, °", "s", drawn, height=180))
-        title = f"<h3>{escape(run.condition)}</h3>" if len(runs) > 1 else ""
-        body += f'{title}<div class="charts">{"".join(lines)}</div>'
+        body = Html(body + (el("h3", run.condition) if len(runs) > 1 else "") + charts(lines))
     return [
         ("Error by segment", boxes(judgement, measures), _BOX_NOTE),
         ("Angle since the first frame", body, ""),
@@ -124,19 +119,19 @@ def dfe_sections(judgement: Judgement, runs: Sequence[DfeRun], measures: Sequenc
             drawn[stage] = (run.time_s[thin].tolist(), (1e3 * mean).tolist())
         lines.append(series_chart(f"{run.condition}: mean over the joints, mm", "s", drawn, width=620))
         figures += _dfe_figures(run)
-    stages, over_time = legend([PELVIS_STAGE, ICP, KABSCH]), "".join(lines)
-    bodies = legend(["suit", "optical"]) + f'<div class="charts two">{"".join(figures)}</div>'
+    stages, over_time = legend([PELVIS_STAGE, ICP, KABSCH]), charts(lines, "two")
+    bodies = legend(["suit", "optical"]) + charts(figures, "two")
     eq38 = "The thesis' eq. 3.8: constant differences drop out."
     return [
         ("Error by joint", boxes(judgement, near, chart_by="condition"), _BOX_NOTE),
         ("Displacement since the first frame", boxes(judgement, moved, chart_by="condition"), eq38),
         ("As they come", boxes(judgement, raw), "Positions in the two worlds, before anything is laid on anything."),
-        ("Over time", f'{stages}<div class="charts two">{over_time}</div>', ""),
+        ("Over time", stages + over_time, ""),
         ("Both bodies", bodies, "In the suit's pelvis frame; red: the error."),
     ]  # fmt: skip
 
 
-def _dfe_figures(run: DfeRun) -> list[str]:
+def _dfe_figures(run: DfeRun) -> list[Html]:
     error = run.position_error_m(KABSCH)
     known = np.flatnonzero(np.isfinite(error).sum(axis=1) >= 3)
     if not len(known):
@@ -154,11 +149,9 @@ def _dfe_figures(run: DfeRun) -> list[str]:
 
 
 def _bone_table(bones: Mapping[str, Sequence[Bone]]) -> str:
-    rows = []
+    rows: list[list[object]] = [["", "take", "mean, mm", "σ, mm", "range, mm", "frames"]]
     for condition, lengths in bones.items():
         for bone in sorted(lengths, key=lambda b: -b.sd_m)[:10]:
-            cells = "".join(f"<td>{1e3 * x:.2f}</td>" for x in (bone.mean_m, bone.sd_m, bone.range_m))
-            name = escape(f"{bone.start} – {bone.end}")
-            rows.append(f"<tr><th>{name}</th><td class=name>{escape(condition)}</td>{cells}<td>{bone.frames}</td></tr>")
-    head = "<tr><th></th><th class=name>take</th><th>mean, mm</th><th>σ, mm</th><th>range, mm</th><th>frames</th></tr>"
-    return f"<div class=scroll><table>{head}{''.join(rows)}</table></div>" if rows else ""
+            values = (f"{1e3 * x:.2f}" for x in (bone.mean_m, bone.sd_m, bone.range_m))
+            rows.append([f"{bone.start} – {bone.end}", condition, *values, bone.frames])
+    return table(rows, words=(0, 1))

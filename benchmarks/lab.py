@@ -1,15 +1,15 @@
-"""The figures of `cabinpose bench lab`: what a rig's errors do to calibration and joints, all together and each alone."""
+"""`cabinpose bench lab`: what a rig's errors do to calibration and joints, all together and each alone."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import Say
 from cabinpose.align.calibration import Calibration, PoseCorrection
 from cabinpose.align.project import align_take
 from cabinpose.align.session import Session, calibrate, correct_pose
@@ -23,33 +23,31 @@ _TAKE_HZ = 5.0  # of the camera: the joints need the stamps of its frames, not t
 _RARE = ("optical_swaps",)  # what no rig has always: not among "all"
 
 
-def run_lab_bench(
-    *,
-    errors: tuple[str, ...] = (),
-    views: int = 40,
-    pendulum_s: float = 20.0,
-    seconds: float = 20.0,
-    seed: int = 0,
-    say: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:
-    """Record, calibrate and align a session without an error, with all of a rig's errors, and with each alone.
+def run(*, errors: tuple[str, ...], views: int, seconds: float, seed: int, say: Say, pendulum_s: float = 20.0) -> dict[str, Any]:
+    """Record, calibrate and align a session without errors, with all errors of a rig, and with each alone.
 
-    errors: to look at in place of all of `lab.rig.ERRORS` · views, pendulum_s, seconds: of the takes · seed: of what is drawn,
-    the same in every session. Values are found less true: of the calibration as `lab.score.CalibrationError` has them, of the
-    joints mean and median distance (cm, px), the mean of each joint (cm), and the suit's delay (ms). `budget_cm`: the mean
-    distance that each error alone adds, and the root of the sum of their squares, to be held against that of all together.
+    Parameters
+    ----------
+    errors
+        Errors to look at alone; none: all of `app.lab.rig.ERRORS`.
+    views, seconds, pendulum_s
+        Poses of the board, and lengths of the takes, s.
+    seed
+        Of all random numbers, the same in every session.
+    say
+        Called with the result of each session.
+
+    Returns
+    -------
+    dict
+        Found minus true values: of the calibration as in `app.lab.score.CalibrationError`, of the joints mean and median
+        distance (cm, px), the mean of each joint (cm), and the suit's delay (ms). budget_cm: the mean distance that each error
+        adds, and the root of the sum of their squares, to compare with that of all together.
     """
     rig = VirtualRig()
     rigs = {EXACT: rig.noise_free(), ALL: rig}
     rigs |= {name: rig.only(name) for name in errors or [name for name in ERRORS if name not in _RARE]}
-    plan = Plan(
-        views=views,
-        pendulum_s=pendulum_s,
-        seconds=seconds,
-        rate_hz=_TAKE_HZ,
-        exercises=False,
-        seed=seed,
-    )
+    plan = Plan(views=views, pendulum_s=pendulum_s, seconds=seconds, rate_hz=_TAKE_HZ, exercises=False, seed=seed)
     sessions: dict[str, dict[str, Any]] = {}
     for name, each in rigs.items():
         with tempfile.TemporaryDirectory(prefix="cabinpose-lab-") as folder:

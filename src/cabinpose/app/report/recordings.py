@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.recording.tables import source_rows, topic_rows
-from cabinpose.app.recording.timeline import interval_chart, timeline
-from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, jpeg, resized, text
+from cabinpose.app.report.charts import charts
+from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles
+from cabinpose.app.report.timeline import interval_chart, timeline
+from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, depth_range, resized, text
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers, SegmentPoses, ToFFrame
 from cabinpose.store.frames import write_png
@@ -54,6 +52,29 @@ def write_recording_view(path: Path, sheet: Path, page: Path, *, frames: int, ro
     page.write_text(page_html(found, shots), encoding="utf-8")
 
 
+def source_rows(found: Survey) -> list[list[str]]:
+    """A head and a line for each source. missing: numbers that the file lacks; from `lost` on, what the recorder counted."""
+    head = "source samples first_s last_s rate/s jitter_ms gaps longest_s missing lost dropped late bad restarts"
+    rows = [[title.replace("_", " ") for title in head.split()]]
+    for s in found.sources:
+        ends = ["-" if at is None else f"{(at - found.started_ns) / 1e9:.2f}" for at in (s.first_ns, s.last_ns)]
+        longest = float((s.gaps[:, 1] - s.gaps[:, 0]).max()) if len(s.gaps) else 0.0
+        counts: list[int | str] = ["?"] * 5
+        if (of := s.status) is not None:
+            counts = [of.lost, of.dropped, of.reordered + of.duplicate, of.malformed + of.refused, of.restarts]
+        rates = f"{s.rate_hz:.1f}", f"{s.jitter_ms:.2f}", len(s.gaps), f"{longest:.2f}"
+        rows.append([s.name, *map(str, (s.samples, *ends, *rates, s.missing, *counts))])
+    return rows
+
+
+def topic_rows(found: Survey) -> list[list[str]]:
+    """A head and a line for each topic."""
+    rows = [["topic", "schema", "messages", "rate/s", "MB"]]
+    return rows + [
+        [t.topic, t.schema or "bytes", str(t.messages), f"{t.rate_hz:.1f}", f"{t.bytes / 1e6:.2f}"] for t in found.topics
+    ]
+
+
 def contact_sheet(shots: dict[str, list[_Shot]], rows: int) -> Image:
     """(H, W, 3): a row a moment, a picture a source; one dark strip where no source gives pictures."""
     count = min(rows, max((len(series) for series in shots.values()), default=0))
@@ -68,69 +89,43 @@ def contact_sheet(shots: dict[str, list[_Shot]], rows: int) -> Image:
 
 def page_html(found: Survey, shots: dict[str, list[_Shot]]) -> str:
     """The page on a surveyed recording."""
-    style = (files("cabinpose.app.report") / "assets" / "report.css").read_text(encoding="utf-8")
-    style += (files("cabinpose.app.recording") / "assets" / "recording.css").read_text(encoding="utf-8")
     take = found.take
     who = ", ".join(f"{s.code} ({s.seat.replace('_', ' ')})" if s.seat else s.code for s in take.subjects)
-    said = " · ".join(filter(None, (take.action, take.car, who))) or "nothing is said of this take"
-    charts = "".join(interval_chart(source, found.started_ns, found.seconds) for source in found.sources if source.samples > 1)
-    body = [
-        _section("At a glance", _tiles(found)),
-        _section("Time line", timeline(found), "Samples that arrived, against the usual rate of their source; silences in red."),
-        _section("Between arrivals", f'<div class="charts two">{charts}</div>', "Line: median; shade: shortest to longest."),
-        _section("Sources", _table(source_rows(found))),
-        *(_section(name, _gallery(series)) for name, series in shots.items()),
-        _section("Topics", _table(topic_rows(found))),
+    summary = " · ".join(filter(None, (take.action, take.car, who))) or "nothing is said of this take"
+    intervals = charts((interval_chart(s, found.started_ns, found.seconds) for s in found.sources if s.samples > 1), "two")
+    note = "Samples that arrived, relative to the usual rate of their source; silences in red."
+    sections = [
+        section("At a glance", _glance(found)),
+        section("Time line", timeline(found), note),
+        section("Between arrivals", intervals, "Line: median; shade: shortest to longest."),
+        section("Sources", table(source_rows(found))),
+        *(section(name, el("div", *map(_figure, series), class_="shots")) for name, series in shots.items()),
+        section("Topics", table(topic_rows(found), words=(0, 1))),
     ]
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(found.path.name)}</title><style>{style}</style></head><body>"
-        f"<header><h1>{escape(found.path.name)}</h1><p>{escape(said)}</p></header><main>{''.join(body)}</main></body></html>\n"
-    )
+    return document(found.path.name, found.path.name, summary, sections)
 
 
-def _section(title: str, body: str, note: str = "") -> str:
-    return f"<section><h2>{escape(title)}</h2>{f'<p class=note>{note}</p>' if note else ''}{body}</section>"
-
-
-def _tiles(found: Survey) -> str:
+def _glance(found: Survey) -> Html:
     damage, statuses = found.damage, [source.status for source in found.sources if source.status is not None]
     lost, dropped = sum(s.lost for s in statuses), sum(s.dropped for s in statuses)
     broken = damage.chunks or damage.skipped_bytes
     state = "damaged" if broken else "whole" if damage.whole else "no end"
-    tiles = [
-        (f"{found.seconds:.1f}", "s", "length", ""),
-        (f"{found.bytes / 1e6:.1f}", "MB", "size", ""),
-        (str(len(found.sources)), "", "sources", ""),
-        (str(sum(s.samples for s in found.sources)), "", "samples", ""),
-        (str(lost), "", "lost before they came", "warn" if lost else ""),
-        (str(dropped), "", "dropped by the recorder", "bad" if dropped else ""),
-        (state, "", "file", "bad" if broken else "warn" if not damage.whole else ""),
-    ]
-    drawn = (
-        f'<div class="tile {kind}"><b>{value}<small> {unit}</small></b><span>{label}</span></div>'
-        for value, unit, label, kind in tiles
+    return tiles(
+        [
+            (f"{found.seconds:.1f}", "s", "length", (), ""),
+            (f"{found.bytes / 1e6:.1f}", "MB", "size", (), ""),
+            (str(len(found.sources)), "", "sources", (), ""),
+            (str(sum(s.samples for s in found.sources)), "", "samples", (), ""),
+            (str(lost), "", "lost before they arrived", (), "warn" if lost else ""),
+            (str(dropped), "", "dropped by the recorder", (), "bad" if dropped else ""),
+            (state, "", "file", (), "bad" if broken else "" if damage.whole else "warn"),
+        ]
     )
-    return f'<div class="tiles">{"".join(drawn)}</div>'
 
 
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    head, *lines = rows
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join(
-        f"<tr><th>{escape(row[0])}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])}</tr>" for row in lines
-    )
-    return f'<div class="scroll"><table><tr>{top}</tr>{body}</table></div>'
-
-
-def _gallery(series: Sequence[_Shot]) -> str:
-    figures = []
-    for shot in series:
-        data = base64.b64encode(jpeg(shot.picture, 85)).decode("ascii")
-        caption = f"{shot.seconds:.2f} s" + ("" if shot.sequence is None else f", number {shot.sequence}")
-        image = f'<img src="data:image/jpeg;base64,{data}" alt="">'
-        figures.append(f"<figure>{image}<figcaption>{caption}</figcaption></figure>")
-    return f'<div class="shots">{"".join(figures)}</div>'
+def _figure(shot: _Shot) -> Html:
+    number = "" if shot.sequence is None else f", number {shot.sequence}"
+    return figure(el("img", src=picture_uri(shot.picture), alt=""), f"{shot.seconds:.2f} s{number}")
 
 
 def _shot(recording: Recording, source: SourceSurvey, share: float, started_ns: int) -> _Shot | None:
@@ -161,9 +156,7 @@ def _frame(frame: ToFFrame) -> Image:
     pictures = []
     if frame.depth.size:
         depth = np.where(frame.depth == 0, np.nan, frame.depth * frame.depth_unit_m).astype(np.float32)
-        valid = depth[np.isfinite(depth)]
-        near, far = np.percentile(valid, (1, 99)) if valid.size else (0.0, 1.0)
-        pictures.append(depth_image(depth, float(near), float(far)))
+        pictures.append(depth_image(depth, *depth_range(depth)))
     if frame.amplitude.size:
         pictures.append(amplitude_image(frame.amplitude, float(np.percentile(frame.amplitude, 99.5))))
     if not pictures:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -48,30 +49,26 @@ def parameters_of(network: nn.Module) -> int:
 
 # ----------------------------------------------------------------------------------------------- Lightweight OpenPose
 def _conv(
-    inputs: int, outputs: int, size: int = 3, *, stride: int = 1, dilation: int = 1, norm: bool = False, relu: bool = True
-) -> nn.Sequential:
-    """A convolution that keeps the image's size but for its stride, normalised and rectified where asked for."""
-    layers: list[nn.Module] = [nn.Conv2d(inputs, outputs, size, stride, dilation * (size // 2), dilation, bias=not norm)]
-    layers += [nn.BatchNorm2d(outputs)] if norm else []
-    layers += [nn.ReLU(inplace=True)] if relu else []
+    inputs: int, outputs: int, size: int = 3, *, stride: int = 1, dilation: int = 1, groups: int = 1, norm: bool = False,
+    bias: bool | None = None, active: Callable[..., nn.Module] | None = nn.ReLU, eps: float = 1e-5,
+) -> nn.Sequential:  # fmt: skip
+    """A convolution that keeps the image's size but for its stride, normalised and activated where asked for."""
+    bias = not norm if bias is None else bias
+    layers: list[nn.Module] = [nn.Conv2d(inputs, outputs, size, stride, dilation * (size // 2), dilation, groups, bias)]
+    layers += [nn.BatchNorm2d(outputs, eps)] if norm else []
+    layers += [active(inplace=True)] if active is not None else []
     return nn.Sequential(*layers)
 
 
 def _separable(inputs: int, outputs: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
     """MobileNet's block: 3x3 on each channel, then 1x1, each normalised and rectified."""
-    return nn.Sequential(
-        nn.Conv2d(inputs, inputs, 3, stride, dilation, dilation, groups=inputs, bias=False),
-        nn.BatchNorm2d(inputs),
-        nn.ReLU(inplace=True),
-        *_conv(inputs, outputs, 1, norm=True),
-    )
+    depthwise = _conv(inputs, inputs, stride=stride, dilation=dilation, groups=inputs, norm=True)
+    return nn.Sequential(depthwise, _conv(inputs, outputs, 1, norm=True))
 
 
 def _elu_separable(channels: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(channels, channels, 3, 1, 1, groups=channels, bias=False), nn.ELU(inplace=True),
-        nn.Conv2d(channels, channels, 1, bias=False), nn.ELU(inplace=True),
-    )  # fmt: skip
+    elu = partial(_conv, channels, channels, bias=False, active=nn.ELU)
+    return nn.Sequential(elu(3, groups=channels), elu(1))
 
 
 class _Residual(nn.Module):
@@ -87,7 +84,7 @@ class _Residual(nn.Module):
 
 
 def _heads(trunk: nn.Module, channels: int, hidden: int, outputs: tuple[int, ...]) -> nn.ModuleList:
-    branches = (nn.Sequential(_conv(channels, hidden, 1), _conv(hidden, n, 1, relu=False)) for n in outputs)
+    branches = (nn.Sequential(_conv(channels, hidden, 1), _conv(hidden, n, 1, active=None)) for n in outputs)
     return nn.ModuleList([trunk, *branches])
 
 
@@ -128,12 +125,7 @@ def _answers(stage: nn.ModuleList, x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 # ----------------------------------------------------------------------------------------------------------- RTMPose
-def _silu(inputs: int, outputs: int, size: int = 1, *, stride: int = 1, groups: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=False),
-        nn.BatchNorm2d(outputs, eps=1e-3),
-        nn.SiLU(inplace=True),
-    )
+_silu = partial(_conv, norm=True, active=nn.SiLU, eps=1e-3)
 
 
 class _CrossStage(nn.Module):
@@ -143,14 +135,14 @@ class _CrossStage(nn.Module):
         super().__init__()
         half = channels // 2
         bodies = (
-            nn.Sequential(_silu(half, half, 3), _silu(half, half, 5, groups=half), _silu(half, half)) for _ in range(blocks)
+            nn.Sequential(_silu(half, half, 3), _silu(half, half, 5, groups=half), _silu(half, half, 1)) for _ in range(blocks)
         )
         self.main = nn.Sequential(
-            _silu(channels, half), *(_Residual(nn.Identity(), body) if residual else body for body in bodies)
+            _silu(channels, half, 1), *(_Residual(nn.Identity(), body) if residual else body for body in bodies)
         )
-        self.short = _silu(channels, half)
+        self.short = _silu(channels, half, 1)
         self.attention = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(2 * half, 2 * half, 1), nn.Hardsigmoid(inplace=True))
-        self.final = _silu(2 * half, channels)
+        self.final = _silu(2 * half, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         both = torch.cat((self.main(x), self.short(x)), dim=1)
@@ -162,9 +154,9 @@ class _Pyramid(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first = _silu(channels, channels // 2)
+        self.first = _silu(channels, channels // 2, 1)
         self.pools = nn.ModuleList(nn.MaxPool2d(size, 1, size // 2) for size in (5, 9, 13))
-        self.last = _silu(channels // 2 * 4, channels)
+        self.last = _silu(channels // 2 * 4, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         y = self.first(x)

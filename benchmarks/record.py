@@ -1,4 +1,4 @@
-"""The figures of `cabinpose bench record`: MB/s into one file, and what was dropped on the way."""
+"""`cabinpose bench record`: MB/s into one file, and the samples that were dropped."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from benchmarks import Say
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError
 from cabinpose.record.config import Rig, parse_rig
@@ -26,17 +26,28 @@ _SUIT_HZ, _SUIT_BYTES = 240.0, 760  # MVN's fastest stream
 _SAY_S = 10.0
 
 
-def run_record_bench(
-    *, seconds: float = 120.0, rate_mb: float = 160.0, folder: Path | None = None, say: Callable[[str], None] = lambda _: None
-) -> dict[str, Any]:
-    """Record two emulated ToF cameras, raw bytes and decoded images, and an emulated suit, at a steady rate; plain data for JSON.
+def run(*, seconds: float, rate_mb: float, folder: Path | None, say: Say) -> dict[str, Any]:
+    """Record two emulated ToF cameras, raw bytes and decoded images, and an emulated suit, at a steady rate.
 
-    rate_mb: what the sources give, MB/s, which the frame rate follows · folder: on the disk to measure. The sources work in
-    this process, so their cost is within the figures. Every sample is counted in the file afterwards.
+    The sources work in this process, so that the figures include their cost. Every sample is counted in the file afterwards.
 
-    Keys: mb_per_s into the file; dropped, lost: samples; peak_rss_mb and rss_mb over the take; cpu_share of one core;
-    cpu_s_per_gb, which other load hardly changes; latency_ms: greatest time from arrival to file; frames_hz of a camera;
-    accounted: whether written + dropped + lost = sent, by the samples found in the file.
+    Parameters
+    ----------
+    seconds
+        Length of the take, s.
+    rate_mb
+        MB/s of the sources; the frame rate follows from it.
+    folder
+        On the disk to measure; None: that of temporary files.
+    say
+        Called with the state every ten seconds.
+
+    Returns
+    -------
+    dict
+        mb_per_s into the file; dropped, lost: samples; peak_rss_mb and rss_mb over the take; cpu_share of one core;
+        cpu_s_per_gb, which other load hardly changes; latency_ms: maximum time from arrival to file; frames_hz of a camera;
+        accounted: whether written + dropped + lost = sent, by the samples found in the file.
     """
     if seconds <= 0 or rate_mb <= 0:
         raise ConfigError("a bench needs seconds and a rate", hint="give both more than 0")
@@ -59,7 +70,7 @@ def _rig(rate_mb: float) -> Rig:
     return parse_rig({"sources": {"tof_0": camera, "tof_1": camera, "suit": suit}})
 
 
-def _take(rig: Rig, out: Path, seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
+def _take(rig: Rig, out: Path, seconds: float, say: Say) -> dict[str, Any]:
     process = psutil.Process()
     recorder = begin(rig, out, HostClock())
     began, cpu = time.monotonic(), time.process_time()

@@ -1,4 +1,4 @@
-"""The figures of `cabinpose bench synth`: throughput, CPU time, threads, start-up, memory, and Blender on the same scenes."""
+"""`cabinpose bench synth`: throughput, CPU time, threads, start-up and memory of generation, and Blender on the same scenes."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
+from benchmarks import Say
+from benchmarks.memory import memory_growth
+from benchmarks.renderers import BlenderPeer, rendering
 from cabinpose._native import SIMD
-from cabinpose.app.bench.blender import BlenderPeer
-from cabinpose.app.bench.memory import memory_growth
-from cabinpose.app.bench.rendering import rendering
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import PRESETS, build_cabin
@@ -31,12 +30,16 @@ from cabinpose.synth.write import FrameMaker
 
 _FRAMES_PER_PART = 50
 _SEED = 1
-Say = Callable[[str], None]
+# Programs whose start-up is measured, as arguments of the interpreter; FOLDER is a temporary folder.
+_STARTS = {
+    "help": ("-m", "cabinpose", "--help"),
+    "import": ("-c", "import cabinpose.synth.generate"),
+    "first_frame": ("-m", "cabinpose", "synth", "--config", "FOLDER/scene.yaml", "--frames", "1", "--out", "FOLDER/first"),
+}
 
 
-@dataclass(frozen=True)
-class _Run:
-    """One timed run: frames a second, CPU milliseconds a frame of this process, acceptance, CPU milliseconds by stage."""
+class _Run(NamedTuple):
+    """One timed run; CPU times are of this process."""
 
     frames_per_s: float
     cpu_ms_per_frame: float
@@ -46,78 +49,89 @@ class _Run:
 
 def one_occupant() -> SynthConfig:
     """A driver alone, in every preset, 352 x 287; the 18 named people, wheel on the left."""
-    alone = {slot: 1.0 if slot == "driver" else 0.0 for slot in OCCUPANT_SLOTS}
-    return SynthConfig(
-        scene=CabinScene(occupancy=alone, right_hand_drive=0.0),
-        camera=Camera(sensor="pico_monstar_105"),
-        output=Output(frames_per_part=_FRAMES_PER_PART),
-    )
+    return _config(tuple(PRESETS), ("driver",), _FRAMES_PER_PART)
 
 
 def five_occupants() -> SynthConfig:
     """Every seat taken, in the presets that have five."""
     cars = tuple(name for name in PRESETS if set(OCCUPANT_SLOTS) <= set(build_cabin(name, drive_side="left").seats))
+    return _config(cars, OCCUPANT_SLOTS, _FRAMES_PER_PART // 2)
+
+
+def _config(cars: tuple[str, ...], slots: Sequence[str], frames_per_part: int) -> SynthConfig:
+    occupancy = {slot: float(slot in slots) for slot in OCCUPANT_SLOTS}
     return SynthConfig(
-        scene=CabinScene(cars=cars, occupancy=dict.fromkeys(OCCUPANT_SLOTS, 1.0), right_hand_drive=0.0),
+        scene=CabinScene(cars=cars, occupancy=occupancy, right_hand_drive=0.0),
         camera=Camera(sensor="pico_monstar_105"),
-        output=Output(frames_per_part=_FRAMES_PER_PART // 2),
+        output=Output(frames_per_part=frames_per_part),
     )
 
 
-def run_bench(
+def run(
     *,
-    frames: int = 400,
-    repeats: int = 5,
-    workers: int = 2,
-    blender: bool = True,
-    blender_scenes: int = 7,
-    memory_frames: int = 0,
-    cache: Path | None = None,
-    say: Say = lambda _: None,
+    frames: int,
+    repeats: int,
+    workers: int,
+    skip_blender: bool,
+    memory_frames: int,
+    say: Say,
+    scenes: int = 7,
 ) -> dict[str, Any]:
-    """Measure, and return plain data for JSON: medians, and under `quartiles` the first and third quartile of each figure.
+    """Measure generation.
 
-    frames: of each timed run, written whole to a temporary folder · repeats: rounds; in each, everything is measured once, one
-    after the other, so that a slow minute of the machine meets all alike · workers: threads, and Blender's · memory_frames: of
-    one more run, in a process of its own whose memory is watched; 0 leaves `memory` out · cache: folder of Blender's
-    environment · say: told what is being measured.
+    Parameters
+    ----------
+    frames
+        Of each timed run, written to a temporary folder.
+    repeats
+        Rounds. In each, everything is measured once, one after the other, so that other load on the machine affects all alike.
+    workers
+        Threads, ours and Blender's.
+    skip_blender
+        Leave Blender out.
+    memory_frames
+        Of one more run in a process of its own whose memory is watched; 0 leaves `memory` out.
+    say
+        Called with what is being measured.
+    scenes
+        Rendered by both renderers.
 
-    - frames_per_s, cpu_ms_per_frame: scenes never met before; `_met`: the same scenes again; `_one_thread`; `_five_occupants`.
-    - threads_speedup: frames a second of `workers` threads over those of one, on the same scenes.
-    - ratio_to_blender: rendering against rendering of the same scenes through the same pinhole, each on `workers` cores;
-      Blender's render call alone over ours (see `rendering`).
-    - ratio_to_blender_pipeline, ratio_to_blender_pipeline_five_occupants: our whole pipeline, from drawing a scene to bytes on
-      disk, against Blender's rendering alone.
-    - cpu_s: of whole processes, from start to end: `help` of `cabinpose --help`, `import` of the generator, `first_frame` of
-      `cabinpose synth --frames 1`.
+    Returns
+    -------
+    dict
+        Medians over the rounds, and under `quartiles` the first and third quartile of each.
 
-    Ratios to Blender are missing, and `blender.reason` says why, where Blender does not run.
+        - frames_per_s, cpu_ms_per_frame: new scenes; `_met`: the same scenes again; `_one_thread`; `_five_occupants`.
+        - threads_speedup: frames a second of `workers` threads over those of one, on the same scenes.
+        - ratio_to_blender: Blender's render call over our rendering of the same scenes, each on `workers` cores.
+        - ratio_to_blender_pipeline, ratio_to_blender_pipeline_five_occupants: Blender's rendering over our whole pipeline, from
+          drawing a scene to bytes on disk. Without Blender, `blender.reason` says why these are missing.
+        - cpu_s: of whole processes: `help` of `cabinpose --help`, `import` of the generator, `first_frame` of
+          `cabinpose synth --frames 1`.
     """
-    if min(frames, repeats, workers, blender_scenes) < 1:
+    if min(frames, repeats, workers, scenes) < 1:
         raise ConfigError("the bench needs frames, repeats, workers and scenes", hint="give each at least 1")
     one, five = one_occupant(), five_occupants()
     five_frames = max(frames // 8, 1)
     rows: list[dict[str, float]] = []
-    stages: dict[str, list[Mapping[str, float]]] = {"one": [], "five": []}
+    stages: list[tuple[Mapping[str, float], Mapping[str, float]]] = []
     result: dict[str, Any] = {"blender": {"reason": "not asked for"}}
     say("scenes for the renderers")
-    scenes, camera = _scenes(blender_scenes), one.camera.sensor_model.camera
+    rendered, camera = _scenes(scenes), one.camera.sensor_model.camera
     with ExitStack() as stack:
-        render = stack.enter_context(rendering(scenes, camera, threads=workers))
+        render = stack.enter_context(rendering(rendered, camera, threads=workers))
         peer = None
-        if blender:
+        if not skip_blender:
             say("Blender's environment")
-            peer = stack.enter_context(BlenderPeer(scenes, camera, threads=workers, folder=cache))
+            peer = stack.enter_context(BlenderPeer(rendered, camera, threads=workers))
             result["blender"] = {"reason": peer.reason}
+            peer = peer if peer.reason is None else None
         for number in range(repeats):
             say(f"round {number + 1} of {repeats}: {frames} frames with one occupant, {five_frames} with five")
             seed = _SEED + number
-            new = _timed(one, frames, seed, workers)
-            met = _timed(one, frames, seed, workers)
-            alone = _timed(one, frames, seed, 1)
-            full = _timed(five, five_frames, seed, workers)
-            stages["one"].append(new.stages_ms)
-            stages["five"].append(full.stages_ms)
+            new, met = _timed(one, frames, seed, workers), _timed(one, frames, seed, workers)
+            alone, full = _timed(one, frames, seed, 1), _timed(five, five_frames, seed, workers)
+            stages.append((new.stages_ms, full.stages_ms))
             row = {
                 "frames_per_s": new.frames_per_s,
                 "frames_per_s_met": met.frames_per_s,
@@ -131,7 +145,7 @@ def run_bench(
                 "threads_speedup": met.frames_per_s / alone.frames_per_s,
                 "rendering_s_per_frame": render(),
             }
-            if peer is not None and peer.reason is None:
+            if peer is not None:
                 seconds, with_import = (statistics.median(values) for values in peer.render())
                 row |= {
                     "blender_s_per_frame": seconds,
@@ -141,7 +155,7 @@ def run_bench(
                     "ratio_to_blender_pipeline_five_occupants": seconds * full.frames_per_s,
                 }
             rows.append(row)
-        if peer is not None and peer.reason is None:
+        if peer is not None:
             depth, instance = peer.agreement()
             result["blender"] |= {"version": peer.version, "depth_agreement": depth, "instance_agreement": instance}
     say("start-up")
@@ -150,25 +164,13 @@ def run_bench(
         say(f"memory over {memory_frames} frames")
         result["memory"] = memory_growth(memory_frames, workers=workers)
     return {
-        **{name: statistics.median(row[name] for row in rows) for name in rows[0]},
+        **_medians(rows),
         "quartiles": {name: _quartiles([row[name] for row in rows]) for name in rows[0]},
-        "stages_ms": _medians(stages["one"]),
-        "stages_ms_five_occupants": _medians(stages["five"]),
+        "stages_ms": _medians([each for each, _ in stages]),
+        "stages_ms_five_occupants": _medians([each for _, each in stages]),
         **result,
-        "rounds": repeats,
-        "frames": frames,
-        "workers": workers,
-        "cores": os.cpu_count(),
-        "simd": SIMD,
-    }
-
-
-# What starts up, as arguments of the interpreter; FOLDER is one that goes away.
-_STARTS = {
-    "help": ("-m", "cabinpose", "--help"),
-    "import": ("-c", "import cabinpose.synth.generate"),
-    "first_frame": ("-m", "cabinpose", "synth", "--config", "FOLDER/scene.yaml", "--frames", "1", "--out", "FOLDER/first"),
-}
+        "rounds": repeats, "frames": frames, "workers": workers, "cores": os.cpu_count(), "simd": SIMD,
+    }  # fmt: skip
 
 
 def _cpu_s(arguments: Sequence[str]) -> float:
@@ -196,9 +198,7 @@ def _medians(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def _quartiles(values: Sequence[float]) -> tuple[float, float]:
-    if len(values) < 2:
-        return values[0], values[0]
-    first, _, third = statistics.quantiles(values, n=4, method="inclusive")
+    first, _, third = statistics.quantiles(values if len(values) > 1 else [*values, *values], n=4, method="inclusive")
     return first, third
 
 

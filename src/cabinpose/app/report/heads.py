@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 from cabinpose.app.report.charts import legend, series_chart
 from cabinpose.app.report.frames import overlay
-from cabinpose.app.report.page import document, section
+from cabinpose.app.report.html import document, el, section
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store import open_dataset
@@ -42,22 +40,18 @@ def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], ou
         name = f"{recording}, {subject}"
         lines[name] = seconds.tolist(), apart.tolist()
         order = np.argsort(apart)
-        pictures += [_picture(dataset, int(frames[k]), f"{name}: best, {apart[k]:.2f} deg") for k in order[:_SHOWN]]
-        pictures += [_picture(dataset, int(frames[k]), f"{name}: worst, {apart[k]:.2f} deg") for k in order[: -_SHOWN - 1 : -1]]
+        for what, some in (("best", order[:_SHOWN]), ("worst", order[: -_SHOWN - 1 : -1])):
+            for k in some:
+                frame, title = dataset.isel(frame=int(frames[k])).load(), f"{name}: {what}, {apart[k]:.2f} deg"
+                pictures.append(overlay(frame, evaluated_skeleton(JOINTS), _NONE, (), False, title))
     chart = series_chart("angle between the two systems' heads, deg", "s", lines, width=1240, height=300)
-    note = "The worlds of suit and optical system are laid on each other by one turn for the whole take: a heading's drift shows."
+    note = "One rotation for the whole take aligns the worlds of suit and optical system: a drift of the heading shows."
     count = len({sequence for sequence, *_ in takes})
-    told = f"{count} {'take' if count == 1 else 'takes'}, {dataset.sizes['frame']} frames"
+    summary = f"{count} {'take' if count == 1 else 'takes'}, {dataset.sizes['frame']} frames"
     sections = [
-        section("Over the takes", chart + legend(list(lines)), note),
-        section("Best and worst frames", f"<div class=frames>{''.join(pictures)}</div>"),
+        section("Over the takes", chart + legend(lines), note),
+        section("Best and worst frames", el("div", *pictures, class_="frames")),
     ]
     with disk_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(document(f"Heads: {folder.name}", "Agreement of the heads", told, sections), encoding="utf-8")
-
-
-def _picture(dataset: xr.Dataset, number: int, words: str) -> str:
-    frame = dataset.isel(frame=number).load()
-    drawn = overlay(frame, evaluated_skeleton(JOINTS), _NONE, (), False)
-    return drawn.replace("<figcaption>", f"<figcaption>{escape(words)}; ")
+        out.write_text(document(f"Heads: {folder.name}", "Agreement of the heads", summary, sections), encoding="utf-8")

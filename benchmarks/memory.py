@@ -1,4 +1,4 @@
-"""Resident memory over a long run, in a process of its own that does nothing else; its last line on stdout is JSON."""
+"""Resident memory over a long run of the generator, in a process of its own: `python memory.py FRAMES WORKERS` prints JSON."""
 
 from __future__ import annotations
 
@@ -17,21 +17,32 @@ from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import Progress, generate
 
 _FRAMES_PER_PART = 50
-_WARM_FRAMES = 1000  # every car has been met from both sides: memory should no longer grow
+_WARM_FRAMES = 1000  # by then every car was built with either drive side, and memory should stop growing
 _SEED = 1
 
 
 def memory_growth(frames: int, *, workers: int = 1) -> dict[str, Any]:
-    """Resident memory of a fresh process whose threads (`workers`) make frames with random people in random seats and write them.
+    """Resident memory of a fresh process that generates frames with random people in random seats.
 
-    Keys: frames, workers · growth: of the median resident memory of the last tenth over that right after the first 1000
-    frames (or the first tenth of a short run) · peak_mb: the greatest seen after any frame, the interpreter and its
-    libraries included · rss_mb: up to 50 values in between. Raises SceneError where the process fails.
+    Parameters
+    ----------
+    frames, workers
+        Frames to generate, and threads.
+
+    Returns
+    -------
+    dict
+        frames, workers; growth: of the median of the last tenth over that after the first 1000 frames (or the first tenth of a
+        short run); peak_mb: the maximum, with interpreter and libraries; rss_mb: up to 50 values.
+
+    Raises
+    ------
+    SceneError
+        Where the process fails.
     """
     if frames < 1:
         raise ConfigError(f"memory over {frames} frames cannot be watched", hint="give memory_frames at least 1")
-    program = f"import json, {__name__} as memory; print(json.dumps(memory.watch({frames}, {workers})))"
-    command = [sys.executable, "-c", program]
+    command = [sys.executable, __file__, str(frames), str(workers)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
@@ -54,11 +65,14 @@ def watch(frames: int, workers: int) -> dict[str, Any]:
     warm = min(_WARM_FRAMES, frames // 10)
     after = [rss for done, rss in samples if done >= warm]
     count = max(len(after) // 10, 1)
-    first, last = statistics.median(after[:count]), statistics.median(after[-count:])
     return {
         "frames": frames,
         "workers": workers,
-        "growth": last / first - 1,
+        "growth": statistics.median(after[-count:]) / statistics.median(after[:count]) - 1,
         "peak_mb": max(rss for _, rss in samples) / 1e6,
         "rss_mb": [round(rss / 1e6, 1) for _, rss in samples[:: max(len(samples) // 50, 1)]],
     }
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(watch(int(sys.argv[1]), int(sys.argv[2]))))

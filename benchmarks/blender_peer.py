@@ -27,23 +27,17 @@ def prepare(width: int, height: int, threads: int) -> None:
     """An empty scene that renders depth and object index with one CPU sample."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.cycles.device = "CPU"
-    scene.cycles.samples = 1
-    scene.cycles.use_adaptive_sampling = False
-    scene.cycles.use_denoising = False
-    scene.cycles.max_bounces = 0
-    scene.cycles.pixel_filter_type = "BOX"
-    scene.cycles.filter_width = 0.01
-    scene.render.use_persistent_data = False
-    scene.render.threads_mode = "FIXED"
-    scene.render.threads = threads
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
-    scene.render.use_file_extension = True
     layer = scene.view_layers[0]
-    layer.use_pass_combined = False
-    layer.use_pass_z = True
-    layer.use_pass_object_index = True
+    settings = (
+        (scene.render, {"engine": "CYCLES", "use_persistent_data": False, "threads_mode": "FIXED", "threads": threads}),
+        (scene.render, {"resolution_x": width, "resolution_y": height, "resolution_percentage": 100, "use_file_extension": True}),
+        (scene.cycles, {"device": "CPU", "samples": 1, "use_adaptive_sampling": False, "use_denoising": False, "max_bounces": 0}),
+        (scene.cycles, {"pixel_filter_type": "BOX", "filter_width": 0.01}),
+        (layer, {"use_pass_combined": False, "use_pass_z": True, "use_pass_object_index": True}),
+    )
+    for item, values in settings:
+        for name, value in values.items():
+            setattr(item, name, value)
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(scene.camera)
 
