@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.compact.config import CompactConfig
 from cabinpose.estimate.compact.refine import Refine
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
@@ -68,9 +69,7 @@ class Compact(nn.Module):
             Refine(size, len(config.slots), len(config.joints), c4, c8, pitch) for pitch in config.looks_px
         )
         self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
-        self.register_buffer(
-            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
-        )
+        self.register_buffer("rays", ray_tensor(config.view), persistent=False)
         rows, columns = torch.meshgrid(
             torch.arange(config.height // STRIDE), torch.arange(config.width // STRIDE), indexing="ij"
         )  # pixel centre of each cell

@@ -12,6 +12,7 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.paf.config import PafConfig
 
 STRIDE = 8
@@ -76,9 +77,7 @@ class Paf(nn.Module):
         more = range(config.stages - 1)
         self.refined_fields = nn.ModuleList(refine(2 * limbs) for _ in more)
         self.refined_heat = nn.ModuleList(refine(joints + 1) for _ in more)
-        self.register_buffer(
-            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
-        )
+        self.register_buffer("rays", ray_tensor(config.view), persistent=False)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.unet.config import UnetConfig
 
 _CLOUD_M = 1.5  # half width of the cloud that is mapped to 0..1
@@ -33,9 +34,7 @@ class Unet(nn.Module):
         self.config = config
         self.person = Stage(3, 1, config.channels, config.levels)
         self.parts = Stage(3, len(config.parts), config.channels, config.levels)
-        self.register_buffer(
-            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
-        )
+        self.register_buffer("rays", ray_tensor(config.view), persistent=False)
 
     def cloud(self, depth: Tensor) -> Tensor:
         """The normalised cloud (N, 3, h, w) of depths (N, h, w), m; 0 where invalid."""
