@@ -79,11 +79,9 @@ def placed(batch: PoseBatch, places: Places) -> PoseBatch:
     rows = np.arange(len(places))[:, None]
     empty = places < 0
 
-    def pick(values: NDArray[np.float32], nothing: float) -> NDArray[np.float32]:
+    def pick(values: NDArray[np.float32]) -> NDArray[np.float32]:
         chosen = values[rows, places]
-        chosen[empty] = nothing
+        chosen[empty] = np.nan if values.ndim == 4 else 0.0  # a position, or a number of a joint
         return chosen
 
-    return PoseBatch(
-        pick(batch.joints_2d, np.nan), pick(batch.joints_3d, np.nan), pick(batch.score, 0.0), pick(batch.presence, 0.0)
-    )
+    return batch.map(pick)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,7 @@ def oks(predicted: Array, true: Array, labelled: NDArray[np.bool_], area: Array,
     return similar.sum(axis=-1) / np.maximum(labelled.sum(axis=-1), 1)[None]
 
 
-@dataclass(frozen=True)
-class Detections:
+class Detections(NamedTuple):
     """Predicted people, matched: D of them over some frames.
 
     frame: (D,) position of the frame · score: (D,) · hit: (D, 10) whether it matches a true person at each threshold ·
