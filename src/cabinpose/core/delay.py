@@ -1,10 +1,10 @@
-"""The delay and the drift between two clocks, from a signal that both saw; and the reasons to refuse.
+"""The delay and the drift between two clocks from a signal that both saw, and when it cannot be told.
 
 1. Both signals pass the same filter without phase and are put on an even grid each (`core.correlation`).
 2. Their normalised cross-correlation over all lags allowed gives the peak to a sample, and its rivals (`core.lags`).
 3. The correlation of each of a dozen windows gives the delay over time; a robust line through these (Theil-Sen) the drift; a
    step in them is a clock that jumps.
-4. Gauss-Newton on the curve between samples lays the whole of one signal on the other (`core.fitting`): delay, drift, intervals.
+4. Newton steps on the curve between samples fit one signal to the other as a whole (`core.fitting`): delay, drift, intervals.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cabinpose.core.lags import LagSearch, Peak, WindowDelays, weak_error
 
 F64 = NDArray[np.float64]
 
-# What a rival peak must leave unexplained, as a multiple of what the best one leaves, lest the delay be ambiguous.
+# The delay is ambiguous unless a rival peak leaves at least this many times as much variance unexplained as the best one.
 _CLEAR = 1.5
-_PERFECT = 1e-6  # of exact signals nothing is left unexplained; a ratio needs something
+_PERFECT = 1e-6  # added to the unexplained part, which is 0 for exact signals, so that ratios exist
 _GAP_PERIODS = 2.5  # one lost sample is bridged, two are a gap
 
 
@@ -168,7 +168,7 @@ def _candidate(search: LagSearch, peak: Peak, window_s: float | None, *, drift: 
 
 
 def robust_slope(x: F64, y: F64) -> float:
-    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968): a quarter of them may be anything."""
+    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968); up to 29 % of them may be outliers."""
     i, j = np.triu_indices(len(x), 1)
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
 
@@ -196,7 +196,7 @@ def _refuse_jumps(windows: WindowDelays, step_s: float) -> None:
 
 
 def _without_outliers(values: F64) -> F64:
-    """The median of three neighbours, ends as they are: one bad window is no jump, a step stays where it is."""
+    """The median of three neighbours, ends unchanged: it removes one bad window and keeps a step where it is."""
     result = values.copy()
     if len(values) >= 3:
         result[1:-1] = np.median(np.stack((values[:-2], values[1:-1], values[2:])), axis=0)

@@ -1,4 +1,4 @@
-"""What the rooms meet in beside files: the interfaces that a detector and a device fulfil, and what they take and give."""
+"""The interfaces of detectors and devices, and the types that they take and give: rooms that share no files meet here."""
 
 from __future__ import annotations
 

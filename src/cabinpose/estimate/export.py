@@ -38,11 +38,32 @@ class _Named(nn.Module):
 def export_onnx(
     checkpoint: Path, out: Path, *, name: str, card: Mapping[str, Any], mirrored: bool = False, overwrite: bool = False
 ) -> float:
-    """Write a checkpoint as ONNX and return the greatest difference between both on a test batch.
+    """Write a checkpoint as ONNX.
 
-    name, card: go into the file's metadata with the method and its settings · mirrored: the model answers with the mean over
-    a frame and its mirror image. Raises ModelError where `out` exists, or where ONNX Runtime answers anything that differs by
-    more than `TOLERANCE`; ConfigError for a method that has no mirrored form.
+    Parameters
+    ----------
+    checkpoint
+        Of `cabinpose train`.
+    out
+        The file to write.
+    name, card
+        Go into the file's metadata, beside the method and its settings.
+    mirrored
+        The model answers with the mean over a frame and its mirror image.
+    overwrite
+        Replace `out`.
+
+    Returns
+    -------
+    float
+        The greatest difference between torch and ONNX Runtime on a test batch.
+
+    Raises
+    ------
+    ModelError
+        Where `out` exists, or where the two differ by more than `TOLERANCE`.
+    ConfigError
+        For a method that has no mirrored form.
     """
     if out.exists() and not overwrite:
         raise ModelError(f"{out} exists", hint="--overwrite replaces it")

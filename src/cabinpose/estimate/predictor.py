@@ -26,7 +26,7 @@ class OnnxPredictor(OnnxModel):
     """A model of joints in an ONNX file that `cabinpose export --onnx` wrote; fulfils `core.ports.Predictor`."""
 
     task = "joints"
-    _light_told = False
+    _warned_of_light = False
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
@@ -99,11 +99,11 @@ class OnnxPredictor(OnnxModel):
         Warns once where the amplitudes cannot be what the model has learnt from.
         """
         seen = view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
-        if "amplitude" in seen and not self._light_told:
+        if "amplitude" in seen and not self._warned_of_light:
             lit = (seen["depth"] > 0) & (seen["amplitude"] > 0)
             light = float(np.median(seen["amplitude"][lit] * seen["depth"][lit] ** 2)) if lit.any() else _USUAL_LIGHT
             if not _USUAL_LIGHT / _FAINTER <= light <= _USUAL_LIGHT * _BRIGHTER:
-                self._light_told = True
+                self._warned_of_light = True
                 warnings.warn(
                     f"the median of amplitude x depth² is {light:.3g}, where {self.name} has learnt from {_USUAL_LIGHT:g}: joints"
                     " will be far off. Scale the amplitudes to that",

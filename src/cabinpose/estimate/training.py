@@ -175,11 +175,11 @@ def outputs_of(network: nn.Module, method: Method, settings: Any, seen: Mapping[
     return {name: getattr(values, name).float().cpu().numpy() for name in method.outputs}
 
 
-Progress = Callable[[int, int, str], None]  # batches done, batches in all, and what there is to say of them
+Progress = Callable[[int, int, str], None]  # batches done, batches in all, epoch and figures in words
 
 
-class _Told(Callback):
-    """Tells of every batch: epoch, loss, and the best figure of the last validation."""
+class _BatchReport(Callback):
+    """Reports every batch: epoch, loss, and the deciding figure of the last validation."""
 
     def __init__(self, progress: Progress, monitor: str) -> None:
         self._progress, self._monitor = progress, monitor
@@ -223,7 +223,7 @@ def fit(
     callbacks, devices, nodes
         Lightning's.
     progress
-        Told after every batch.
+        Called after every batch.
 
     Returns
     -------
@@ -252,11 +252,11 @@ def fit(
     best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [EMAWeightAveraging(decay=config.average)] if config.average else []
-    told = [_Told(progress, monitor)] if progress is not None else []
+    reports = [_BatchReport(progress, monitor)] if progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
-            callbacks=[*average, best, newest, *told, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
+            callbacks=[*average, best, newest, *reports, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
             log_every_n_steps=10, enable_model_summary=False, enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
         )  # fmt: skip
         detector = Detector(config)
@@ -278,19 +278,19 @@ def _loggers(out: Path) -> list[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Lightning's advice and its list of devices are left out; its errors stay."""
-    talkers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
-    levels = [talker.level for talker in talkers]
+    """Silences Lightning's advice and its list of devices; its errors stay."""
+    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
+    levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():
         for pattern in _NOISE:
             warnings.filterwarnings("ignore", pattern)
-        for talker in talkers:
-            talker.setLevel(logging.ERROR)
+        for logger in loggers:
+            logger.setLevel(logging.ERROR)
         try:
             yield
         finally:
-            for talker, level in zip(talkers, levels, strict=True):
-                talker.setLevel(level)
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
 
 
 @contextmanager

@@ -113,7 +113,7 @@ def _thesis(samples: Samples, space: Space, name: str, options: EvaluationOption
 
 
 def _structure(space: Space, name: str) -> Iterator[Ratio]:
-    """What single joints do not show: the pose as a whole, its sides, its bones, its calm."""
+    """What single joints do not show: the pose as a whole, its sides, its bones, its steadiness."""
     unit, per_unit = UNIT[name]
     measured: list[tuple[str, str, float, NDArray[np.float32], str]] = [
         ("left-right swaps", "%", 100, space.swap, "symmetric pairs that count and were found"),

@@ -153,7 +153,7 @@ def frame_batch(dataset: xr.Dataset, frames: slice) -> FrameBatch:
 
 
 def _check_shapes(batch: PoseBatch, model: Predictor, frames: int) -> None:
-    """A detector that breaks its contract is a defect, said at once."""
+    """Raises ValueError where a detector breaks its contract, which is a defect."""
     for name, last in (("joints_2d", (2,)), ("joints_3d", (3,)), ("score", ()), ("presence", ())):
         shape, expected = getattr(batch, name).shape, (frames, len(model.persons), len(model.joints), *last)
         if shape != expected:

@@ -61,7 +61,7 @@ class Samples(NamedTuple):
 
     frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · visibility: (S, J) · counts: (S, J) joints that
     count · absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
-    is there · oks: (S,). A joint that neither counts nor is absent is hidden too well: it is neither right nor wrong.
+    is there · oks: (S,). A joint that neither counts nor is absent is too hidden to judge: it is neither right nor wrong.
     """
 
     skeleton: EvaluatedSkeleton

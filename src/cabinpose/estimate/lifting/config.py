@@ -15,7 +15,7 @@ ROOT = "neck"  # in a car the joint that is hidden least; the hip is under the b
 
 
 class LiftingConfig(Settings):
-    """Lifting: the joints, the size of the network, and what its 2D joints suffer in training."""
+    """Lifting: the joints, the size of the network, and how its 2D joints are disturbed in training."""
 
     skeleton: ClassVar = "cabinpose"
     view: ClassVar = InputView(352, 288, 160.0)  # of the training joints' pixels; the network reads directions, of any camera
@@ -27,7 +27,7 @@ class LiftingConfig(Settings):
     noise: Annotated[float, Field(ge=0, description="Greatest noise of 2D joints in training, in focal lengths.")] = 0.015
     drop: Annotated[float, Field(ge=0, lt=1, description="Greatest share of joints that are dropped in training.")] = 0.3
     min_joints: Annotated[int, Field(ge=1, description="People of fewer 2D joints are not lifted.")] = 3
-    presence: Annotated[float, Field(ge=0, le=1, description="Least presence of a 2D joint that is believed.")] = 0.5
+    presence: Annotated[float, Field(ge=0, le=1, description="2D joints of a lower presence are ignored.")] = 0.5
 
     @property
     def joints(self) -> tuple[str, ...]:

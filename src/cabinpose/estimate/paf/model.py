@@ -21,7 +21,7 @@ _AMPLITUDE = 500.0  # the amplitude that is mapped to 255
 
 
 class Maps(NamedTuple):
-    """What the network says of N frames, J joints and C limbs, maps at stride 8.
+    """The network's answers for N frames, J joints and C limbs, maps at stride 8.
 
     fields: (N, 2C, h, w) x and y of limb c at 2c and 2c + 1 · heat: (N, J + 1, h, w), the background last · presence:
     (N, J, 2) logits of absent and present · stages: fields and heat of every stage, the last one's among them.

@@ -1,4 +1,4 @@
-"""Two U-Nets in a row (thesis, figure 5.17): the first finds people in the point cloud, the second their parts in what is left.
+"""Two U-Nets in a row (thesis, figure 5.17): people in the point cloud, then their parts in the cloud weighted by the first.
 
 O. Ronneberger, P. Fischer, T. Brox, "U-Net: convolutional networks for biomedical image segmentation", MICCAI 2015; with padded
 convolutions, so that the output has the size of the input, and batch normalisation.
@@ -18,7 +18,7 @@ _CLOUD_M = 1.5  # half width of the cloud that is mapped to 0..1
 
 
 class Segments(NamedTuple):
-    """What the networks say of N frames: person (N, h, w) logit, parts (N, P, h, w) logits for pixels of people."""
+    """The networks' answers for N frames: person (N, h, w) logit, parts (N, P, h, w) logits for pixels of people."""
 
     person: Tensor
     parts: Tensor
