@@ -116,7 +116,8 @@ class Detector(lightning.LightningModule):
     def validation_step(self, batch: Batch, index: int) -> None:  # noqa: ARG002 - the signature is Lightning's
         """Collects what the method's task judges it by."""
         seen = self.task.inputs(batch, self.method_config)
-        outputs = outputs_of(self.network, self.method, self.method_config, seen)
+        values = self.network(*(seen[name] for name in self.method_config.inputs))
+        outputs = {name: getattr(values, name).float().cpu().numpy() for name in self.method.outputs}
         arrays = {name: value.cpu().numpy() for name, value in seen.items()}
         decoded = self.method.decode(outputs, self.method_config, arrays)
         self._errors.append(self.task.errors(decoded, batch, self.method_config))
@@ -166,13 +167,6 @@ class _Frames(lightning.LightningDataModule):
 
     def _loader(self, frames: Frames, **how: Any) -> DataLoader[Kept]:
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
-
-
-@torch.no_grad()
-def outputs_of(network: nn.Module, method: Method, settings: Any, seen: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
-    """The network's outputs by name, as numpy arrays, for what the view saw."""
-    values = network(*(seen[name] for name in settings.inputs))
-    return {name: getattr(values, name).float().cpu().numpy() for name in method.outputs}
 
 
 Progress = Callable[[int, int, str], None]  # batches done, batches in all, epoch and figures in words
