@@ -14,11 +14,10 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import collate, view_frame
 from cabinpose.estimate.export import write_onnx
-from cabinpose.estimate.methods import method_named
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.fit import in_image, targets
 from cabinpose.estimate.paf.model import STRIDE
-from cabinpose.estimate.training import Detector, TrainConfig, frame_spec, load_symbol
+from cabinpose.estimate.training import Detector, TrainConfig, complete, frame_spec
 
 _SURE = 4.0  # logit of what is known to be there, or not
 
@@ -41,11 +40,7 @@ def fresh_detector(method: str, frames: Sequence[Mapping[str, Any]], folder: Pat
     base = TrainConfig(method=method)
     spec = frame_spec(base)
     kept = [view_frame(frame, spec, [OCCUPANT_SLOTS.index(slot) for slot in spec.slots]) for frame in frames]
-    chosen = method_named(method)
-    settings = chosen.settings({})
-    if chosen.measure is not None:
-        settings = load_symbol(chosen.measure)(settings, kept)
-    detector = Detector(base.model_copy(update={"settings": settings.model_dump(mode="json")})).eval()
+    detector = Detector(complete(base, kept)).eval()
     path = folder / f"{method}.onnx"
     write_onnx(detector, path, name=method, card={"weights": "fresh"})
     answers = None

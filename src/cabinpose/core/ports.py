@@ -1,8 +1,8 @@
-"""What the rooms meet in beside files: the interfaces that a detector and a device fulfil, and what they take and give."""
+"""The interfaces of detectors and devices, and the types that they take and give: rooms that share no files meet here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 
@@ -41,6 +41,10 @@ class PoseBatch:
     joints_3d: NDArray[np.float32]
     score: NDArray[np.float32]
     presence: NDArray[np.float32]
+
+    def map(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> PoseBatch:
+        """The batch with all four arrays changed alike."""
+        return PoseBatch(change(self.joints_2d), change(self.joints_3d), change(self.score), change(self.presence))
 
 
 def joined(batches: Sequence[PoseBatch]) -> PoseBatch:

@@ -1,4 +1,4 @@
-"""What devices say, decoded: the nouns between sources, recordings and alignment. SI units, frames as stated.
+"""Decoded messages of devices: the types that sources, recordings and alignment share. SI units, frames as stated.
 
 Rotations are quaternions (w, x, y, z), active, from the segment's frame to the frame that positions are in. World frames
 have z up. Names are the device's own; `core.skeleton` maps them to joints of ours.
