@@ -149,7 +149,7 @@ def test_what_a_yaml_file_is_not_is_said_without_the_extra(run: Run, here: Path,
 
 
 def test_predict_refuses_a_name_before_it_runs_the_model(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cabinpose.app.cli.predict.load_model", lambda _: pytest.fail("the model was loaded"))
+    monkeypatch.setattr("cabinpose.app.cli.predict.open_predictor", lambda _: pytest.fail("the model was loaded"))
     assert run("predict", "d", "--model", "in_car", "--out", "q.csv").code == 2
 
 

@@ -31,6 +31,7 @@ class OnnxPredictor(OnnxModel):
         self._light_told = False
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
+        self.skeleton: str = self.config.skeleton
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from cabinpose.app.bench.detect import run_detect_bench
 from cabinpose.app.bench.synth import run_bench
-from cabinpose.app.cli.commands import Bench, BenchDetect, BenchLab, BenchRecord, BenchSynth
+from cabinpose.app.cli.commands import Bench, BenchDetect, BenchLab, BenchRecord, BenchRemote, BenchSynth
 from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
 
@@ -24,11 +24,13 @@ def run(command: Bench) -> None:
         result = _record(action)
     elif isinstance(action, BenchLab):
         result = _lab(action)
+    elif isinstance(action, BenchRemote):
+        result = _remote(action)
     else:
         result = _detect(action)
     if action.as_json:
         print_json(result)
-    elif isinstance(action, (BenchSynth, BenchRecord)):
+    elif isinstance(action, (BenchSynth, BenchRecord, BenchRemote)):
         print_rows(_rows(result))
     elif isinstance(action, BenchLab):
         _print_budget(result)
@@ -71,6 +73,13 @@ def _lab(command: BenchLab) -> dict[str, Any]:
     from cabinpose.app.bench.lab import run_lab_bench
 
     return run_lab_bench(errors=command.errors, views=command.views, seconds=command.seconds, seed=command.seed, say=_say)
+
+
+def _remote(command: BenchRemote) -> dict[str, Any]:
+    require("grpc", "tritonclient", extra="remote")
+    from cabinpose.app.bench.remote import run_remote_bench
+
+    return run_remote_bench(frames=command.frames)
 
 
 def _say(words: str) -> None:

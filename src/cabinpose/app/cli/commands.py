@@ -28,6 +28,7 @@ from cabinpose.app.cli.car_commands import Car
 from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.mocap_commands import EvaluateMocap
 from cabinpose.app.cli.record_commands import Forget, Record, Recover
+from cabinpose.app.cli.serve import Serve
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ class Evaluate:
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one a model."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
-    """Models to run: names of those in the package, or ONNX files."""
+    """Models to run: names of those in the package, ONNX files, or addresses of models on servers (grpc://HOST:PORT/MODEL)."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """The people in these slots; default: in those that all models answer for."""
     out: Maybe[Path] = None
@@ -245,7 +246,7 @@ class Predict:
 
     dataset: DatasetArgument
     model: str
-    """Name of a packaged model, or an ONNX file."""
+    """Name of a packaged model, an ONNX file, or the address of a model on a server (grpc://HOST:PORT/MODEL)."""
     out: Path
     """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
     splits: SplitsFlag = None
@@ -324,6 +325,15 @@ class BenchLab:
 
 
 @dataclass(frozen=True)
+class BenchRemote:
+    """Measure the way to a model on a server and back, over loopback, beside a bare echo server asked by Triton's client."""
+
+    frames: int = 1000
+    """Round trips of each way."""
+    as_json: JsonFlag = False
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure what the package promises on this machine."""
 
@@ -332,6 +342,7 @@ class Bench:
         | Annotated[BenchDetect, subcommand("detect")]
         | Annotated[BenchRecord, subcommand("record")]
         | Annotated[BenchLab, subcommand("lab")]
+        | Annotated[BenchRemote, subcommand("remote")]
     )
 
 
@@ -445,6 +456,7 @@ Command = (
     | Annotated[Train, subcommand("train")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Predict, subcommand("predict")]
+    | Annotated[Serve, subcommand("serve")]
     | Annotated[Emulate, subcommand("emulate")]
     | Annotated[Record, subcommand("record")]
     | Annotated[Recover, subcommand("recover")]
@@ -470,7 +482,7 @@ RUNNERS = MappingProxyType(
         Train: "train",
         Models: "models", Predict: "predict", Bench: "bench", Import: "importing", Emulate: "emulate",
         Record: "record", Recover: "recover", Forget: "forget", Calibrate: "calibrate", Align: "align", Lab: "lab",
-        EvaluateMocap: "evaluate_mocap",
+        EvaluateMocap: "evaluate_mocap", Serve: "serve",
     }
 )  # fmt: skip
 

@@ -12,7 +12,7 @@ from typing import Any
 import xarray as xr
 
 from cabinpose.app.cli.commands import Evaluate
-from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
+from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.cli.selection import selected
 from cabinpose.app.finite import finite
 from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
@@ -20,7 +20,7 @@ from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.core.ports import Predictor
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
@@ -45,7 +45,7 @@ def run(command: Evaluate) -> None:
     names = (dataset_id(read_manifest(command.dataset)), command.dataset.resolve().name)
     for file in files:
         check_predictions(file, whole, names)
-    models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(load_model, command.model)]
+    models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(open_predictor, command.model)]
     dataset = selected(whole, command)
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
@@ -58,6 +58,7 @@ def run(command: Evaluate) -> None:
                 show(done, "" if done < frames else "intervals")
 
             reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=told))
+        tell_failed(model)
     record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.frames import frame_figures
@@ -85,7 +86,7 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
 
     if len(command.model) != 1 or command.predictions or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
-    model = load_model(command.model[0])
+    model = open_predictor(command.model[0])
     if model.joints != ITOP_JOINTS or len(model.persons) != 1:
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
     reference = read_itop_reference(frames)

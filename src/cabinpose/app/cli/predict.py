@@ -7,10 +7,10 @@ import sys
 import numpy as np
 
 from cabinpose.app.cli.commands import Predict
-from cabinpose.app.cli.output import print_json, printable, progress
+from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
 from cabinpose.app.cli.selection import selected
 from cabinpose.core.ports import joined
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate.offline import BATCH, dataset_id, frame_batch
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
@@ -19,7 +19,7 @@ from cabinpose.store.predictions import Predictions, check_new_predictions, writ
 def run(command: Predict) -> None:
     """Run the model over the frames in their order and write what it finds."""
     check_new_predictions(command.out, overwrite=command.overwrite)  # before the work, not at its end
-    model = load_model(command.model)
+    model = open_predictor(command.model)
     dataset = selected(open_dataset(command.dataset), command)
     places = [str(name) for name in dataset["person"].values]
     if not set(places) & set(model.persons):
@@ -34,10 +34,11 @@ def run(command: Predict) -> None:
         for start in range(0, count, BATCH):
             batches.append(model.predict(frame_batch(dataset, slice(start, start + BATCH))))
             report(min(start + BATCH, count))
+    tell_failed(model)
     found = joined(batches)
     predictions = Predictions(
         found.joints_2d, found.joints_3d, found.score, found.presence, frame=dataset["frame"].values.astype(np.int64),
-        persons=model.persons, joints=model.joints, model=model.name, skeleton=model.config.skeleton,
+        persons=model.persons, joints=model.joints, model=model.name, skeleton=model.skeleton,
         dataset=dataset_id(read_manifest(command.dataset)),
     )  # fmt: skip
     write_predictions(command.out, predictions, overwrite=command.overwrite)
