@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import grpc
@@ -56,6 +57,15 @@ def test_every_byte_of_a_frame_arrives(frames: FrameBatch, server: RunningServer
         for name in ("depth", "camera_k", "camera_dist", "amplitude"):
             np.testing.assert_array_equal(call[name][0], frames[name][index])
             assert call[name].dtype == frames[name].dtype
+
+
+def test_a_region_grows_with_the_frames(frames: FrameBatch, server: RunningServer, witness: Witness) -> None:
+    remote = open_predictor(server.address)
+    small = remote._region.byte_size
+    large = frames | {name: np.tile(frames[name], (1, 10, 10)) for name in ("depth", "amplitude")}
+    assert same(witness.predict(large), remote.predict(large))
+    assert remote._region.byte_size > small
+    assert server.counts["refused"] == 0  # and so no frame went over the wire after all
 
 
 def test_no_frames_no_answers(frames: FrameBatch, server: RunningServer) -> None:
@@ -208,9 +218,10 @@ def test_a_caller_waits_no_longer_than_its_deadline_for_its_turn() -> None:
 
     class Slow(Witness):
         def predict(self, frames: FrameBatch) -> PoseBatch:
+            found = super().predict(frames)
             begun.set()
             time.sleep(1.0)
-            return super().predict(frames)
+            return found
 
     slow = Slow()
     running = start_server(slow)
@@ -222,17 +233,37 @@ def test_a_caller_waits_no_longer_than_its_deadline_for_its_turn() -> None:
             late = [stub.ModelInfer.future(_request(), timeout=0.3) for _ in range(2)]
             assert [call.code() for call in late] == [grpc.StatusCode.DEADLINE_EXCEEDED] * 2
             assert first.result().id == "7"
+            time.sleep(0.3)  # for a call that waited longer than its caller
     finally:
         running.stop()
     assert len(slow.calls) == 1
 
 
-def test_it_listens_on_this_machine_alone_unless_told(server: RunningServer) -> None:
-    others = [a[4][0] for a in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET) if not a[4][0].startswith("127.")]
-    for other in others:
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection((other, server.port), timeout=1)
-    socket.create_connection(("127.0.0.1", server.port), timeout=1).close()
+def _listening(port: int) -> set[str]:
+    """The addresses on which this machine listens at a port, as Linux prints them."""
+    lines = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    return {line[1].split(":")[0] for line in lines if line[3] == "0A" and int(line[1].split(":")[1], 16) == port}
+
+
+def test_it_listens_on_this_machine_alone_unless_told(server: RunningServer, witness: Witness) -> None:
+    loopback = socket.inet_aton("127.0.0.1")[::-1].hex().upper()
+    assert {address[-8:] for address in _listening(server.port)} == {loopback}
+    running = start_server(witness, host="0.0.0.0")
+    try:
+        assert {address[-8:] for address in _listening(running.port)} == {"0" * 8}
+    finally:
+        running.stop()
+
+
+@pytest.mark.parametrize(
+    ("peer", "here"),
+    [
+        ("ipv4:127.0.0.1:5", True), ("ipv6:[::1]:5", True), ("ipv6:%5B::1%5D:5", True), ("unix:/run/x", True),
+        ("ipv4:10.0.0.7:5", False), ("ipv4:12.7.0.0:5", False), ("ipv6:[fe80::1]:5", False),
+    ],
+)  # fmt: skip
+def test_shared_memory_is_for_this_machine(server: RunningServer, peer: str, here: bool) -> None:
+    assert server._service._shares(SimpleNamespace(peer=lambda: peer)) is here
 
 
 def test_a_port_is_had_once(server: RunningServer, witness: Witness) -> None:
@@ -265,7 +296,7 @@ def test_regions_are_held_to_what_they_are(stub: Any, file: Path) -> None:
     folder.mkdir()
     try:
         for key, size, offset in (
-            ("/../etc/passwd", 100, 0), ("/etc/passwd", 100, 0), ("..", 1, 0), ("", 1, 0), (f"/{link.name}", 100, 0),
+            ("/../../etc/passwd", 100, 0), ("/etc/passwd", 100, 0), ("..", 1, 0), ("", 1, 0), (f"/{link.name}", 100, 0),
             (f"/{folder.name}", 1, 0), (f"/{file.name}", 101, 0), (f"/{file.name}", 100, 1), (f"/{file.name}", 0, 0),
             (f"/{file.name}", 2**63, 2**63), ("/there-is-none", 1, 0),
         ):  # fmt: skip
@@ -275,6 +306,11 @@ def test_regions_are_held_to_what_they_are(stub: Any, file: Path) -> None:
     finally:
         link.unlink()
         folder.rmdir()
+    if os.geteuid() == 0:
+        os.chown(file, 12345, -1)
+        with pytest.raises(grpc.RpcError, match="of another user"):
+            _register(stub, f"/{file.name}")
+        os.chown(file, 0, -1)
     assert not stub.SystemSharedMemoryStatus(service_pb2.SystemSharedMemoryStatusRequest()).regions
     _register(stub, f"/{file.name}")
     with pytest.raises(grpc.RpcError, match="registered already"):
