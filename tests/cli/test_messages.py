@@ -77,6 +77,21 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "there is no model nope",
             "give an ONNX file, or a packaged model (in_car, room)",
         ),
+        (
+            "predict d --model grpc://pc --out f.jsonl",
+            "grpc://pc is no address of a model",
+            "write grpc://HOST:PORT/MODEL",
+        ),
+        (
+            "evaluate d --model grpc://pc:1/m?on_error=go",
+            "on_error cannot be 'go'",
+            "on_error is stop or skip",
+        ),
+        (
+            "serve --model in_car --port 70000",
+            "--port is from 0 to 65535, --max-message-mb from 1 to 1024",
+            "leave them out for 8001 and 64",
+        ),
         ("predict nope --model in_car --out f.jsonl", "nope does not exist", "give the folder of a dataset"),
         ("info nope.mcap", "the recording nope.mcap does not exist", "give the path of a recording"),
         ("view nope.mcap --out v", "the recording nope.mcap does not exist", "give the path of a recording"),
@@ -149,7 +164,7 @@ def test_what_a_yaml_file_is_not_is_said_without_the_extra(run: Run, here: Path,
 
 
 def test_predict_refuses_a_name_before_it_runs_the_model(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cabinpose.estimate.predictor.load_model", lambda _: pytest.fail("the model was loaded"))
+    monkeypatch.setattr("cabinpose.estimate.remote.open_predictor", lambda _: pytest.fail("the model was loaded"))
     assert run("predict", "d", "--model", "in_car", "--out", "q.csv").code == 2
 
 

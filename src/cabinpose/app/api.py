@@ -152,8 +152,8 @@ def evaluate_predictions(
     data
         The folder of a dataset, or an open one (a selection of it as well).
     model
-        A predictions file, predictions, the name of a model of the package, or any detector that fulfils
-        `cabinpose.core.ports.Predictor`.
+        A predictions file, predictions, the name of a model of the package, the address of one on a server
+        (grpc://HOST:PORT/MODEL), or any detector that fulfils `cabinpose.core.ports.Predictor`.
     persons
         Slots that are evaluated; default: those that the model answers for.
 
@@ -168,6 +168,7 @@ def evaluate_predictions(
         For what is missing, damaged or of another dataset.
     """
     from cabinpose.core.ports import Predictor  # noqa: PLC0415 - the package imports in no time
+    from cabinpose.estimate.remote import open_predictor  # noqa: PLC0415
     from cabinpose.evaluate.offline import check_predictions, evaluate, shared_places  # noqa: PLC0415
     from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
     from cabinpose.store import open_dataset  # noqa: PLC0415
@@ -176,7 +177,7 @@ def evaluate_predictions(
     name = Path(data).resolve().name if isinstance(data, Path | str) else ""
     dataset = open_dataset(data) if isinstance(data, Path | str) else data
     if isinstance(model, Path | str):
-        model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else load_model(model)
+        model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else open_predictor(model)
     if isinstance(model, Predictions):
         check_predictions(model, dataset)
     elif not isinstance(model, Predictor):

@@ -12,6 +12,7 @@ _MODULES = MappingProxyType(
         "record": ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2"),
         "train": ("torch", "lightning", "onnx"),
         "bench": ("psutil",),
+        "remote": ("grpc", "tritonclient"),
     }
 )
 
@@ -22,7 +23,7 @@ def require(*extras: str) -> None:
     Parameters
     ----------
     *extras
-        Names of extras of the package: "record", "train", "bench".
+        Names of extras of the package: "record", "train", "bench", "remote".
 
     Raises
     ------

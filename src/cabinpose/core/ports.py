@@ -19,12 +19,15 @@ class FrameBatch(TypedDict):
     camera_k: (N, 3, 3) or (3, 3) float64, px; an integer pixel is a pixel's centre.
     camera_dist: (N, 5) or (5,) float64, OpenCV's k1 k2 p1 p2 k3.
     amplitude: (N, H, W) uint16 or float32, of the active infrared light; left out where the camera gives none.
+    frame, sync_ns: (N,) int64, the frames' numbers and time stamps on the common clock; for messages and detectors elsewhere.
     """
 
     depth: NDArray[np.float32]
     camera_k: NDArray[np.float64]
     camera_dist: NDArray[np.float64]
     amplitude: NotRequired[NDArray[Any]]
+    frame: NotRequired[NDArray[np.int64]]
+    sync_ns: NotRequired[NDArray[np.int64]]
 
 
 @dataclass(frozen=True)

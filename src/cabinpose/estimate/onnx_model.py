@@ -57,6 +57,7 @@ class OnnxModel:
         self.name = str(self.metadata.get("name", self.path.stem))
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
+        self.skeleton: str = self.config.skeleton
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""

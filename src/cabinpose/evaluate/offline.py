@@ -148,8 +148,8 @@ def frame_batch(dataset: xr.Dataset, frames: slice) -> FrameBatch:
     """Some frames of a dataset as a detector gets them; `DatasetError` where it has no depth."""
     if "depth" not in dataset:
         raise DatasetError("the dataset has no depth for a detector to see", hint="evaluate a predictions file instead")
-    part = dataset[[n for n in ("depth", "amplitude", "camera_k", "camera_dist") if n in dataset]].isel(frame=frames)
-    return cast("FrameBatch", {str(name): part[name].values for name in part.data_vars})
+    names = ("depth", "amplitude", "camera_k", "camera_dist", "frame", "sync_ns")
+    return cast("FrameBatch", {name: dataset[name].isel(frame=frames).values for name in names if name in dataset})
 
 
 def _check_shapes(batch: PoseBatch, model: Predictor, frames: int) -> None:

@@ -23,7 +23,7 @@ from cabinpose.app.cli.output import printable
 GROUPS = MappingProxyType(
     {
         "datasets": ("synth", "config", "car", "info", "view", "export", "import"),
-        "detectors": ("train", "models", "predict", "evaluate"),
+        "detectors": ("train", "models", "predict", "evaluate", "serve"),
         "recordings": ("record", "recover", "forget", "emulate", "lab", "calibrate", "align", "evaluate-mocap"),
         "this machine": ("bench",),
     }

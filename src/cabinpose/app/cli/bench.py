@@ -81,13 +81,21 @@ class BenchLab(PrintsJson):
     """Seed of all random numbers, the same for every error."""
 
 
-COMMAND = one_of(synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab)
+@dataclass(frozen=True, kw_only=True)
+class BenchRemote(PrintsJson):
+    """Measure the way to a model on a server and back, over loopback, beside a bare echo server asked by Triton's client."""
+
+    frames: int = 1000
+    """Round trips of each way."""
 
 
-def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab) -> None:
+COMMAND = one_of(synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote)
+
+
+def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote) -> None:
     """Measure; stderr tells what is being measured."""
     name = type(command).__name__.removeprefix("Bench").lower()
-    require(*{"record": ("record", "bench"), "lab": ("record",)}.get(name, ()))
+    require(*{"record": ("record", "bench"), "lab": ("record",), "remote": ("remote",)}.get(name, ()))
     flags = {key: value for key, value in vars(command).items() if key != "as_json"}
     result = _benchmark(name).run(**flags, say=lambda words: print(words, file=sys.stderr))
     if command.as_json:

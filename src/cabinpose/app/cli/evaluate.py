@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, SelectsFrames, refuse_existing, several
-from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
+from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
 from cabinpose.core.errors import ConfigError, DatasetError
 
@@ -44,7 +44,7 @@ class Evaluate(SelectsFrames):
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one per model."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
-    """Models to run: names of packaged models, or ONNX files."""
+    """Models to run: names of packaged models, ONNX files, or models on servers (grpc://HOST:PORT/MODEL)."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """Only people in these slots; default: the slots that all models predict."""
     out: Maybe[Path] = None
@@ -97,7 +97,7 @@ def run(command: Evaluate) -> None:
 
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
     from cabinpose.app.cli.selection import selected
-    from cabinpose.estimate.predictor import load_model
+    from cabinpose.estimate.remote import open_predictor
     from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate
     from cabinpose.store import open_dataset, read_manifest
     from cabinpose.store.predictions import read_predictions
@@ -108,7 +108,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     names = (dataset_id(read_manifest(folder)), folder.resolve().name)
     for file in files:
         check_predictions(file, whole, names)
-    models: list[Predictions | Predictor] = [*_with_own_names(files, command.predictions), *map(load_model, command.model)]
+    models: list[Predictions | Predictor] = [*_with_own_names(files, command.predictions), *map(open_predictor, command.model)]
     dataset = selected(whole, command)
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
@@ -121,6 +121,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
                 shown(done, "" if done < frames else "intervals")
 
             reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=show))
+        tell_failed(model)
     record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.detectors import page_html
@@ -144,13 +145,13 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
 def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> None:
     """One model on ITOP frames, by ITOP's protocol."""
     from cabinpose.core.skeleton import ITOP_JOINTS
-    from cabinpose.estimate.predictor import load_model
+    from cabinpose.estimate.remote import open_predictor
     from cabinpose.evaluate.itop import evaluate_itop, itop_summary
     from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
 
     if len(command.model) != 1 or command.predictions or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
-    model = load_model(command.model[0])
+    model = open_predictor(command.model[0])
     if model.joints != ITOP_JOINTS or len(model.persons) != 1:
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
     reference = read_itop_reference(frames)

@@ -48,6 +48,12 @@ def print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> N
         print("  ".join(cells).rstrip())
 
 
+def tell_failed(model: object) -> None:
+    """Say on stderr how many frames a detector elsewhere gave no answer for."""
+    if failed := getattr(model, "failed", 0):
+        print(f"{printable(getattr(model, 'name', model))}: {failed} frames without an answer", file=sys.stderr)
+
+
 def _cell(text: str) -> str:
     return printable(text).replace("\n", " ")
 
