@@ -81,7 +81,7 @@ lock: $(VENV)/.dev  ## pin the newest versions that pyproject.toml allows
 
 clean:  ## remove what the targets made, .venv included
 	rm -rf $(VENV) $(DEMO) out build dist .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests tools benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 LOCK_FLAGS := --no-header --no-annotate --no-emit-index-url --no-emit-find-links
 

@@ -3,7 +3,7 @@
     python tools/exact_gate.py --scenes 200 --workers 2
 
 Draws scenes as `cabinpose synth` does (all presets, both drive sides, several occupants), leaves the rendering out, and
-holds each against `scene.contact.exact`: trimesh's distances with the side settled by the winding number. Prints JSON;
+holds each against `exact_contact`: trimesh's distances with the side settled by the winding number. Prints JSON;
 exits with 1 where a scene penetrates deeper than stated.
 """
 
@@ -17,9 +17,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from exact_contact import exact_penetrations
+
 from cabinpose.scene.body import SEGMENTS
 from cabinpose.scene.contact import solid_topology
-from cabinpose.scene.contact.exact import exact_penetrations
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng

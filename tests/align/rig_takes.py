@@ -22,10 +22,11 @@ CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 CAMERA_FROM_WORLD = invert(look_at((0.0, 0.0, 1.2), (1.0, 0.1, 1.0)))
 OBJECT_FROM_HEAD = transform(Rotation.from_euler("xyz", (20, -15, 30), degrees=True), (-0.06, 0.01, -0.1))
 SUIT_FROM_WORLD = transform(Rotation.from_euler("z", 75, degrees=True), (4.0, -2.0, 0.3))
-LATENCY_S = {"tof": 0.040, "optical": 0.010, "suit": 0.025}
-RATE_HZ = {"tof": 20.0, "optical": 100.0, "suit": 60.0}
+LATENCY_S = {"tof": 0.040, "optical": 0.010, "suit": 0.025, "suit2": 0.061}
+RATE_HZ = {"tof": 20.0, "optical": 100.0, "suit": 60.0, "suit2": 60.0}
 CLOCKS = {"tof": ClockMap(-START_NS + 5_000_000_000, 2e-5, START_NS), "optical": ClockMap(-START_NS, -1e-5, START_NS),
-          "suit": ClockMap(-START_NS + 777_000_000, 4e-5, START_NS)}  # fmt: skip
+          "suit": ClockMap(-START_NS + 777_000_000, 4e-5, START_NS),
+          "suit2": ClockMap(-START_NS + 123_000_000, -3e-5, START_NS)}  # fmt: skip
 
 
 def head_in_world(time_s: np.ndarray) -> np.ndarray:
@@ -68,6 +69,21 @@ def joints_in_camera(time_s: np.ndarray, hands_m: tuple = ((0.0, 0.085, 0.0), (0
     return apply(CAMERA_FROM_WORLD, joints)
 
 
+LATER_S, BESIDE = 3.7, np.array((0.1, -0.6, 0.0))  # the second person does what the first one does, later and elsewhere
+
+
+def second_in_world(time_s: np.ndarray) -> np.ndarray:
+    """(T, 23, 4, 4): segments of the second person."""
+    result = segments_in_world(time_s + LATER_S)
+    result[..., :3, 3] += BESIDE
+    return result
+
+
+def second_in_camera(time_s: np.ndarray) -> np.ndarray:
+    """(T, 20, 3): the truth of the second person."""
+    return joints_in_camera(time_s + LATER_S) + CAMERA_FROM_WORLD[:3, :3] @ BESIDE
+
+
 @dataclass
 class Made:
     """How a take is made; what each source leaves out."""
@@ -78,6 +94,8 @@ class Made:
     suit_until_s: float = np.inf
     suit_still: bool = False
     codes: tuple[str, ...] = ("S07",)
+    second: str = ""  # the source of a second person's suit
+    host: dict[str, str] = field(default_factory=dict)
     car: str = "sedan"
     seat: str | None = "driver"
     sources: tuple[str, ...] = ("tof", "optical", "suit")
@@ -89,37 +107,46 @@ class Made:
         """Write the recording and return the true times (F,) of the camera's frames, s."""
         rng = np.random.default_rng(self.seed)
         samples: list[tuple[str, Sample]] = []
-        for source in self.sources:
+        for source in (*self.sources, *({self.second} - {"", *self.sources})):
             time = np.arange(0.0, self.seconds, 1 / RATE_HZ[source]) + 0.0003 * len(source)
-            if source == "suit":
+            if source.startswith("suit"):
                 time = time[time < self.suit_until_s]
             self.true_s[source] = time
             true_ns = START_NS + np.rint(time * 1e9).astype(np.int64)
             late = LATENCY_S[source] + rng.exponential(max(self.jitter_s, 1e-12), len(time))
             host = np.maximum.accumulate(true_ns + np.rint(late * 1e9).astype(np.int64))
             device = CLOCKS[source](true_ns)
-            for k, message in enumerate(self._messages(source, time)):
-                samples.append((source, Sample(k, int(host[k]), int(device[k]), b"", (message,))))
+            for k, messages in enumerate(self._messages(source, time)):
+                samples.append((source, Sample(k, int(host[k]), int(device[k]), b"", messages)))
         samples.sort(key=lambda row: row[1].host_ns)
-        people = tuple(Participant(code=code, seat=self.seat) for code in self.codes)
-        with RecordingWriter(path, Take(action="reach", car=self.car, subjects=people), flush_s=np.inf, sync_s=0.0) as writer:
+        seats = (self.seat, "front_passenger" if self.seat else None)
+        people = tuple(Participant(code=code, seat=seat) for code, seat in zip(self.codes, seats, strict=False))
+        take = Take(action="reach", car=self.car, subjects=people)
+        with RecordingWriter(path, take, host=self.host, flush_s=np.inf, sync_s=0.0) as writer:
             for source, sample in samples:
                 writer.write(source, sample)
         return self.true_s.get("tof", np.zeros(0))
 
-    def _messages(self, source: str, time: np.ndarray) -> list[Message]:
+    def _messages(self, source: str, time: np.ndarray) -> list[tuple[Message, ...]]:
         if source == "tof":
             depth = np.full((CAMERA.height, CAMERA.width), round(self.depth_m * 1e4), np.uint16)
             frame = ToFFrame(depth, 1e-4, depth, np.zeros((0, 0), np.uint8), CAMERA.k, np.zeros(5), np.zeros(5))
-            return [frame] * len(time)
+            return [(frame,)] * len(time)
         if source == "optical":
+            heads = [("head", *self._hidden(time, *_split(head_in_world(time) @ invert(OBJECT_FROM_HEAD))))]
+            if self.second:
+                second = second_in_world(time)[:, MVN_SEGMENTS.index("Head")]
+                heads.append(("head2", *_split(second @ invert(OBJECT_FROM_HEAD))))
             return [
-                SegmentPoses("head", ("head",), p[None], q[None])
-                for p, q in zip(*self._hidden(time, *_split(head_in_world(time) @ invert(OBJECT_FROM_HEAD))), strict=True)
+                tuple(SegmentPoses(name, ("head",), p[k, None], q[k, None]) for name, p, q in heads) for k in range(len(time))
             ]
-        moved = SUIT_FROM_WORLD @ segments_in_world(np.zeros_like(time) if self.suit_still else time)
-        position, turn = _split(moved)
-        return [SegmentPoses("S07", MVN_SEGMENTS, p, q) for p, q in zip(position, turn, strict=True)]
+        suits = []
+        if source == "suit":
+            moved = SUIT_FROM_WORLD @ segments_in_world(np.zeros_like(time) if self.suit_still else time)
+            suits.append(("S07", *_split(moved)))
+        if source == self.second:
+            suits.append(("S08", *_split(SUIT_FROM_WORLD @ second_in_world(time))))
+        return [tuple(SegmentPoses(code, MVN_SEGMENTS, p[k], q[k]) for code, p, q in suits) for k in range(len(time))]
 
     def _hidden(self, time: np.ndarray, position: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.optical_gap is not None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.align.chain import joints_in_camera, object_from_head, rigid
+from cabinpose.align.chain import joints_in_camera, rigid
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import apply, invert, is_rigid, transform
+from cabinpose.core.frames import apply, is_rigid, transform
 
 
 def _rig(seed: int, count: int = 7) -> tuple[dict, np.ndarray]:
@@ -63,10 +63,3 @@ def test_rigid_is_a_pose_or_nothing():
     assert is_rigid(poses[0])
     assert is_rigid(poses[3])
     assert np.allclose(poses[0], transform(Rotation.from_quat(q[0], scalar_first=True), p[0]))
-
-
-def test_offset_joins_the_rotation():
-    turn = transform(Rotation.from_euler("z", 30, degrees=True), (9, 9, 9))
-    whole = object_from_head(turn, (0.1, 0.2, 0.3))
-    assert np.allclose(invert(whole) @ (0.1, 0.2, 0.3, 1.0), (0, 0, 0, 1))
-    assert np.allclose(whole[:3, :3], turn[:3, :3])

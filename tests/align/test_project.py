@@ -11,22 +11,22 @@ import pytest
 from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
 from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take, with_known
-from cabinpose.app.head_page import write_head_page
+from cabinpose.app.report.heads import write_head_page
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import import_source
 from cabinpose.store.recording import Recording
+from cabinpose.store.source import import_source
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rig_takes
 from rig_takes import Made, calibration, joints_in_camera
 
 
-def aligned(path: Path, **how):
+def aligned(path: Path, code: str = "S07"):
     with Recording(path) as recording:
-        return align_take(recording, calibration(), **how)
+        return align_take(recording, calibration(), code)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_a_calibration_that_is_wrong_is_wrong_here_too(take) -> None:
         {"tof_to_optical": KnownDelay(offset_s=0.03)},
     ):
         with Recording(path) as recording:
-            found = align_take(recording, calibration(**change))
+            found = align_take(recording, calibration(**change), "S07")
         error = np.linalg.norm(found.joints[found.kept] - joints_in_camera(time[found.kept]), axis=2)
         assert error[:, INDEX["head"]].max() > 2e-3
 
@@ -83,22 +83,22 @@ def test_frames_are_left_out_for_the_reason_that_holds(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_aligned_is_refused(tmp_path: Path, take) -> None:
-    def refused(made: Made, says: str, kind: type[Exception] = AlignmentError, **how) -> None:
+    def refused(made: Made, says: str, kind: type[Exception] = AlignmentError) -> None:
         path = tmp_path / f"{abs(hash(says))}.mcap"
         made.write(path)
         with pytest.raises(kind, match=says) as caught:
-            aligned(path, **how)
+            align_takes([path], calibration())
         assert getattr(caught.value, "hint", "")
 
     refused(Made(seconds=6, sources=("tof", "optical")), "no source 'suit'", RecordingError)
     refused(Made(seconds=6, sources=("optical", "suit")), "no source 'tof'", RecordingError)
-    refused(Made(seconds=6, codes=()), "names 0 subjects")
-    refused(Made(seconds=6, codes=("S07", "S08")), "names 2 subjects: S07, S08")
+    refused(Made(seconds=6, codes=()), "names no subject")
+    refused(Made(seconds=6, codes=("S07", "S08")), "knows no subject S08")
     refused(Made(seconds=6, codes=("S09",)), "knows no subject S09")
     refused(Made(seconds=6, suit_still=True), "constant|does not move|no motion|weak|still")
     refused(Made(seconds=6, optical_gap=(-1, 99)), "optical|b has|b is|not known|known samples")
     with pytest.raises(RecordingError, match="of 'S01'"), Recording(take[0]) as recording:
-        align_take(recording, calibration(heads={"S01": Head(object_from_head=rows(np.eye(4)))}), subject="S01")
+        align_take(recording, calibration(heads={"S01": Head(object_from_head=rows(np.eye(4)))}), "S01")
 
 
 def test_a_known_delay_sharpens_a_wide_one_and_leaves_a_contradiction_alone(take) -> None:
@@ -118,12 +118,12 @@ def test_a_known_delay_sharpens_a_wide_one_and_leaves_a_contradiction_alone(take
 def test_a_take_too_short_for_a_delay_of_its_own_takes_the_known_one(tmp_path: Path) -> None:
     path = tmp_path / "short.mcap"
     time = Made(seconds=3, jitter_s=0.0).write(path)
-    with pytest.raises(UndeterminedError, match=r"short\.mcap: the suit's head.*too short"):
+    with pytest.raises(UndeterminedError, match=r"short\.mcap: the head of S07 in the suit.*too short"):
         aligned(path)
     known = KnownDelay(offset_s=-0.015, interval_s=(-0.016, -0.014))
     head = Head(object_from_head=rows(rig_takes.OBJECT_FROM_HEAD), suit_to_optical=known)
     with Recording(path) as recording:
-        found = align_take(recording, calibration(heads={"S07": head}))
+        found = align_take(recording, calibration(heads={"S07": head}), "S07")
     error = np.linalg.norm(found.joints[found.kept] - joints_in_camera(time[found.kept]), axis=2)
     assert error.max() < 2e-4
     assert found.delay.offset_s == -0.015
@@ -164,10 +164,70 @@ def test_takes_become_a_dataset_of_the_standard(tmp_path: Path, take) -> None:
     assert np.isnan(np.delete(apart, driver, axis=1)).all()
     assert first.head_deg[0] <= first.head_deg[1] == pytest.approx(np.degrees(apart[: first.kept, driver].max()), abs=1e-4)
     assert first.head_deg[1] < 0.2  # nothing is wrong with these heads
-    write_head_page(folder, [(report.recording, report.subject) for report in takes.reports], tmp_path / "head.html")
+    people = [(each.sequence, each.recording, each.subject, each.person) for each in takes.reports]
+    write_head_page(folder, people, tmp_path / "head.html")
     page = (tmp_path / "head.html").read_text("utf-8")
     assert page.count("<figure>") == 8  # of each take the two best frames and the two worst
     assert f"{path.name}, S07: worst, {first.head_deg[1]:.2f} deg" in page
+
+
+def pair_calibration(suit: str) -> Calibration:
+    """The true calibration of two people, the second in the suit of this source."""
+    head = Head(object_from_head=rows(rig_takes.OBJECT_FROM_HEAD))
+    return calibration(heads={"S07": head, "S08": head.model_copy(update={"suit": suit, "head_object": "head2"})})
+
+
+@pytest.mark.parametrize("suit", ["suit", "suit2"])  # two characters of one streamer; two suits
+def test_two_people_in_one_take_are_both_in_the_dataset(tmp_path: Path, suit: str) -> None:
+    path = tmp_path / "pair.mcap"
+    time = Made(jitter_s=0.0, codes=("S07", "S08"), second=suit).write(path)
+    takes = align_takes([path], pair_calibration(suit))
+    data = open_dataset(import_source(takes.source, tmp_path / "dataset"))
+    frames = data.sizes["frame"]
+    assert frames >= len(time) - 4
+    true_s = (data["sync_ns"].values - rig_takes.START_NS) / 1e9 - rig_takes.LATENCY_S["tof"]
+    for place, code, truth in (
+        ("driver", "S07", joints_in_camera(true_s)),
+        ("front_passenger", "S08", rig_takes.second_in_camera(true_s)),
+    ):
+        person = data.sel(person=place)
+        assert set(person["subject"].values) == {code}
+        assert np.linalg.norm(person["joints_3d"].values - truth, axis=2).max() < 3e-4
+        assert np.degrees(person["head_residual"].values).max() < 0.2
+    for report, source in zip(takes.reports, ("suit", suit), strict=True):
+        late = rig_takes.LATENCY_S["optical"] - rig_takes.LATENCY_S[source]
+        assert report.suit_delay_ms == pytest.approx(1000 * late, abs=0.2)
+        assert (report.kept, report.sequence) == (frames, 0)
+    pages = [(each.sequence, each.recording, each.subject, each.person) for each in takes.reports]
+    write_head_page(tmp_path / "dataset", pages, tmp_path / "head.html")
+    assert "1 take, " in (tmp_path / "head.html").read_text("utf-8")
+
+
+def test_frames_in_which_one_of_two_people_has_no_pose_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "pair.mcap"
+    Made(jitter_s=0.0, codes=("S07", "S08"), second="suit2", optical_gap=(4.0, 5.0)).write(path)
+    first, second = align_takes([path], pair_calibration("suit2")).reports
+    assert first.left_out["no head object"] == second.left_out["the pose of somebody else is not known"] >= 18
+    assert first.kept == second.kept
+    alone = align_takes([path], pair_calibration("suit2"), subject="S08").reports
+    assert alone[0].kept == second.kept + second.left_out["the pose of somebody else is not known"]
+    Made(codes=("S07", "S08"), second="suit2", car="", seat=None).write(tmp_path / "room.mcap")
+    with pytest.raises(AlignmentError, match="S07 and S08 have one place"):
+        align_takes([tmp_path / "room.mcap"], pair_calibration("suit2"))
+
+
+def test_a_take_of_another_computer_or_network_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    facts = {"computer": "c0ffee", "network eth0": "MTU 9000, 1000 Mb/s", "kernel": "Linux 6.1"}
+    Made(seconds=6, host=facts).write(path)
+    assert align_takes([path], calibration(host=facts)).warnings == []
+    assert align_takes([path], calibration()).warnings == []  # a calibration of before this was recorded
+    then = facts | {"network eth0": "MTU 1500, 1000 Mb/s", "network wlan0": "MTU 1500"}
+    (warning,) = align_takes([path], calibration(host=then)).warnings
+    assert warning.startswith("take.mcap: not recorded as the pendulum was")
+    assert "network eth0: MTU 1500, 1000 Mb/s then, MTU 9000, 1000 Mb/s now" in warning
+    assert "network wlan0: MTU 1500 then, none now" in warning
+    assert "kernel" not in warning
 
 
 def test_a_seat_that_is_not_named_and_another_cameras_size_are_refused(tmp_path: Path, take) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.align.suit import HANDS_M, joints_of_segments
+from cabinpose.align.suit import HANDS_M, JOINT_POINTS, suit_points
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.skeleton import INDEX, MVN_SEGMENTS, RIGS
 
@@ -17,6 +17,10 @@ def _segments(count: int = 3) -> tuple[np.ndarray, np.ndarray]:
     orientation = np.zeros((count, len(MVN_SEGMENTS), 4))
     orientation[..., 0] = 1.0
     return position, orientation
+
+
+def joints_of_segments(names, position, orientation, hands_m=HANDS_M) -> np.ndarray:
+    return suit_points(names, position, orientation, hands_m=hands_m)[..., :3, 3][:, JOINT_POINTS]
 
 
 def test_joints_are_origins_of_their_segments_whatever_their_order():

@@ -89,14 +89,6 @@ def test_one_channel_of_a_constant_delay_far_from_zero():
     assert delay.drift_interval == (0.0, 0.0)
 
 
-def test_the_map_between_clocks_in_nanoseconds():
-    delay = estimate_delay(CAMERA_S, _motion(CAMERA_S), OPTICAL_S, _motion(_to_a(OPTICAL_S)), max_lag_s=1.0, drift=True)
-    origin_a, origin_b = 1_700_000_000_000_000_000, 42_000_000_000
-    clock = delay.clock_map(origin_a, origin_b)
-    at = np.array((0.0, 12.5, 40.0))
-    assert np.abs(clock(origin_a + np.rint(at * 1e9).astype(np.int64)) - origin_b - _to_b(at) * 1e9).max() < 100
-
-
 def test_gaps_irregular_times_and_outliers_do_not_move_it():
     """Jitter of the stamps that is known, a fifth of the frames lost, a pause of 6 s, and 3 % of wild blobs."""
     rng = np.random.default_rng(1)
@@ -130,26 +122,6 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
         errors.append(delay.offset_s - OFFSET)
     assert held >= 33
     assert 1.0 < np.median(halves) / np.std(errors) < 4.0  # nor is it idle: 2 for a normal error of known sigma
-
-
-def test_a_slow_warp_is_followed_by_pieces():
-    """A clock whose rate changes with its warmth: a line misses it by milliseconds, the pieces by tenths."""
-    time_a, time_b = np.arange(0, 120, 1 / 30), np.arange(-1, 122, 1 / 100)
-    warp = 0.010 * np.sin(np.linspace(-1, 121, 20001) / 25)
-    fine = np.linspace(-1, 121, 20001)
-    to_a = np.interp(time_b, fine + OFFSET + warp, fine)
-    truth = time_a + OFFSET + np.interp(time_a, fine, warp)
-    series = (time_a, _motion(time_a), time_b, _motion(to_a))
-    line = estimate_delay(*series, max_lag_s=1.0, drift=True)
-    bent = estimate_delay(*series, max_lag_s=1.0, drift=True, piecewise=True)
-    inner = slice(200, -200)
-    assert np.abs(line.to_b(time_a) - truth)[inner].max() > 4e-3
-    assert np.abs(bent.to_b(time_a) - truth)[inner].max() < 1e-3
-    assert np.allclose(bent.to_a(bent.to_b(time_a)), time_a, rtol=0, atol=1e-9)
-    with pytest.raises(AlignmentError, match="no line"):
-        bent.clock_map()
-    with pytest.raises(AlignmentError, match="too few for a piecewise"):
-        estimate_delay(CAMERA_S, _motion(CAMERA_S), OPTICAL_S, _motion(OPTICAL_S), max_lag_s=1.0, piecewise=True, window_s=15.0)
 
 
 def test_the_correlation_over_lags_is_that_of_numpy():

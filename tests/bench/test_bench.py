@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cabinpose.app.bench import synth as bench
-from cabinpose.app.bench.blender import BlenderPeer, blender_python
-from cabinpose.app.bench.memory import memory_growth
-from cabinpose.app.bench.rendering import ROUNDS, rendering
-from cabinpose.app.bench.synth import run_bench
+from benchmarks import synth as bench
+from benchmarks.memory import memory_growth
+from benchmarks.renderers import ROUNDS, BlenderPeer, blender_python, rendering
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
@@ -27,6 +25,9 @@ from cabinpose.synth.plan import person_slots
 from cabinpose.synth.write import FrameMaker
 
 BLENDER = "CABINPOSE_BENCH_CACHE"
+NO_FLAGS: dict[str, Any] = {
+    "frames": 1, "repeats": 1, "workers": 2, "skip_blender": True, "memory_frames": 0, "say": lambda _: None,
+}  # fmt: skip
 
 
 def test_the_cars_of_the_full_bench_have_five_seats() -> None:
@@ -48,7 +49,7 @@ def test_one_means_one() -> None:
 @pytest.mark.slow
 def test_a_small_bench_has_every_figure() -> None:
     said: list[str] = []
-    result = run_bench(frames=4, repeats=2, workers=2, blender=False, blender_scenes=1, memory_frames=20, say=said.append)
+    result = bench.run(**(NO_FLAGS | {"frames": 4, "repeats": 2, "memory_frames": 20, "say": said.append}), scenes=1)
     assert json.loads(json.dumps(result)) == json.loads(json.dumps(result | {"workers": 2, "rounds": 2, "frames": 4}))
     assert min(result["frames_per_s"], result["frames_per_s_five_occupants"]) > 0
     assert result["cpu_ms_per_frame_met"] > 0
@@ -75,7 +76,7 @@ def test_memory_is_that_of_a_process_of_its_own() -> None:
 
 
 def test_a_failing_process_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cabinpose.app.bench.memory.__name__", "no_such_module")
+    monkeypatch.setattr("benchmarks.memory.__file__", "no_such_module.py")
     with pytest.raises(SceneError, match="no_such_module"):
         memory_growth(1)
 
@@ -96,7 +97,7 @@ def test_each_speed_is_of_its_own_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "_scenes", lambda count: [None] * count)
     monkeypatch.setattr(bench, "_cpu_s", lambda *_: 1.0)
     monkeypatch.setattr(bench, "rendering", rendering)
-    result = run_bench(frames=16, repeats=1, workers=2, blender=False)
+    result = bench.run(**(NO_FLAGS | {"frames": 16}))
     names = ("frames_per_s", "frames_per_s_met", "frames_per_s_one_thread", "frames_per_s_five_occupants")
     new, met, alone, full = (runs[int(result[name]) - 1] for name in names)
     seed = new[2]
@@ -136,7 +137,7 @@ def test_the_ratios_are_of_the_same_things(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(bench, "_cpu_s", lambda *_: 1.0)
     monkeypatch.setattr(bench, "rendering", rendering)
     monkeypatch.setattr(bench, "BlenderPeer", Peer)
-    result = run_bench(frames=1, repeats=3, workers=1)
+    result = bench.run(**(NO_FLAGS | {"repeats": 3, "workers": 1, "skip_blender": False}))
     assert result["ratio_to_blender"] == pytest.approx(30.0)  # of 30, 30 and 15
     assert result["quartiles"]["ratio_to_blender"] == pytest.approx((22.5, 30.0))
     assert result["ratio_to_blender_pipeline"] == pytest.approx(0.6 * 50.0)
@@ -153,7 +154,7 @@ def test_every_scene_is_rendered_as_often(monkeypatch: pytest.MonkeyPatch) -> No
             assert closed
             calls.append(surface)
 
-    monkeypatch.setattr("cabinpose.app.bench.rendering.Rasteriser", Counting)
+    monkeypatch.setattr("benchmarks.renderers.Rasteriser", Counting)
     scenes: Any = [SimpleNamespace(surface=lambda n=n: n, world_from_camera=np.eye(4), closed=True) for n in range(3)]
     with rendering(scenes, SENSORS["pico_monstar_105"].camera, threads=2) as measure:
         assert all(measure() > 0 for _ in range(5))
@@ -162,11 +163,11 @@ def test_every_scene_is_rendered_as_often(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_nothing_to_measure_is_refused() -> None:
     with pytest.raises(ConfigError, match="needs frames"):
-        run_bench(frames=0)
+        bench.run(**(NO_FLAGS | {"frames": 0}))
 
 
 def test_where_blender_cannot_be_installed_the_reason_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cabinpose.app.bench.blender.REQUIREMENT", str(tmp_path / "no-such-wheel.whl"))
+    monkeypatch.setattr("benchmarks.renderers.REQUIREMENT", str(tmp_path / "no-such-wheel.whl"))
     python, reason = blender_python(tmp_path)
     assert python is None
     assert reason is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,11 +14,10 @@ import pytest
 import torch
 from torch import nn
 
-from cabinpose.app.bench import detect
-from cabinpose.app.bench.detect import run_detect_bench
-from cabinpose.app.bench.fresh import fresh_detector, rendered_maps
-from cabinpose.app.bench.peers import PEERS, Peer, RtmPose, parameters_of
-from cabinpose.app.bench.subjects import WARM, OurDetector, Run, figures, frame_batch, timed_run
+from benchmarks import detect
+from benchmarks.fresh import fresh_detector, rendered_maps
+from benchmarks.peers import PEERS, Peer, RtmPose, parameters_of
+from benchmarks.subjects import WARM, OurDetector, Run, Subject, figures, frame_batch, timed_run
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.skeleton import JOINTS
@@ -29,6 +29,12 @@ from cabinpose.estimate.paf.measure import measured
 from cabinpose.estimate.predictor import load_model
 
 SHOWN = 2
+
+
+def bench(model: Sequence[str] = (), **flags: Any) -> dict[str, Any]:
+    """A bench of one frame, but for what the flags say."""
+    default = {"frames": 1, "repeats": 1, "threads": 1, "skip_fresh": False, "skip_peers": False, "say": lambda _: None}
+    return detect.run(model=model, **(default | flags))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +54,7 @@ def small_bench(frames: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch) -> Non
     """One method and one peer, on the frames that are there."""
     tiny = Peer(lambda: RtmPose(0.125, 0.167, size=(64, 64)), (64, 64), "a crop", 3.34, 0.36)
     monkeypatch.setattr(detect, "AIMS", {"compact": 60.0})
-    monkeypatch.setattr("cabinpose.app.bench.peers.PEERS", {"tiny": tiny})
+    monkeypatch.setattr("benchmarks.peers.PEERS", {"tiny": tiny})
     monkeypatch.setattr(detect, "bench_frames", lambda skeleton: frames)
     monkeypatch.setattr(detect, "packaged_models", dict)
 
@@ -162,9 +168,9 @@ def test_given_answers_are_decoded_in_place_of_the_networks(frames: tuple[Any, .
 def test_warm_up_is_not_counted_and_figures_are_medians_of_runs() -> None:
     calls: list[int] = []
 
-    class Clockwork:
-        stages = ("input", "network")
-        session = None
+    class Clockwork(Subject):
+        def __init__(self) -> None:
+            super().__init__(None, ("input", "network"), {})
 
         def frame(self, number: int) -> tuple[float, ...]:
             calls.append(number)
@@ -191,7 +197,7 @@ def test_warm_up_is_not_counted_and_figures_are_medians_of_runs() -> None:
 @pytest.mark.usefixtures("small_bench")
 def test_a_small_bench_has_every_figure(model: Path) -> None:
     said: list[str] = []
-    result = run_detect_bench([str(model)], frames=2, repeats=2, threads=1, say=said.append)
+    result = bench([str(model)], frames=2, repeats=2, say=said.append)
     assert json.loads(json.dumps(result)) == result
     assert list(result["models"]) == ["compact", "compact_fresh"]
     assert list(result["peers"]) == ["tiny"]
@@ -219,14 +225,14 @@ def test_a_small_bench_has_every_figure(model: Path) -> None:
 def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "find_spec", lambda name: None if name == "torch" else SimpleNamespace())
     said: list[str] = []
-    result = run_detect_bench([str(model)], frames=1, repeats=1, threads=1, say=said.append)
+    result = bench([str(model)], say=said.append)
     assert list(result["models"]) == ["compact"]
     assert result["peers"] == result["models"]["compact"]["peers_take"] == {}
     assert result["left_out"] == ["fresh", "peers"]
     assert "torch not installed" in said[0]
-    assert run_detect_bench([str(model)], frames=1, repeats=1, threads=1, fresh=False, peers=False)["left_out"] == []
+    assert bench([str(model)], skip_fresh=True, skip_peers=True)["left_out"] == []
     with pytest.raises(ConfigError, match="nothing to measure") as caught:
-        run_detect_bench(frames=1, repeats=1)
+        bench()
     assert caught.value.hint
 
 
@@ -234,7 +240,7 @@ def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: py
 def test_the_packaged_models_are_measured(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (detect, predictor_module):
         monkeypatch.setattr(module, "packaged_models", lambda: {"in_car": model})
-    result = run_detect_bench(["in_car"], frames=1, repeats=1, threads=1, fresh=False, peers=False)
+    result = bench(["in_car"], skip_fresh=True, skip_peers=True)
     assert list(result["models"]) == ["compact"]  # once, by the name in the file
 
 
@@ -242,11 +248,11 @@ def test_the_packaged_models_are_measured(model: Path, monkeypatch: pytest.Monke
 def test_models_that_share_a_name_are_told_apart(model: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.onnx"
     copy.write_bytes(model.read_bytes())
-    result = run_detect_bench([str(model), str(copy)], frames=1, repeats=1, threads=1, fresh=False, peers=False)
+    result = bench([str(model), str(copy)], skip_fresh=True, skip_peers=True)
     assert list(result["models"]) == [str(model), str(copy)]
 
 
 def test_no_frames_no_runs_or_no_threads_are_refused() -> None:
     for nothing in ({"frames": 0}, {"repeats": 0}, {"threads": 0}):
         with pytest.raises(ConfigError, match="needs frames"):
-            run_detect_bench(**nothing)
+            bench(**nothing)

@@ -176,9 +176,10 @@ def test_open_doubled_and_inward_surfaces(tmp_path: Path, sedan: Cabin) -> None:
     assert any("shell" in n for n in cabin.notes)
 
 
-def draco_glb(path: Path, mesh: trimesh.Trimesh) -> None:
+def draco_glb(path: Path, mesh: trimesh.Trimesh, *, damaged: bool = False) -> None:
     """A minimal Draco-compressed GLB, put together by hand from the extension's specification."""
     data = DracoPy.encode(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32), quantization_bits=14)
+    data = bytes(len(data)) if damaged else data
     data += b"\0" * (-len(data) % 4)
     v = mesh.vertices
     extension = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
@@ -202,6 +203,12 @@ def test_draco_is_decoded(tmp_path: Path, sedan: Cabin) -> None:
     draco_glb(tmp_path / "car.glb", scene_of(sedan, GLTF_FROM_VEHICLE, 1.0).to_mesh())
     cabin = load_cabin(write(tmp_path, description(sedan, "car.glb", rules=[])))
     same_place(cabin, sedan)
+
+
+def test_damaged_draco_is_refused(tmp_path: Path, sedan: Cabin) -> None:
+    draco_glb(tmp_path / "car.glb", scene_of(sedan, GLTF_FROM_VEHICLE, 1.0).to_mesh(), damaged=True)
+    with pytest.raises(MeshError, match="cannot be decoded"):
+        load_cabin(write(tmp_path, description(sedan, "car.glb", rules=[])))
 
 
 def test_draco_without_its_decoder_is_refused(tmp_path: Path, sedan: Cabin, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,7 +285,7 @@ def bad_axes(folder: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (bad_missing, "no mesh file"), (bad_suffix, "not read"), (bad_bytes, "not a GLB"), (bad_cut, "middle of a chunk"),
+        (bad_missing, "no mesh file"), (bad_suffix, "not read"), (bad_bytes, "not a GLB"), (bad_cut, "cannot be read"),
         (bad_empty, "no triangles|cannot be read"), (bad_nan, "not numbers"), (bad_flat, "flat"), (bad_unit, "no car"),
         (bad_size, "no unit"), (bad_up, "which axis is up"), (bad_axes, "one line"),
     ],

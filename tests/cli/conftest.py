@@ -24,6 +24,7 @@ def _load_sphere_people() -> ModuleType:
 
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "cabin"))  # presets as mesh files
+sys.path.insert(0, str(Path(__file__).parents[1] / "store"))  # files of other tools
 
 
 @pytest.fixture(autouse=True)

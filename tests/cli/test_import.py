@@ -75,7 +75,7 @@ def test_import(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--format", "fbx"), "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, csv, itop, mvnx, ntu, png-json, sto, trc, xdf"),
+        (("--format", "fbx"), "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, itop, mvnx, ntu, png-json, xdf"),
         (("--format", "bvh"), "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu"),
         (("--format", "coco", "--keep-invalid"), "hint: leave out --keep-invalid"),
         (("--format", "itop", "--images", "x"), "hint: leave out --images"),

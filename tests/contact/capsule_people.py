@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from cabinpose.core.frames import Matrix
 from cabinpose.core.skeleton import INDEX, JOINTS
 from cabinpose.scene.body.rig import SEGMENTS
+from cabinpose.scene.cabin import Part
 from cabinpose.scene.surface import Surface
 
 # An upright stand with the arms out, m: far from any contact with itself.
@@ -40,18 +42,6 @@ def surface(mesh: trimesh.Trimesh) -> Surface:
 
 
 @dataclass(frozen=True)
-class StubPart:
-    """A part of a cabin of boxes."""
-
-    name: str
-    surface: Surface
-    group: str = "body"
-    give_m: float = 0.0
-    solid: bool = True
-    shell_m: float = 0.0
-
-
-@dataclass(frozen=True)
 class StubSeat:
     """A seat that only knows where its H-point is."""
 
@@ -67,7 +57,7 @@ class StubSeat:
 class StubCabin:
     """Parts, and where their groups are."""
 
-    parts: tuple[StubPart, ...]
+    parts: tuple[Part, ...]
     moved: Mapping[str, Matrix] = field(default_factory=dict)
     seats: Mapping[str, StubSeat] = field(default_factory=dict)
 
@@ -105,7 +95,7 @@ def capsule(a: NDArray[np.float64], b: NDArray[np.float64], radius: float, count
     return mesh.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), b - a)).apply_translation((a + b) / 2)
 
 
-def person(offset: tuple[float, float, float] = (0, 0, 0), **joints: tuple[float, float, float]) -> tuple[StubPerson, StubPosed]:
+def person(offset: tuple[float, float, float] = (0, 0, 0), **joints: tuple[float, float, float]) -> tuple[Any, Any]:
     """A body of capsules standing at `offset`; named joints (of the body at the origin) are put elsewhere."""
     place = dict(STAND) | {"r" + n[1:]: (p[0], -p[1], p[2]) for n, p in STAND.items() if n[0] == "l"} | joints
     at = np.zeros((len(JOINTS), 3))

@@ -7,17 +7,18 @@ from collections import Counter
 import numpy as np
 import pytest
 import trimesh
-from capsule_people import StubCabin, StubPart, StubSeat, capsule, person, surface
+from capsule_people import StubCabin, StubSeat, capsule, person, surface
+from exact_contact import exact_penetrations
 
 from cabinpose.core.frames import Matrix, transform
+from cabinpose.scene.cabin import Part
 from cabinpose.scene.contact import BOTH_YIELD_M, FLESH_M, OUTSIDE
-from cabinpose.scene.contact.exact import exact_penetrations
 from cabinpose.synth import validate
 from cabinpose.synth.validate import Rejection, Validator, Verdict, by_cause, most_common
 
-FLOOR = StubPart("floor", surface(trimesh.creation.box((6, 6, 0.4)).apply_translation((0, 0, -0.2))))
-RIM = StubPart("rim", surface(trimesh.creation.torus(0.185, 0.015, 96, 24)), group="wheel")
-BACKREST = StubPart("backrest", surface(trimesh.creation.box((0.1, 0.5, 0.7))), group="seat:driver/back", give_m=0.05)
+FLOOR = Part("floor", surface(trimesh.creation.box((6, 6, 0.4)).apply_translation((0, 0, -0.2))))
+RIM = Part("rim", surface(trimesh.creation.torus(0.185, 0.015, 96, 24)), group="wheel")
+BACKREST = Part("backrest", surface(trimesh.creation.box((0.1, 0.5, 0.7))), group="seat:driver/back", give_m=0.05)
 FAR = {"wheel": transform(translation=(9, 0, 1)), "seat:driver/back": transform(translation=(9, 2, 1))}
 
 
@@ -96,7 +97,7 @@ def test_a_thin_rod_between_the_vertices_is_found() -> None:
     """A rod of 5 mm through a forearm, where a skin of 4 segments has no vertex near."""
     rod = capsule(np.array((-0.2, 0.67, 1.5)), np.array((0.2, 0.67, 1.5)), 0.005, (8, 8))
     finer = rod.subdivide().subdivide()
-    validator = Validator(StubCabin((StubPart("lever", surface(finer)),)))
+    validator = Validator(StubCabin((Part("lever", surface(finer)),)))
     assert validator.contact is not None
     body = person((0, 0, 0.05))
     assert validator.contact.at({}).deepest(body[1].skin, FLESH_M) is None
@@ -124,9 +125,9 @@ def test_an_arm_does_not_pass_through_foam_that_gives_way_on_both_sides(validato
 
 
 def test_outside_the_cabin_is_refused() -> None:
-    pane = StubPart("window", surface(trimesh.creation.box((2.4, 0.004, 2.4)).apply_translation((0, 0.7, 1.2))))
+    pane = Part("window", surface(trimesh.creation.box((2.4, 0.004, 2.4)).apply_translation((0, 0.7, 1.2))))
     sides = [
-        StubPart(n, surface(trimesh.creation.box(e).apply_translation(t)))
+        Part(n, surface(trimesh.creation.box(e).apply_translation(t)))
         for n, e, t in (
             ("right", (2.4, 0.02, 2.4), (0, -1.2, 1.2)), ("front", (0.02, 1.9, 2.4), (1.2, -0.25, 1.2)),
             ("rear", (0.02, 1.9, 2.4), (-1.2, -0.25, 1.2)), ("roof", (2.4, 1.9, 0.02), (0, -0.25, 2.4)),
@@ -214,7 +215,7 @@ def test_people_admitted_one_by_one_are_judged_like_the_whole_scene(validator: V
 def test_the_wheel_is_turned_before_anybody_sits() -> None:
     """A knob on the rim: the driver's hand is free of it at one angle of the wheel and not at another."""
     knob = trimesh.creation.box((0.04, 0.04, 0.04)).apply_translation((0.3, 0, 0))
-    validator = Validator(StubCabin((StubPart("knob", surface(knob), group="wheel"),)))
+    validator = Validator(StubCabin((Part("knob", surface(knob), group="wheel"),)))
     settings = {"wheel": transform(translation=(-0.3, 0.86, 1.5))}
     driver = ("driver", *person((0, 0, 0.05)))
     away = validator.empty(settings, np.pi / 2)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import selectors
+import socket
+import threading
 import time
 
 import numpy as np
@@ -44,8 +47,32 @@ def test_host_time_does_not_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     assert abs(first - time.time_ns()) < 1_000_000_000
     monkeypatch.setattr(time, "time_ns", lambda: 0)  # somebody sets the system's time
     assert 0 <= clock.now_ns() - first < 60_000_000_000
-    moment = time.monotonic_ns()
-    assert clock.from_monotonic_ns(moment) <= clock.now_ns()
+    assert 0 <= clock.now_s() - first / 1e9 < 60
+
+
+def test_waiting_ends_when_it_should() -> None:
+    clock, event = HostClock(), threading.Event()
+    began = time.monotonic()
+    clock.sleep(-1)
+    clock.sleep(0.05)
+    assert not clock.wait(event, 0.05)
+    assert time.monotonic() - began >= 0.1
+    event.set()
+    assert clock.wait(event, 60)
+    ended = threading.Thread(target=event.wait)
+    ended.start()
+    assert clock.join(ended, 60)
+    hanging = threading.Thread(target=time.sleep, args=(0.5,), daemon=True)
+    hanging.start()
+    assert not clock.join(hanging, 0.0)
+    one, other = socket.socketpair()
+    with one, other, selectors.DefaultSelector() as selector:
+        key = selector.register(one, selectors.EVENT_READ)
+        assert not clock.readable(one, 0.0)
+        assert clock.select(selector, 0.0) == []
+        other.send(b"x")
+        assert clock.readable(one, 60)
+        assert clock.select(selector, 60) == [(key, selectors.EVENT_READ)]
 
 
 def test_a_map_between_clocks_and_its_inverse_keep_every_nanosecond():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from cabinpose.core.errors import AlignmentError, ConfigError
+from cabinpose.core.errors import AlignmentError
 from cabinpose.core.resample import common_clock, resample_positions, resample_rotations
 
 NAN = np.nan
@@ -68,18 +68,13 @@ def test_what_is_missing_stays_missing(kind: str):
     assert np.isfinite(call(time[:4], values[:4], [2.5, 4.9], max_gap_s=3.0)).all()  # the same pause, allowed
 
 
-@pytest.mark.parametrize("call", [resample_positions, resample_rotations])
-def test_policies_take_the_sample_that_they_name(call):  # type: ignore[no-untyped-def]
+def test_the_previous_sample_is_taken_as_it_is():
     time = np.array((0.0, 1, 2, 5))
-    q = _quaternions(np.random.default_rng(4), 4)
+    values = _quaternions(np.random.default_rng(4), 4)
     at = np.array((0.4, 0.5, 0.6, 1.0, 1.99, 2.0, 3.0, 5.0))
-    nearest, previous = (call(time, q, at, max_gap_s=1.5, policy=policy) for policy in ("nearest", "previous"))
-    assert np.allclose(nearest[[0, 1, 2, 3, 4, 5, 7]], q[[0, 0, 1, 1, 2, 2, 3]], rtol=0, atol=1e-15)
-    assert np.allclose(previous[[0, 1, 2, 3, 4, 5, 7]], q[[0, 0, 0, 1, 1, 2, 3]], rtol=0, atol=1e-15)
-    assert np.isnan(nearest[6]).all()
+    previous = resample_positions(time, values, at, max_gap_s=1.5, policy="previous")
+    assert np.allclose(previous[[0, 1, 2, 3, 4, 5, 7]], values[[0, 0, 0, 1, 1, 2, 3]], rtol=0, atol=1e-15)
     assert np.isnan(previous[6]).all()  # in a gap, nothing is near enough
-    with pytest.raises(ConfigError, match="policy"):
-        call(time, q, at, max_gap_s=1.5, policy="cubic")
 
 
 def test_a_quaternion_of_no_length_is_missing():

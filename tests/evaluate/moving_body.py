@@ -63,7 +63,8 @@ def turned(heading_rad: float, shift: tuple[float, float, float], position: np.n
 # An optical model of the same body: what turns with a segment of its, and what lies where that begins. Not always the same one:
 # its head begins at the neck.
 TURNS = {p.optical: p.suit for p in SEGMENT_PAIRS}
-PLACES = {p.optical: p.suit for p in JOINT_PAIRS}
+PLACES = {p.optical: p.suit for p in JOINT_PAIRS if p.suit in MVN_SEGMENTS and p.optical != "R_Collar"}
+STREAMED = {p.name: MVN_SEGMENTS.index(p.suit) for p in JOINT_PAIRS if p.suit in MVN_SEGMENTS}  # joints, and their columns
 OPTICAL = tuple(dict.fromkeys((*TURNS, *PLACES)))
 BEGAN_NS = 1_700_000_000_000_000_000
 

@@ -228,10 +228,7 @@ def test_chunks_do_not_matter(seed: int, cut: int) -> None:
     predicted[rng.random(predicted.shape[:-1]) < 0.1] = np.nan
     visibility = rng.integers(0, 5, (10, 2, 5))
     whole, batch = chunk(truth, visibility, predicted)
-    halves = [
-        (TruthChunk(*(v[s] for v in vars(whole).values())), PoseBatch(*(v[s] for v in vars(batch).values())))
-        for s in (slice(0, cut), slice(cut, None))
-    ]
+    halves = [(TruthChunk(*(v[s] for v in whole)), batch.map(lambda v, s=s: v[s])) for s in (slice(0, cut), slice(cut, None))]
     one, two = reported(skeleton, (whole, batch)), reported(skeleton, *halves)
     for a, b in zip(one.values, two.values, strict=True):
         assert (a.metric, a.samples) == (b.metric, b.samples)
@@ -265,7 +262,7 @@ def test_jitter_of_white_noise() -> None:
 def test_jitter_only_where_frames_follow_each_other(changed: dict[str, list[int]], measured: int) -> None:
     truth = np.zeros((6, 1, 1, 3)) + (0, 0, 2)
     whole, batch = chunk(truth, np.full((6, 1, 1), 4), truth)
-    whole = replace(whole, **{name: np.array(values) for name, values in changed.items()})
+    whole = whole._replace(**{name: np.array(values) for name, values in changed.items()})
     value = reported(evaluated_skeleton(("head",)), (whole, batch)).value("jitter")
     assert value is not None
     assert value.samples == measured

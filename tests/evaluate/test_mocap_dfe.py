@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.skeleton import MVN_SEGMENTS
 from cabinpose.evaluate.mocap.dfe import (
     DISPLACEMENT,
     ICP,
@@ -21,10 +20,8 @@ from cabinpose.evaluate.mocap.dfe import (
     dfe_run,
     pelvis_frames,
 )
-from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS
 
-NAMES = tuple(p.name for p in JOINT_PAIRS)
-COLUMNS = [MVN_SEGMENTS.index(p.suit) for p in JOINT_PAIRS]
+NAMES, COLUMNS = zip(*moving_body.STREAMED.items(), strict=True)
 TIME = np.arange(0, 6, 0.1)
 
 

@@ -99,13 +99,22 @@ def test_what_cannot_be_told_is_an_error() -> None:
 
 def test_the_tables_hold_what_the_thesis_has() -> None:
     assert len(SEGMENT_PAIRS) == 17
-    assert len(JOINT_PAIRS) == 18
+    assert len({p.name for p in JOINT_PAIRS}) == 20
     assert {p.suit for p in SEGMENT_PAIRS} <= set(MVN_SEGMENTS)
     optical = {p.name: p.optical for p in SEGMENT_PAIRS}
     assert (optical["lshoulder"], optical["rforearm"], optical["chest"]) == ("L_Collar", "R_Elbow", "LowerBack")
     joints = {p.name: (p.suit, p.optical) for p in JOINT_PAIRS}
     assert joints["lelbow"] == ("LeftForearm", "L_Elbow")
-    assert {p.optical for p in JOINT_PAIRS} <= set(RIGS["vicon_kinematic_fit"].values())
+    assert {p.optical for p in JOINT_PAIRS} <= {*RIGS["vicon_kinematic_fit"].values(), "R_Collar"}
+    # its table 3.2, as names of the kinematic fit: head, elbows, wrists, ends of the hands, legs, neck, chest, pelvis
+    sides = ("Elbow", "Wrist", "Wrist_End", "Femur", "Tibia", "Foot", "Toe")
+    table = {"Head_End", "Head", "R_Collar", "LowerBack", *(f"{side}_{name}" for side in "LR" for name in sides)}
+    assert table <= {p.optical for p in JOINT_PAIRS}
+    assert len(table) == 18
+    both = [["T8", "Head"], ["R_Collar", "Head"]]
+    assert [p.optical for p in present(JOINT_PAIRS, *both)] == ["R_Collar"]
+    both[1].append("LowerBack_L_Collar")
+    assert [p.optical for p in present(JOINT_PAIRS, *both)] == ["LowerBack_L_Collar"]
 
 
 def test_pairs_that_were_not_recorded_are_named() -> None:

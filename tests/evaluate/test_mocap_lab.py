@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cabinpose.app.cli.evaluate_mocap import EvaluateDfe, EvaluateDse
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import Truth, dress_up, write_motion_take
-from cabinpose.app.mocap.compare import Setup, dfe_runs, dse_runs
+from cabinpose.app.mocap.compare import dfe_runs, dse_runs
 from cabinpose.app.mocap.inputs import read_motion
 from cabinpose.core.resample import resample_positions, resample_rotations
 from cabinpose.core.rotations import angle, since_first
@@ -35,7 +36,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
 
 def test_dse_finds_the_suits_own_errors(take: tuple[Path, Truth]) -> None:
     path, truth = take
-    (run,), notes = dse_runs(path, "", Setup())
+    (run,), notes = dse_runs(path, "", EvaluateDse())
     assert "from the turning of 14 segments" in notes[0]
     suit = read_motion(path, source="suit")
     true_s = (truth.suit_ns - truth.suit_ns[0]) / 1e9
@@ -67,7 +68,7 @@ def test_sfe_finds_where_the_suit_left_the_joints(take: tuple[Path, Truth]) -> N
 def test_dfe_finds_where_the_suit_puts_the_joints(take: tuple[Path, Truth]) -> None:
     """Held against the true segments in place of the optical model, body laid on body by scipy."""
     path, truth = take
-    (run,), _ = dfe_runs(path, "", Setup(rate_hz=10.0))
+    (run,), _ = dfe_runs(path, "", EvaluateDfe(rate=10.0))
     suit = read_motion(path, source="suit")
     joints = {p.name: p.suit for p in JOINT_PAIRS if p.name in run.names}
     columns = [MVN_SEGMENTS.index(segment) for segment in joints.values()]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from broad import broad_errors
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.bench.orientation import broad_errors
 from cabinpose.core.errors import AlignmentError, MocapError
 from cabinpose.evaluate.mocap.orientation import orientation_errors
 

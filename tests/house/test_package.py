@@ -52,6 +52,10 @@ for config in (SynthConfig(), room_preset()):
     assert not _loaded(code.format(folder=str(tmp_path))) & _ELSEWHERE
 
 
+def test_models_here_load_nothing_of_models_on_servers() -> None:
+    assert not {m for m in _loaded("import cabinpose.app.cli.predict") if m.split(".")[0] in {"grpc", "tritonclient"}}
+
+
 def test_base_install_has_no_torch() -> None:
     base = [line for line in requires("cabinpose") or [] if "extra ==" not in line]
     assert base

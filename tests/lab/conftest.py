@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cabinpose.app.lab.motion import KeyedMotion, Stage, at_the_wheel, calibrate_head, drive
+from cabinpose.app.lab.motion import KeyedMotion, Stage, act, calibrate_head, in_seat
 from cabinpose.app.lab.optical import cap_of
 from cabinpose.app.lab.suit import put_on
 from cabinpose.app.lab.takes import Actor
@@ -17,12 +17,12 @@ def generator(seed: int) -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def stage() -> Stage:
-    return at_the_wheel("sedan", "S01", rng=generator(1))
+    return in_seat("sedan", "S01", rng=generator(1))
 
 
 @pytest.fixture(scope="session")
 def driving(stage: Stage) -> KeyedMotion:
-    return drive(stage, 5.0, rng=generator(2))
+    return act(stage, 5.0, rng=generator(2))
 
 
 @pytest.fixture(scope="session")

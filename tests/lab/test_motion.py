@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from cabinpose.app.lab.exercises import exercises, neutral_pose
-from cabinpose.app.lab.motion import PASS_M, SLOT, Key, KeyedMotion, Stage, _Course, _first, drive, named_person
+from cabinpose.app.lab.motion import PASS_M, KeyedMotion, Stage, _Course, _first, act, named_person
 from cabinpose.app.lab.suit import SEGMENT, true_segments
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import transform
@@ -63,7 +63,7 @@ def test_keys_hold_by_the_generators_own_check_and_ways_by_the_stated_depth(stag
     course = _Course(stage)
     for k, name in enumerate(driving.keys):
         posed = stage.person.pose(driving.q[k], driving.root[k])
-        verdict = stage.validator.check([(SLOT, stage.person, posed)], stage.settings, float(driving.wheel_angle[k]))
+        verdict = stage.validator.check([("driver", stage.person, posed)], stage.settings, float(driving.wheel_angle[k]))
         assert verdict.ok or name.startswith("look_"), verdict
     for t in np.arange(0.0, driving.duration_s, 0.25):
         q, root, wheel = driving.pose_at(t)
@@ -75,13 +75,13 @@ def test_a_way_through_the_car_or_the_body_is_refused(stage: Stage) -> None:
     course = _Course(stage)
     course.add(start, "drive", 0.0, 0.1)
     assert course.free(start, 1.0)
-    into_the_wheel = start[1].copy()
+    into_the_wheel = start.root.copy()
     into_the_wheel[0, 3] += 0.25
-    assert not course.free(Key((start[0], into_the_wheel, start[2])), 1.0)
-    crossed = start[0].copy()
+    assert not course.free(start._replace(root=into_the_wheel), 1.0)
+    crossed = start.q.copy()
     crossed[DOF_INDEX["lelbow.flexion"]], crossed[DOF_INDEX["lshoulder.flexion"]] = 2.6, 0.2
     crossed[DOF_INDEX["lshoulder.rotation"]] = 1.2
-    assert not course.free(Key((crossed, start[1], start[2])), 1.0)
+    assert not course.free(start._replace(q=crossed), 1.0)
 
 
 def test_the_head_turns_about_each_axis_twice_on_a_still_trunk(nodding: KeyedMotion) -> None:
@@ -136,11 +136,11 @@ def test_exercises_keep_to_their_planes_and_end_as_they_began() -> None:
 
 
 def test_the_same_seed_gives_the_same_motion(stage: Stage, driving: KeyedMotion) -> None:
-    again = drive(stage, 5.0, rng=generator(2))
+    again = act(stage, 5.0, rng=generator(2))
     assert np.array_equal(again.q, driving.q)
     assert np.array_equal(again.arrive_s, driving.arrive_s)
     assert again.keys == driving.keys
-    assert not np.array_equal(drive(stage, 1.0, rng=generator(9)).q[0], driving.q[0])
+    assert not np.array_equal(act(stage, 1.0, rng=generator(9)).q[0], driving.q[0])
 
 
 def test_an_unknown_person_is_an_error() -> None:

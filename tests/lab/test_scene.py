@@ -6,7 +6,7 @@ import pytest
 from cabinpose.app.lab.exercises import exercises
 from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.app.lab.scene import DEPTH_UNIT_M, Stagehand, message_of, world_from_room, world_from_vehicle
+from cabinpose.app.lab.scene import DEPTH_UNIT_M, SceneCamera, message_of, world_from_room, world_from_vehicle
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, is_rigid
 from cabinpose.core.pose import Visibility
@@ -40,9 +40,10 @@ def test_the_car_stands_upright_with_the_rigs_camera_at_its_view(driving: KeyedM
 def test_frames_show_the_person_where_the_truth_says(driving: KeyedMotion) -> None:
     rig = VirtualRig.exact()
     world = world_from_vehicle(rig, driving)
-    hand = Stagehand(rig, driving, world, sensor=SMALL)
+    hand = SceneCamera(rig, [driving], world, sensor=SMALL)
     frames = [hand.frame(t, rng=generator(0)) for t in (0.2, 4.0)]
     for t, frame in zip((0.2, 4.0), frames, strict=True):
+        frame |= {name: frame[name][0] for name in ("joints_3d", "joints_2d", "visibility")}
         joints = apply(rig.camera_from_world @ world, driving.joints([t])[0])
         assert frame["joints_3d"] == pytest.approx(joints, abs=1e-9)
         assert frame["joints_2d"] == pytest.approx(SMALL.camera.project(joints), abs=1e-9, nan_ok=True)
@@ -64,7 +65,7 @@ def test_noise_is_switched_by_the_rig(driving: KeyedMotion) -> None:
     world = world_from_vehicle(real, driving)
 
     def depth(rig: VirtualRig, seed: int) -> np.ndarray:
-        return Stagehand(rig, driving, world, sensor=SMALL).frame(1.0, rng=generator(seed))["depth"]
+        return SceneCamera(rig, [driving], world, sensor=SMALL).frame(1.0, rng=generator(seed))["depth"]
 
     clean = depth(exact, 1)
     assert np.array_equal(clean, depth(exact, 2), equal_nan=True)
@@ -79,18 +80,18 @@ def test_noise_is_switched_by_the_rig(driving: KeyedMotion) -> None:
 def test_somebody_standing_in_a_room_is_seen_too(driving: KeyedMotion) -> None:
     rig = VirtualRig.exact()
     motion = exercises(driving.person, at_m=(2.2, 0.0), heading=np.pi, rng=generator(1))
-    hand = Stagehand(rig, motion, world_from_room(rig), furnish_room(rng=generator(2)), sensor=SMALL)
+    hand = SceneCamera(rig, [motion], world_from_room(rig), furnish_room(rng=generator(2)), sensor=SMALL)
     frame = hand.frame(1.0, rng=generator(3))
     assert (frame["visibility"] >= Visibility.SELF_OCCLUDED).sum() >= 16
     with pytest.raises(ValueError, match="room"):
-        Stagehand(rig, motion, world_from_room(rig), sensor=SMALL).frame(1.0, rng=generator(3))
+        SceneCamera(rig, [motion], world_from_room(rig), sensor=SMALL).frame(1.0, rng=generator(3))
     with pytest.raises(ValueError, match="vehicle"):
         world_from_vehicle(rig, motion)
 
 
 def test_the_message_holds_the_frame_in_the_cameras_steps(driving: KeyedMotion) -> None:
     rig = VirtualRig()
-    frame = Stagehand(rig, driving, world_from_vehicle(rig, driving), sensor=SMALL).frame(0.0, rng=generator(4))
+    frame = SceneCamera(rig, [driving], world_from_vehicle(rig, driving), sensor=SMALL).frame(0.0, rng=generator(4))
     message = message_of(frame)
     depth = np.where(message.depth > 0, message.depth * DEPTH_UNIT_M, np.nan)
     assert depth == pytest.approx(frame["depth"], abs=0.51 * DEPTH_UNIT_M, nan_ok=True)

@@ -11,15 +11,21 @@ import yaml
 from cabinpose.align.project import align_take
 from cabinpose.align.session import Calibrated, Session, calibrate
 from cabinpose.app.cli import main
-from cabinpose.app.lab.laboratory import RIG, SESSION, Plan, drive_take, load_rig, load_truth, record_session
+from cabinpose.app.lab.laboratory import PAIR, RIG, SESSION, Plan, drive_take, load_rig, load_truth, record_session
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
+from cabinpose.app.lab.takes import dress_up, write_action_take, write_head_take, write_pose_take
 from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import invert
+from cabinpose.core.pose import Visibility
+from cabinpose.store import open_dataset
 from cabinpose.store.recording import Recording
 
 pytestmark = pytest.mark.slow
-PLAN = Plan(views=12, frames_per_view=1, pendulum_s=8, seconds=6.5, rate_hz=2, exercises=False, seed=4)
+PLAN = Plan(
+    views=12, frames_per_view=1, pendulum_s=8, seconds=6.5, rate_hz=2, exercises=False, seed=4, subjects=("S01", "S02"),
+    together=True,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +56,7 @@ def test_rendered_images_without_noise_give_the_calibration(folder: Path, calibr
 def test_the_joints_follow(folder: Path, calibrated: Calibrated) -> None:
     rig, truth = load_rig(folder / RIG), load_truth(folder, "S01")
     with Recording(folder / drive_take("S01")) as recording:
-        aligned = align_take(recording, calibrated.calibration)
+        aligned = align_take(recording, calibrated.calibration, "S01")
     error = joint_error(aligned, rig, truth)
     assert aligned.kept.all()
     assert abs(error.suit_delay_ms) < 0.1
@@ -65,15 +71,61 @@ def test_the_joints_follow(folder: Path, calibrated: Calibrated) -> None:
     assert np.linalg.norm((invert(off) - invert(truth.camera_from_world))[:3, 3]) > 0.01
 
 
+def test_two_people_in_one_car_are_found_each_by_a_suit_of_their_own(folder: Path, calibrated: Calibrated) -> None:
+    rig = load_rig(folder / RIG)
+    errors = {}
+    with Recording(folder / PAIR) as recording:
+        assert [(each.code, each.seat) for each in recording.take.subjects] == [("S01", "driver"), ("S02", "front_passenger")]
+        for code, suit in (("S01", "suit"), ("S02", "suit2")):
+            aligned = align_take(recording, calibrated.calibration, code)
+            errors[code] = joint_error(aligned, rig, load_truth(folder, code, together=True), suit=suit)
+            assert aligned.kept.all()
+        crossed = joint_error(aligned, rig, load_truth(folder, "S01", together=True))
+    for error in errors.values():
+        assert abs(error.suit_delay_ms) < 0.1
+        assert error.error_m.max() < 0.003
+    assert crossed.mean_cm > 40  # the passenger is not where the driver is
+    true = [load_truth(folder, code, together=True).visibility for code in ("S01", "S02")]
+    assert all((states == Visibility.VISIBLE).any() for states in true)
+
+
+@pytest.mark.parametrize(("pose", "least"), [("n-pose", 2.0), ("optical", 5.0)])
+def test_a_known_pose_corrects_what_the_suits_calibration_got_wrong(
+    folder: Path, tmp_path: Path, pose: str, least: float
+) -> None:
+    rig = VirtualRig().only("calibration_offset_deg")
+    actor = dress_up("sedan", "S01", rng=np.random.default_rng(1))
+    write_head_take(tmp_path / "head.mcap", rig, actor, rng=np.random.default_rng(2))
+    write_pose_take(tmp_path / "pose.mcap", rig, actor, rng=np.random.default_rng(3))
+    truth = write_action_take(tmp_path / "drive.mcap", rig, actor, 8.0, rate_hz=2.0, rng=np.random.default_rng(4))
+    session = Session.load(folder / SESSION)
+    subject = session.subjects["S01"].model_copy(
+        update={
+            "take": tmp_path / "head.mcap",
+            "head_offset_m": tuple(truth.object_from_head[:3, 3]),
+            "pose_take": tmp_path / "pose.mcap",
+            "pose_truth": pose,
+        }
+    )
+    found = calibrate(session.model_copy(update={"subjects": {"S01": subject}})).calibration
+    with Recording(tmp_path / "drive.mcap") as recording:
+        wrong, mended = (
+            joint_error(align_take(recording, found, "S01", correct_pose=correct), rig, truth).mean_cm
+            for correct in (False, True)
+        )
+    assert wrong > 0.8
+    assert mended < wrong / least
+
+
 def test_a_truth_of_another_take_is_refused(folder: Path, calibrated: Calibrated) -> None:
     rig, truth = load_rig(folder / RIG), load_truth(folder, "S01")
     with Recording(folder / drive_take("S01")) as recording:
-        aligned = align_take(recording, calibrated.calibration)
+        aligned = align_take(recording, calibrated.calibration, "S01")
     late = type(truth)(**{**vars(truth), "tof_ns": truth.tof_ns + 10**10})
     with pytest.raises(AlignmentError, match="not the one that the truth is of"):
         joint_error(aligned, rig, late)
-    with pytest.raises(ConfigError, match=r"holds no drive-S02\.truth\.npz"):
-        load_truth(folder, "S02")
+    with pytest.raises(ConfigError, match=r"holds no drive-S03\.truth\.npz"):
+        load_truth(folder, "S03")
 
 
 def test_the_commands_do_the_same(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,7 +135,18 @@ def test_the_commands_do_the_same(folder: Path, tmp_path: Path, capsys: pytest.C
     assert yaml.safe_load(calibration.read_text())["intrinsics"]["source"] == "checkerboard"
     take = str(folder / drive_take("S01"))
     assert main(["align", take, "--calibration", str(calibration), "--out", str(dataset)]) == 0
-    assert "13 of 13 frames, S01" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "13 of 13 frames, S01" in out
+    assert "initial pose" in out
+    both = ["align", str(folder / PAIR), "--calibration", str(calibration), "--out", str(tmp_path / "both")]
+    assert main([*both, "--no-pose-correction"]) == 0
+    out = capsys.readouterr().out
+    assert "13 of 13 frames, S01" in out
+    assert "13 of 13 frames, S02" in out
+    assert "initial pose" not in out
+    there = open_dataset(tmp_path / "both")["subject"]
+    assert (there.sel(person="driver") == "S01").all()
+    assert (there.sel(person="front_passenger") == "S02").all()
     for again in (
         ["calibrate", str(folder / SESSION), "--out", str(calibration)],
         ["align", take, "--calibration", str(calibration), "--out", str(dataset)],

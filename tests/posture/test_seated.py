@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from scipy.spatial.transform import Rotation
+from seated_posture import solve_posture
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import apply, invert
@@ -23,7 +24,6 @@ from cabinpose.synth.posture import (
     draw_offset,
     random_action,
     sample_pose,
-    solve_posture,
 )
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.posture.seating import CENTRED
@@ -208,8 +208,6 @@ def test_bad_input(people: dict[str, Person]) -> None:
     child = BodyModel.load().person(Phenotype(0.5, 0.0, 0.5, 0.5, 0.1, 0.5))
     with pytest.raises(SceneError, match="misses the"):
         solve_posture(child, driver, far, cabin)
-    with pytest.raises(ConfigError, match="none of the actions"):
-        random_action(rear, cabin, rng=rng, among=("drive",))
 
 
 def test_random_actions_follow_their_weights() -> None:
@@ -221,7 +219,6 @@ def test_random_actions_follow_their_weights() -> None:
     total = sum(ACTIONS[n].weight for n in known)
     for name in known:
         assert drawn.count(name) / 4000 == pytest.approx(ACTIONS[name].weight / total, abs=0.025)
-    assert {random_action(seat, cabin, rng=rng, among=("drive", "sleep")) for _ in range(20)} == {"drive", "sleep"}
 
 
 def test_an_offset_moves_the_pelvis_and_hands_stay_on_the_wheel(people: dict[str, Person]) -> None:

@@ -21,7 +21,7 @@ import yaml
 from recorded_things import take_samples
 from rich.console import Console
 
-from cabinpose.app.bench.record import run_record_bench
+from benchmarks.record import run as bench_record
 from cabinpose.app.cli.panel import drawn, line
 from cabinpose.core.errors import ConfigError
 from cabinpose.record.lane import LaneStatus
@@ -212,7 +212,7 @@ def test_the_panel_shows_what_matters() -> None:
 
 
 def test_the_bench_accounts_for_every_sample(tmp_path: Path) -> None:
-    result = run_record_bench(seconds=1.0, rate_mb=5.0, folder=tmp_path)
+    result = bench_record(seconds=1.0, rate_mb=5.0, folder=tmp_path, say=print)
     assert json.loads(json.dumps(result)) == result
     assert result["accounted"]
     assert result["error"] is None
@@ -220,7 +220,7 @@ def test_the_bench_accounts_for_every_sample(tmp_path: Path) -> None:
     assert result["bytes"] > 1e5
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ConfigError, match="needs seconds"):
-        run_record_bench(seconds=0)
+        bench_record(seconds=0, rate_mb=5.0, folder=None, say=print)
 
 
 def test_without_the_extra_it_says_how_to_get_it(rig: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

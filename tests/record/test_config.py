@@ -69,7 +69,7 @@ def test_each_kind_is_a_source_with_described_settings(kind: str) -> None:
     source_class = getattr(import_module(module), name)
     assert source_class.Settings.model_config["extra"] == "forbid"
     assert source_class.Settings.model_config["frozen"]
-    paths = {"azure_mkv": {"path": "a.mkv"}, "replay": {"path": "a.mcap"}}
+    paths = {"azure_mkv": {"path": "a.mkv"}, "replay": {"path": "a.mcap"}, "stepper": {"port": "a.tty"}}
     needed = {**paths, "lsl": {"stream": "eeg"}, "genicam": {"producer": "a.cti"}}
     (plan,) = parse_rig({"sources": {"a": {"kind": kind, **needed.get(kind, {})}}}).sources
     source: FrameSource = plan.build(HostClock())

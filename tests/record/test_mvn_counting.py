@@ -106,7 +106,9 @@ def play(
 
 
 def listening(**given_: object) -> MvnSource:
-    return MvnSource("suit", MvnSettings(**given_))
+    source = MvnSource("suit", MvnSettings(port=0, **given_))
+    source.open()
+    return source
 
 
 def test_the_network_does_what_it_is_told() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from virtual_clock import VirtualClock
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
@@ -20,24 +21,26 @@ from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Outcome, Recorder
 from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSettings, NumberedSource
+from cabinpose.record.split import SplitWriter
 from cabinpose.store.recording import Recording, RecordingWriter, SourceStatus
 from cabinpose.store.recording.scan import Chunk, Scanner
 
 PATIENCE_S = 60.0  # of a busy machine
 
 
-def until(holds: Callable[[], bool]) -> None:
-    limit = time.monotonic() + PATIENCE_S
+def until(holds: Callable[[], bool], clock: HostClock) -> None:
+    limit = clock.now_s() + PATIENCE_S
     while not holds():
-        assert time.monotonic() < limit, "never came to be"
-        time.sleep(0.01)
+        assert clock.now_s() < limit, "never came to be"
+        clock.sleep(0.01)
 
 
 class Scripted:
     """A source that gives what a list says: samples, an exception to raise, or a function to call."""
 
-    def __init__(self, name: str, script: Sequence[Any]) -> None:
+    def __init__(self, name: str, script: Sequence[Any], clock: HostClock | None = None) -> None:
         self.name, self.counts, self._script = name, Counts(), list(script)
+        self._clock = clock or HostClock()
         self.opened = self.closed = 0
 
     def check(self) -> Sequence[str]:
@@ -48,7 +51,7 @@ class Scripted:
 
     def read(self, timeout_s: float) -> Sequence[Sample]:
         if not self._script:
-            time.sleep(timeout_s)
+            self._clock.sleep(timeout_s)
             return []
         step = self._script.pop(0)
         if isinstance(step, Exception):
@@ -78,10 +81,13 @@ def plain(number: int, size: int = 8) -> Sample:
     )
 
 
-def recorder_of(path: Path, sources: Sequence[Any], *, queue_bytes: int = 1 << 26, **options: Any) -> Recorder:
-    clock, wake = HostClock(), threading.Event()
+def recorder_of(
+    path: Path, sources: Sequence[Any], clock: HostClock | None = None, *, queue_bytes: int = 1 << 26, **options: Any
+) -> Recorder:
+    clock, wake = clock or HostClock(), threading.Event()
     lanes = [Lane(source, "scripted", clock, wake, queue_bytes=queue_bytes) for source in sources]
-    return Recorder(lanes, RecordingWriter(path, sync_s=0, **options), clock, wake)
+    writer = SplitWriter(path, lambda file, part: RecordingWriter(file, sync_s=0, part=part, **options), clock)
+    return Recorder(lanes, writer, clock, wake)
 
 
 def recorded(path: Path) -> tuple[dict[str, list[int]], dict[str, SourceStatus]]:
@@ -98,8 +104,8 @@ def recorded(path: Path) -> tuple[dict[str, list[int]], dict[str, SourceStatus]]
     return numbers, {name: series[-1][1] for name, series in statuses.items()}
 
 
-def finished(recorder: Recorder) -> Outcome:
-    until(lambda: not recorder.running)
+def finished(recorder: Recorder, clock: HostClock | None = None) -> Outcome:
+    until(lambda: not recorder.running, clock or HostClock())
     return recorder.stop()
 
 
@@ -115,7 +121,8 @@ def test_every_sample_is_in_the_file_or_counted(tmp_path: Path) -> None:
             "storage": {"sync_s": 0, "chunk_mb": 0.01},
         }
     )
-    outcome = finished(begin(rig, tmp_path / "a.mcap", HostClock()))
+    clock = VirtualClock()
+    outcome = finished(begin(rig, tmp_path / "a.mcap", clock), clock)
     assert outcome.error is None
     numbers, statuses = recorded(tmp_path / "a.mcap")
     assert {s.source: s for s in outcome.sources} == statuses
@@ -189,13 +196,13 @@ def test_a_chunk_is_closed_by_its_age_while_samples_wait(tmp_path: Path, monkeyp
 
 def test_a_stalled_source_keeps_no_other_waiting(tmp_path: Path) -> None:
     """One hangs in its vendor's library, for longer than the take; the other's samples are all there."""
-    hang = threading.Event()
-    stuck = Scripted("tof", [[plain(0)], lambda: hang.wait(PATIENCE_S)])
-    lively = Scripted("suit", [[plain(i)] for i in range(300)])
-    recorder = recorder_of(tmp_path / "a.mcap", [stuck, lively])
+    hang, clock = threading.Event(), VirtualClock()
+    stuck = Scripted("tof", [[plain(0)], lambda: clock.wait(hang, PATIENCE_S)])
+    lively = Scripted("suit", [[plain(i)] for i in range(300)], clock)
+    recorder = recorder_of(tmp_path / "a.mcap", [stuck, lively], clock)
     recorder.start()
     try:
-        until(lambda: recorder.status().lanes[1].counts.written == 300)
+        until(lambda: recorder.status().lanes[1].counts.written == 300, clock)
         assert recorder.running
         outcome = recorder.stop()
     finally:
@@ -238,10 +245,11 @@ def test_a_failed_start_leaves_no_file(tmp_path: Path) -> None:
 
 
 def test_stopping_writes_what_waits(tmp_path: Path) -> None:
-    source = NumberedSource("suit", NumberedSettings(rate_hz=2000), HostClock())
-    recorder = recorder_of(tmp_path / "a.mcap", [source])
+    clock = VirtualClock()
+    source = NumberedSource("suit", NumberedSettings(rate_hz=2000), clock)
+    recorder = recorder_of(tmp_path / "a.mcap", [source], clock)
     recorder.start()
-    until(lambda: source.sent > 500)
+    until(lambda: source.sent > 500, clock)
     (status,) = recorder.stop().sources
     numbers, _ = recorded(tmp_path / "a.mcap")
     assert numbers["suit"] == list(range(source.sent))
@@ -258,11 +266,12 @@ def test_a_message_that_cannot_be_written_is_counted(tmp_path: Path) -> None:
 
 
 def test_too_little_space_ends_the_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, wake = HostClock(), threading.Event()
+    clock, wake = VirtualClock(), threading.Event()
     lane = Lane(NumberedSource("suit", NumberedSettings(rate_hz=200), clock), "numbered", clock, wake)
-    recorder = Recorder([lane], RecordingWriter(tmp_path / "a.mcap"), clock, wake, min_free_bytes=1 << 62)
+    writer = SplitWriter(tmp_path / "a.mcap", lambda file, _: RecordingWriter(file), clock)
+    recorder = Recorder([lane], writer, clock, wake, min_free_bytes=1 << 62)
     recorder.start()
-    outcome = finished(recorder)
+    outcome = finished(recorder, clock)
     assert outcome.error is not None
     assert "are free" in str(outcome.error)
     assert outcome.error.hint
@@ -274,14 +283,24 @@ def test_too_little_space_ends_the_take(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_the_panel_tells_rates(tmp_path: Path) -> None:
-    source = NumberedSource("suit", NumberedSettings(rate_hz=250), HostClock())
-    recorder = recorder_of(tmp_path / "a.mcap", [source, Scripted("tof", [])])
+    """What the clock says exactly: a sample each 4 ms, of which each is delivered 3 ms after it came."""
+    clock = VirtualClock()
+
+    class Late(NumberedSource):
+        def read(self, timeout_s: float) -> Sequence[Sample]:
+            samples = super().read(timeout_s)
+            clock.sleep(0.003)
+            return samples
+
+    source = Late("suit", NumberedSettings(rate_hz=250), clock)
+    recorder = recorder_of(tmp_path / "a.mcap", [source, Scripted("tof", [], clock)], clock)
     recorder.start()
-    until(lambda: source.sent > 500 and recorder.status().lanes[1].counts.state == "waiting")
+    until(lambda: source.sent > 500 and recorder.status().lanes[1].counts.state == "waiting", clock)
     suit, tof = recorder.status().lanes
     recorder.stop()
-    assert suit.rate_hz == pytest.approx(250, rel=0.2)
+    assert suit.rate_hz == pytest.approx(250, rel=1e-3)
+    assert suit.jitter_ms < 1.1
     assert suit.counts.state == "recording"
-    assert suit.latency_ms > 0
+    assert suit.latency_ms == pytest.approx(3, abs=0.01)
     assert 0 <= suit.queue < 1
     assert (tof.rate_hz, tof.jitter_ms, tof.latency_ms) == (0, 0, 0)

@@ -31,6 +31,7 @@ def rig_of(folder: Path, **sources: dict[str, Any]) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_source_that_hangs_is_told_and_ends_the_take_with_1(tmp_path: Path, run: Run) -> None:
     out = tmp_path / "a.mcap"
     done = run("record", "--config", rig_of(tmp_path, tof=HANGS, suit=LIVELY), "--out", out, "--duration", "4")
@@ -56,6 +57,7 @@ def test_a_source_that_hangs_is_told_and_ends_the_take_with_1(tmp_path: Path, ru
     assert json.loads(run("info", out, "--json").out)["sources"]["tof"]["gaps_s"][-1] == [began, ended]
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_source_that_never_sends(tmp_path: Path, run: Run) -> None:
     out = tmp_path / "a.mcap"
     done = run("record", "--config", rig_of(tmp_path, tof=MUTE, suit=LIVELY), "--out", out, "--duration", "3")
@@ -68,6 +70,7 @@ def test_a_source_that_never_sends(tmp_path: Path, run: Run) -> None:
     assert silent.gaps.tolist() == [[0.0, found.seconds]]
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_source_that_the_take_does_not_need(tmp_path: Path, run: Run) -> None:
     rig = rig_of(tmp_path, events={**MUTE, "required": False}, suit=LIVELY)
     done = run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "0.5", "--json")
@@ -80,6 +83,7 @@ def test_a_source_that_the_take_does_not_need(tmp_path: Path, run: Run) -> None:
     assert "sources.a.required: 'maybe' is neither true nor false" in done.err
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_source_that_is_away_at_the_end(tmp_path: Path, run: Run) -> None:
     rig = rig_of(tmp_path, suit={"kind": "numbered", "rate_hz": 100, "die_every": 20, "dead_s": 100})
     done = run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "0.8")
@@ -87,8 +91,8 @@ def test_a_source_that_is_away_at_the_end(tmp_path: Path, run: Run) -> None:
     assert "; suit does not answer; no data for " in done.out or "; suit went away; no data for " in done.out
 
 
-def test_the_check_listens(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cabinpose.record.check._LISTEN_S", 0.3)
+@pytest.mark.usefixtures("quick")
+def test_the_check_listens(tmp_path: Path, run: Run) -> None:
     done = run("record", "--config", rig_of(tmp_path, tof=MUTE, suit=LIVELY), "--check", "--json")
     assert done.code == 2
     findings = json.loads(done.out)["findings"]

@@ -22,7 +22,8 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Counts, FrameSource, Sample
 from cabinpose.core.recorded import Channels, Facts, Markers, SegmentPoses
 from cabinpose.core.skeleton import RIGS
-from cabinpose.record.emulate.vicon import Outage, ViconEmulator, ViconEmulatorSettings
+from cabinpose.record.emulate.vicon import ViconEmulator
+from cabinpose.record.emulate.vicon_content import Outage, ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion, generated_motion, motion_of_c3d
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon import ViconSettings, ViconSource
@@ -38,7 +39,7 @@ def motion(subjects: tuple[str, ...] = ("S01", "S02"), rate_hz: float = 200.0) -
 
 @contextmanager
 def opened(emulator: ViconEmulator, clock: HostClock | None = None, **settings: object) -> Iterator[ViconSource]:
-    source = ViconSource("vicon", ViconSettings(port=emulator.address[1], **settings), clock or HostClock())
+    source = ViconSource("vicon", ViconSettings(port=emulator.address[1], **settings), clock)
     source.open()
     try:
         yield source
@@ -76,6 +77,7 @@ def test_it_is_a_source() -> None:
 
 @pytest.mark.parametrize("up", ["z", "y"])
 @pytest.mark.parametrize("mode", ["push", "pull"])
+@pytest.mark.usefixtures("one_clock")
 def test_what_is_shown_is_what_is_recorded(up: str, mode: str) -> None:
     seen = motion()
     settings = ViconEmulatorSettings(up=up, occlude_markers=0.2, occlude_segments=0.2, seed=3)
@@ -108,6 +110,7 @@ def test_what_is_shown_is_what_is_recorded(up: str, mode: str) -> None:
     assert 0.15 < occluded / (len(samples) * 2 * 60) < 0.25  # 20 segments and 40 markers each
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_the_server_says_once_what_holds() -> None:
     with ViconEmulator(motion()) as emulator, opened(emulator) as source:
         samples = read_until(source, at_least(20))
@@ -125,6 +128,7 @@ def test_the_server_says_once_what_holds() -> None:
     assert set(RIGS["vicon_kinematic_fit"].values()) <= set(segments)
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_subjects_get_codes() -> None:
     with ViconEmulator(motion()) as emulator, opened(emulator, subjects={"S02": "P7"}) as source:
         samples = read_until(source, at_least(3))
@@ -133,6 +137,7 @@ def test_subjects_get_codes() -> None:
 
 
 @pytest.mark.real_data
+@pytest.mark.usefixtures("one_clock")
 def test_a_real_trial_is_streamed(real_data: Callable[[str], Path]) -> None:
     ezc3d = pytest.importorskip("ezc3d")
     path = real_data("mocap/vicon_two_subjects.c3d")
@@ -157,8 +162,7 @@ def test_a_real_trial_is_streamed(real_data: Callable[[str], Path]) -> None:
 
 
 def test_time_stamps_say_what_they_are() -> None:
-    clock = HostClock()
-    settings = ViconEmulatorSettings(latency_s=0.03, first_frame=1000)
+    settings, clock = ViconEmulatorSettings(latency_s=0.03, first_frame=1000), HostClock()
     with ViconEmulator(motion(), settings, clock) as emulator, opened(emulator, clock) as source:
         samples = frames(read_until(source, at_least(60)))
         network = source.network_s
@@ -190,6 +194,7 @@ def assert_exact(samples: list[Sample], source: ViconSource, emulator: ViconEmul
     assert source.counts.malformed == source.counts.duplicate == source.counts.reordered == 0
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_dropped_frames_are_counted_exactly() -> None:
     emulator = ViconEmulator(motion(), ViconEmulatorSettings(drop=0.1, seed=4))
     with emulator, opened(emulator) as source:
@@ -204,6 +209,7 @@ def test_dropped_frames_are_counted_exactly() -> None:
     assert_exact(samples, source, emulator)
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_a_server_that_dies_and_returns_loses_nothing_uncounted() -> None:
     emulator = ViconEmulator(motion(), ViconEmulatorSettings(drop=0.02))
     with emulator, opened(emulator) as source:
@@ -225,6 +231,7 @@ def test_a_server_that_dies_and_returns_loses_nothing_uncounted() -> None:
     assert all(row["lost"] in gaps for row in restarts)
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_a_server_that_begins_anew_is_a_restart_and_no_loss() -> None:
     emulator = ViconEmulator(motion(), ViconEmulatorSettings(first_frame=100_000))
     with emulator, opened(emulator) as source:
@@ -244,6 +251,7 @@ def test_a_server_that_begins_anew_is_a_restart_and_no_loss() -> None:
     assert (np.diff(device) < 0).sum() == 1
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_outages_come_by_themselves() -> None:
     settings = ViconEmulatorSettings(outages=(Outage(0.2, 0.3),))
     with ViconEmulator(motion(), settings) as emulator, opened(emulator) as source:
@@ -272,19 +280,20 @@ def test_several_clients_are_served_each_as_it_asks() -> None:
     assert {sent.client for sent in emulator.log} == {0, 1, 2}
 
 
+@pytest.mark.usefixtures("one_clock")
 def test_check_says_what_is_missing() -> None:
     with ViconEmulator(motion()) as emulator:
-        source = ViconSource("v", ViconSettings(port=emulator.address[1]), HostClock())
+        source = ViconSource("v", ViconSettings(port=emulator.address[1]))
         assert source.check() == []
         assert source.counts == Counts()
-    (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1]), HostClock()).check()
+    (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1])).check()
     assert "refused" in problem
     empty = Motion(100.0, (), np.zeros((10, 0, 3)))
     with ViconEmulator(empty) as emulator:
-        (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1]), HostClock()).check()
+        (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1])).check()
     assert "no subject" in problem
     with ViconEmulator(motion(), ViconEmulatorSettings(drop=1.0)) as emulator:
-        (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1]), HostClock()).check()
+        (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1])).check()
     assert "no frames" in problem
 
 

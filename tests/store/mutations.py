@@ -135,5 +135,5 @@ if __name__ == "__main__":
     name, many = sys.argv[1], int(sys.argv[2])
     with TemporaryDirectory() as place:
         for part, content in originals(name, Path(place)).items():
-            done = survive(reader(name), content, Path(place) / part, ending(name, part), count=many, seed=1)
+            done = survive(reader(name), content, Path(place) / part, ending(name), count=many, seed=1)
             sys.stdout.write(f"{name} {part}: {done}\n")

@@ -8,22 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adtfdat_file import write_imu
 from mutations import Read, mutated, survive
+from mvnx_file import write_mvnx
+from xdf_file import XdfStream, write_xdf
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, SensorReadings, ToFFrame
+from cabinpose.core.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.store.convert import RECORDING_IMPORTS
-from cabinpose.store.convert.adtfdat import write_adtfdat
 from cabinpose.store.convert.bvh_write import write_bvh
 from cabinpose.store.convert.c3d_write import write_c3d
-from cabinpose.store.convert.csv_ import write_csv
-from cabinpose.store.convert.mvnx_write import write_mvnx
-from cabinpose.store.convert.recordings import READERS, RecordingOptions
-from cabinpose.store.convert.sto import write_sto
-from cabinpose.store.convert.trc import write_trc
-from cabinpose.store.convert.xdf import XdfStream, write_xdf
+from cabinpose.store.convert.recordings import RecordingOptions, read_entries
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a crash is looked for in a process of its own")
 FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60, "xdf": 60}  # those that read slowly
@@ -47,24 +43,14 @@ def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:
                 yield i * 10_000_000, i * 10_000_000, message
 
 
-def samples() -> Iterator[tuple[str, Sample]]:
-    image = np.arange(12, dtype=np.uint16).reshape(3, 4)
-    frame = ToFFrame(image, 0.001, image, np.zeros((0, 0), np.uint8), np.eye(3), np.zeros(5), np.zeros(5))
-    for i, (host_ns, device_ns, message) in enumerate(rows(SegmentPoses, SensorReadings, Markers, Channels)):
-        loose = (Facts("a", {"b": [1, None]}), Markers("", ("7",), np.zeros((1, 3)), np.zeros(1)), frame)
-        yield "suit", Sample(i, 10**9 + host_ns, device_ns, b"", (message, *loose[: i % 4]))
-
-
-def ending(name: str, part: str = "") -> str:
-    """Of a file's name; a table's tells what is in it."""
-    return {"azure-mkv": ".mkv", "csv": f".{part.rpartition('.')[2]}.csv"}.get(name, f".{name}")
+def ending(name: str) -> str:
+    """Of a file's name."""
+    return {"azure-mkv": ".mkv"}.get(name, f".{name}")
 
 
 def originals(name: str, folder: Path) -> dict[str, bytes]:
     """Sound files of a format, by what is in them."""
     path = folder / f"sound{ending(name)}"
-    if name == "csv":
-        return {made.stem: made.read_bytes() for made in write_csv(folder / "tables", samples()) if "frames" not in made.name}
     if name == "azure-mkv":
         from test_azure import make_mkv, picture
 
@@ -76,12 +62,8 @@ def originals(name: str, folder: Path) -> dict[str, bytes]:
         write_c3d(path, rows(Markers, JointAngles, Channels))
     elif name == "bvh":
         write_bvh(path, rows(SegmentPoses))
-    elif name == "trc":
-        write_trc(path, rows(Markers))
-    elif name == "sto":
-        write_sto(path, rows(SegmentPoses))
     elif name == "adtfdat":
-        write_adtfdat(path, samples())
+        write_imu(path, [(0.5, -1.5, k) for k in range(20)])
     elif name == "xdf":
         stamps = np.arange(30) / 100
         text = [[f"event {i}"] for i in range(30)]
@@ -92,7 +74,7 @@ def originals(name: str, folder: Path) -> dict[str, bytes]:
 
 def reader(name: str) -> Read:
     def read(path: Path) -> None:
-        for _ in READERS[name](path, RecordingOptions()):
+        for _ in read_entries(path, name, RecordingOptions()):
             pass
 
     return read
@@ -105,10 +87,10 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path, name: str) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     for part, content in originals(name, tmp_path).items():
-        sound = tmp_path / f"sound{ending(name, part)}"
+        sound = tmp_path / f"sound{ending(name)}"
         sound.write_bytes(content)
         reader(name)(sound)
-        done = survive(reader(name), content, tmp_path / f"{part}-damaged", ending(name, part), count=FEW.get(name, 200))
+        done = survive(reader(name), content, tmp_path / f"{part}-damaged", ending(name), count=FEW.get(name, 200))
         assert done.read > 0
         assert done.refused > 0 or name == "azure-mkv"  # nearly all of it is images
 
@@ -119,7 +101,7 @@ def test_many_damaged_files(tmp_path: Path, name: str) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     for part, content in originals(name, tmp_path).items():
-        survive(reader(name), content, tmp_path / f"{part}-damaged", ending(name, part), count=MANY.get(name, 1000), seed=2)
+        survive(reader(name), content, tmp_path / f"{part}-damaged", ending(name), count=MANY.get(name, 1000), seed=2)
 
 
 def test_what_is_not_borne_is_found(tmp_path: Path) -> None:

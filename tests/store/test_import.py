@@ -14,8 +14,9 @@ import xarray as xr
 
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.convert import FORMATS, IMPORTS, export_dataset, import_source, open_source
-from cabinpose.store.convert.source import ImportOptions, Source
+from cabinpose.store.convert import FORMATS, IMPORTS, export_dataset, open_source
+from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.source import Source, import_source
 
 
 def imported(path: Path, name: str, out: Path, **options: Any) -> xr.Dataset:

@@ -15,8 +15,9 @@ import xarray as xr
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import export_dataset, import_source, open_source
-from cabinpose.store.convert.source import ImportOptions
+from cabinpose.store.convert import export_dataset, open_source
+from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.source import import_source
 
 COCO_17 = [
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
@@ -230,13 +231,46 @@ def test_damaged_files(tmp_path: Path, damage: Callable[[dict[str, Any]], None],
     assert [p.name for p in tmp_path.iterdir()] == ["coco"]
 
 
-def test_a_file_cut_short(tmp_path: Path) -> None:
-    path = written(tmp_path / "coco", by_hand())
-    path.write_bytes(path.read_bytes()[:1500])
+@pytest.mark.parametrize(
+    "break_it",
+    [
+        lambda data: b"", lambda data: data[:1500], lambda data: data + b"2", lambda data: data.replace(b":", b"", 1),
+        lambda data: data.replace(b'"info', b'"\xff', 1), lambda data: b"{1: 2}",
+    ],
+)  # fmt: skip
+def test_what_is_no_whole_file(tmp_path: Path, break_it: Callable[[bytes], bytes]) -> None:
+    path = written(tmp_path / "coco", by_hand() | {"info": {}})
+    path.write_bytes(break_it(path.read_bytes()))
     with pytest.raises(DatasetError, match="no whole JSON object") as error:
         imported(path, tmp_path / "out")
     assert error.value.hint
     assert [p.name for p in tmp_path.iterdir()] == ["coco"]
+
+
+def test_a_list_is_no_coco_file(tmp_path: Path) -> None:
+    path = written(tmp_path / "coco", by_hand())
+    path.write_text("[1]")
+    with pytest.raises(DatasetError, match="no category with keypoints"):
+        imported(path, tmp_path / "out")
+
+
+def test_memory_follows_the_people_and_not_the_file(tmp_path: Path) -> None:
+    """8 MB of annotations that are left out (boxes without keypoints) take next to none."""
+    import tracemalloc
+
+    data = by_hand()
+    path = written(tmp_path / "coco", data)
+    open_source(path, "coco", ImportOptions())  # what is imported on the way is not the file's
+    data["annotations"] += [{"id": 100 + i, "image_id": 10, "category_id": 1, "bbox": [1] * 120} for i in range(20_000)]
+    path.write_text(json.dumps(data))
+    size = path.stat().st_size
+    del data
+    tracemalloc.start()
+    open_source(path, "coco", ImportOptions())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert size > 7e6
+    assert peak < size / 20
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,10 @@ from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.store import PartWriter, create_dataset, open_dataset, points_m
-from cabinpose.store.convert import export_dataset, import_source, open_source
+from cabinpose.store.convert import export_dataset, open_source
 from cabinpose.store.convert.itop_import import label_rows
-from cabinpose.store.convert.source import ImportOptions
+from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.source import import_source
 
 FRAMES = 20  # more than are read at a time
 INVALID = (3, 17)

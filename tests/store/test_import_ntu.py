@@ -16,9 +16,10 @@ from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import NTU_JOINTS, RIGS
 from cabinpose.store import open_dataset
-from cabinpose.store.convert import export_dataset, import_source, open_source
+from cabinpose.store.convert import export_dataset, open_source
 from cabinpose.store.convert.ntu import KINECT_V2
-from cabinpose.store.convert.source import ImportOptions
+from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.source import import_source
 
 NAME = "S001C002P003R001A013"
 FX, CX, CY = 365.456, 254.878, 205.395  # of the mirrored image, as the files have it

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import tracemalloc
 from collections.abc import Callable
-from itertools import islice
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from mvnx_file import write_mvnx
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import RecordingError
@@ -18,7 +18,6 @@ from cabinpose.core.recorded import (
     Channels,
     Facts,
     JointAngles,
-    Markers,
     Message,
     SegmentKinematics,
     SegmentPoses,
@@ -26,7 +25,6 @@ from cabinpose.core.recorded import (
 )
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS, RIGS
 from cabinpose.store.convert.mvnx import read_mvnx
-from cabinpose.store.convert.mvnx_write import write_mvnx
 from cabinpose.store.convert.rows import Row
 
 REAL = "mocap/xsens_upper_body.mvnx"
@@ -102,14 +100,6 @@ def test_gaps_stay_gaps(tmp_path: Path) -> None:
     assert [device for _, device, m in read_mvnx(path) if isinstance(m, SegmentPoses)] == [
         round(n * 1e9 / 60) for n in range(20) if n not in (3, 4, 11)
     ]
-
-
-def test_writing_is_a_fixed_point(tmp_path: Path) -> None:
-    first = write_mvnx(tmp_path / "a.mvnx", rows_of_a_take())
-    rows = list(read_mvnx(first))
-    second = write_mvnx(tmp_path / "b.mvnx", rows)
-    for (_, _, a), (_, _, b) in zip(rows, read_mvnx(second), strict=True):
-        same(a, b)
 
 
 def test_the_real_file_against_another_reader(real_data: Callable[[str], Path]) -> None:
@@ -276,23 +266,3 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.3 * peaks[0]
-
-
-def test_writer_refuses_what_mvnx_cannot_hold(tmp_path: Path) -> None:
-    rows = rows_of_a_take(2)
-    path = tmp_path / "a.mvnx"
-    with pytest.raises(RecordingError, match="no place for Markers"):
-        write_mvnx(path, [*rows, (0, 10**9, Markers("S.01", ("a",), np.zeros((1, 3)), np.zeros(1)))])
-    with pytest.raises(RecordingError, match=r"subjects S\.01 and B"):
-        write_mvnx(path, [*rows, (0, 10**9, SegmentPoses("B", MVN_SEGMENTS, np.zeros((23, 3)), np.zeros((23, 4))))])
-    with pytest.raises(RecordingError, match="23 segments"):
-        write_mvnx(path, [*rows, (0, 10**9, SegmentPoses("S.01", ("a",), np.zeros((1, 3)), np.zeros((1, 4))))])
-    with pytest.raises(RecordingError, match="frame rate is not known"):
-        write_mvnx(path, islice(rows, 3, None))
-    with pytest.raises(RecordingError, match="no frame"):
-        write_mvnx(path, rows[:2])
-    assert list(tmp_path.iterdir()) == []  # nothing half written
-    write_mvnx(path, rows)
-    with pytest.raises(RecordingError, match="exists"):
-        write_mvnx(path, rows)
-    write_mvnx(path, rows, overwrite=True)

@@ -11,9 +11,9 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.store import open_dataset
-from cabinpose.store.split import frame_mask, parse_splits, read_splits, split_dataset, split_datasets, write_splits
+from cabinpose.store.split import frame_mask, parse_splits, read_splits, split_dataset, split_datasets
 
 
 def test_selection_by_car_and_view(dataset_folder: Path) -> None:
@@ -38,10 +38,14 @@ def test_empty_frames_belong_to_no_selection_of_people() -> None:
     assert frame_mask(dataset, {"subject": ("S01",)}).tolist() == [False, True, False]
 
 
-def test_yaml_round_trip(tmp_path: Path) -> None:
+def test_a_file_of_splits(tmp_path: Path) -> None:
+    path = tmp_path / "splits.yaml"
+    path.write_text("train: {subject: [S01, S02], car: [van]}\ntest: {subject: [S03], sequence: [1, 2]}\n")
     splits = {"train": {"subject": ("S01", "S02"), "car": ("van",)}, "test": {"subject": ("S03",), "sequence": (1, 2)}}
-    write_splits(tmp_path / "splits.yaml", splits)
-    assert read_splits(tmp_path / "splits.yaml") == splits
+    assert read_splits(path) == splits
+    assert list(read_splits(path, ["test"]).items()) == [("test", splits["test"])]
+    with pytest.raises(ConfigError, match="validate"):
+        read_splits(path, ["validate"])
 
 
 @pytest.mark.parametrize(

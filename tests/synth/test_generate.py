@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -67,19 +69,34 @@ def test_a_dataset_grows_from_any_number_of_frames(reference: Path, tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_cluster_makes_the_same_bytes_though_a_worker_dies(reference: Path, tmp_path: Path) -> None:
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1"}
-    with LocalCluster(**options, dashboard_address=None, silence_logs="ERROR") as cluster:
-        with Client(cluster) as client:
-            pids = list(client.run(os.getpid).values())
+    """One worker is a thread of this process; the other is a process of its own, which is killed at the first sign of life."""
+    here = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "protocol": "tcp://", "host": "127.0.0.1"}
+    with LocalCluster(**here, dashboard_address=None, silence_logs="ERROR") as cluster:
+        command = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            cluster.scheduler_address,
+            "--no-nanny",
+            "--nthreads",
+            "1",
+        ]
+        other = subprocess.Popen([*command, "--no-dashboard"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=tmp_path)
+        ended_before = []
 
-        def kill_one(_: Progress) -> None:
-            if pids:
-                os.kill(pids[0], signal.SIGKILL)
-                pids.clear()
+        def kill_it(_: Progress) -> None:
+            ended_before.append(other.poll())
+            other.kill()
 
-        out = tmp_path / "wounded"
-        report = generate(small_config(), FRAMES, out, seed=7, scheduler=cluster.scheduler_address, progress=kill_one)
-    assert not pids
+        try:
+            with Client(cluster) as client:
+                client.wait_for_workers(2, timeout=120)
+            out = tmp_path / "wounded"
+            report = generate(small_config(), FRAMES, out, seed=7, scheduler=cluster.scheduler_address, progress=kill_it)
+        finally:
+            other.kill()
+            other.wait(timeout=60)
+    assert ended_before[0] is None  # it was at work until then
     assert report.frames == FRAMES
     assert fingerprint(out) == fingerprint(reference)
 

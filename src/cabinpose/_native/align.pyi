@@ -5,16 +5,6 @@ from typing import Annotated
 import numpy
 from numpy.typing import NDArray
 
-def find_blob(
-    image: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
-    min_contrast: float,
-    rival: float,
-    min_area: int,
-    max_area: int,
-    uv: Annotated[NDArray[numpy.float64], dict(shape=(2), order="C", device="cpu")],
-) -> None:
-    """The pixel of the one bright small blob of an image."""
-
 def fit_corners(
     image: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
     start: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order="C", device="cpu", writable=False)],

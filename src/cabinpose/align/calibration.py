@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -42,7 +43,7 @@ class Intrinsics(_Model):
     fy: Annotated[float, Field(gt=0)]
     cx: float
     cy: float
-    dist: Annotated[tuple[float, float, float, float, float], Field(description="k1 k2 p1 p2 k3 (OpenCV)")] = (0, 0, 0, 0, 0)
+    dist: Annotated[tuple[float, float, float, float, float], Field(description="k1 k2 p1 p2 k3 (OpenCV)")] = (0.0,) * 5
     source: Annotated[str, Field(description="checkerboard, or camera: what the camera says of itself")] = "camera"
     views: Annotated[int, Field(ge=0, description="of the checkerboard")] = 0
     rms_px: Annotated[float | None, Field(description="reprojection error of the views fitted")] = None
@@ -80,9 +81,24 @@ class KnownDelay(_Model):
     correlation: float | None = None
 
 
+class PoseCorrection(_Model):
+    """What the suit's own calibration got wrong, as `cabinpose.align.posture` finds it."""
+
+    truth: Annotated[Literal["n-pose", "optical"], Field(description="of the pose that was held")]
+    shifts_m: Annotated[
+        dict[str, Triple], Field(description="what is added to a point's place, in the axes of the segment that carries it, m")
+    ]
+
+    def of_points(self, points: Sequence[str]) -> NDArray[np.float64]:
+        """(P, 3) m: the shifts of named points; 0 for those that have none."""
+        return np.array([self.shifts_m.get(name, (0.0, 0.0, 0.0)) for name in points])
+
+
 class Head(_Model):
     """A subject: where the suit's head segment sits in the optical head object, and what the suit lacks."""
 
+    suit: Annotated[str | None, Field(description="source of this subject's suit; left out: that of `names`")] = None
+    head_object: Annotated[str | None, Field(description="the optical subject on this head; left out: that of `names`")] = None
     object_from_head: Rigid
     residual_rad: Annotated[float | None, Field(description="rms angle between the two systems' heads")] = None
     suit_to_optical: Annotated[
@@ -90,6 +106,7 @@ class Head(_Model):
     ] = None
     offset: Annotated[str, Field(description="measured, or fitted from the turning head")] = "measured"
     hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
+    pose_correction: Annotated[PoseCorrection | None, Field(description="where a pose was recorded")] = None
 
     @property
     def matrix(self) -> Matrix:
@@ -117,6 +134,9 @@ class Calibration(_Model):
     intrinsics: Intrinsics
     extrinsics: Extrinsics
     tof_to_optical: Annotated[KnownDelay, Field(description="stamps of the optical system less those of the camera")]
+    host: Annotated[dict[str, str], Field(description="the computer that recorded the pendulum, and its network")] = Field(
+        default_factory=dict
+    )
     heads: Annotated[dict[str, Head], Field(description="by subject code")] = Field(default_factory=dict)
     vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands, if known")] = None
 
@@ -128,6 +148,18 @@ class Calibration(_Model):
                 hint=f"calibrate with a take of their head turning; known: {', '.join(self.heads) or 'none'}",
             )
         return self.heads[subject]
+
+    def differences(self, host: Mapping[str, str]) -> list[str]:
+        """What a take's computer and network (`Recording.head.host`) are other than when the camera's delay was measured."""
+        if not host or not self.host:
+            return []
+        changed = [
+            f"{fact}: {self.host.get(fact, 'none')} then, {host.get(fact, 'none')} now"
+            for fact in sorted(self.host.keys() | host.keys())
+            if self.host.get(fact) != host.get(fact)
+        ]
+        told = "not recorded as the pendulum was, so that the delays may differ; record the calibration takes again"
+        return [f"{told} ({'; '.join(changed)})"] if changed else []
 
     def save(self, path: Path) -> None:
         """Write the file; an existing one is replaced as a whole."""

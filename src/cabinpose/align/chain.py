@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, invert, transform
+from cabinpose.core.frames import Matrix, invert
 
 F64 = NDArray[np.float64]
 
@@ -46,11 +46,6 @@ def joints_in_camera(
     camera_from_suit = camera_from_world @ world_from_object @ object_from_head @ invert(world_from_head)
     result = joints @ np.swapaxes(camera_from_suit[:, :3, :3], -1, -2) + camera_from_suit[:, None, :3, 3]
     return np.asarray(result)
-
-
-def object_from_head(rotation: Matrix, offset: ArrayLike) -> Matrix:
-    """The transform (4, 4) of the rotation of `align_head` and the offset (3,), m, of `head_offset`."""
-    return transform(rotation[:3, :3], offset)
 
 
 def rigid(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Matrix:

@@ -1,9 +1,9 @@
-"""From a device's clock to the host's: the line that no arrival lies before.
+"""From a device's clock to the host's: the line below all arrivals.
 
 A sample arrives at the host a latency after its device stamped it, and a latency has a floor: the fastest way. The arrivals that
 took it lie on a line over the device's time; all others lie above. The line tells the device's clock on the host's, but for
 that floor, which is the same from take to take as long as the rig is: `calibrate` measures the difference between two floors
-with a pendulum, and a device that began its count anew between two takes costs nothing.
+with a pendulum. It stays valid where a device was started anew between two takes.
 """
 
 from __future__ import annotations

@@ -19,24 +19,43 @@ from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import invert
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.recorded import ToFFrame
-from cabinpose.store.convert.source import UNKNOWN, BlankFrame, Source
+from cabinpose.core.skeleton import JOINTS
+from cabinpose.store.convert.reading import put_camera, put_person
 from cabinpose.store.recording import Recording, Take, tof_frames
 from cabinpose.store.schema import DEPTH_SCALE_M, Manifest
+from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 POV = "tof"
+_ALL = np.arange(len(JOINTS))
 FLOATING_M = 0.02  # a joint farther before the surface is not inside the body that it belongs to
 
 
 @dataclass
 class TakeReport:
-    """What became of a take: frames of the camera, those left out by reason, the suit's delay, and how the joints fit the depth.
+    """What became of a person in a take.
 
-    head_deg: rms and worst angle between the heads of both systems, in the frames that are kept · floating: share of the
-    joints in the image that lie more than 2 cm before the measured surface · states: joints by state.
+    Attributes
+    ----------
+    recording, sequence, subject, person
+        File and number of the take, the person's code and place in the dataset.
+    frames, kept, left_out
+        Frames of the camera in the take, those that the dataset has, and the others by reason.
+    suit_delay_ms, suit_delay_interval_ms, correlation, drift_ppm
+        Of the suit against the optical system.
+    head_deg
+        Rms and worst angle between the heads of both systems, in the frames that are kept.
+    pose_corrected
+        Whether the suit's initial pose was corrected.
+    joints_measured, joints_floating
+        Joints in the image whose depth was measured, and those of them that lie more than 2 cm before the measured surface.
+    states
+        Joints by state.
     """
 
     recording: str
+    sequence: int
     subject: str
+    person: str
     frames: int
     kept: int
     left_out: dict[str, int]
@@ -45,6 +64,7 @@ class TakeReport:
     correlation: float
     drift_ppm: float
     head_deg: tuple[float, float]
+    pose_corrected: bool
     joints_measured: int = 0
     joints_floating: int = 0
     states: Counter[int] = field(default_factory=Counter)
@@ -57,10 +77,31 @@ class TakeReport:
 
 @dataclass(frozen=True)
 class AlignedTakes:
-    """Takes ready to be written: the source of the dataset's frames, and a report of each take, filled while they are written."""
+    """Takes ready to be written.
+
+    Attributes
+    ----------
+    source
+        The dataset's frames.
+    reports
+        Of each take and person, filled while the frames are written.
+    warnings
+        What speaks against the calibration for a take.
+    """
 
     source: Source
     reports: list[TakeReport]
+    warnings: list[str]
+
+
+@dataclass(frozen=True)
+class _AlignedTake:
+    """A take, its people with the report of each, and the frames (T,) in which the pose of all of them is known."""
+
+    path: Path
+    take: Take
+    people: list[tuple[Aligned, TakeReport]]
+    kept: NDArray[np.bool_]
 
 
 def align_takes(
@@ -69,32 +110,55 @@ def align_takes(
     *,
     subject: str | None = None,
     max_lag_s: float = 2.0,
+    correct_pose: bool = True,
     licence: str = "private",
 ) -> AlignedTakes:
     """Align recordings of one rig and make of them the frames of a dataset.
 
-    The frames are those of the camera in which the pose is known, takes one after another (`sequence` counts them), images as
-    recorded. Raises AlignmentError where a take cannot be aligned, or where cameras differ in size.
+    The frames are those of the camera in which the pose of everybody in the take is known, takes one after another (`sequence`
+    counts them), images as recorded.
+
+    Parameters
+    ----------
+    paths
+        The recordings.
+    calibration
+        Of their rig.
+    subject
+        The only person whose suit is used; None: everybody whom a take names.
+    max_lag_s, correct_pose
+        As in `align_take`.
+    licence
+        Of the dataset.
+
+    Raises
+    ------
+    AlignmentError
+        Where a take cannot be aligned, or where cameras differ in size.
     """
-    takes = []
-    for path in paths:
+    takes, warnings = [], []
+    for sequence, path in enumerate(paths):
         with Recording(path) as recording:
-            takes.append((path, recording.take, align_take(recording, calibration, subject=subject, max_lag_s=max_lag_s)))
-    reports = [_report(path, aligned) for path, _, aligned in takes]
-    places = [_place(path, take, aligned.subject) for path, take, aligned in takes]
-    persons = OCCUPANT_SLOTS if set(places) <= set(OCCUPANT_SLOTS) else tuple(dict.fromkeys(places))
-    images = _images(paths[0], calibration)
+            codes = [subject] if subject else list(recording.take.codes)
+            if not codes:
+                raise AlignmentError(f"{path} names no subject", hint="name the people in the rig's `take`, or give --subject")
+            people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
+            warnings += [f"{path.name}: {what}" for what in calibration.differences(recording.head.host)]
+            takes.append(_joined(path, sequence, recording.take, people, calibration, correct_pose))
+    reports = [report for each in takes for _, report in each.people]
+    places = tuple(dict.fromkeys(report.person for report in reports))
+    persons = OCCUPANT_SLOTS if set(places) <= set(OCCUPANT_SLOTS) else places
     lens = calibration.intrinsics
     manifest = Manifest(
         generator="cabinpose.align",
         generator_version=__version__,
         seed=0,
         licence=licence,
-        frames=sum(report.kept for report in reports),
+        frames=sum(int(each.kept.sum()) for each in takes),
         width=lens.width,
         height=lens.height,
         persons=persons,
-        variables=(*images, "head_residual"),
+        variables=(*_images(paths[0], calibration), "head_residual"),
         config={
             "calibration": calibration.model_dump(mode="json"),
             "takes": [
@@ -105,6 +169,7 @@ def align_takes(
                     "left_out": report.left_out,
                     "suit_delay_s": report.suit_delay_ms / 1000,
                     "suit_drift_ppm": report.drift_ppm,
+                    "pose_corrected": report.pose_corrected,
                 }
                 for report in reports
             ],
@@ -112,54 +177,84 @@ def align_takes(
     )
 
     def frames() -> Iterator[dict[str, Any]]:
-        blank = BlankFrame(manifest)
-        for number, ((path, take, aligned), place, report) in enumerate(zip(takes, places, reports, strict=True)):
-            fixed = {"sequence": number, "car": take.car or UNKNOWN, "action": take.action or UNKNOWN}
-            yield from _frames_of(path, aligned, calibration, blank, fixed, persons.index(place), report)
+        for each in takes:
+            yield from _frames_of(each, calibration, manifest)
 
-    return AlignedTakes(Source(paths[0], manifest, frames), reports)
+    return AlignedTakes(Source(paths[0], manifest, frames), reports, warnings)
 
 
-def _frames_of(
-    path: Path,
-    aligned: Aligned,
-    calibration: Calibration,
-    blank: BlankFrame,
-    fixed: dict[str, Any],
-    place: int,
-    report: TakeReport,
-) -> Iterator[dict[str, Any]]:
+def _joined(
+    path: Path, sequence: int, take: Take, people: list[Aligned], calibration: Calibration, correct_pose: bool
+) -> _AlignedTake:
+    """The people of a take, with the frames in which the pose of all is known."""
+    places = [_place(path, take, each.subject) for each in people]
+    if len(set(places)) < len(places):
+        raise AlignmentError(
+            f"{path}: {' and '.join(take.codes)} have one place", hint="give each a `seat` of their own in the rig's take"
+        )
+    kept = np.all([each.kept for each in people], axis=0)
+    if not kept.any():
+        raise AlignmentError(
+            f"{path}: in no frame is the pose of all of {', '.join(take.codes)} known",
+            hint="align each with --subject",
+        )
+    reports = []
+    for each, place in zip(people, places, strict=True):
+        others = int((each.kept & ~kept).sum())
+        apart = np.degrees(each.head_residual[kept])
+        low, high = each.delay.interval_s
+        reports.append(
+            TakeReport(
+                recording=path.name,
+                sequence=sequence,
+                subject=each.subject,
+                person=place,
+                frames=len(kept),
+                kept=int(kept.sum()),
+                left_out=each.left_out | ({"the pose of somebody else is not known": others} if others else {}),
+                suit_delay_ms=1000 * each.delay.offset_s,
+                suit_delay_interval_ms=(1000 * low, 1000 * high),
+                correlation=each.delay.correlation,
+                drift_ppm=1e6 * each.delay.drift,
+                head_deg=(float(np.sqrt(np.mean(apart**2))), float(apart.max())),
+                pose_corrected=correct_pose and calibration.head(each.subject).pose_correction is not None,
+            )
+        )
+    return _AlignedTake(path, take, list(zip(people, reports, strict=True)), kept)
+
+
+def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manifest) -> Iterator[dict[str, Any]]:
     """The frames of one take that are kept."""
     camera = calibration.intrinsics.camera
     vehicle_from_camera = np.full((4, 4), np.nan)
     if calibration.vehicle_from_world is not None:
         vehicle_from_camera = np.array(calibration.vehicle_from_world) @ invert(calibration.extrinsics.matrix)
-    with Recording(path) as recording:
+    with Recording(aligned.path) as recording:
         for index, (_, image) in enumerate(tof_frames(recording, calibration.names.tof)):
             if not aligned.kept[index]:
                 continue
-            _check_size(path, image, calibration)
+            _check_size(aligned.path, image, calibration)
             depth = image.depth * np.float32(image.depth_unit_m)
             depth[image.depth == 0] = np.nan
-            joints = aligned.joints[index]
-            states, before = visibility(camera, depth, joints)
-            report.joints_measured += int(np.isfinite(before).sum())
-            report.joints_floating += int((before < -FLOATING_M).sum())
-            report.states.update(states.tolist())
-            frame = blank.new()
+            frame = blank_frame(manifest)
             frame["depth"] = _ticks(image)
             for name in ("amplitude", "confidence"):
-                if name in blank.manifest.variables:
+                if name in manifest.variables:
                     frame[name] = getattr(image, name)
-            frame["joints_3d"][place] = joints
-            frame["joints_2d"][place] = camera.project(joints)
-            frame["visibility"][place] = states
-            frame["head_residual"][place] = aligned.head_residual[index]
-            frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist, np.float64)
+            put_camera(frame, camera)
             frame["vehicle_from_camera"] = vehicle_from_camera
-            frame["sync_ns"] = aligned.frame_ns[index]
-            frame["sequence"], frame["car"], frame["pov"] = fixed["sequence"], fixed["car"], POV
-            frame["subject"][place], frame["action"][place] = aligned.subject, fixed["action"]
+            frame["car"], frame["pov"] = aligned.take.car or UNKNOWN, POV
+            for person, report in aligned.people:
+                place = manifest.persons.index(report.person)
+                joints = person.joints[index]
+                states, before = visibility(camera, depth, joints)
+                report.joints_measured += int(np.isfinite(before).sum())
+                report.joints_floating += int((before < -FLOATING_M).sum())
+                report.states.update(states.tolist())
+                put_person(frame, place, camera, _ALL, joints, states)
+                frame["head_residual"][place] = person.head_residual[index]
+                frame["sync_ns"], frame["sequence"] = person.frame_ns[index], report.sequence
+                frame["subject"][place], frame["action"][place] = person.subject, aligned.take.action or UNKNOWN
             yield frame
 
 
@@ -197,21 +292,3 @@ def _ticks(image: ToFFrame) -> NDArray[np.uint16]:
         return image.depth
     ticks = np.rint(image.depth * (image.depth_unit_m / DEPTH_SCALE_M))
     return np.where(ticks <= np.iinfo(np.uint16).max, ticks, 0).astype(np.uint16)
-
-
-def _report(path: Path, aligned: Aligned) -> TakeReport:
-    delay = aligned.delay
-    low, high = delay.interval_s
-    apart = aligned.head_residual[aligned.kept]
-    return TakeReport(
-        recording=path.name,
-        subject=aligned.subject,
-        frames=len(aligned.frame_ns),
-        kept=int(aligned.kept.sum()),
-        left_out=aligned.left_out,
-        suit_delay_ms=1000 * delay.offset_s,
-        suit_delay_interval_ms=(1000 * low, 1000 * high),
-        correlation=delay.correlation,
-        drift_ppm=1e6 * delay.drift,
-        head_deg=(float(np.degrees(np.sqrt(np.mean(apart**2)))), float(np.degrees(apart.max()))),
-    )

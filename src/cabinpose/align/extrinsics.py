@@ -72,16 +72,6 @@ class ExtrinsicsResult:
     sigma_m: float = float("nan")
     camera: Camera | None = None
 
-    @property
-    def counts(self) -> dict[str, int]:
-        seen = np.isfinite(self.residual_m)
-        return {
-            "views": int(seen.any(axis=1).sum()),
-            "pairs": int(seen.sum()),
-            "outliers": int((seen & ~self.used).sum()),
-            "missing": int((~seen).sum()),
-        }
-
 
 def board_pose(camera: Camera, corners: ArrayLike, board: Board) -> BoardPose:
     """The board's pose from its corners (N, 2) px, in the order of `Board.corners`, by the plane's two solutions, both refined.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.align.corners import corners_or_reason
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import Matrix, apply, transform
@@ -28,6 +26,10 @@ _SAME_VIEW_PX = 1.0  # two views that differ by less are one: the board was not 
 _WORST_FACTOR = 3.0  # a view with so many times the median error, and above _WORST_PX, is inconsistent
 _WORST_PX = 0.3
 _MAX_ITERATIONS = 200
+_MIN_VIEWS = 6
+_MIN_TILT_DEG = 10.0  # two boards tilted against each other by less leave the focal length open
+_MAX_OBLIQUE_DEG = 65.0  # between the line of sight and the board's normal
+_MAX_FOCAL_STD = 0.02  # standard deviation of the focal lengths, as a part of them
 
 
 @dataclass(frozen=True)
@@ -74,39 +76,6 @@ class IntrinsicsResult:
         return {v.index: v.reason for v in self.views if not v.used}
 
 
-def calibrate_camera(
-    images: NDArray[Any] | Sequence[NDArray[Any]],
-    board: Board,
-    *,
-    holdout: float = 0.2,
-    min_views: int = 6,
-    min_tilt_deg: float = 10.0,
-    max_oblique_deg: float = 65.0,
-    max_focal_std: float = 0.02,
-) -> IntrinsicsResult:
-    """The camera that took amplitude images (N, height, width) of a board held here and there.
-
-    holdout: the part of the views, evenly spread, that the second fit leaves out to be judged on · min_views: usable views
-    needed · min_tilt_deg: two boards have to be tilted against each other by so much, else the focal length is open ·
-    max_oblique_deg: views whose line of sight is further from the board's normal are left out · max_focal_std: the largest
-    standard deviation of the focal lengths, as a part of them. Raises AlignmentError, naming the reasons of rejected views,
-    where that is not met.
-    """
-    stack = [np.asarray(image) for image in images]
-    shapes = {image.shape for image in stack}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        raise AlignmentError(
-            f"images (N, height, width) of one size are needed, not {sorted(shapes)}", hint="one camera at a time"
-        )
-    found = [corners_or_reason(image, board) for image in stack]
-    height, width = stack[0].shape
-    return calibrate_from_corners(
-        [uv for uv, _ in found], (width, height), board, reasons=[why for _, why in found],
-        holdout=holdout, min_views=min_views, min_tilt_deg=min_tilt_deg,
-        max_oblique_deg=max_oblique_deg, max_focal_std=max_focal_std,
-    )  # fmt: skip
-
-
 def calibrate_from_corners(
     corners: Sequence[F64 | None],
     size: tuple[int, int],
@@ -114,13 +83,27 @@ def calibrate_from_corners(
     *,
     reasons: Sequence[str] = (),
     holdout: float = 0.2,
-    min_views: int = 6,
-    min_tilt_deg: float = 10.0,
-    max_oblique_deg: float = 65.0,
-    max_focal_std: float = 0.02,
 ) -> IntrinsicsResult:
-    """As `calibrate_camera`, from corners (N, 2) px of each view (None: not found, for the reason in `reasons`); size (width,
-    height).
+    """The camera that took images of a board held here and there.
+
+    Parameters
+    ----------
+    corners
+        (N, 2) px of each view; None where they were not found.
+    size
+        Width and height of the images, px.
+    board
+        What was shown.
+    reasons
+        Of each view, why its corners were not found, "" where they were.
+    holdout
+        The part of the views, evenly spread, that a second fit leaves out to be judged on.
+
+    Raises
+    ------
+    AlignmentError
+        Where too few views are usable, with the reasons of rejected ones, where all boards stand alike, or where the focal length
+        is not determined.
     """
     why = list(reasons) or ["" if c is not None else "no corners given" for c in corners]
     for index, uv in enumerate(corners):
@@ -129,27 +112,27 @@ def calibrate_from_corners(
         twin = next((k for k in range(index) if not why[k] and _same(corners[k], uv)), None)
         if twin is not None:
             why[index] = f"the board stands as in view {twin}"
-    used = _enough([k for k, reason in enumerate(why) if not reason], why, min_views)
+    used = _enough([k for k, reason in enumerate(why) if not reason], why)
     fit = _fit(corners, used, size, board)
     # Judged by a fit that they are part of, views that are worst are judged again without them.
     while True:
-        bad = {k: reason for k in used if (reason := _unfit(fit, k, max_oblique_deg))}
+        bad = {k: reason for k in used if (reason := _unfit(fit, k))}
         if not bad:
             break
         for k, reason in bad.items():
             why[k] = reason
-        used = _enough([k for k in used if k not in bad], why, min_views)
+        used = _enough([k for k in used if k not in bad], why)
         fit = _fit(corners, used, size, board)
     tilt = _tilt_range(fit)
-    if tilt < np.deg2rad(min_tilt_deg):
+    if tilt < np.deg2rad(_MIN_TILT_DEG):
         raise AlignmentError(
-            f"all boards stand alike: {np.rad2deg(tilt):.1f} deg between the most different, {min_tilt_deg:g} needed",
+            f"all boards stand alike: {np.rad2deg(tilt):.1f} deg between the most different, {_MIN_TILT_DEG:g} needed",
             hint="tilt the board between views, to the sides and up and down, by about 30 degrees",
         )
     worst = max(fit.std[0] / fit.camera.fx, fit.std[1] / fit.camera.fy)
-    if not worst <= max_focal_std:
+    if not worst <= _MAX_FOCAL_STD:
         raise AlignmentError(
-            f"the focal length is not determined: its standard deviation is {worst:.1%} of it, {max_focal_std:.1%} allowed",
+            f"the focal length is not determined: its standard deviation is {worst:.1%} of it, {_MAX_FOCAL_STD:.1%} allowed",
             hint="more views, nearer, with the board tilted about both axes",
         )
     held_out = _held_out(corners, used, size, board, holdout)
@@ -235,10 +218,10 @@ def _same(one: F64 | None, other: F64) -> bool:
     return one is not None and float(np.sqrt(np.mean(np.sum((one - other) ** 2, axis=-1)))) < _SAME_VIEW_PX
 
 
-def _enough(used: list[int], why: list[str], least: int) -> list[int]:
-    if len(used) < least:
+def _enough(used: list[int], why: list[str]) -> list[int]:
+    if len(used) < _MIN_VIEWS:
         raise AlignmentError(
-            f"{len(used)} of {len(why)} views are usable, {least} needed{_told(why)}",
+            f"{len(used)} of {len(why)} views are usable, {_MIN_VIEWS} needed{_told(why)}",
             hint="show the whole board, at 0.5 to 1.2 m, in other places and tilts for each view",
         )
     return used
@@ -254,11 +237,11 @@ def _told(why: list[str]) -> str:
     return ": " + ", ".join(f"{n} x {kind}" for kind, n in sorted(counts.items(), key=lambda c: -c[1])) if counts else ""
 
 
-def _unfit(fit: _Fit, k: int, max_oblique_deg: float) -> str:
+def _unfit(fit: _Fit, k: int) -> str:
     """Why a view does not count, or nothing."""
     tilt = np.rad2deg(_obliqueness(fit.pose[k], fit.board))
-    if tilt > max_oblique_deg:
-        return f"too oblique: {tilt:.0f} deg, {max_oblique_deg:g} allowed"
+    if tilt > _MAX_OBLIQUE_DEG:
+        return f"too oblique: {tilt:.0f} deg, {_MAX_OBLIQUE_DEG:g} allowed"
     limit = max(_WORST_FACTOR * float(np.median(list(fit.rms_px.values()))), _WORST_PX)
     if fit.rms_px[k] > limit and fit.rms_px[k] == max(fit.rms_px.values()):  # one at a time: the worst bends the others' fit
         return f"inconsistent with the others: {fit.rms_px[k]:.2f} px, {limit:.2f} allowed"

@@ -1,161 +1,166 @@
-"""A known posture at the start corrects the suit's systematic error: the constant turn of each segment against its sensor.
+"""Correction of the suit's initial pose: what its own calibration got wrong, from a pose whose truth is known.
 
-A suit learns in its own calibration how each sensor sits on its segment; what it gets wrong there, it is wrong by in every
-frame (Gonçalves 2020, sections 4.4 and 8.2, names this as future work). Where the subject holds a posture whose segment
-orientations are known (a fixture, an N-pose against a wall, an optical full-body model), that constant is seen: measured =
-true · error, in the segment's axes.
+A suit learns in its calibration how each sensor sits on its segment, and trusts that the person stands in the N-pose. By what
+that pose was off, each segment is turned in every frame that follows (Gonçalves 2020, sections 4.4 and 8.2, names the correction
+as future work, after Orozco 2015). In a take of a pose whose truth is known the error shows, at each of the suit's points: the
+point lies off the place where the suit has it, by the same vector in the axes of the segment that carries it, whatever the
+person does later. A vector of the suit's own lengths, where these are wrong, is corrected along with it if the truth is optical.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import deque
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cabinpose.align.suit import CARRIER, POINTS
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.core.frames import Matrix
 
 F64 = NDArray[np.float64]
 
+_HELD_RAD = np.deg2rad(5.0)  # rms by which a segment may turn while the pose is held
+_MOST_M = 0.15  # a point farther off its place is no error of a calibration: the person stood otherwise
+# Collar bones drop with the arms, by an amount that nobody sees from outside: no N-pose says how the shoulders are turned.
+_SHOULDERS = (POINTS.index("LeftShoulder"), POINTS.index("RightShoulder"))
+_HEAD = POINTS.index("Head")
+_ARMS = tuple(
+    (POINTS.index(side + part), sign) for side, sign in (("Left", -1), ("Right", 1)) for part in ("UpperArm", "Forearm", "Hand")
+)
 
-@dataclass(frozen=True)
-class PostureCorrection:
-    """error_wxyz: (S, 4) of each segment, on the right of its true orientation · heading_rad: of the suit's world against that
-    of the known posture, taken out · scatter_rad: (S,) rms by which the segment moved while the posture was held: what the
-    correction is worth · segments: the names · corrected: (S,) False for segments whose posture was not known, which stay as
-    they are.
+
+def _outwards() -> list[tuple[int, int, int]]:
+    """Neighbouring points (near, far, carried) from the head outwards; `carried`: which of the two the other one carries."""
+    edges, queue, reached = [], deque([_HEAD]), {_HEAD}
+    while queue:
+        near = queue.popleft()
+        for far in range(len(POINTS)):
+            if far not in reached and (CARRIER[far] == near or CARRIER[near] == far):
+                edges.append((near, far, far if CARRIER[far] == near else near))
+                queue.append(far)
+                reached.add(far)
+    return edges
+
+
+_OUTWARDS = _outwards()
+
+
+def n_pose(points: Matrix, arms_off_rad: float = 0.0) -> F64:
+    """Where the suit's points are if the person stands in the N-pose: (T, 25, 3) m in the suit's world.
+
+    Parameters
+    ----------
+    points
+        (T, 25, 4, 4) world_from_segment of `suit_points`, of the pose.
+    arms_off_rad
+        By how much the hanging arms are off the vertical, to the sides.
+
+    Returns
+    -------
+    ndarray
+        All segments upright, the arms down; lengths, place, heading (over all segments) and shoulders are the suit's own.
     """
+    true = np.tile(np.eye(3), (len(POINTS), 1, 1))
+    for point, sign in _ARMS:
+        true[point] = Rotation.from_euler("x", sign * (np.pi / 2 - arms_off_rad)).as_matrix()
+    turns = points[..., :3, :3]
+    true = _heading(turns @ np.swapaxes(true, -1, -2)) @ true
+    places: F64 = points[..., :3, 3].copy()
+    for point, carrier in enumerate(CARRIER):
+        if carrier >= 0:
+            by_suit = points[:, point, :3, 3] - points[:, carrier, :3, 3]
+            if carrier not in _SHOULDERS:
+                by_suit = np.einsum("tji,tj->ti", turns[:, carrier], by_suit) @ true[carrier].T
+            places[:, point] = places[:, carrier] + by_suit
+    return places
 
-    error_wxyz: F64
-    heading_rad: float
-    scatter_rad: F64
-    segments: tuple[str, ...]
-    corrected: NDArray[np.bool_]
 
-    @property
-    def angle_rad(self) -> F64:
-        """(S,) the size of each segment's error."""
-        return np.asarray(Rotation.from_quat(self.error_wxyz, scalar_first=True).magnitude())
+def optical_pose(points: Matrix, places: F64, world_from_head: F64) -> F64:
+    """Where the suit's points are by the optical system: (T, 25, 3) m in the suit's world but for a translation.
 
+    Both worlds have z up, so that only a heading lies between them. The head tells it: its tilt is known worse, by what the skin
+    moves under the suit's sensor, and would move feet by centimetres.
 
-def initial_pose_correction(
-    wxyz: ArrayLike,
-    known_wxyz: ArrayLike,
-    *,
-    segments: Sequence[str] = MVN_SEGMENTS,
-    free_heading: bool = True,
-    max_scatter_deg: float = 5.0,
-    max_error_deg: float = 45.0,
-) -> PostureCorrection:
-    """The constant error of each segment from moments (T, S, 4), wxyz, in which a known posture (S, 4) was held; NaN = not known.
-
-    free_heading: the posture is known up to a common turn about the vertical, which is estimated from all segments (the one that
-    leaves the least error); else the suit's world is the posture's. Raises AlignmentError where the posture was not held (a known
-    segment moved by more than max_scatter_deg rms) or was another one (an error above max_error_deg).
+    Parameters
+    ----------
+    points
+        (T, 25, 4, 4) world_from_segment of `suit_points`, of the pose.
+    places
+        (T, 25, 3) m, in the optical world; NaN where they are not known.
+    world_from_head
+        (T, 3, 3) rotations of the head segment in the optical world.
     """
-    measured, known = np.asarray(wxyz, np.float64), np.asarray(known_wxyz, np.float64)
-    names = tuple(segments)
-    if measured.ndim != 3 or measured.shape[1:] != (len(names), 4) or known.shape != (len(names), 4):
-        raise AlignmentError(
-            f"orientations (T, {len(names)}, 4) and a posture like them are needed, not {measured.shape} and {known.shape}",
-            hint="one orientation for each of the suit's segments, NaN where the posture is not known",
-        )
-    error = np.tile((1.0, 0.0, 0.0, 0.0), (len(names), 1))
-    scatter = np.full(len(names), np.nan)
-    means: dict[int, Rotation] = {}
-    for s in np.nonzero(np.isfinite(known).all(axis=1))[0].tolist():
-        valid = np.isfinite(measured[:, s]).all(axis=1)
-        if not valid.any():
-            continue
-        turns = Rotation.from_quat(measured[valid, s], scalar_first=True)
-        means[s] = turns.mean()
-        scatter[s] = float(np.sqrt(np.mean((means[s].inv() * turns).magnitude() ** 2)))
-    if not means:
-        raise AlignmentError(
-            "no segment of the posture is known and measured", hint="give the posture and the moments it was held in"
-        )
-    moving = [f"{names[s]} {np.rad2deg(scatter[s]):.1f} deg" for s in means if np.rad2deg(scatter[s]) > max_scatter_deg]
-    if moving:
-        raise AlignmentError(
-            f"the posture was not held: {', '.join(moving)}", hint="choose moments in which the subject stands still"
-        )
-    truth = {s: Rotation.from_quat(known[s], scalar_first=True) for s in means}
-    heading = _common_heading(means, truth) if free_heading else 0.0
-    turn = Rotation.from_rotvec((0.0, 0.0, heading))
-    for s, mean in means.items():
-        error[s] = ((turn * truth[s]).inv() * mean).as_quat(scalar_first=True)
-    result = PostureCorrection(error, heading, scatter, names, np.isin(np.arange(len(names)), list(means)))
-    far = [
-        f"{names[s]} {np.rad2deg(result.angle_rad[s]):.0f} deg" for s in means if np.rad2deg(result.angle_rad[s]) > max_error_deg
-    ]
-    if far:
-        raise AlignmentError(
-            f"the posture was another one: {', '.join(far)}", hint="give the posture that the subject really held"
-        )
-    return result
+    turned: F64 = places @ _heading(points[:, _HEAD, :3, :3] @ np.swapaxes(world_from_head, -1, -2)).T
+    return turned
 
 
-def corrected_orientations(wxyz: ArrayLike, correction: PostureCorrection) -> F64:
-    """(T, S, 4) orientations without the constant errors."""
-    q = np.asarray(wxyz, np.float64)
-    result = np.full(q.shape, np.nan)
-    for s, error in enumerate(Rotation.from_quat(correction.error_wxyz, scalar_first=True)):
-        valid = np.isfinite(q[:, s]).all(axis=1)
-        if valid.any():
-            result[valid, s] = (Rotation.from_quat(q[valid, s], scalar_first=True) * error.inv()).as_quat(scalar_first=True)
-    return result
+def _heading(turns: F64) -> F64:
+    """(3, 3) the turn about z that is nearest to turns (..., 3, 3): in the plane Kabsch has one angle."""
+    total = np.nanmean(turns.reshape(-1, 3, 3), axis=0)
+    angle = np.arctan2(total[1, 0] - total[0, 1], total[0, 0] + total[1, 1])
+    return np.asarray(Rotation.from_euler("z", angle).as_matrix())
 
 
-def rebuilt(
-    p: ArrayLike,
-    wxyz: ArrayLike,
-    correction: PostureCorrection,
-    *,
-    joints: Sequence[tuple[str, str, str]] = MVN_JOINTS,
-    anchor: str = "Head",
-) -> tuple[F64, F64]:
-    """Positions (T, S, 3), m, and orientations (T, S, 4) of the segments, corrected: the body put together anew.
+def pose_shifts(points: Matrix, true_places: F64) -> F64:
+    """By what each of the suit's points is off, from the moments T of a pose that was held.
 
-    p, wxyz: as the suit says. A segment's origin lies at a constant place in its parent's axes: the suit's own lengths, the
-    median over time. joints: (name, parent, child), parents before children. The origin of `anchor` stays where it was, since
-    the chain to the camera hangs on the head. What has no path of known segments is NaN.
+    Parameters
+    ----------
+    points
+        (T, 25, 4, 4) world_from_segment of `suit_points`.
+    true_places
+        (T, 25, 3) m, where the points really are, in the suit's world but for a common translation; NaN where it is not known.
+
+    Returns
+    -------
+    ndarray
+        (25, 3) m: what is to be added to each point's place in the axes of the segment that carries it, as the suit has these.
+        0 where nothing is known: what a chain of such points is off by is put down to its last one.
+
+    Raises
+    ------
+    AlignmentError
+        Where the pose was not held, or was another one.
     """
-    positions, turns = np.asarray(p, np.float64), np.asarray(wxyz, np.float64)
-    index = {name: s for s, name in enumerate(correction.segments)}
-    missing = [n for _, a, b in joints for n in (a, b) if n not in index]
-    if missing or anchor not in index:
+    turns = points[..., :3, :3]
+    for point, name in enumerate(POINTS):
+        seen = turns[np.isfinite(turns[:, point]).all(axis=(1, 2)), point]
+        if len(seen):
+            each = Rotation.from_matrix(seen)
+            moved = float(np.sqrt(np.mean((each.mean().inv() * each).magnitude() ** 2)))
+            if moved > _HELD_RAD:
+                raise AlignmentError(
+                    f"the pose was not held: {name} turned by {np.degrees(moved):.1f} deg",
+                    hint="record some seconds in which the subject stands still, and nothing else",
+                )
+    off = true_places - points[..., :3, 3]
+    known = np.isfinite(off.sum(axis=2)).any(axis=0)
+    if not known[_HEAD] or known.sum() < 2:
         raise AlignmentError(
-            f"segments {sorted({*missing, anchor} - set(index))} are not there", hint=f"known: {', '.join(index)}"
+            "the pose is not known: the head and another joint are needed", hint="give the model of the whole body"
         )
-    corrected = corrected_orientations(turns, correction)
-    before, after = _matrices(turns), _matrices(corrected)
-    result = np.full(positions.shape, np.nan)
-    root = index[joints[0][1]]
-    result[:, root] = positions[:, root]
-    for _, parent, child in joints:
-        a, b = index[parent], index[child]
-        offsets = np.einsum("tji,tj->ti", before[:, a], positions[:, b] - positions[:, a])
-        offset = np.nanmedian(offsets, axis=0) if np.isfinite(offsets).all(axis=1).any() else np.full(3, np.nan)
-        result[:, b] = result[:, a] + after[:, a] @ offset
-    result += (positions[:, index[anchor]] - result[:, index[anchor]])[:, None]
-    return result, corrected
+    shifts = np.zeros((len(POINTS), 3))
+    carried = {_HEAD: off[:, _HEAD]}
+    for near, far, moved_point in _OUTWARDS:
+        carried[far] = off[:, far] if known[far] else carried[near]
+        along = np.einsum("tji,tj->ti", turns[:, CARRIER[moved_point]], carried[far] - carried[near])
+        shifts[moved_point] = (1 if far == moved_point else -1) * np.nan_to_num(np.nanmean(along, axis=0))
+    worst = int(np.linalg.norm(shifts, axis=1).argmax())
+    if np.linalg.norm(shifts[worst]) > _MOST_M:
+        raise AlignmentError(
+            f"the pose was another one: {POINTS[worst]} is {100 * np.linalg.norm(shifts[worst]):.0f} cm off",
+            hint="give the pose that the subject really held",
+        )
+    return shifts
 
 
-def _common_heading(means: dict[int, Rotation], truth: dict[int, Rotation]) -> float:
-    """The turn about z that takes the posture nearest to what was measured: in the plane, Kabsch has one angle."""
-    total = np.zeros((3, 3))
-    for s, mean in means.items():
-        total += (mean * truth[s].inv()).as_matrix()
-    return float(np.arctan2(total[1, 0] - total[0, 1], total[0, 0] + total[1, 1]))
-
-
-def _matrices(wxyz: F64) -> F64:
-    """(T, S, 3, 3), NaN where the quaternion is."""
-    result = np.full((*wxyz.shape[:-1], 3, 3), np.nan)
-    valid = np.isfinite(wxyz).all(axis=-1)
-    if valid.any():
-        result[valid] = Rotation.from_quat(wxyz[valid], scalar_first=True).as_matrix()
-    return result
+def shifted(points: Matrix, shifts: F64) -> F64:
+    """The places (T, 25, 3) m of the suit's points with the shifts (25, 3) of `pose_shifts`; the head's stays where it is."""
+    places: F64 = points[..., :3, 3].copy()
+    moved = np.zeros_like(places)
+    for near, far, carried in _OUTWARDS:
+        step = points[:, CARRIER[carried], :3, :3] @ shifts[carried]
+        moved[:, far] = moved[:, near] + (step if far == carried else -step)
+    return places + moved

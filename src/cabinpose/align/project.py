@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from cabinpose.align.calibration import Calibration, KnownDelay
 from cabinpose.align.chain import joints_in_camera, rigid
 from cabinpose.align.head import head_agreement
+from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
-from cabinpose.align.suit import joints_of_segments
+from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
 from cabinpose.align.time import suit_to_optical
 from cabinpose.core.delay import Delay
 from cabinpose.core.errors import AlignmentError, UndeterminedError
@@ -57,23 +58,40 @@ class Aligned:
         return dict(Counter(reason for reason in self.reason if reason))
 
 
-def align_take(recording: Recording, calibration: Calibration, *, subject: str | None = None, max_lag_s: float = 2.0) -> Aligned:
-    """Put the suit's joints of a take into the camera.
+def align_take(
+    recording: Recording, calibration: Calibration, subject: str, *, max_lag_s: float = 2.0, correct_pose: bool = True
+) -> Aligned:
+    """Put the joints of one person's suit into the camera.
 
-    subject: whose suit (None: the take's only one) · max_lag_s: greatest difference of the suit's stamps to the optical
-    system's, both on the host's axis. The camera is master: its images stay as they are, poses are interpolated to them
-    (rotations by SLERP, positions linearly), never across gaps. The suit is used relative to its head segment only, so that
-    neither its drift in the world nor its heading enters:
-    camera_from_joint = camera_from_world . world_from_object . object_from_head . head_from_joint (thesis, section 4.1.2.6).
+    The camera is master: its images stay as they are, poses are interpolated to them (rotations by SLERP, positions linearly),
+    never across gaps. The suit is used relative to its head segment only, so that neither its drift in the world nor its heading
+    enters: camera_from_joint = camera_from_world . world_from_object . object_from_head . head_from_joint.
 
-    Raises AlignmentError where a stream is lacking, the heads of the two systems do not move alike, or no frame is left.
+    Parameters
+    ----------
+    recording, calibration
+        The take, and the calibration of its rig.
+    subject
+        Whose suit.
+    max_lag_s
+        Greatest difference of the suit's stamps to the optical system's, both on the host's axis.
+    correct_pose
+        Whether the calibration's correction of the suit's initial pose is applied, where it has one.
+
+    Raises
+    ------
+    AlignmentError
+        Where a stream is lacking, the heads of the two systems do not move alike, or no frame is left.
+
+    References
+    ----------
+    Gonçalves 2020, section 4.1.2.6.
     """
     names = calibration.names
-    code = subject or only_subject(recording)
-    head = calibration.head(code)
+    head = calibration.head(subject)
     frame_ns = frame_times(recording, names.tof)
-    suit = segment_series(recording, names.suit, code)
-    optical = segment_series(recording, names.optical, names.head_object)
+    suit = segment_series(recording, head.suit or names.suit, subject)
+    optical = segment_series(recording, names.optical, head.head_object or names.head_object)
     suit_ns, optical_ns = on_host(suit), on_host(optical)
     origin = int(frame_ns[0])
     suit_head = RIGS["mvn"]["head"]
@@ -81,7 +99,7 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     object_position, object_orientation = optical.segment(names.head_segment)
     since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)
     long = since[-1] - since[0] > _DRIFT_FROM_S
-    with naming(recording, "the suit's head (a) against the optical one (b)"):
+    with naming(recording, f"the head of {subject} in the suit (a) against the optical one (b)"):
         try:
             delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
             delay = with_known(delay, head.suit_to_optical)
@@ -96,16 +114,16 @@ def align_take(recording: Recording, calibration: Calibration, *, subject: str |
     world_from_object = rigid(resample_positions(at, object_position, at_optical, max_gap_s=OPTICAL_GAP_S), object_at)
     orientation = resample_rotations(since, suit.orientation_wxyz, at_suit, max_gap_s=SUIT_GAP_S)
     position = resample_positions(since, suit.position_m, at_suit, max_gap_s=SUIT_GAP_S)
+    points = suit_points(suit.names, position, orientation, hands_m=head.hands_m)
+    places = points[..., :3, 3]
+    if correct_pose and head.pose_correction is not None:
+        places = shifted(points, head.pose_correction.of_points(POINTS))
     index = suit.names.index(suit_head)
     joints = joints_in_camera(
-        calibration.extrinsics.matrix,
-        world_from_object,
-        head.matrix,
-        rigid(position[:, index], orientation[:, index]),
-        joints_of_segments(suit.names, position, orientation, hands_m=head.hands_m),
+        calibration.extrinsics.matrix, world_from_object, head.matrix, points[:, POINTS.index(suit_head)], places[:, JOINT_POINTS]
     )
     reason = _reasons(at_optical, at, world_from_object, at_suit, since, joints)
-    aligned = Aligned(code, frame_ns, joints, reason, delay, head_agreement(orientation[:, index], object_at, head.matrix))
+    aligned = Aligned(subject, frame_ns, joints, reason, delay, head_agreement(orientation[:, index], object_at, head.matrix))
     if not aligned.kept.any():
         counted = ", ".join(f"{count} {why}" for why, count in aligned.left_out.items())
         raise AlignmentError(f"{recording.path}: no frame is left: {counted}", hint="look at the take with `cabinpose view`")
@@ -136,17 +154,6 @@ def _as_known(offset_s: float, interval_s: tuple[float, float], reference_s: flo
     nothing = np.zeros(0)
     windows = WindowDelays(nothing, nothing, nothing, nothing)
     return Delay(offset_s, interval_s, 0.0, (0.0, 0.0), reference_s, np.nan, np.nan, windows)
-
-
-def only_subject(recording: Recording) -> str:
-    """The code of the take's only subject. Raises AlignmentError where there are others, whom no suit would label."""
-    codes = [participant.code for participant in recording.take.subjects]
-    if len(codes) != 1:
-        raise AlignmentError(
-            f"{recording.path} names {len(codes)} subjects{': ' + ', '.join(codes) if codes else ''}",
-            hint="a take to align shows one person, in the suit: name them in the rig's `take`, or give --subject",
-        )
-    return codes[0]
 
 
 def _reasons(at_optical: F64, optical: F64, world_from_object: F64, at_suit: F64, suit: F64, joints: F64) -> tuple[str, ...]:

@@ -13,21 +13,22 @@ from pydantic import BaseModel, ConfigDict, Field
 from cabinpose.align.board import Board
 from cabinpose.align.boardtake import BoardViews, board_views
 from cabinpose.align.bundle import refine_camera_from_world
-from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, Names, Rigid, rows
-from cabinpose.align.chain import object_from_head
+from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, Names, PoseCorrection, Rigid, rows
+from cabinpose.align.chain import rigid
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
 from cabinpose.align.head import HeadAlignment, HeadOffset, align_head, head_offset, measured_offset
 from cabinpose.align.intrinsics import IntrinsicsResult, calibrate_from_corners
 from cabinpose.align.pendulum import brightest_blob
+from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
-from cabinpose.align.suit import HANDS_M, Triple
+from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical
 from cabinpose.core.camera import Camera
 from cabinpose.core.delay import Delay
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import apply
+from cabinpose.core.frames import Matrix, apply, transform
 from cabinpose.core.resample import resample_positions, resample_rotations
-from cabinpose.core.skeleton import RIGS
+from cabinpose.core.skeleton import INDEX, JOINTS, RIGS
 from cabinpose.store.recording import Recording, marker_series, segment_series, tof_frames
 from cabinpose.store.yaml_file import read_mapping, validated
 
@@ -52,6 +53,16 @@ class SubjectSession(_Model):
         Field(description="from the head object's origin to C1, measured, in the object's axes, m; left out = fitted"),
     ] = None
     hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
+    suit: Annotated[str | None, Field(description="source of this subject's suit; left out: that of `names`")] = None
+    head_object: Annotated[str | None, Field(description="the optical subject on this head; left out: that of `names`")] = None
+    pose_take: Annotated[
+        Path | None, Field(description="recording of some seconds in a known pose, to correct the suit's calibration by")
+    ] = None
+    pose_truth: Annotated[
+        Literal["n-pose", "optical"],
+        Field(description="what the pose is known by: an N-pose, or the optical model of the whole body, named as the subject"),
+    ] = "n-pose"
+    arms_off_deg: Annotated[float, Field(description="by which the arms of the N-pose hang off the vertical, deg")] = 0.0
 
 
 class Session(_Model):
@@ -60,7 +71,7 @@ class Session(_Model):
     names: Annotated[Names, Field(description="what the sources and their subjects are called")] = Field(default_factory=Names)
     board: Annotated[Board, Field(description="the checkerboard")] = Field(default_factory=Board)
     intrinsics: Annotated[
-        Literal["checkerboard", "camera"], Field(description="fit the lens to the board, or believe what the camera says")
+        Literal["checkerboard", "camera"], Field(description="fit the lens to the board, or take the camera's own values")
     ] = "checkerboard"
     board_take: Annotated[Path, Field(description="recording of the board, held still here and there before the camera")]
     pendulum_take: Annotated[Path, Field(description="recording of the swinging marker")]
@@ -73,14 +84,22 @@ class Session(_Model):
         hint = "docs/alignment.md has a session to start from"
         session = validated(cls, read_mapping(path, hint=hint, error=AlignmentError), path, hint=hint, error=AlignmentError)
         base = path.parent
-        subjects = {code: each.model_copy(update={"take": base / each.take}) for code, each in session.subjects.items()}
+        subjects = {
+            code: each.model_copy(
+                update={"take": base / each.take, "pose_take": None if each.pose_take is None else base / each.pose_take}
+            )
+            for code, each in session.subjects.items()
+        }
         takes = {"board_take": base / session.board_take, "pendulum_take": base / session.pendulum_take}
         return session.model_copy(update={**takes, "subjects": subjects})
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A calibration and what it was found by: views of the board, both fits of the extrinsics, the delay, each subject's head."""
+    """A calibration and what it was found by: views of the board, both fits of the extrinsics, the delay, each subject's head.
+
+    warnings: what speaks against it.
+    """
 
     calibration: Calibration
     views: BoardViews
@@ -89,6 +108,7 @@ class Calibrated:
     by_corners: ExtrinsicsResult
     delay: Delay
     heads: dict[str, tuple[HeadAlignment, HeadOffset, Delay]]
+    warnings: list[str]
 
 
 def calibrate(session: Session) -> Calibrated:
@@ -107,11 +127,13 @@ def calibrate(session: Session) -> Calibrated:
     step = "the marker in the image (a) against the optical one (b)"
     with _opened(session.pendulum_take) as recording, naming(recording, step):
         delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
-    heads = {}
+        host = recording.head.host
+    heads, hosts = {}, {}
     for code, subject in session.subjects.items():
         step = f"the head of {code} in the suit (a) against the optical one (b)"
         with _opened(subject.take) as recording, naming(recording, step):
             heads[code] = _head(recording, names, code, subject)
+            hosts[subject.take.name] = recording.head.host
     calibration = Calibration(
         names=names,
         intrinsics=Intrinsics(
@@ -123,19 +145,24 @@ def calibrate(session: Session) -> Calibrated:
         ),
         extrinsics=_told(by_markers, by_corners),
         tof_to_optical=_plain(delay),
+        host=host,
         heads={
             code: Head(
-                object_from_head=rows(object_from_head(turn.object_from_head, offset.offset)),
+                suit=session.subjects[code].suit,
+                head_object=session.subjects[code].head_object,
+                object_from_head=rows(transform(turn.object_from_head[:3, :3], offset.offset)),
                 residual_rad=turn.rms_rad,
                 suit_to_optical=_plain(late),
                 offset=offset.method,
                 hands_m=session.subjects[code].hands_m,
+                pose_correction=correct_pose(names, code, session.subjects[code], turn.object_from_head),
             )
             for code, (turn, offset, late) in heads.items()
         },
         vehicle_from_world=session.vehicle_from_world,
     )  # fmt: skip
-    return Calibrated(calibration, views, lens, by_markers, by_corners, delay, heads)
+    warnings = [f"{take}: {what}" for take, recorded in hosts.items() for what in calibration.differences(recorded)]
+    return Calibrated(calibration, views, lens, by_markers, by_corners, delay, heads, warnings)
 
 
 def _opened(path: Path) -> Recording:
@@ -202,8 +229,8 @@ def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_wo
 def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset, Delay]:
     """How the suit's head sits in the optical system's, and the delay between them, from a take of the turning head."""
     rig = RIGS["mvn"]
-    suit = segment_series(recording, names.suit, code)
-    optical = segment_series(recording, names.optical, names.head_object)
+    suit = segment_series(recording, subject.suit or names.suit, code)
+    optical = segment_series(recording, names.optical, subject.head_object or names.head_object)
     position, orientation = optical.segment(names.head_segment)
     origin = int(optical.host_ns[0])
     at = seconds(on_host(optical), origin)
@@ -221,6 +248,41 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     pivot = apply(turn.world_from_suit, above)
     span = max(int(_PIVOT_SPAN_S / period), 3)
     return turn, head_offset(position, orientation, p_pivot=pivot, spans=span), delay
+
+
+def correct_pose(names: Names, code: str, subject: SubjectSession, object_from_head: Matrix) -> PoseCorrection | None:
+    """The correction of a subject's suit by the take of a known pose; None where there is no such take.
+
+    object_from_head: (4, 4), of which the rotation counts. Raises AlignmentError where the pose was not held, was another one, or
+    is not known.
+    """
+    if subject.pose_take is None:
+        return None
+    with _opened(subject.pose_take) as recording, naming(recording, f"the pose of {code}"):
+        suit = segment_series(recording, subject.suit or names.suit, code)
+        points = suit_points(suit.names, suit.position_m, suit.orientation_wxyz, hands_m=subject.hands_m)
+        if subject.pose_truth == "n-pose":
+            places = n_pose(points, np.radians(subject.arms_off_deg))
+        else:
+            body = segment_series(recording, names.optical, code)
+            rig = RIGS["vicon_kinematic_fit"]
+            known = [joint for joint in JOINTS if rig[joint] in body.names]
+            joints = np.full((len(body.host_ns), len(POINTS), 3), np.nan)
+            for joint in known:
+                joints[:, JOINT_POINTS[INDEX[joint]]] = body.segment(rig[joint])[0]
+            # The person stands still: the delay of some hundredths of a second between the systems does not matter.
+            origin = int(suit.host_ns[0])
+            at = seconds(on_host(suit), origin)
+            joints = resample_positions(seconds(on_host(body), origin), joints, at, max_gap_s=_GAP_S)
+            cap = segment_series(recording, names.optical, subject.head_object or names.head_object)
+            _, turned = cap.segment(names.head_segment)
+            turned = resample_rotations(seconds(on_host(cap), origin), turned, at, max_gap_s=_GAP_S)
+            head = rigid(np.zeros((len(at), 3)), turned) @ object_from_head
+            places = optical_pose(points, joints, head[:, :3, :3])
+        shifts = pose_shifts(points, places)
+    return PoseCorrection(
+        truth=subject.pose_truth, shifts_m={name: tuple(x) for name, x in zip(POINTS, shifts.tolist(), strict=True) if any(x)}
+    )
 
 
 def _plain(delay: Delay) -> KnownDelay:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from cabinpose.align.chain import rigid
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.skeleton import INDEX, JOINTS, RIGS
+from cabinpose.core.frames import Matrix
+from cabinpose.core.skeleton import JOINTS, MVN_JOINTS, MVN_SEGMENTS, RIGS
 
 F64 = NDArray[np.float64]
 
@@ -19,28 +20,46 @@ Triple = tuple[float, float, float]
 # whose pose of identity has the arms stretched out to the sides: left is +y.
 HANDS_M: tuple[Triple, Triple] = ((0.0, 0.085, 0.0), (0.0, -0.085, 0.0))
 
+# The suit's points: the origins of its segments and the finger bases, which MVN does not have. Each point but the pelvis lies at
+# a constant place in the axes of the segment before it (`CARRIER`, -1 for the pelvis), which comes earlier in the list.
+POINTS: tuple[str, ...] = (*MVN_SEGMENTS, "lhand", "rhand")
+_BEFORE = {child: parent for _, parent, child in MVN_JOINTS} | {"lhand": "LeftHand", "rhand": "RightHand"}
+CARRIER = np.array([POINTS.index(_BEFORE[name]) if name in _BEFORE else -1 for name in POINTS])
+JOINT_POINTS = np.array([POINTS.index(RIGS["mvn"].get(joint, joint)) for joint in JOINTS])
 
-def joints_of_segments(
-    names: Sequence[str], position_m: F64, orientation_wxyz: F64, *, hands_m: tuple[Triple, Triple] = HANDS_M
-) -> F64:
-    """(T, 20, 3) m: our joints in the suit's world from MVN's segments, (T, S, 3) and (T, S, 4) wxyz with these names.
 
-    A joint is the origin of the segment that `RIGS["mvn"]` names. MVN has no finger base: hands_m says where it is in the
-    left and the right hand segment, m. NaN where a segment is. Raises AlignmentError where segments are lacking.
+def suit_points(names: Sequence[str], position_m: F64, orientation_wxyz: F64, *, hands_m: tuple[Triple, Triple]) -> Matrix:
+    """The suit's points and how they are turned, in the suit's world.
+
+    Parameters
+    ----------
+    names
+        Of the S segments.
+    position_m, orientation_wxyz
+        (T, S, 3) and (T, S, 4), as the suit gives them.
+    hands_m
+        The finger base in the left and in the right hand segment, m.
+
+    Returns
+    -------
+    ndarray
+        (T, 25, 4, 4) world_from_segment of `POINTS`; a finger base is turned as its hand. NaN where a segment is. The joints of
+        `core.skeleton.JOINTS` are the origins of `JOINT_POINTS`.
+
+    Raises
+    ------
+    AlignmentError
+        Where segments are lacking.
     """
-    rig = RIGS["mvn"]
-    lacking = sorted({theirs for theirs in rig.values() if theirs not in names})
+    lacking = sorted(set(MVN_SEGMENTS) - set(names))
     if lacking:
         raise AlignmentError(
             f"the suit gives no {', '.join(lacking)}", hint="stream all 23 segments (MVN: Position + Orientation, full body)"
         )
-    joints = np.full((len(position_m), len(JOINTS), 3), np.nan)
-    for joint, theirs in rig.items():
-        joints[:, INDEX[joint]] = position_m[:, list(names).index(theirs)]
-    for side, offset in zip("lr", hands_m, strict=True):
-        hand = list(names).index(rig[f"{side}wrist"])
-        turned = orientation_wxyz[:, hand]
-        known = np.isfinite(turned).all(axis=-1)
-        along = Rotation.from_quat(turned[known], scalar_first=True).apply(offset)
-        joints[known, INDEX[f"{side}hand"]] = position_m[known, hand] + along
-    return joints
+    order = [list(names).index(segment) for segment in MVN_SEGMENTS]
+    order += [order[point] for point in CARRIER[len(MVN_SEGMENTS) :]]
+    poses = rigid(position_m[:, order], orientation_wxyz[:, order])
+    poses[..., :3, 3] = position_m[:, order]
+    for point, hand in zip((-2, -1), hands_m, strict=True):
+        poses[:, point, :3, 3] += poses[:, point, :3, :3] @ np.array(hand)
+    return poses

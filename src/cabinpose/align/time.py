@@ -1,6 +1,6 @@
 """Time: how the clock of a suit, of a camera and of an optical system relate, from motions that two of them saw.
 
-Delays are maps from the first clock to the second (`Delay.to_b`, `Delay.clock_map`). A delay of a signal against time stamps
+Delays are maps from the first clock to the second (`Delay.to_b`). A delay of a signal against time stamps
 counts with those of the clocks: a gyroscope's filter, an exposure stamped at its end.
 """
 

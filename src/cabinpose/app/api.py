@@ -1,4 +1,4 @@
-"""What a script needs in one line: data without a disk, whatever lies on one, a model on plain arrays, a report.
+"""Functions for scripts: generated frames, data on disk, a model on plain arrays, a report.
 
 These are the names that `import cabinpose` offers; each loads what it needs when it is called.
 """
@@ -54,7 +54,8 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
     Parameters
     ----------
     path
-        The folder of a dataset, a recording (.mcap), or a predictions file (.jsonl, .parquet).
+        The folder of a dataset, a recording (.mcap, or a folder with the files of one take), or a predictions file (.jsonl,
+        .parquet).
 
     Returns
     -------
@@ -67,11 +68,12 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
         For what is none of these; and what the readers raise for damaged files.
     """
     place = Path(path)
-    if place.is_dir():
+    of_takes = place.is_dir() and not (place / "dataset.yaml").exists() and any(place.glob("*.mcap"))
+    if place.is_dir() and not of_takes:
         from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray
 
         return open_dataset(place)
-    if place.suffix == ".mcap":
+    if place.suffix == ".mcap" or of_takes:
         from cabinpose.store.recording import Recording  # noqa: PLC0415 - the extra `record`
 
         return Recording(place)
@@ -150,8 +152,8 @@ def evaluate_predictions(
     data
         The folder of a dataset, or an open one (a selection of it as well).
     model
-        A predictions file, predictions, the name of a model of the package, or any detector that fulfils
-        `cabinpose.core.ports.Predictor`.
+        A predictions file, predictions, the name of a model of the package, the address of one on a server
+        (grpc://HOST:PORT/MODEL), or any detector that fulfils `cabinpose.core.ports.Predictor`.
     persons
         Slots that are evaluated; default: those that the model answers for.
 
@@ -166,6 +168,7 @@ def evaluate_predictions(
         For what is missing, damaged or of another dataset.
     """
     from cabinpose.core.ports import Predictor  # noqa: PLC0415 - the package imports in no time
+    from cabinpose.estimate.remote import open_predictor  # noqa: PLC0415
     from cabinpose.evaluate.offline import check_predictions, evaluate, shared_places  # noqa: PLC0415
     from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
     from cabinpose.store import open_dataset  # noqa: PLC0415
@@ -174,7 +177,7 @@ def evaluate_predictions(
     name = Path(data).resolve().name if isinstance(data, Path | str) else ""
     dataset = open_dataset(data) if isinstance(data, Path | str) else data
     if isinstance(model, Path | str):
-        model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else load_model(model)
+        model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else open_predictor(model)
     if isinstance(model, Predictions):
         check_predictions(model, dataset)
     elif not isinstance(model, Predictor):

@@ -1,4 +1,4 @@
-"""What `cabinpose car check` finds out of an own car: its measures held against its mesh, people tried, rules to add."""
+"""The check of a user's own car: its YAML compared with its mesh, poses tried in its seats, rules to add."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from cabinpose.synth.validate import SITTING
 
 Floats = NDArray[np.float64]
 POSES = 12  # tried in each seat
-_STEP_MM = 5.0  # a suggested give is rounded up to this
-_FOAM_MM = 90.0  # more is no foam: the H-point is wrong
+_STEP_MM = 5.0  # a suggested `give_mm` is rounded up to a multiple of this
+_FOAM_MM = 90.0  # thickest foam; where more is needed, the H-point is wrong
 _CUSHION_OFF_M, _CUSHION_DEEP_M = 0.03, 0.30
 _FLOOR_OFF_M = 0.05
 _REACH_M = 0.85  # from the shoulder to the wheel's hub: the longest arm with a bent elbow
@@ -31,8 +31,8 @@ _SHOULDER = np.array((0.0, 0.0, 0.48))  # from the H-point along the back, m
 _HEAD = np.array((0.0, 0.0, 0.62))
 _OPEN_DIRECTIONS = 0.40  # of a sphere about the head: windows without glass are about 0.3 of it
 _BINS = (12, 24)  # in the sine of the elevation and in the azimuth: about 15 degrees each
-_OFTEN = 2  # poses refused for trunk or thighs, or pushed away, in one seat, for a rule to be worth while
-_ROUNDS = 3  # in which rules are made deeper: who is refused less lies lower
+_OFTEN = 2  # poses refused for trunk or thighs, or pushed away, in one seat, before a rule is suggested
+_ROUNDS = 3  # of deepening rules: with softer seats people sink deeper
 _HARD = ("glass", "floor", "pedal", "steering_wheel")  # labels of what no rule should soften
 
 
@@ -90,12 +90,12 @@ def check_car(path: Path) -> CarReport:
 
 
 def _held(trials: Mapping[str, SeatTrial]) -> int:
-    """How many poses hold where the YAML has them sit."""
+    """Number of poses that hold without being pushed off their seat."""
     return sum(trial.held - len(trial.pushed_m) for trial in trials.values())
 
 
 def kind_of(part: Part) -> str:
-    """What a part is taken for, in words."""
+    """How a part is classified, in words."""
     give = f", gives {1000 * part.give_m:.0f} mm" if part.give_m else ""
     body = "solid" if part.solid else f"open, felt within {1000 * part.shell_m:.0f} mm"
     return f"{label_of(part)}, {material_of(part)}, moves with {part.group}{give}, {body}"
@@ -118,14 +118,14 @@ def triangles_of(cabin: Cabin) -> Floats:
 
 
 def _misplaced(cabin: Cabin) -> Iterator[str]:
-    """Measures of the YAML that its mesh contradicts, in words."""
+    """Points and lengths of the YAML that the mesh contradicts, in words."""
     triangles = triangles_of(cabin)
     for slot, seat in cabin.seats.items():
         h, heel = seat.h_point(seat.default), seat.heel_point(seat.default)
         below = _down(triangles, h, _CUSHION_DEEP_M)
         if below is None:
             yield (
-                f"{slot}: there is no cushion within {1000 * _CUSHION_DEEP_M:.0f} mm below its H-point {_point(h)}"
+                f"{slot}: there is no cushion within {1000 * _CUSHION_DEEP_M:.0f} mm below its H-point {point_text(h)}"
                 " (it lies beside the seat, or inside it)"
             )
         elif abs(below - seat.cushion_below_h_m) > _CUSHION_OFF_M:
@@ -136,9 +136,9 @@ def _misplaced(cabin: Cabin) -> Iterator[str]:
             )
         floor = _down(triangles, heel + (0.0, 0.0, 0.10), 0.10 + 0.30)
         if floor is None:
-            yield f"{slot}: there is no floor under the heels at {_point(heel)}; correct heel_point, or the origin"
+            yield f"{slot}: there is no floor under the heels at {point_text(heel)}; correct heel_point, or the origin"
         elif abs(floor - 0.10) > _FLOOR_OFF_M:
-            yield f"{slot}: the floor is {1000 * (0.10 - floor):+.0f} mm from the heels at {_point(heel)}; correct heel_point"
+            yield f"{slot}: the floor is {1000 * (0.10 - floor):+.0f} mm from the heels at {point_text(heel)}; correct heel_point"
     yield from _wheel_misplaced(cabin)
     driver = next(iter(cabin.seats.values()))
     missing = open_directions(triangles, apply(driver.vehicle_from_back(driver.default), _HEAD))
@@ -246,5 +246,6 @@ def _is_cut(part: Part) -> bool:
     return part.name.endswith(")") and " (" in part.name
 
 
-def _point(p: Floats) -> str:
-    return "[" + ", ".join(f"{v:.2f}" for v in p) + "]"
+def point_text(point: Floats) -> str:
+    """A point (3,) as text with two decimals, never "-0.00"."""
+    return "[" + ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point) + "]"

@@ -14,7 +14,7 @@ import xarray as xr
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
 from cabinpose.estimate.training import TrainConfig
-from cabinpose.store.split import held_out, read_named_splits, split_datasets
+from cabinpose.store.split import held_out, read_splits, split_datasets
 from cabinpose.store.yaml_file import read_mapping, validated
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.plan import person_slots
@@ -22,7 +22,7 @@ from cabinpose.synth.preflight import preflight
 from cabinpose.synth.write import FrameMaker
 
 _NAMES = 5  # of subjects in a message
-_OF_A_CROWD = re.compile(r"R\d{4,}")  # the names of random people
+_RANDOM_PERSON = re.compile(r"R\d{4,}")  # the names of random people
 
 
 def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
@@ -46,7 +46,7 @@ def training_split(
     side, a side is empty, or the sides share people, whichever datasets these are in.
     """
     if splits is not None:
-        parts = split_datasets(list(datasets.values()), read_named_splits(splits, (train, validate)))
+        parts = split_datasets(list(datasets.values()), read_splits(splits, (train, validate)))
         pairs = list(zip(parts[train], parts[validate], strict=True))
     else:
         pairs = []
@@ -77,13 +77,12 @@ def training_split(
 def individuals(dataset: xr.Dataset) -> set[tuple[str, int | None]]:
     """Who appears in a dataset, such that equal ones are the same people whichever dataset they are in.
 
-    Those of a crowd drawn at random are numbered anew with every seed, so that the frames' seed tells them apart; anybody
-    else is known by name, with None.
+    Random people have the same names with every seed, so the frames' seed identifies them; for named people it is None.
     """
     names = dataset["subject"].values.astype(str)
     seeds = np.broadcast_to(dataset["seed"].values[:, None], names.shape)
     pairs = set(zip(names.ravel().tolist(), seeds.ravel().tolist(), strict=True))
-    return {(name, int(seed) if _OF_A_CROWD.fullmatch(name) else None) for name, seed in pairs if name}
+    return {(name, int(seed) if _RANDOM_PERSON.fullmatch(name) else None) for name, seed in pairs if name}
 
 
 def stored_frames(
@@ -109,7 +108,7 @@ def _joined(side: Mapping[str, xr.Dataset], spec: FrameSpec, *, keep: bool) -> F
 
 @contextmanager
 def _said_of(name: str) -> Iterator[None]:
-    """What is wrong with a dataset is said with its name."""
+    """Add the name of the dataset to errors about it."""
     try:
         yield
     except DatasetError as error:

@@ -1,1 +1,1 @@
-"""Nouns and pure maths that every room shares; numpy and scipy only."""
+"""Types and pure maths that every room uses; numpy and scipy only."""

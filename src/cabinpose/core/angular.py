@@ -18,26 +18,41 @@ def rotation_angle(quaternion_wxyz: ArrayLike) -> F64:
     The same in any frame of the world and of the body, so that a suit and an optical system agree; but both have to begin with
     the same orientation, as at rest. NaN where the orientation is. The thesis' eq. 3.4 with the least angle: q and -q are one.
     """
-    q = np.asarray(quaternion_wxyz, np.float64)
-    if q.ndim != 2 or q.shape[1] != 4:
-        raise AlignmentError(f"quaternions (T, 4) are needed, not {q.shape}", hint="give one segment's")
+    q = _orientations(quaternion_wxyz)
     return angle(since_first(q)) if len(q) else np.zeros(0)
 
 
 def angular_velocity(
     time_s: ArrayLike, quaternion_wxyz: ArrayLike, *, max_gap_s: float = np.inf, baseline_s: float | None = None
 ) -> F64:
-    """(T, 3) rad/s in the body's frame, as a gyroscope on it says, of orientations (T, 4) world_from_body at times (T,).
+    """The angular velocity of a body in its own frame, as a gyroscope on it measures it.
 
-    baseline_s: the turn from half of it before a sample to half of it after, between samples by SLERP; long enough that noise of
-    the orientations does not drown the turn. None: the turns to the sample before and to the next, each over its pause, and
-    between the two by the line. Both are centred on the sample, whatever the pauses, so that nothing is delayed. NaN where a
-    partner is missing, as at both ends, and across pauses longer than `max_gap_s`. Raises AlignmentError for times that do not
-    rise strictly.
+    Both ways to take the derivative are centred on the sample, whatever the pauses, so that nothing is delayed.
+
+    Parameters
+    ----------
+    time_s
+        (T,) s, rising strictly.
+    quaternion_wxyz
+        (T, 4) world_from_body.
+    max_gap_s
+        The longest pause between two samples that is crossed.
+    baseline_s
+        Length of the turn that is measured, half of it before the sample and half after, between samples by SLERP; long enough
+        that noise of the orientations does not drown the turn. None: the turns to the neighbouring samples, each over its pause,
+        interpolated linearly to the sample.
+
+    Returns
+    -------
+    NDArray
+        (T, 3) rad/s, NaN where a neighbour is missing, as at both ends.
+
+    Raises
+    ------
+    AlignmentError
+        For times that do not rise strictly, and for other shapes.
     """
-    q = np.asarray(quaternion_wxyz, np.float64)
-    if q.ndim != 2 or q.shape[1] != 4:
-        raise AlignmentError(f"quaternions (T, 4) are needed, not {q.shape}", hint="give one segment's")
+    q = _orientations(quaternion_wxyz)
     time = rising_times(time_s, len(q))
     result = np.full((len(q), 3), np.nan)
     if len(q) < 3:
@@ -57,3 +72,10 @@ def angular_speed(
 ) -> F64:
     """(T,) rad/s: the length of `angular_velocity`, which needs neither a common start nor a common frame."""
     return np.linalg.norm(angular_velocity(time_s, quaternion_wxyz, max_gap_s=max_gap_s, baseline_s=baseline_s), axis=-1)
+
+
+def _orientations(quaternion_wxyz: ArrayLike) -> F64:
+    q = np.asarray(quaternion_wxyz, np.float64)
+    if q.ndim != 2 or q.shape[1] != 4:
+        raise AlignmentError(f"quaternions (T, 4) are needed, not {q.shape}", hint="give one segment's")
+    return q

@@ -7,7 +7,7 @@ Source of the distortion model: OpenCV `calib3d`, five coefficients (k1, k2, p1,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -17,6 +17,8 @@ from cabinpose._native import core as native
 from cabinpose.core.errors import ConfigError
 
 Array = NDArray[np.float64]
+Distortion = tuple[float, float, float, float, float]
+NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    dist: Distortion = NO_DISTORTION
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -39,12 +41,7 @@ class Camera:
 
     @classmethod
     def from_fov(
-        cls,
-        width: int,
-        height: int,
-        horizontal_fov: float,
-        vertical_fov: float | None = None,
-        dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+        cls, width: int, height: int, horizontal_fov: float, vertical_fov: float | None = None, dist: Distortion = NO_DISTORTION
     ) -> Camera:
         """A centred camera from its full field of view in radians; square pixels where only one angle is given.
 
@@ -144,13 +141,6 @@ class Camera:
 
 @lru_cache(maxsize=16)
 def _scaled(camera: Camera, factor: int) -> Camera:
-    shift = (factor - 1) / 2
-    return replace(
-        camera,
-        width=camera.width * factor,
-        height=camera.height * factor,
-        fx=camera.fx * factor,
-        fy=camera.fy * factor,
-        cx=camera.cx * factor + shift,
-        cy=camera.cy * factor + shift,
-    )
+    shift = (factor - 1) / 2  # an integer is a pixel's centre
+    size, focal = (camera.width * factor, camera.height * factor), (camera.fx * factor, camera.fy * factor)
+    return Camera(*size, *focal, camera.cx * factor + shift, camera.cy * factor + shift, camera.dist)

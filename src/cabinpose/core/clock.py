@@ -6,6 +6,11 @@ relates to the host's.
 
 from __future__ import annotations
 
+import math
+import select
+import selectors
+import socket
+import threading
 import time
 from dataclasses import dataclass
 
@@ -14,7 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class HostClock:
-    """Nanoseconds since the Unix epoch that advance with the monotonic clock: no step where the system's time is set."""
+    """Nanoseconds since the Unix epoch that advance with the monotonic clock: no step where the system's time is set.
+
+    It also waits, so that a test can put a clock of its own in the place of time that passes.
+    """
 
     def __init__(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
@@ -23,9 +31,30 @@ class HostClock:
         """The time now."""
         return time.monotonic_ns() + self._offset_ns
 
-    def from_monotonic_ns(self, monotonic_ns: int) -> int:
-        """The time at which `time.monotonic_ns` said `monotonic_ns`."""
-        return monotonic_ns + self._offset_ns
+    def now_s(self) -> float:
+        """The time now in seconds, exact to about 0.2 microseconds: for intervals and deadlines."""
+        return self.now_ns() / 1e9
+
+    def sleep(self, seconds: float) -> None:
+        """Let so much time pass; none, where `seconds` is negative."""
+        time.sleep(max(seconds, 0.0))
+
+    def wait(self, event: threading.Event, timeout_s: float) -> bool:
+        """Wait for an event; whether it is set."""
+        return event.wait(max(timeout_s, 0.0))
+
+    def join(self, thread: threading.Thread, timeout_s: float) -> bool:
+        """Wait for the end of a thread, for ever where `timeout_s` is infinite; whether it has ended."""
+        thread.join(None if timeout_s == math.inf else max(timeout_s, 0.0))
+        return not thread.is_alive()
+
+    def readable(self, connection: socket.socket, timeout_s: float) -> bool:
+        """Wait for bytes, or a connection, on a socket; whether there are any."""
+        return bool(select.select([connection], [], [], max(timeout_s, 0.0))[0])
+
+    def select(self, selector: selectors.BaseSelector, timeout_s: float) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for the sockets of a selector; those that are ready, and for what."""
+        return selector.select(max(timeout_s, 0.0))
 
 
 @dataclass

@@ -1,9 +1,9 @@
 """Signals of two clocks made comparable, and their normalised cross-correlation over all lags.
 
-Both signals pass one Gaussian filter whose width is a sample of the slower one. It has no phase, so it delays nothing; it leaves
-both with the same band, which the slower one's rate can hold; and without it, noise would decide: between samples, a spline
-through white noise has less variance than on them, and the correlation of two clocks of one rate would be drawn to the half
-sample. What is left is smooth, so that a cubic spline finds its value at any time.
+Both signals pass one Gaussian filter whose width is a sample of the slower one. The filter is symmetric, so it delays nothing; it
+leaves both signals with a band that the slower one's rate can represent. Without it the estimate is biased: a spline through
+white noise has less variance between samples than on them, which draws the correlation of two clocks of one rate towards half a
+sample. A filtered signal is smooth, so that a cubic spline gives its value at any time.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Raw(NamedTuple):
 
 
 def known_samples(time_s: ArrayLike, signal: ArrayLike, name: str) -> Raw:
-    """A signal (T,) or (T, C) without the rows that have a NaN. Raises AlignmentError for one that says nothing."""
+    """A signal (T,) or (T, C) without the rows that have a NaN. Raises AlignmentError where it is too short or constant."""
     values = np.asarray(signal, np.float64)
     values = values[:, None] if values.ndim == 1 else values
     if values.ndim != 2:
@@ -105,11 +105,29 @@ def pieces(time: F64, values: F64, max_gap_s: float) -> PPoly:
 
 
 def correlogram(a: F64, b: F64, least: float, shifts: NDArray[np.int64], energy: float) -> F64:
-    """(K,) Pearson's r between a (N, C) and b (M, C) at each shift: of a[n] with b[n + shift], over what both know.
+    """Pearson's r between two signals at each shift: of a[n] with b[n + shift], over the rows that both know.
 
-    Mean and power are those of the overlap, at each shift (Padfield 2012), by FFT; channels are centred one by one and share one
-    power. NaN where fewer than `least` rows overlap, or where the rows of a or of b that do have less than `energy`, the sum of
-    their squares about their mean.
+    Mean and power are those of the overlap at each shift, by FFT. Channels are centred one by one and share one power.
+
+    Parameters
+    ----------
+    a, b
+        (N, C) and (M, C), NaN = not known.
+    least
+        Fewest rows that have to overlap.
+    shifts
+        (K,) in samples.
+    energy
+        Least sum of squares about their mean of the overlapping rows, of a and of b.
+
+    Returns
+    -------
+    NDArray
+        (K,), NaN where the overlap is too short or too still.
+
+    References
+    ----------
+    D. Padfield, "Masked object registration in the Fourier domain", IEEE Trans. Image Processing 21 (2012).
     """
     known_a, known_b = (np.asarray(np.isfinite(x).all(axis=1)) for x in (a, b))
     a, b = np.where(known_a[:, None], a, 0.0), np.where(known_b[:, None], b, 0.0)

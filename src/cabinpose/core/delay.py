@@ -1,10 +1,10 @@
-"""The delay and the drift between two clocks, from a signal that both saw; and the reasons to refuse.
+"""The delay and the drift between two clocks from a signal that both saw, and when it cannot be told.
 
 1. Both signals pass the same filter without phase and are put on an even grid each (`core.correlation`).
 2. Their normalised cross-correlation over all lags allowed gives the peak to a sample, and its rivals (`core.lags`).
 3. The correlation of each of a dozen windows gives the delay over time; a robust line through these (Theil-Sen) the drift; a
    step in them is a clock that jumps.
-4. Gauss-Newton on the curve between samples lays the whole of one signal on the other (`core.fitting`): delay, drift, intervals.
+4. Newton steps on the curve between samples fit one signal to the other as a whole (`core.fitting`): delay, drift, intervals.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.clock import ClockMap
 from cabinpose.core.correlation import known_samples, smoothed
 from cabinpose.core.errors import AlignmentError, UndeterminedError
 from cabinpose.core.fitting import Fit, fit_delay
@@ -22,9 +21,9 @@ from cabinpose.core.lags import LagSearch, Peak, WindowDelays, weak_error
 
 F64 = NDArray[np.float64]
 
-# What a rival peak must leave unexplained, as a multiple of what the best one leaves, lest the delay be ambiguous.
+# The delay is ambiguous unless a rival peak leaves at least this many times as much variance unexplained as the best one.
 _CLEAR = 1.5
-_PERFECT = 1e-6  # of exact signals nothing is left unexplained; a ratio needs something
+_PERFECT = 1e-6  # added to the unexplained part, which is 0 for exact signals, so that ratios exist
 _GAP_PERIODS = 2.5  # one lost sample is bridged, two are a gap
 
 
@@ -35,7 +34,7 @@ class Delay:
     interval_s, drift_interval: 95 % intervals (low, high) of offset and drift; both ends 0 where no drift was asked for ·
     correlation: Pearson's r of the signals laid on each other · rival: that of the next best lag; NaN where there is none ·
     reference_s: middle of the time used, on clock a, where offset and drift hardly depend on each other · windows: delays of
-    single windows, empty for takes too short to be cut · warp: of `piecewise`, times on a and what is added to the line there.
+    single windows, empty for takes too short to be cut.
     """
 
     offset_s: float
@@ -46,30 +45,16 @@ class Delay:
     correlation: float
     rival: float
     windows: WindowDelays
-    warp: tuple[F64, F64] | None = None
 
     def to_b(self, time_a_s: ArrayLike) -> F64:
-        """Times (...) of clock a on clock b; a warp goes on as it ends."""
+        """Times (...) of clock a on clock b."""
         a = np.asarray(time_a_s, np.float64)
-        b = a + self.offset_s + self.drift * (a - self.reference_s)
-        return b if self.warp is None else b + np.interp(a, *self.warp)
+        return a + self.offset_s + self.drift * (a - self.reference_s)
 
     def to_a(self, time_b_s: ArrayLike) -> F64:
         """Times (...) of clock b on clock a."""
         b = np.asarray(time_b_s, np.float64)
-        a = self.reference_s + (b - self.reference_s - self.offset_s) / (1 + self.drift)
-        if self.warp is not None:
-            for _ in range(20):  # a warp of 1e-3 makes each step a thousandth of the last
-                a = a - (self.to_b(a) - b) / (1 + self.drift)
-        return a
-
-    def clock_map(self, origin_a_ns: int = 0, origin_b_ns: int = 0) -> ClockMap:
-        """The same for nanoseconds; origins: what the clocks showed at the zero of the seconds. Not for a piecewise delay."""
-        if self.warp is not None:
-            raise AlignmentError("a piecewise delay is no line", hint="use to_b and to_a, or estimate it without piecewise")
-        return ClockMap(
-            origin_b_ns - origin_a_ns + round(self.offset_s * 1e9), self.drift, origin_a_ns + round(self.reference_s * 1e9)
-        )
+        return self.reference_s + (b - self.reference_s - self.offset_s) / (1 + self.drift)
 
 
 def estimate_delay(
@@ -81,25 +66,48 @@ def estimate_delay(
     max_lag_s: float,
     around_s: float = 0.0,
     drift: bool = False,
-    piecewise: bool = False,
     min_overlap: float = 0.5,
     min_correlation: float = 0.7,
     smoothing_s: float | None = None,
     max_gap_s: tuple[float, float] | None = None,
     window_s: float | None = None,
 ) -> Delay:
-    """The delay of clock b against clock a from signals (T,) or (T, C) that both saw, NaN = not known.
+    """The delay of clock b against clock a, from signals that both saw.
 
-    Channels are correlated together; levels may differ by channel, one gain is common and positive. max_lag_s, around_s: the
-    offset is sought in around_s ± max_lag_s; for signals that repeat (a pendulum) less than half a period · drift: the clocks run
-    at different rates · piecewise: also a slow warp about the line, through the windows · min_overlap: part of the shorter
-    signal's known samples that has to overlap · smoothing_s: sigma of the filter, one sample of the slower signal if None ·
-    max_gap_s: of a and of b, the longest pause between samples that is bridged, 2.5 samples if None · window_s: None: a twelfth
-    of the take, at least 5 s.
+    Channels are correlated together; levels may differ by channel, one gain is common and positive.
 
-    Raises AlignmentError where a signal is constant or too short, where times do not rise, where too little overlaps, where the
-    best correlation is weak (below min_correlation), where another lag explains nearly as much, where the correlation still rises
-    at the edge of what is allowed, and where a clock jumps.
+    Parameters
+    ----------
+    time_a_s, time_b_s
+        (T,) s, rising strictly.
+    signal_a, signal_b
+        (T,) or (T, C), the same channels of both, NaN = not known.
+    max_lag_s, around_s
+        The offset is sought in around_s ± max_lag_s; for signals that repeat (a pendulum) less than half a period.
+    drift
+        Whether the clocks run at different rates.
+    min_overlap
+        Part of the shorter signal's known samples that has to overlap.
+    min_correlation
+        Below it, the signals are not taken for the same motion.
+    smoothing_s
+        Sigma of the filter; None: one sample of the slower signal.
+    max_gap_s
+        Of a and of b, the longest pause between samples that is bridged; None: 2.5 samples.
+    window_s
+        Length of the windows that tell drift and jumps; None: a twelfth of the take, at least 5 s.
+
+    Returns
+    -------
+    Delay
+        Offset and drift with their 95 % intervals.
+
+    Raises
+    ------
+    AlignmentError
+        Where a signal is constant or too short, where times do not rise, where too little overlaps, where the best correlation
+        is weak, where another lag explains nearly as much, where the correlation still rises at the edge of what is allowed, and
+        where a clock jumps.
     """
     if not (np.isfinite(max_lag_s) and max_lag_s > 0 and np.isfinite(around_s)):
         raise AlignmentError(f"lags {around_s} ± {max_lag_s} s", hint="max_lag_s is a number above 0")
@@ -143,7 +151,6 @@ def estimate_delay(
         fit.correlation,
         rivals[0].correlation if rivals else float("nan"),
         windows,
-        _warp(fit, windows) if piecewise else None,
     )
 
 
@@ -161,7 +168,7 @@ def _candidate(search: LagSearch, peak: Peak, window_s: float | None, *, drift: 
 
 
 def robust_slope(x: F64, y: F64) -> float:
-    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968): a quarter of them may be anything."""
+    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968); up to 29 % of them may be outliers."""
     i, j = np.triu_indices(len(x), 1)
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
 
@@ -189,18 +196,8 @@ def _refuse_jumps(windows: WindowDelays, step_s: float) -> None:
 
 
 def _without_outliers(values: F64) -> F64:
-    """The median of three neighbours, ends as they are: one bad window is no jump, a step stays where it is."""
+    """The median of three neighbours, ends unchanged: it removes one bad window and keeps a step where it is."""
     result = values.copy()
     if len(values) >= 3:
         result[1:-1] = np.median(np.stack((values[:-2], values[1:-1], values[2:])), axis=0)
     return result
-
-
-def _warp(fit: Fit, windows: WindowDelays) -> tuple[F64, F64]:
-    if len(windows.time_s) < 3:
-        raise AlignmentError(
-            f"{len(windows.time_s)} windows with motion are too few for a piecewise delay",
-            hint="give a shorter window_s, or estimate a line: drift=True",
-        )
-    line = fit.offset_s + fit.drift * (windows.time_s - fit.reference_s)
-    return windows.time_s, _without_outliers(windows.offset_s - line)

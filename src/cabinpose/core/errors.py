@@ -49,6 +49,10 @@ class ModelError(CabinposeError):
     """A model file is missing, damaged, or of another method or network."""
 
 
+class RemoteError(CabinposeError):
+    """An algorithm's server cannot be reached, fails, or answers what the table of tensors does not allow."""
+
+
 class RecordingError(CabinposeError):
     """A device cannot be reached, or a recording is damaged, incomplete, of another version or would be overwritten."""
 

@@ -1,4 +1,4 @@
-"""The delay and the drift that lay one signal on another: least squares on the curve between samples."""
+"""The delay and the drift that fit one signal to another: robust least squares on the curve between samples."""
 
 from __future__ import annotations
 
@@ -56,12 +56,34 @@ def fit_delay(
     free_drift: bool,
     span: tuple[float, float] | None = None,
 ) -> Fit | None:
-    """The optimum near a first guess; None where the signals do not determine it.
+    """The delay and drift near a first guess.
 
     Newton's steps on x - (level of each channel) - gain * y(t), x the samples of the slower signal, y the curve of the other,
-    with Huber's weights, since a camera takes a reflection for its marker now and then. `span`: of a's clock, to be used. The
-    intervals are from the scores of blocks of time (a sandwich of clusters; Liang and Zeger 1986), as residuals of neighbouring
-    samples are alike and the curvature alone would promise too much; with Student's t for the few blocks.
+    with Huber's weights, since a camera takes a reflection for its marker now and then. The residuals of neighbouring samples
+    are alike, so that the curvature alone would give intervals that are too narrow: they come from the scores of blocks of time
+    (a clustered sandwich estimate), with Student's t for the few blocks.
+
+    Parameters
+    ----------
+    a, b
+        The filtered signals.
+    offset_s, drift
+        The first guess, at `reference_s`.
+    reference_s
+        The time of clock a at which the offset holds.
+    free_drift
+        Whether the drift is fitted too.
+    span
+        First and last time of clock a to be used; None: all.
+
+    Returns
+    -------
+    Fit or None
+        None where the signals do not determine it.
+
+    References
+    ----------
+    K.-Y. Liang, S. L. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73 (1986).
     """
     reach = max(a.period_s, b.period_s)
     half = max(0.5 * (a.time_s[-1] - a.time_s[0]), reach)

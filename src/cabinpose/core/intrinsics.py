@@ -26,10 +26,19 @@ class CameraFit:
 def fit_camera(xy: ArrayLike, *, start: Camera | None = None, distorted: bool = True) -> CameraFit | None:
     """The camera whose pixels see along given rays, by least squares in the image.
 
-    xy: (height, width, 2), ideal normalised coordinates (x/z, y/z) of the pixels' rays, NaN = unknown · start: where to begin,
-    otherwise a camera without distortion · distorted: fit (k1, k2, p1, p2, k3) too.
+    Parameters
+    ----------
+    xy
+        (height, width, 2), ideal normalised coordinates (x/z, y/z) of the pixels' rays, NaN = unknown.
+    start
+        Where to begin; None: a camera without distortion.
+    distorted
+        Whether to fit (k1, k2, p1, p2, k3) too.
 
-    None where too few rays are known, or they do not spread over the image.
+    Returns
+    -------
+    CameraFit or None
+        None where too few rays are known, or they do not spread over the image.
     """
     rays = np.asarray(xy, dtype=np.float64)
     height, width = rays.shape[:2]

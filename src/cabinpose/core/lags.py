@@ -1,4 +1,4 @@
-"""All lags that are allowed, tried: the peaks of the correlation of two signals as wholes, and window by window."""
+"""The search over all lags: peaks of the correlation of two whole signals, and of windows of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cabinpose.core.fitting import fit_delay
 F64 = NDArray[np.float64]
 
 _PEAKS = 3  # the best one and its rivals
-_MOVING = 0.05  # of a signal's mean power: an overlap or a window with less says nothing
+_MOVING = 0.05  # of a signal's mean power: an overlap or a window with less has too little motion to be correlated
 _WINDOWS, _SHORTEST_WINDOW_S = 12, 5.0
 
 
@@ -75,7 +75,7 @@ class LagSearch:
         return [Peak(float(lag[i]), float(r[i])) for i in order if i == order[0] or r[i] > 0.5 * best]
 
     def windows(self, near_s: float, window_s: float | None) -> WindowDelays:
-        """The delay of each window that has motion and a clear peak; of peaks alike, the one nearest to `near_s`."""
+        """The delay of each window that has motion and a clear peak; of similar peaks, the one nearest to `near_s`."""
         low, high = self.overlap(near_s)
         length = max(_SHORTEST_WINDOW_S, (high - low) / _WINDOWS) if window_s is None else window_s
         count = int((high - low) / length + 1e-6)

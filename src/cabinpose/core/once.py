@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from concurrent.futures import Future
-from functools import wraps
+from collections.abc import Callable
+from functools import lru_cache, wraps
 from threading import Lock
 from typing import TypeVar, TypeVarTuple, Unpack
 
@@ -16,34 +14,32 @@ Args = TypeVarTuple("Args")
 def cached_once(maxsize: int) -> Callable[[Callable[[Unpack[Args]], R]], Callable[[Unpack[Args]], R]]:
     """`functools.lru_cache` for work of seconds: of threads that ask for the same at once, one works and the others wait.
 
-    maxsize: results kept, those used last. The arguments are positional and hashable. An exception is raised to everybody who
-    waits, and not kept.
+    Parameters
+    ----------
+    maxsize
+        How many results are kept: those that were used last.
+
+    Returns
+    -------
+    Callable
+        A decorator of functions of positional, hashable arguments. An exception is not kept: who asks next tries again.
     """
 
     def decorate(function: Callable[[Unpack[Args]], R]) -> Callable[[Unpack[Args]], R]:
-        known: OrderedDict[Hashable, Future[R]] = OrderedDict()
         lock = Lock()
+
+        @lru_cache(maxsize)
+        def kept(*args: *Args) -> tuple[Lock, list[R]]:  # noqa: ARG001 - what they stand for is kept
+            return Lock(), []
 
         @wraps(function)
         def remembered(*args: *Args) -> R:
-            with lock:
-                result = known.get(args)
-                mine = result is None
-                if result is None:
-                    result = known[args] = Future()
-                known.move_to_end(args)
-                while len(known) > maxsize:
-                    known.popitem(last=False)
-            if mine:
-                try:
-                    result.set_result(function(*args))
-                except BaseException as error:
-                    with lock:
-                        if known.get(args) is result:
-                            del known[args]
-                    result.set_exception(error)
-                    raise
-            return result.result()
+            with lock:  # lru_cache may call its function twice for one key where threads meet
+                busy, result = kept(*args)
+            with busy:
+                if not result:
+                    result.append(function(*args))
+                return result[0]
 
         return remembered
 

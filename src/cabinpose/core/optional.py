@@ -9,7 +9,7 @@ from cabinpose.core.errors import DependencyError
 
 
 def optional_module(name: str, *, purpose: str, hint: str) -> Any:
-    """The module `name`; raises DependencyError saying what needs it, why it cannot be imported and where it is to be had."""
+    """The module `name`; raises DependencyError that says what needs it, why it cannot be imported and how to install it."""
     try:
         return importlib.import_module(name)
     except (ImportError, OSError, RuntimeError) as error:  # pylsl says with a RuntimeError that its library is not there

@@ -1,8 +1,8 @@
-"""What the rooms meet in beside files: the interfaces that a detector and a device fulfil, and what they take and give."""
+"""The interfaces of detectors and devices, and the types that they take and give: rooms that share no files meet here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 
@@ -19,12 +19,15 @@ class FrameBatch(TypedDict):
     camera_k: (N, 3, 3) or (3, 3) float64, px; an integer pixel is a pixel's centre.
     camera_dist: (N, 5) or (5,) float64, OpenCV's k1 k2 p1 p2 k3.
     amplitude: (N, H, W) uint16 or float32, of the active infrared light; left out where the camera gives none.
+    frame, sync_ns: (N,) int64, the frames' numbers and time stamps on the common clock; for messages and detectors elsewhere.
     """
 
     depth: NDArray[np.float32]
     camera_k: NDArray[np.float64]
     camera_dist: NDArray[np.float64]
     amplitude: NotRequired[NDArray[Any]]
+    frame: NotRequired[NDArray[np.int64]]
+    sync_ns: NotRequired[NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,10 @@ class PoseBatch:
     joints_3d: NDArray[np.float32]
     score: NDArray[np.float32]
     presence: NDArray[np.float32]
+
+    def map(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> PoseBatch:
+        """The batch with all four arrays changed alike."""
+        return PoseBatch(change(self.joints_2d), change(self.joints_3d), change(self.score), change(self.presence))
 
 
 def joined(batches: Sequence[PoseBatch]) -> PoseBatch:

@@ -1,4 +1,4 @@
-"""What devices say, decoded: the nouns between sources, recordings and alignment. SI units, frames as stated.
+"""Decoded messages of devices: the types that sources, recordings and alignment share. SI units, frames as stated.
 
 Rotations are quaternions (w, x, y, z), active, from the segment's frame to the frame that positions are in. World frames
 have z up. Names are the device's own; `core.skeleton` maps them to joints of ours.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from types import MappingProxyType
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +113,9 @@ class Channels:
     values: F64
 
 
+MOTOR_CHANNELS = ("motor_deg", "motor_step")  # of a motor that turns a sensor: its angle, and which standstill is sampled, or -1
+
+
 @dataclass(frozen=True)
 class Facts:
     """What a device says of itself or its subject: name, scale, calibration, frame rate, as plain JSON data."""
@@ -121,3 +125,22 @@ class Facts:
 
 
 Message: TypeAlias = SegmentPoses | SegmentKinematics | SensorReadings | JointAngles | Markers | ToFFrame | Channels | Facts
+
+ARRAYS: Final[Mapping[type[Any], Mapping[str, int]]] = MappingProxyType(
+    {
+        SegmentPoses: {"position_m": 3, "orientation_wxyz": 4},
+        SegmentKinematics: {"velocity": 3, "acceleration": 3, "angular_velocity": 3, "angular_acceleration": 3},
+        SensorReadings: {"orientation_wxyz": 4, "acceleration": 3, "angular_velocity": 3, "magnetic_field": 3},
+        JointAngles: {"angles": 3},
+        Markers: {"position_m": 3, "residual_m": 0},
+        Channels: {"values": 0},
+    }
+)
+"""Messages with one row of numbers a name: their arrays and the width of each; 0 = one number a name."""
+TOPICS: Final[Mapping[type[Any], str]] = MappingProxyType(
+    {
+        SegmentPoses: "poses", SegmentKinematics: "kinematics", SensorReadings: "sensors", JointAngles: "joint_angles",
+        Markers: "markers", Channels: "channels", Facts: "facts",
+    }
+)  # fmt: skip
+"""The name of each kind of message in recordings and tables; a `ToFFrame` has several."""

@@ -16,12 +16,35 @@ F64 = NDArray[np.float64]
 
 
 def kabsch(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = None, *, rotation_only: bool = False) -> Matrix:
-    """`a_from_b` (..., 4, 4), the rigid transforms that take points (..., N, 3) of frame b nearest to their partners in frame a.
+    """The rigid transforms that take points of frame b nearest to their partners in frame a.
 
-    weights: (..., N), at least 0 · rotation_only: no translation, for directions. Minimises the weighted sum of squares and never
-    reflects: where the best orthogonal matrix is left-handed, the axis of the least singular value is turned (Kabsch 1976;
-    Umeyama 1991, eq. 40). Raises AlignmentError for fewer than 3 pairs (2 directions), for numbers that are not finite, and for
-    points on a line, which leave a turn about it open.
+    Minimises the weighted sum of squares and never reflects: where the best orthogonal matrix is left-handed, the axis of the
+    least singular value is turned (Umeyama, eq. 40).
+
+    Parameters
+    ----------
+    p_a, p_b
+        (..., N, 3) in frames a and b, m.
+    weights
+        (..., N), at least 0; None: all 1.
+    rotation_only
+        No translation, for directions.
+
+    Returns
+    -------
+    NDArray
+        `a_from_b` (..., 4, 4).
+
+    Raises
+    ------
+    AlignmentError
+        For fewer than 3 pairs (2 directions), for numbers that are not finite, and for points on a line, about which any turn
+        fits.
+
+    References
+    ----------
+    W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Crystallographica A32 (1976).
+    S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE TPAMI 13 (1991).
     """
     a, b = np.asarray(p_a, np.float64), np.asarray(p_b, np.float64)
     w = np.ones(a.shape[:-1]) if weights is None else np.asarray(weights, np.float64)
@@ -66,10 +89,31 @@ def icp(
     tolerance: float = 1e-12,
     rotation_only: bool = False,
 ) -> IcpFit:
-    """Points b (N, 3) laid on points a (M, 3) by iterative closest points, point to point (Besl & McKay 1992).
+    """Points b registered to points a by iterative closest points, point to point. It finds the optimum near the start only.
 
-    start: the first a_from_b · keep: the part of the pairs, the nearest, that each step fits (trimmed ICP, Chetverikov 2002) ·
-    tolerance: ends where the mean square distance falls by less than this part of it. It finds the optimum near the start only.
+    Parameters
+    ----------
+    p_a, p_b
+        (M, 3) and (N, 3), m.
+    start
+        The first a_from_b; None: identity.
+    keep
+        The share of the pairs, the nearest ones, that each step fits (trimmed ICP, Chetverikov et al. 2002).
+    iterations
+        The most steps.
+    tolerance
+        Ends where the mean square distance falls by less than this share of it.
+    rotation_only
+        No translation, for directions.
+
+    Returns
+    -------
+    IcpFit
+        The transform, and each point's partner.
+
+    References
+    ----------
+    P. J. Besl, N. D. McKay, "A method for registration of 3-D shapes", IEEE TPAMI 14 (1992).
     """
     a, b = np.asarray(p_a, np.float64), np.asarray(p_b, np.float64)
     if not 0 < keep <= 1:

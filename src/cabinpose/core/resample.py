@@ -1,76 +1,93 @@
 """Series brought to other times: positions along straight lines, rotations by SLERP, nothing across gaps.
 
 Times are float seconds from a common origin (an epoch in nanoseconds has more digits than a float holds: subtract it first).
-The policy of a look-up between two samples is named: "linear" or "slerp" between them, "nearest" (of two equally near the
-earlier), "previous". Missing stays missing: NaN outside the span of the samples, between two samples that are further apart than
-`max_gap_s`, and where a sample that the policy needs is NaN. A time that is a sample's own gives that sample.
+Missing stays missing: NaN outside the span of the samples, between two samples that are further apart than `max_gap_s`, and
+where a sample that is needed is NaN. A time that is a sample's own gives that sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError, unknown_name
+from cabinpose.core.errors import AlignmentError
 
 F64 = NDArray[np.float64]
-PositionPolicy = Literal["linear", "nearest", "previous"]
-RotationPolicy = Literal["slerp", "nearest", "previous"]
 
 
 def resample_positions(
-    time_s: ArrayLike, values: ArrayLike, at_s: ArrayLike, *, max_gap_s: float, policy: PositionPolicy = "linear"
+    time_s: ArrayLike, values: ArrayLike, at_s: ArrayLike, *, max_gap_s: float, policy: Literal["linear", "previous"] = "linear"
 ) -> F64:
-    """Values (T, ...) of the times (T,), at the times (A,): (A, ...), NaN where there is none.
+    """Values of a series at other times.
 
-    max_gap_s: the longest pause between two samples that a look-up crosses · policy: see the module. Raises AlignmentError for
-    times that do not rise strictly, for shapes that do not fit, for no samples at all.
+    Parameters
+    ----------
+    time_s
+        (T,) s, rising strictly.
+    values
+        (T, ...) of any unit, NaN = missing.
+    at_s
+        (A,) s.
+    max_gap_s
+        The longest pause between two samples that a look-up crosses.
+    policy
+        What stands between two samples: "linear", or the "previous" one.
+
+    Returns
+    -------
+    NDArray
+        (A, ...), NaN where there is none.
+
+    Raises
+    ------
+    AlignmentError
+        For times that do not rise strictly, for shapes that do not fit, for no samples at all.
     """
     values = np.asarray(values, np.float64)
     place = _place(time_s, len(values), at_s, max_gap_s)
     if policy == "linear":
-        w = _beside(place.weight, values)
-        before, after = values[place.before], values[place.after]
-        between = before + w * (after - before)
-        # A sample's own time takes that sample alone, whatever its neighbour says.
-        result = np.where(w == 0, before, np.where(w == 1, after, between))
-    elif policy in ("nearest", "previous"):
-        result = values[_chosen(place, policy)]
-    else:
-        raise unknown_name("policy of positions", policy, ("linear", "nearest", "previous"))
+        return _interpolated(place, values, lambda before, after, weight: before + weight * (after - before))
+    result = values[place.before]
     result[~place.known] = np.nan
     return result
 
 
-def resample_rotations(
-    time_s: ArrayLike, quaternion_wxyz: ArrayLike, at_s: ArrayLike, *, max_gap_s: float, policy: RotationPolicy = "slerp"
-) -> F64:
-    """Unit quaternions (T, ..., 4) wxyz of the times (T,), at the times (A,): (A, ..., 4) wxyz, unit length or NaN.
+def resample_rotations(time_s: ArrayLike, quaternion_wxyz: ArrayLike, at_s: ArrayLike, *, max_gap_s: float) -> F64:
+    """Rotations of a series at other times: spherical linear interpolation (Shoemake 1985) along the shorter arc.
 
-    Spherical linear interpolation (Shoemake 1985) along the shorter arc: q and -q are one rotation, so that a change of sign
-    between samples makes no turn; the result's sign is that of the sample before. Quaternions are normalised; one of length zero
-    is missing. The rest as `resample_positions`.
+    q and -q are one rotation, so that a change of sign between samples makes no turn; the result's sign is that of the sample
+    before. The rest as `resample_positions`.
+
+    Parameters
+    ----------
+    time_s
+        (T,) s, rising strictly.
+    quaternion_wxyz
+        (T, ..., 4), normalised here; one of length zero is missing, like NaN.
+    at_s
+        (A,) s.
+    max_gap_s
+        The longest pause between two samples that a look-up crosses.
+
+    Returns
+    -------
+    NDArray
+        (A, ..., 4) wxyz of unit length, or NaN.
+
+    Raises
+    ------
+    AlignmentError
+        As `resample_positions`.
     """
     q = np.asarray(quaternion_wxyz, np.float64)
     if q.shape[-1:] != (4,):
         raise AlignmentError(f"quaternions (T, ..., 4) are needed, not {q.shape}", hint="the last axis holds w, x, y, z")
     place = _place(time_s, len(q), at_s, max_gap_s)
     length = np.linalg.norm(q, axis=-1, keepdims=True)
-    q = q / np.where(length > 0, length, np.nan)
-    if policy == "slerp":
-        w = _beside(place.weight, q)
-        before, after = q[place.before], q[place.after]
-        between = _slerp(before, after, w)
-        result = np.where(w == 0, before, np.where(w == 1, after, between))
-    elif policy in ("nearest", "previous"):
-        result = q[_chosen(place, policy)]
-    else:
-        raise unknown_name("policy of rotations", policy, ("slerp", "nearest", "previous"))
-    result[~place.known] = np.nan
-    return result
+    return _interpolated(place, q / np.where(length > 0, length, np.nan), _slerp)
 
 
 def common_clock(spans: Iterable[Sequence[float] | F64], rate_hz: float) -> F64:
@@ -135,13 +152,14 @@ def _place(time_s: ArrayLike, count: int, at_s: ArrayLike, max_gap_s: float) -> 
     return _Place(before, after, np.clip(weight, 0, 1), inside & ((pause <= max_gap_s) | (at == time[before])))
 
 
-def _chosen(place: _Place, policy: str) -> NDArray[np.intp]:
-    return np.where(place.weight > 0.5, place.after, place.before) if policy == "nearest" else place.before
-
-
-def _beside(weight: F64, values: F64) -> F64:
-    """Weights (A,) shaped so that they go with (A, ...)."""
-    return weight.reshape(-1, *(1,) * (values.ndim - 1))
+def _interpolated(place: _Place, values: F64, between: Callable[[F64, F64, F64], F64]) -> F64:
+    """Values (A, ...) by `between(before, after, weight)`, of values (T, ...)."""
+    weight = place.weight.reshape(-1, *(1,) * (values.ndim - 1))
+    before, after = values[place.before], values[place.after]
+    # A sample's own time takes that sample alone, even where its neighbour is missing.
+    result = np.where(weight == 0, before, np.where(weight == 1, after, between(before, after, weight)))
+    result[~place.known] = np.nan
+    return result
 
 
 def _slerp(before: F64, after: F64, weight: F64) -> F64:

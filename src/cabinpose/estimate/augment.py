@@ -19,9 +19,10 @@ from torch.nn import functional
 
 from cabinpose.estimate.batch import Batch
 
-_BEHIND_M = 0.1  # farther than that behind its neighbours, a pixel shows through them
+_BEHIND_M = 0.1  # a pixel farther than that behind its neighbours is seen through a hole in their surface
 Probability = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0)]
+_Shares = tuple[float, float, float]
 
 
 class AugmentConfig(BaseModel):
@@ -30,11 +31,7 @@ class AugmentConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     shift: Annotated[Probability, Field(description="Probability that the cloud is moved at all.")] = 0.8
-    shift_axes: Annotated[tuple[float, float, float], Field(description="Probability of a shift along x, y, z.")] = (
-        0.5,
-        0.5,
-        0.8,
-    )
+    shift_axes: Annotated[_Shares, Field(description="Probability of a shift along x, y, z.")] = (0.5, 0.5, 0.8)
     shift_m: Annotated[NotNegative, Field(description="Standard deviation of the shift (m).")] = 0.15
     rotate_deg: Annotated[NotNegative, Field(description="Standard deviation of the rotation about each axis (deg).")] = 4.0
     flip: Annotated[Probability, Field(description="Probability of a mirror image, sides swapped.")] = 0.5
@@ -57,7 +54,28 @@ class Mirror(NamedTuple):
 def augment(
     batch: Batch, config: AugmentConfig, rays: Tensor, focal: float, mirror: Mirror, *, generator: torch.Generator
 ) -> Batch:
-    """A varied batch. rays: (2, h, w) x/z, y/z of the view's pixels · focal: of the view (px)."""
+    """Every augmentation of a batch, in this order: motion, mirror image, depth noise, lost pixels, scale, gain, occluder.
+
+    Parameters
+    ----------
+    batch
+        Frames in the model's view.
+    config
+        Probabilities and sizes.
+    rays
+        (2, h, w) x/z and y/z of the view's pixels.
+    focal
+        Focal length of the view (px).
+    mirror
+        What a mirror image swaps.
+    generator
+        On the batch's device; everything random comes from it.
+
+    Returns
+    -------
+    Batch
+        Of the same shapes.
+    """
     batch = move(batch, *draw_motion(len(batch.depth), config, batch.depth, generator), rays, focal)
     batch = flip(batch, chance(config.flip, batch.depth, generator), mirror, batch.depth.shape[-1])
     depth = batch.depth
@@ -71,7 +89,7 @@ def augment(
     depth = torch.where(valid, (depth + noise).clamp(min=0.05), depth)
     depth = torch.where(uniform(*depth.shape) < uniform(n, 1, 1) * config.lost, depth.new_zeros(()), depth)
     if config.rescale > 0:
-        # Frames that were scaled to [0, 1] each come back with a guessed scale: the true one shows in people and rooms only.
+        # Frames that were stored scaled to [0, 1] are read with an estimated scale: a model must not trust the depth alone.
         guess = torch.exp(config.rescale_sigma * torch.randn((n, 1, 1), generator=generator, device=depth.device))
         depth = torch.where(uniform(n, 1, 1) < config.rescale, depth * guess, depth)
     factor = torch.exp((2 * uniform(n, 1, 1) - 1) * math.log(config.gain))
@@ -110,7 +128,8 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
     u = torch.round(focal * p[:, 0] / depth + (w - 1) / 2).long()
     v = torch.round(focal * p[:, 1] / depth + (h - 1) / 2).long()
     hit = near & (u >= 0) & (u < w) & (v >= 0) & (v < h)
-    # The nearest point of a pixel, and which: depth in the high digits of one integer, the pixel it came from in the low ones.
+    # One integer holds the depth (0.01 mm) in its high digits and the source pixel in its low ones, so that a single minimum over
+    # the points of a pixel gives the nearest of them and where it came from.
     source = torch.arange(h * w, device=p.device)
     none = torch.iinfo(torch.int64).max
     key = torch.where(hit, (depth * 1e5).long() * (h * w) + source, none)
@@ -139,10 +158,10 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
 
 
 def _fill(source: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """Holes take the nearest of their neighbours, and where that came from.
+    """Source pixels and depths (N, h, w) with holes filled from the nearest of their eight neighbours.
 
-    A hole is a pixel without a hit, or one that shows what is behind a surface that fell apart, between two neighbours on
-    opposite sides that are hit, or lie in front of it.
+    A surface that comes closer is spread over more pixels than it has points. A hole lies between two neighbours on opposite
+    sides that were hit, and was not hit itself, or is more than _BEHIND_M behind both.
     """
     n, h, w = depth.shape
     hit = depth > 0
@@ -181,7 +200,7 @@ def _states_after(visibility: Tensor, uvz: Tensor, width: int, height: int) -> T
     """The states of joints that have moved to (N, S, J, 3): what has left the image is outside."""
     inside = ((uvz[..., :2] >= -0.5) & (uvz[..., :2] < uvz.new_tensor((width - 0.5, height - 0.5)))).all(-1)
     states = torch.where((visibility > 1) & ~inside, 1, visibility)
-    # A joint that comes into the image was outside of what was rendered: whether it is seen nobody knows.
+    # A joint that comes into the image was outside of what was rendered: nothing is known of what hides it.
     return torch.where((visibility == 1) & inside, 2, states).to(visibility.dtype)
 
 

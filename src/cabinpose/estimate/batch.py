@@ -1,10 +1,13 @@
-"""A batch of training frames in a model's view."""
+"""A batch of training frames in a model's view, as tensors."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
+
+from cabinpose.estimate.inputs import InputView
 
 
 class Batch(NamedTuple):
@@ -22,3 +25,8 @@ class Batch(NamedTuple):
     present: Tensor
     amplitude: Tensor | None = None
     labels: Tensor | None = None
+
+
+def ray_tensor(view: InputView) -> Tensor:
+    """(2, h, w) float32: x/z and y/z of the view's pixels."""
+    return torch.tensor(view.camera.rays.transpose(2, 0, 1), dtype=torch.float32)

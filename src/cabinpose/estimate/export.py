@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.onnx_model import METADATA_KEY, open_session
 from cabinpose.estimate.tasks import TASKS
-from cabinpose.estimate.training import Detector, load_detector, load_symbol
+from cabinpose.estimate.training import Detector, load_detector
 
 TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime: px, m or logits; of values above 1 their share
 _OPSET = 18
@@ -38,11 +38,32 @@ class _Named(nn.Module):
 def export_onnx(
     checkpoint: Path, out: Path, *, name: str, card: Mapping[str, Any], mirrored: bool = False, overwrite: bool = False
 ) -> float:
-    """Write a checkpoint as ONNX and return the greatest difference between both on a test batch.
+    """Write a checkpoint as ONNX.
 
-    name, card: go into the file's metadata with the method and its settings · mirrored: the model answers with the mean over
-    a frame and its mirror image. Raises ModelError where `out` exists, or where ONNX Runtime answers anything that differs by
-    more than `TOLERANCE`; ConfigError for a method that has no mirrored form.
+    Parameters
+    ----------
+    checkpoint
+        Of `cabinpose train`.
+    out
+        The file to write.
+    name, card
+        Go into the file's metadata, beside the method and its settings.
+    mirrored
+        The model answers with the mean over a frame and its mirror image.
+    overwrite
+        Replace `out`.
+
+    Returns
+    -------
+    float
+        The greatest difference between torch and ONNX Runtime on a test batch.
+
+    Raises
+    ------
+    ModelError
+        Where `out` exists, or where the two differ by more than `TOLERANCE`.
+    ConfigError
+        For a method that has no mirrored form.
     """
     if out.exists() and not overwrite:
         raise ModelError(f"{out} exists", hint="--overwrite replaces it")
@@ -52,22 +73,17 @@ def export_onnx(
 def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, Any], mirrored: bool = False) -> float:
     """As `export_onnx`, of a detector in memory; replaces `out`."""
     method, config = detector.method, detector.method_config
-    if mirrored and method.mirrored is None:
+    if mirrored and not method.mirrored:
         raise ConfigError(f"{method.name} has no mirrored form", hint="leave --mirrored out, or export a compact detector")
-    answering = load_symbol(method.mirrored)(detector.network) if mirrored and method.mirrored else detector.network
+    answering = method.part("model", "Mirrored")(detector.network) if mirrored else detector.network
     network = _Named(answering, method.outputs).eval()
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
     partial = out.with_name(out.name + ".tmp")
     out.parent.mkdir(parents=True, exist_ok=True)
     write_graph(network, examples, method.outputs, partial)
     model = onnx.load(str(partial))
-    metadata = {
-        "name": name,
-        "method": method.name,
-        "config": config.model_dump(mode="json"),
-        "mirrored": mirrored,
-        "card": dict(card),
-    }
+    settings = config.model_dump(mode="json")
+    metadata = {"name": name, "method": method.name, "config": settings, "mirrored": mirrored, "card": dict(card)}
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
     onnx.save(model, str(partial))
     difference = _difference(network, partial, examples, method.outputs)

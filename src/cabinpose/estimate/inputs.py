@@ -106,18 +106,21 @@ def _nearest(view: InputView, source: Camera) -> _Nearest:
     uv = source.distort(view.camera.rays) * (source.fx, source.fy) + (source.cx, source.cy)
     inside = source.contains(uv)
     if source.is_distorted:  # beyond its fold the polynomial maps far rays back into the image
-        back = source.undistort(
-            (np.where(inside[..., None], uv, (source.cx, source.cy)) - (source.cx, source.cy)) / (source.fx, source.fy)
-        )
+        centre = source.cx, source.cy
+        back = source.undistort((np.where(inside[..., None], uv, centre) - centre) / (source.fx, source.fy))
         inside &= np.linalg.norm(back - view.camera.rays, axis=-1) < 1e-3
-    u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
-    return _Nearest(np.clip(v, 0, source.height - 1) * source.width + np.clip(u, 0, source.width - 1), np.flatnonzero(~inside))
+    return _rounded(uv, inside, source)
 
 
 @lru_cache(maxsize=32)
 def _nearest_back(view: InputView, source: Camera) -> _Nearest:
     """The view's pixel nearest to each of the source's pixels (H, W)."""
     uv = source.rays * view.focal + (view.camera.cx, view.camera.cy)
-    inside = view.camera.contains(uv)
+    return _rounded(uv, view.camera.contains(uv), view.camera)
+
+
+def _rounded(uv: Joints, inside: NDArray[np.bool_], camera: Camera) -> _Nearest:
+    """The pixels of a camera that points uv (h, w, 2) of its image fall on, where they are `inside` (h, w)."""
     u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
-    return _Nearest(np.clip(v, 0, view.height - 1) * view.width + np.clip(u, 0, view.width - 1), np.flatnonzero(~inside))
+    at = np.clip(v, 0, camera.height - 1) * camera.width + np.clip(u, 0, camera.width - 1)
+    return _Nearest(at, np.flatnonzero(~inside))

@@ -1,9 +1,10 @@
-"""The methods by name: what belongs to each. The parts that need torch are only loaded to train or export."""
+"""The table of methods: what belongs to each. The parts that need torch are imported only to train or export."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Literal
 
 from numpy.typing import NDArray
@@ -24,26 +25,40 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Method:
-    """A way to find joints or body parts.
+    """A way to find joints or body parts. Its folder in this package has the name of the method.
 
-    task: "joints" (images to joints), "parts" (images to pixel classes) or "lift" (joints in 2D to 3D); `estimate.tasks` has
-    what training does for each · config: its settings (`estimate.settings.Settings`) · outputs: names of the network's outputs,
-    in order · decode(outputs, settings, seen): what the task gives, from the outputs and what the view saw (`depth`, and
-    `amplitude` where it is an input) as numpy arrays · network, loss, measure: import paths "module:name", loaded when a model
-    is trained; measure(settings, frames) fills the settings that are measured on the training frames · mirrored: import path
-    of what wraps a network to answer with the mean over a frame and its mirror image · learning_rate, weight_decay: what a
-    run takes that names none.
+    Parameters
+    ----------
+    name
+        Of the method and of its folder.
+    task
+        "joints" (images to joints), "parts" (images to pixel classes) or "lift" (2D joints to 3D): a key of
+        `estimate.tasks.TASKS`, which says what training does for it.
+    config
+        The settings, see `estimate.settings.Settings`.
+    decode
+        decode(outputs, settings, seen) gives the task's answer from the network's outputs and from what the view saw (`depth`,
+        and `amplitude` where it is an input), all numpy arrays.
+    network
+        Name of the network's class in the folder's `model.py`. The folder's `fit.py` has its `loss`.
+    outputs
+        Names of the network's outputs, in order.
+    measured
+        Whether the folder's `measure.py` has `measured(settings, frames)`, which fills settings from the training frames.
+    mirrored
+        Whether `model.py` has a class `Mirrored`: a network that answers with the mean over a frame and its mirror image.
+    learning_rate, weight_decay
+        Of AdamW, where the configuration of a run names none.
     """
 
     name: str
     task: Literal["joints", "parts", "lift"]
     config: type[BaseModel]
-    outputs: tuple[str, ...]
     decode: Callable[[Arrays, Any, Arrays], Any]
     network: str
-    loss: str
-    measure: str | None = None
-    mirrored: str | None = None
+    outputs: tuple[str, ...]
+    measured: bool = False
+    mirrored: bool = False
     learning_rate: float = 3e-3
     weight_decay: float = 0.02
 
@@ -54,60 +69,32 @@ class Method:
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
-            raise ConfigError(
-                f"{self.name}: {where}: {first['msg']}", hint=f"settings of {self.name}: {', '.join(self.config.model_fields)}"
-            ) from error
+            known = ", ".join(self.config.model_fields)
+            raise ConfigError(f"{self.name}: {where}: {first['msg']}", hint=f"settings of {self.name}: {known}") from error
+
+    def part(self, module: str, name: str) -> Any:
+        """A function or class of a module in the method's folder."""
+        return getattr(import_module(f"cabinpose.estimate.{self.name}.{module}"), name)
 
 
-METHODS = {
-    method.name: method
-    for method in (
-        Method(
-            "compact",
-            "joints",
-            CompactConfig,
-            ("joints", "inside", "visible", "present"),
-            compact_decode.decode,
-            "cabinpose.estimate.compact.model:Compact",
-            "cabinpose.estimate.compact.fit:loss",
-            mirrored="cabinpose.estimate.compact.model:Mirrored",
-        ),
-        Method(
-            "paf",
-            "joints",
-            PafConfig,
-            ("fields", "heat", "presence"),
-            paf_decode.decode,
-            "cabinpose.estimate.paf.model:Paf",
-            "cabinpose.estimate.paf.fit:loss",
-            measure="cabinpose.estimate.paf.measure:measured",
-            learning_rate=4e-4,
-            weight_decay=0.01,
-        ),
-        Method(
-            "lifting",
-            "lift",
-            LiftingConfig,
-            ("relative", "root"),
-            lifting_decode.decode,
-            "cabinpose.estimate.lifting.model:Lifting",
-            "cabinpose.estimate.lifting.fit:loss",
-            learning_rate=1e-3,
-            weight_decay=0.01,
-        ),
-        Method(
-            "unet",
-            "parts",
-            UnetConfig,
-            ("person", "parts"),
-            unet_decode.decode,
-            "cabinpose.estimate.unet.model:Unet",
-            "cabinpose.estimate.unet.fit:loss",
-            learning_rate=1e-3,
-            weight_decay=0.01,
-        ),
-    )
-}
+_METHODS = (
+    Method(
+        "compact", "joints", CompactConfig, compact_decode.decode, "Compact", ("joints", "inside", "visible", "present"),
+        mirrored=True,
+    ),
+    Method(
+        "paf", "joints", PafConfig, paf_decode.decode, "Paf", ("fields", "heat", "presence"), measured=True,
+        learning_rate=4e-4, weight_decay=0.01,
+    ),
+    Method(
+        "lifting", "lift", LiftingConfig, lifting_decode.decode, "Lifting", ("relative", "root"),
+        learning_rate=1e-3, weight_decay=0.01,
+    ),
+    Method(
+        "unet", "parts", UnetConfig, unet_decode.decode, "Unet", ("person", "parts"), learning_rate=1e-3, weight_decay=0.01
+    ),
+)  # fmt: skip
+METHODS = {method.name: method for method in _METHODS}
 
 
 def method_named(name: str) -> Method:

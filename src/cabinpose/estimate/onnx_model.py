@@ -27,7 +27,7 @@ BATCH = 16  # frames that go through a network at a time
 class OnnxModel:
     """A network that `cabinpose export --onnx` wrote, with its method and settings."""
 
-    task: str | None = "joints"  # what the method has to do, see `Method.task`; None = anything
+    task: str | None = None  # what the method has to do, see `Method.task`; None = anything
 
     def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
         """Raises ModelError for a file that is missing, truncated, not a model of this package, or of another task."""
@@ -55,10 +55,13 @@ class OnnxModel:
         if self.task is not None and self.method.task != self.task:
             raise ModelError(f"{self.path} is a model of {self.method.name}", hint=_LOADERS[self.method.task])
         self.name = str(self.metadata.get("name", self.path.stem))
+        self.persons: tuple[str, ...] = tuple(self.config.slots)
+        self.joints: tuple[str, ...] = tuple(self.config.joints)
+        self.skeleton: str = self.config.skeleton
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
-        return self.decode(self.outputs(seen), seen)
+        return self.method.decode(self.outputs(seen), self.config, seen)
 
     def outputs(self, seen: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """The network's outputs by name for a batch of inputs."""
@@ -70,10 +73,6 @@ class OnnxModel:
         if empty:
             values = [value[:0] for value in values]
         return dict(zip(self.method.outputs, values, strict=True))
-
-    def decode(self, outputs: Mapping[str, NDArray[Any]], seen: Mapping[str, NDArray[Any]]) -> Any:
-        """What the method decodes from outputs of the network and what the view saw."""
-        return self.method.decode(outputs, self.config, seen)
 
 
 _LOADERS = {
@@ -100,10 +99,9 @@ def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
     """The camera of each of some frames."""
     depth = frames["depth"][which]
     count, height, width = depth.shape
-    k = np.broadcast_to(frames["camera_k"] if np.ndim(frames["camera_k"]) == 2 else frames["camera_k"][which], (count, 3, 3))
-    dist = np.broadcast_to(
-        frames["camera_dist"] if np.ndim(frames["camera_dist"]) == 1 else frames["camera_dist"][which], (count, 5)
-    )
+    k, dist = np.asarray(frames["camera_k"]), np.asarray(frames["camera_dist"])
+    k = np.broadcast_to(k if k.ndim == 2 else k[which], (count, 3, 3))
+    dist = np.broadcast_to(dist if dist.ndim == 1 else dist[which], (count, 5))
     return [camera_of(m, d, width, height) for m, d in zip(k, dist, strict=True)]
 
 
@@ -129,17 +127,13 @@ def packaged_models() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
 
 
-class _AnyModel(OnnxModel):
-    task = None
-
-
 def describe_model(path: Path | str) -> dict[str, Any]:
     """What an ONNX file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, mirrored,
     settings, card.
 
     Raises ModelError as `OnnxModel` does.
     """
-    model = _AnyModel(path)
+    model = OnnxModel(path)
     return {
         "name": model.name,
         "file": str(model.path),
@@ -147,8 +141,8 @@ def describe_model(path: Path | str) -> dict[str, Any]:
         "method": model.method.name,
         "view": dataclasses.asdict(model.config.view),
         "inputs": list(model.config.inputs),
-        "persons": list(model.config.slots),
-        "joints": list(model.config.joints),
+        "persons": list(model.persons),
+        "joints": list(model.joints),
         "mirrored": bool(model.metadata.get("mirrored", False)),
         "settings": model.metadata["config"],
         "card": model.metadata.get("card", {}),

@@ -25,12 +25,8 @@ _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 class OnnxPredictor(OnnxModel):
     """A model of joints in an ONNX file that `cabinpose export --onnx` wrote; fulfils `core.ports.Predictor`."""
 
-    def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
-        """Raises ModelError for a file that is missing, truncated, not a model of this package, or not one of joints."""
-        super().__init__(path, threads=threads)
-        self._light_told = False
-        self.persons: tuple[str, ...] = tuple(self.config.slots)
-        self.joints: tuple[str, ...] = tuple(self.config.joints)
+    task = "joints"
+    _warned_of_light = False
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
@@ -95,7 +91,7 @@ class OnnxPredictor(OnnxModel):
                 )
             frames["amplitude"] = light.reshape(frames["depth"].shape)
         found = self.predict(frames)
-        return PoseBatch(found.joints_2d[0], found.joints_3d[0], found.score[0], found.presence[0]) if one else found
+        return found.map(lambda values: values[0]) if one else found
 
     def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
         """What the model's view sees of some frames by name; the first of the three stages of `predict`.
@@ -103,11 +99,11 @@ class OnnxPredictor(OnnxModel):
         Warns once where the amplitudes cannot be what the model has learnt from.
         """
         seen = view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
-        if "amplitude" in seen and not self._light_told:
+        if "amplitude" in seen and not self._warned_of_light:
             lit = (seen["depth"] > 0) & (seen["amplitude"] > 0)
             light = float(np.median(seen["amplitude"][lit] * seen["depth"][lit] ** 2)) if lit.any() else _USUAL_LIGHT
             if not _USUAL_LIGHT / _FAINTER <= light <= _USUAL_LIGHT * _BRIGHTER:
-                self._light_told = True
+                self._warned_of_light = True
                 warnings.warn(
                     f"the median of amplitude x depth² is {light:.3g}, where {self.name} has learnt from {_USUAL_LIGHT:g}: joints"
                     " will be far off. Scale the amplitudes to that",
@@ -119,11 +115,11 @@ class OnnxPredictor(OnnxModel):
         self, outputs: Mapping[str, NDArray[Any]], seen: Mapping[str, NDArray[Any]], cameras: Sequence[Camera]
     ) -> PoseBatch:
         """The joints in the frames' own cameras, from the network's outputs; the last of the stages."""
-        found: Found = self.decode(outputs, seen)
+        found: Found = self.method.decode(outputs, self.config, seen)
         view = self.config.view
         joints_2d = np.empty_like(found.uv)
-        for camera, uv, pixels in zip(cameras, found.uv, joints_2d, strict=True):
-            pixels[...] = view.pixels(uv, camera)
+        for n, camera in enumerate(cameras):
+            joints_2d[n] = view.pixels(found.uv[n], camera)
         return PoseBatch(*(a.astype(np.float32) for a in (joints_2d, found.joints_3d, found.score, found.presence)))
 
 

@@ -2,42 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Protocol
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.inputs import InputView
 
-_FOCAL_PER_WIDTH = 160 / 352  # the view that every method's default has: 95.5 deg across
+_FOCAL_PER_WIDTH = 160 / 352  # gives every view the same field of view: 95.5 deg across
 
 
-class Settings(Protocol):
-    """What training, export and predictors ask of any method's settings.
+class Settings(BaseModel):
+    """The settings of any method: what training, export and predictors read of them.
 
-    skeleton: "cabinpose" or "itop", the variable of the dataset that holds the joints · inputs: names of the network's inputs.
+    A subclass also has `skeleton` ("cabinpose" or "itop": the variable of the dataset that holds the joints) and `view`, an
+    `InputView`, as class variables, fields or properties.
     """
 
-    @property
-    def view(self) -> InputView: ...
-
-    @property
-    def slots(self) -> tuple[str, ...]: ...
-
-    @property
-    def skeleton(self) -> str: ...
-
-    @property
-    def joints(self) -> tuple[str, ...]: ...
-
-    @property
-    def inputs(self) -> tuple[str, ...]: ...
-
-
-class ViewSettings(BaseModel):
-    """The settings of a method that looks through a view, and the places that it knows."""
-
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """(J,) names of the joints."""
+        return JOINTS
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the network's inputs."""
+        return ("depth",)
+
+
+class ViewSettings(Settings):
+    """The settings of a method that sees images: its view, and the slots that it knows."""
 
     width: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Width of the network's view (px).")] = 352
     height: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Height of the network's view (px).")] = 288

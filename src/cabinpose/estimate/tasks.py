@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,6 @@ from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import FrameSpec
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.lifting import fit as lifting_fit
-from cabinpose.estimate.settings import Settings
 from cabinpose.estimate.unet.metrics import confusion, intersection_over_union
 from cabinpose.estimate.unet.parts import class_table
 
@@ -31,109 +31,88 @@ class Setting(NamedTuple):
     mirror: Mirror
 
 
-class Task(Protocol):
-    """One task; `best` names the figure whose greatest value marks the best epoch."""
+class Task(ABC):
+    """One task: what training and export ask of it. The defaults are those of the tasks on images.
 
-    best: str
+    `best` names the validation figure whose greatest value marks the best epoch, `labels` says whether pixel classes are read.
+    """
+
+    best = "val_auc"
+    labels = False
 
     def spec(self, settings: Any) -> FrameSpec:
         """What a method with these settings takes of each frame."""
-
-    def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:
-        """A varied batch, as the method's loss takes it."""
-
-    def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:
-        """What the view saw of a batch by name, among it the network's inputs, not varied."""
-
-    def errors(self, decoded: Any, batch: Batch, settings: Any) -> NDArray[Any]:
-        """What validation collects of a batch, given what the method has decoded."""
-
-    def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
-        """Validation figures from what was collected; none where nothing was."""
-
-    def examples(self, settings: Any, generator: torch.Generator) -> dict[str, Tensor]:
-        """Three plausible inputs of the network by name."""
-
-
-class _Images:
-    """What the tasks on images share."""
-
-    labels = False
-
-    def spec(self, settings: Settings) -> FrameSpec:
         return FrameSpec(
             settings.view, settings.slots, settings.skeleton, settings.joints,
             amplitude="amplitude" in settings.inputs, labels=self.labels,
         )  # fmt: skip
 
-    def vary(
-        self,
-        batch: Batch,
-        config: AugmentConfig,
-        settings: Settings,  # noqa: ARG002 - lifting needs its own
-        setting: Setting,
-        generator: torch.Generator,
-    ) -> Batch:
+    def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:  # noqa: ARG002 - lifting needs the settings
+        """An augmented batch, as the method's loss takes it."""
         return augment(batch, config, setting.rays, setting.focal, setting.mirror, generator=generator)
 
-    def inputs(self, batch: Batch, settings: Settings) -> dict[str, Tensor]:  # noqa: ARG002 - lifting needs them
+    def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:  # noqa: ARG002 - lifting needs the settings
+        """What the view saw of a batch by name, among it the network's inputs; not augmented."""
         return {"depth": batch.depth} | ({} if batch.amplitude is None else {"amplitude": batch.amplitude})
 
-    def examples(self, settings: Settings, generator: torch.Generator) -> dict[str, Tensor]:
+    def examples(self, settings: Any, generator: torch.Generator) -> dict[str, Tensor]:
+        """Three plausible inputs of the network by name, to trace it with."""
         depth = 0.4 + 2 * torch.rand((3, settings.view.height, settings.view.width), generator=generator)
         depth[torch.rand(depth.shape, generator=generator) < 0.1] = 0.0
         values = {"depth": depth, "amplitude": 300 * torch.rand(depth.shape, generator=generator)}
         return {name: values[name] for name in settings.inputs}
 
+    @abstractmethod
+    def errors(self, decoded: Any, batch: Batch, settings: Any) -> NDArray[Any]:
+        """What validation collects of a batch: errors (K,) in heads, infinite = no answer, unless a task says otherwise."""
 
-class Joints(_Images):
+    def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
+        """Validation figures from what was collected: PCKh@0.5 and the area under PCKh from 0 to 0.5, percent.
+
+        None where nothing was collected.
+        """
+        all_ = np.concatenate(errors) if len(errors) else np.zeros(0)
+        if not all_.size:
+            return {}
+        return {"val_pckh": float(100 * np.mean(all_ <= 0.5)), "val_auc": float(100 * np.mean(np.clip(1 - all_ / 0.5, 0, 1)))}
+
+
+class Joints(Task):
     """Images to joints. Judged by the image errors, in heads, of the joints in the image of people who are there."""
 
-    best = "val_auc"
-
-    def errors(self, decoded: Found, batch: Batch, settings: Settings) -> NDArray[np.float64]:
+    def errors(self, decoded: Found, batch: Batch, settings: Any) -> NDArray[np.float64]:
         truth = batch.joints.cpu().numpy().astype(np.float64)
         head_px = HEAD_M * settings.view.focal / truth[..., 2]
         error = np.linalg.norm(decoded.uv - truth[..., :2], axis=-1) / head_px
         known = batch.present.cpu().numpy()[..., None] & (batch.visibility.cpu().numpy() > 1) & np.isfinite(head_px)
         return np.asarray(np.where(np.isnan(error), np.inf, error)[known])
 
-    def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
-        return _pck(errors)
 
-
-class Lift:
+class Lift(Task):
     """2D joints to 3D. Judged by the errors in space, in heads, of the known joints of people with enough 2D joints."""
 
-    best = "val_auc"
-
-    def spec(self, settings: Settings) -> FrameSpec:
+    def spec(self, settings: Any) -> FrameSpec:
         return FrameSpec(settings.view, settings.slots, settings.skeleton, settings.joints, depth=False, amplitude=False)
 
-    def vary(
-        self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator
-    ) -> lifting_fit.People:
+    def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:
         return lifting_fit.vary(batch, config, settings, setting.mirror, generator=generator)
 
-    def inputs(self, batch: Batch, settings: Settings) -> dict[str, Tensor]:
+    def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:
         return {"pose": lifting_fit.people_of(batch, settings.view).pose}
 
-    def errors(self, decoded: NDArray[np.float64], batch: Batch, settings: Settings) -> NDArray[np.float64]:
-        people = lifting_fit.people_of(batch, settings.view)
-        error = np.linalg.norm(decoded - people.joints.cpu().numpy(), axis=-1) / HEAD_M
-        return np.asarray(error[people.known.cpu().numpy() & np.isfinite(error)])
-
-    def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
-        return _pck(errors)
-
-    def examples(self, settings: Settings, generator: torch.Generator) -> dict[str, Tensor]:
+    def examples(self, settings: Any, generator: torch.Generator) -> dict[str, Tensor]:
         pose = torch.rand((3, len(settings.joints), 3), generator=generator) - 0.5
         pose[..., 2] = (pose[..., 2] > -0.3).to(pose.dtype)
         return {"pose": pose}
 
+    def errors(self, decoded: NDArray[np.float64], batch: Batch, settings: Any) -> NDArray[np.float64]:
+        people = lifting_fit.people_of(batch, settings.view)
+        error = np.linalg.norm(decoded - people.joints.cpu().numpy(), axis=-1) / HEAD_M
+        return np.asarray(error[people.known.cpu().numpy() & np.isfinite(error)])
 
-class Parts(_Images):
-    """Images to pixel classes. Judged by the mean IoU of the parts."""
+
+class Parts(Task):
+    """Images to pixel classes. Judged by the mean IoU of the parts; collected are confusion matrices."""
 
     best = "val_iou"
     labels = True
@@ -145,7 +124,7 @@ class Parts(_Images):
         return confusion(truth, decoded, len(settings.parts) + 1)
 
     def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
-        """Percent: mean IoU of the parts that are there or said, and the IoU of people as a whole."""
+        """Percent: mean IoU of the parts that are there or predicted, and the IoU of people as a whole."""
         if not len(errors):
             return {}
         counts = np.sum(errors, axis=0)
@@ -155,14 +134,6 @@ class Parts(_Images):
         if np.isnan(parts).all() or np.isnan(person):
             return {}
         return {"val_iou": float(100 * np.nanmean(parts)), "val_person_iou": float(100 * person)}
-
-
-def _pck(errors: Sequence[NDArray[np.float64]]) -> Figures:
-    """PCKh@0.5 and the area under PCKh from 0 to 0.5, percent, of errors in heads (inf = no answer)."""
-    all_ = np.concatenate(errors) if len(errors) else np.zeros(0)
-    if not all_.size:
-        return {}
-    return {"val_pckh": float(100 * np.mean(all_ <= 0.5)), "val_auc": float(100 * np.mean(np.clip(1 - all_ / 0.5, 0, 1)))}
 
 
 TASKS: dict[str, Task] = {"joints": Joints(), "parts": Parts(), "lift": Lift()}

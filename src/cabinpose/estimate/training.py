@@ -9,9 +9,8 @@ from __future__ import annotations
 import logging
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sized
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from importlib import import_module
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -23,13 +22,13 @@ import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, EMAWeightAveraging, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.augment import AugmentConfig, Mirror
-from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, Kept, collate
 from cabinpose.estimate.methods import Method, method_named
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
@@ -54,18 +53,28 @@ class TrainConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: Annotated[str, Field(description="compact, paf, lifting or unet.")] = "compact"
-    settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(default_factory=dict)
+    settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(
+        default_factory=dict, validate_default=True
+    )
     augment: AugmentConfig = Field(default_factory=AugmentConfig)
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
     learning_rate: Annotated[
-        float | None, Field(gt=0, description="Greatest rate of the one-cycle schedule (AdamW); default: the method's.")
-    ] = None
-    weight_decay: Annotated[float | None, Field(ge=0, description="AdamW's weight decay; default: the method's.")] = None
+        float, Field(gt=0, description="Greatest rate of the one-cycle schedule (AdamW); default: the method's.")
+    ] = Field(default_factory=lambda run: method_named(run["method"]).learning_rate)
+    weight_decay: Annotated[float, Field(ge=0, description="AdamW's weight decay; default: the method's.")] = Field(
+        default_factory=lambda run: method_named(run["method"]).weight_decay
+    )
     average: Annotated[float, Field(ge=0, lt=1, description="Decay of the weights' moving average; 0 = none.")] = 0.998
     precision: Annotated[Literal["32-true", "16-mixed", "bf16-mixed"], Field(description="Lightning's precision.")] = "32-true"
     workers: Annotated[int, Field(ge=0, description="Processes that read frames beside the training; 0 = none.")] = 0
     seed: Annotated[int, Field(ge=0, description="Seed of weights, order and augmentation.")] = 1
+
+    @field_validator("settings")
+    @classmethod
+    def _with_defaults(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        """All settings of the method, so that runs compare; ConfigError for one that the method does not know."""
+        return method_named(info.data.get("method", "compact")).settings(value).model_dump(mode="json")
 
 
 class Detector(lightning.LightningModule):
@@ -80,11 +89,10 @@ class Detector(lightning.LightningModule):
         self.method: Method = method_named(config.method)
         self.task: Task = TASKS[self.method.task]
         self.method_config = self.method.settings(config.settings)
-        self.network: nn.Module = load_symbol(self.method.network)(self.method_config)
-        self._loss = load_symbol(self.method.loss)
+        self.network: nn.Module = self.method.part("model", self.method.network)(self.method_config)
+        self._loss = self.method.part("fit", "loss")
         self._mirrors = mirrored_joints(self.method_config.joints), mirrored_slots(self.method_config.slots)
-        rays = self.method_config.view.camera.rays.transpose(2, 0, 1)
-        self.register_buffer("rays", torch.tensor(rays, dtype=torch.float32), persistent=False)
+        self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
         self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []
         self.spare_batches = 0  # steps of the schedule beyond those that Lightning expects
@@ -108,7 +116,8 @@ class Detector(lightning.LightningModule):
     def validation_step(self, batch: Batch, index: int) -> None:  # noqa: ARG002 - the signature is Lightning's
         """Collects what the method's task judges it by."""
         seen = self.task.inputs(batch, self.method_config)
-        outputs = outputs_of(self.network, self.method, self.method_config, seen)
+        values = self.network(*(seen[name] for name in self.method_config.inputs))
+        outputs = {name: getattr(values, name).float().cpu().numpy() for name in self.method.outputs}
         arrays = {name: value.cpu().numpy() for name, value in seen.items()}
         decoded = self.method.decode(outputs, self.method_config, arrays)
         self._errors.append(self.task.errors(decoded, batch, self.method_config))
@@ -123,11 +132,11 @@ class Detector(lightning.LightningModule):
         named = list(self.network.named_parameters())
         decayed = [p for name, p in named if p.ndim > 1 and not name.endswith("bias")]
         others = [p for name, p in named if p.ndim <= 1 or name.endswith("bias")]
-        groups: list[dict[str, Any]] = [
-            {"params": decayed, "weight_decay": _given(self.settings.weight_decay, self.method.weight_decay)},
+        groups = [
+            {"params": decayed, "weight_decay": self.settings.weight_decay},
             {"params": others, "weight_decay": 0.0},
         ]
-        rate = _given(self.settings.learning_rate, self.method.learning_rate)
+        rate = self.settings.learning_rate
         optimiser = torch.optim.AdamW(groups, lr=rate)
         steps = int(self.trainer.estimated_stepping_batches) + self.spare_batches
         schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=0.15)
@@ -143,13 +152,12 @@ class _Frames(lightning.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[Kept]:
         """Called by Lightning at the start of each epoch."""
-        epoch = self.trainer.current_epoch if self.trainer is not None else 0
+        trainer = cast(lightning.Trainer, self.trainer)
         if isinstance(self._training, GeneratedFrames):
-            self._training.epoch = epoch
-            if self.trainer is not None:
-                self._training.rank, self._training.ranks = self.trainer.global_rank, self.trainer.world_size
+            self._training.epoch = trainer.current_epoch
+            self._training.rank, self._training.ranks = trainer.global_rank, trainer.world_size
             return self._loader(self._training)
-        rng = np.random.Generator(np.random.Philox(key=(self._config.seed, epoch)))
+        rng = np.random.Generator(np.random.Philox(key=(self._config.seed, trainer.current_epoch)))
         order = rng.permutation(len(cast(Sized, self._training))).tolist()
         return self._loader(self._training, sampler=order, drop_last=len(order) >= self._config.batch)
 
@@ -161,24 +169,11 @@ class _Frames(lightning.LightningDataModule):
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
 
 
-def load_symbol(path: str) -> Any:
-    """What an import path "module:name" means."""
-    module, _, name = path.partition(":")
-    return getattr(import_module(module), name)
+Progress = Callable[[int, int, str], None]  # batches done, batches in all, epoch and figures in words
 
 
-@torch.no_grad()
-def outputs_of(network: nn.Module, method: Method, settings: Any, seen: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
-    """The network's outputs by name, as numpy arrays, for what the view saw."""
-    values = network(*(seen[name] for name in settings.inputs))
-    return {name: getattr(values, name).float().cpu().numpy() for name in method.outputs}
-
-
-Progress = Callable[[int, int, str], None]  # batches done, batches in all, and what there is to say of them
-
-
-class _Told(Callback):
-    """Tells of every batch: epoch, loss, and the best figure of the last validation."""
+class _BatchReport(Callback):
+    """Reports every batch: epoch, loss, and the deciding figure of the last validation."""
 
     def __init__(self, progress: Progress, monitor: str) -> None:
         self._progress, self._monitor = progress, monitor
@@ -222,7 +217,7 @@ def fit(
     callbacks, devices, nodes
         Lightning's.
     progress
-        Told after every batch.
+        Called after every batch.
 
     Returns
     -------
@@ -251,11 +246,11 @@ def fit(
     best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [EMAWeightAveraging(decay=config.average)] if config.average else []
-    told = [_Told(progress, monitor)] if progress is not None else []
+    reports = [_BatchReport(progress, monitor)] if progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
-            callbacks=[*average, best, newest, *told, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
+            callbacks=[*average, best, newest, *reports, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
             log_every_n_steps=10, enable_model_summary=False, enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
         )  # fmt: skip
         detector = Detector(config)
@@ -277,19 +272,19 @@ def _loggers(out: Path) -> list[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Lightning's advice and its list of devices are left out; its errors stay."""
-    talkers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
-    levels = [talker.level for talker in talkers]
+    """Silences Lightning's advice and its list of devices; its errors stay."""
+    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
+    levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():
         for pattern in _NOISE:
             warnings.filterwarnings("ignore", pattern)
-        for talker in talkers:
-            talker.setLevel(logging.ERROR)
+        for logger in loggers:
+            logger.setLevel(logging.ERROR)
         try:
             yield
         finally:
-            for talker, level in zip(talkers, levels, strict=True):
-                talker.setLevel(level)
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
 
 
 @contextmanager
@@ -309,9 +304,8 @@ def _too_little_memory(batch: int, last: Path) -> Iterator[None]:
 
 def check_same(checkpoint: Path, config: TrainConfig) -> None:
     """Raises ModelError where a checkpoint was trained with another configuration."""
-    before = _filled(_configuration(checkpoint, read_checkpoint(checkpoint))).model_dump(mode="json")
-    now = _filled(config).model_dump(mode="json")
-    differing = [name for name in now if before[name] != now[name]]
+    before = _configuration(checkpoint, read_checkpoint(checkpoint))
+    differing = [name for name in TrainConfig.model_fields if getattr(before, name) != getattr(config, name)]
     if differing:
         raise ModelError(
             f"{checkpoint} was trained with another {', '.join(differing)}", hint="resume with the configuration of that run"
@@ -377,32 +371,16 @@ def frame_spec(config: TrainConfig) -> FrameSpec:
     return TASKS[method.task].spec(method.settings(config.settings))
 
 
-def complete(config: TrainConfig, training: Frames) -> TrainConfig:
-    """The configuration with what it leaves open: the method's optimiser, and settings that are measured on the frames."""
-    filled, method = _filled(config), method_named(config.method)
-    if method.measure is None:
-        return filled
-    settings = load_symbol(method.measure)(method.settings(config.settings), _some(training))
-    return filled.model_copy(update={"settings": settings.model_dump(mode="json")})
-
-
-def _filled(config: TrainConfig) -> TrainConfig:
-    """The configuration with the defaults of its method."""
+def complete(config: TrainConfig, training: Frames | Sequence[Kept]) -> TrainConfig:
+    """The configuration with the settings that are measured on the training frames, where its method has any."""
     method = method_named(config.method)
-    return config.model_copy(
-        update={
-            "settings": method.settings(config.settings).model_dump(mode="json"),
-            "learning_rate": _given(config.learning_rate, method.learning_rate),
-            "weight_decay": _given(config.weight_decay, method.weight_decay),
-        }
-    )
+    if not method.measured:
+        return config
+    settings = method.part("measure", "measured")(method.settings(config.settings), _some(training))
+    return config.model_copy(update={"settings": settings.model_dump(mode="json")})
 
 
-def _given(value: float | None, default: float) -> float:
-    return default if value is None else value
-
-
-def _some(training: Frames) -> list[Kept]:
+def _some(training: Frames | Sequence[Kept]) -> list[Kept]:
     """At most _MEASURED frames, evenly spread, or the first of those that are made."""
     if isinstance(training, GeneratedFrames):
         return list(islice(iter(training), _MEASURED))

@@ -50,8 +50,8 @@ def bone_length_errors(predicted: Array, true: Array, limbs: Sequence[tuple[int,
     """(S, J) |predicted length - true length| of each bone (parent, child), at its child; points (S, J, 3)."""
     result = np.full(true.shape[:2], np.nan)
     for parent, child in limbs:
-        lengths = (np.linalg.norm(x[:, child] - x[:, parent], axis=-1) for x in (predicted, true))
-        result[:, child] = np.abs(next(lengths) - next(lengths))
+        found, wanted = (np.linalg.norm(x[:, child] - x[:, parent], axis=-1) for x in (predicted, true))
+        result[:, child] = np.abs(found - wanted)
     return result
 
 

@@ -32,10 +32,30 @@ def evaluate_itop(
     model: str = "",
     name: str = "ITOP",
 ) -> Report:
-    """The report of predictions joints_3d (F, 15, 3) m in our camera frame, NaN where a joint was not found.
+    """The report of predictions on ITOP. Every joint of a valid frame counts: ITOP labels hidden ones too.
 
-    joints_2d: (F, 15, 2) px in ITOP's 320x240 frame; projected from joints_3d where left out. Frames that are not valid
-    are left out and counted in the notes. Every joint of a valid frame counts: ITOP labels hidden ones too.
+    Parameters
+    ----------
+    reference
+        ITOP's labels. Frames that are not valid are left out and counted in the notes.
+    joints_3d
+        (F, 15, 3) m in our camera frame, NaN where a joint was not found.
+    options
+        Thresholds and intervals.
+    joints_2d
+        (F, 15, 2) px in ITOP's 320x240 frame; None: projected from joints_3d.
+    model, name
+        What the report calls the model and the dataset.
+
+    Returns
+    -------
+    Report
+        `itop_summary` picks the numbers that the literature compares.
+
+    Raises
+    ------
+    PredictionsError
+        Where the shapes do not fit.
     """
     if joints_3d.shape != reference.joints_3d.shape:
         raise PredictionsError(

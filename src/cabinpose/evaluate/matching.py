@@ -13,7 +13,7 @@ from cabinpose.core.ports import PoseBatch
 from cabinpose.evaluate.oks import oks
 from cabinpose.evaluate.options import Matching
 
-MIN_OKS = 0.1  # a pair less alike is no pair
+MIN_OKS = 0.1  # pairs of a lower one are not matched
 MAX_DISTANCE_M = 0.5  # mean over the joints that both have
 Places = NDArray[np.int64]  # (F, R): which predicted person stands in each of R rows, -1 = none
 
@@ -69,7 +69,7 @@ def assigned_places(
 def _mean_distances(predicted: NDArray[np.float32], true: NDArray[np.float32]) -> NDArray[np.float64]:
     """(D, T) mean distance over the joints that both have, m; infinite where there is none."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of nothing
+        warnings.simplefilter("ignore", RuntimeWarning)  # nanmean of joints that neither has
         mean = np.nanmean(np.linalg.norm(predicted[:, None] - true[None], axis=-1), axis=-1)
     return np.nan_to_num(mean.astype(np.float64), nan=np.inf)
 
@@ -79,11 +79,9 @@ def placed(batch: PoseBatch, places: Places) -> PoseBatch:
     rows = np.arange(len(places))[:, None]
     empty = places < 0
 
-    def pick(values: NDArray[np.float32], nothing: float) -> NDArray[np.float32]:
+    def pick(values: NDArray[np.float32]) -> NDArray[np.float32]:
         chosen = values[rows, places]
-        chosen[empty] = nothing
+        chosen[empty] = np.nan if values.ndim == 4 else 0.0  # a position, or a number of a joint
         return chosen
 
-    return PoseBatch(
-        pick(batch.joints_2d, np.nan), pick(batch.joints_3d, np.nan), pick(batch.score, 0.0), pick(batch.presence, 0.0)
-    )
+    return batch.map(pick)

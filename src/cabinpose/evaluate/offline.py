@@ -7,7 +7,6 @@ from typing import cast
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
@@ -146,28 +145,15 @@ def _chunks(
     truth = dataset[["joints_2d", "joints_3d", "visibility", "sequence", "sync_ns"]].sel(joint=list(joints))
     for start in range(0, count, step):
         part = truth.isel(frame=slice(start, start + step))
-        chunk = TruthChunk(
-            part["frame"].values.astype(np.int64),
-            part["joints_2d"].values,
-            part["joints_3d"].values,
-            part["visibility"].values,
-            part["sequence"].values.astype(np.int64),
-            part["sync_ns"].values.astype(np.int64),
-        )
+        frame, sequence, sync_ns = (part[name].values.astype(np.int64) for name in ("frame", "sequence", "sync_ns"))
+        joints_2d, joints_3d, visibility = (part[name].values for name in ("joints_2d", "joints_3d", "visibility"))
+        chunk = TruthChunk(frame, joints_2d, joints_3d, visibility, sequence, sync_ns)
         if isinstance(model, Predictions):
             batch = model.take(chunk.frame)
         else:
             batch = model.predict(frame_batch(dataset, slice(start, start + step)))
             _check_shapes(batch, model, len(chunk.frame))
-        yield (
-            chunk,
-            PoseBatch(
-                batch.joints_2d[:, rows][:, :, columns],
-                batch.joints_3d[:, rows][:, :, columns],
-                batch.score[:, rows][:, :, columns],
-                batch.presence[:, rows][:, :, columns],
-            ),
-        )
+        yield chunk, batch.map(lambda values: values[:, rows][:, :, columns])
         progress(min(start + step, count))
 
 
@@ -175,19 +161,13 @@ def frame_batch(dataset: xr.Dataset, frames: slice) -> FrameBatch:
     """Some frames of a dataset as a detector gets them; `DatasetError` where it has no depth."""
     if "depth" not in dataset:
         raise DatasetError("the dataset has no depth for a detector to see", hint="evaluate a predictions file instead")
-    part = dataset[[n for n in ("depth", "amplitude", "camera_k", "camera_dist") if n in dataset]].isel(frame=frames)
-    return cast("FrameBatch", {str(name): part[name].values for name in part.data_vars})
+    names = ("depth", "amplitude", "camera_k", "camera_dist", "frame", "sync_ns")
+    return cast("FrameBatch", {name: dataset[name].isel(frame=frames).values for name in names if name in dataset})
 
 
 def _check_shapes(batch: PoseBatch, model: Predictor, frames: int) -> None:
-    """A detector that breaks its contract is a defect, said at once."""
-    shape: tuple[int, ...] = (frames, len(model.persons), len(model.joints))
-    arrays: tuple[tuple[str, NDArray[np.float32], tuple[int, ...]], ...] = (
-        ("joints_2d", batch.joints_2d, (*shape, 2)),
-        ("joints_3d", batch.joints_3d, (*shape, 3)),
-        ("score", batch.score, shape),
-        ("presence", batch.presence, shape),
-    )
-    for name, values, expected in arrays:
-        if values.shape != expected:
-            raise ValueError(f"{model.name}: {name} has the shape {values.shape}, not {expected}")
+    """Raises ValueError where a detector breaks its contract, which is a defect."""
+    for name, last in (("joints_2d", (2,)), ("joints_3d", (3,)), ("score", ()), ("presence", ())):
+        shape, expected = getattr(batch, name).shape, (frames, len(model.persons), len(model.joints), *last)
+        if shape != expected:
+            raise ValueError(f"{model.name}: {name} has the shape {shape}, not {expected}")

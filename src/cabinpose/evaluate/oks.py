@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,30 @@ _MAX_DETECTIONS = 20  # a frame, the best by score
 
 
 def oks(predicted: Array, true: Array, labelled: NDArray[np.bool_], area: Array, sigma: Array, box: Array | None = None) -> Array:
-    """(D, G) similarity of D predicted (D, J, 2) and G true people (G, J, 2), px: the mean over the labelled joints (G, J) of
-    exp(-d² / (2 s² k²)), with s² the person's area (G,) in px² and k = 2 sigma (J,). A joint without a prediction (NaN)
-    counts as 0. Of a person without a labelled joint, d is the distance of all joints to their box (G, 4: left, top, width,
-    height in px), enlarged to three times its size, as COCO does; without boxes the similarity is 0.
+    """Object keypoint similarity of predicted and true people.
+
+    The mean over the labelled joints of exp(-d² / (2 s² k²)), with s² the person's area and k = 2 sigma. Of a person without a
+    labelled joint, d is the distance of all joints to their box, enlarged to three times its size, as COCO's own code does.
+
+    Parameters
+    ----------
+    predicted
+        (D, J, 2) px; a joint without a prediction (NaN) counts as 0.
+    true
+        (G, J, 2) px.
+    labelled
+        (G, J) which joints count.
+    area
+        (G,) px².
+    sigma
+        (J,) the joints' falloffs.
+    box
+        (G, 4) left, top, width, height in px; None: the similarity to people without a labelled joint is 0.
+
+    Returns
+    -------
+    NDArray
+        (D, G), 0 to 1.
     """
     squared = ((predicted[:, None] - true[None]) ** 2).sum(axis=-1)  # (D, G, J)
     if box is not None:
@@ -32,8 +52,7 @@ def oks(predicted: Array, true: Array, labelled: NDArray[np.bool_], area: Array,
     return similar.sum(axis=-1) / np.maximum(labelled.sum(axis=-1), 1)[None]
 
 
-@dataclass(frozen=True)
-class Detections:
+class Detections(NamedTuple):
     """Predicted people, matched: D of them over some frames.
 
     frame: (D,) position of the frame · score: (D,) · hit: (D, 10) whether it matches a true person at each threshold ·

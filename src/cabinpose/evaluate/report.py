@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.evaluate.bootstrap import Weights, frame_weights, interval, weighted_quantiles, weighted_sums
-from cabinpose.evaluate.metrics import FOUND, Ratio, SpaceName, ratios, space_of, spaces_of
+from cabinpose.evaluate.metrics import FOUND, UNIT, Ratio, ratios
 from cabinpose.evaluate.oks import THRESHOLDS, average_precision
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.samples import Samples
@@ -92,8 +92,9 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
     values: list[Value] = []
     for ratio in ratios(samples, options):
         values += _ratio_values(ratio, samples, {PEOPLE: (0,)} if ratio.people else sets, weights)
-    for name in spaces_of(samples):
-        values += _quantile_values(samples, name, sets, weights)
+    errors = {name: _found_errors(samples, name) for name in samples.spaces()}
+    for name in errors:
+        values += _quantile_values(samples, name, errors[name], sets, weights)
     if samples.px.found.any():
         values += _precision_values(samples, weights)
     shown = {name: members for name, members in sets.items() if name == ALL or name in skeleton.groups}
@@ -106,8 +107,8 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
         people=int(samples.true.sum()),
         joint_sets={name: tuple(skeleton.joints[i] for i in members) for name, members in shown.items()},
         values=tuple(values),
-        curves={name: _curves(samples, name, shown) for name in spaces_of(samples)},
-        boxes={name: _boxes(samples, name) for name in spaces_of(samples)},
+        curves={name: _curves(samples, name, errors[name], shown) for name in errors},
+        boxes={name: _boxes(samples, errors[name]) for name in errors},
         worst=ranked[:_SHOWN],
         typical=ranked[middle : middle + _SHOWN][::-1] if middle > 0 else (),  # few frames are all among the worst
         settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
@@ -117,9 +118,7 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
 
 def _ratio_values(ratio: Ratio, samples: Samples, sets: Mapping[str, tuple[int, ...]], weights: Weights) -> Iterator[Value]:
     top, bottom = (_by_frame(x, samples) for x in (ratio.numerator, ratio.denominator))  # (F, J)
-    totals = [
-        np.concatenate((x.sum(axis=0)[None], weighted_sums(weights, x))) for x in (top, bottom)
-    ]  # (1 + B, J), as it is first
+    totals = [np.concatenate((x.sum(axis=0)[None], weighted_sums(weights, x))) for x in (top, bottom)]  # (1 + B, J)
     resampled = np.stack([_pooled(ratio, *(x[:, list(members)] for x in totals)) for members in sets.values()], axis=1)
     lows, highs = interval(resampled[1:])
     for i, (name, members) in enumerate(sets.items()):
@@ -146,15 +145,16 @@ def _by_frame(values: Array, samples: Samples) -> Array:
     return sums
 
 
-def _found_errors(samples: Samples, name: SpaceName) -> Array:
+def _found_errors(samples: Samples, name: str) -> Array:
     """(S, J) errors in the unit of reports, NaN where a joint does not count or was not found."""
-    space = space_of(samples, name)
-    return np.where(samples.counts & space.found, space.error, np.nan) * (1.0 if name == "2d" else 100.0)
+    space = samples.spaces()[name]
+    return np.where(samples.counts & space.found, space.error, np.nan) * UNIT[name][1]
 
 
-def _quantile_values(samples: Samples, name: SpaceName, sets: Mapping[str, tuple[int, ...]], weights: Weights) -> Iterator[Value]:
-    unit = "px" if name == "2d" else "cm"
-    errors, shares = _found_errors(samples, name), np.array([0.5, 0.95])
+def _quantile_values(
+    samples: Samples, name: str, errors: Array, sets: Mapping[str, tuple[int, ...]], weights: Weights
+) -> Iterator[Value]:
+    shares = np.array([0.5, 0.95])
     for joints, members in sets.items():
         chosen = errors[:, list(members)]
         rows, _ = known = np.nonzero(np.isfinite(chosen))
@@ -162,7 +162,8 @@ def _quantile_values(samples: Samples, name: SpaceName, sets: Mapping[str, tuple
         now = np.quantile(flat, shares) if flat.size else np.full(2, np.nan)
         low, high = interval(weighted_quantiles(flat, samples.at[rows], weights, shares))
         for i, metric in enumerate(("median error", "P95 of the error")):
-            yield Value(metric, name, joints, float(now[i]), unit, None, "", FOUND, len(flat), float(low[i]), float(high[i]))
+            numbers = float(now[i]), UNIT[name][0], None, "", FOUND, len(flat), float(low[i]), float(high[i])
+            yield Value(metric, name, joints, *numbers)
 
 
 def _precision_values(samples: Samples, weights: Weights) -> Iterator[Value]:
@@ -179,10 +180,8 @@ def _precision_values(samples: Samples, weights: Weights) -> Iterator[Value]:
         )  # fmt: skip
 
 
-def _curves(samples: Samples, name: SpaceName, sets: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
-    errors = _found_errors(samples, name)
-    unit = 1.0 if name == "2d" else 100.0
-    shares = errors / (space_of(samples, name).head[:, None] * unit)
+def _curves(samples: Samples, name: str, errors: Array, sets: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
+    shares = errors / (samples.spaces()[name].head[:, None] * UNIT[name][1])
     result: dict[str, Any] = {}
     for kind, values, grid in (("pckh", shares, _PCKH_GRID), ("error", errors, _ERROR_GRID[name])):
         lines = {}
@@ -195,8 +194,7 @@ def _curves(samples: Samples, name: SpaceName, sets: Mapping[str, tuple[int, ...
     return result
 
 
-def _boxes(samples: Samples, name: SpaceName) -> dict[str, list[float]]:
-    errors = _found_errors(samples, name)
+def _boxes(samples: Samples, errors: Array) -> dict[str, list[float]]:
     result = {}
     for i, joint in enumerate(samples.skeleton.joints):
         known = errors[np.isfinite(errors[:, i]), i]
@@ -206,8 +204,7 @@ def _boxes(samples: Samples, name: SpaceName) -> dict[str, list[float]]:
 
 def _ranked(samples: Samples) -> tuple[int, ...]:
     """Frames that are not perfect, worst first, by the mean error of their joints in head sizes; a missed joint counts 3."""
-    name = spaces_of(samples)[0]
-    space = space_of(samples, name)
+    space = next(iter(samples.spaces().values()))
     shares = np.where(samples.counts & space.found, space.error, np.inf) / space.head[:, None]
     counted = np.where(samples.counts, np.fmin(np.nan_to_num(shares, nan=np.inf), _MISS), 0.0)
     top, bottom = (_by_frame(x.astype(np.float64), samples).sum(axis=1) for x in (counted, samples.counts))

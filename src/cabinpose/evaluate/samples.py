@@ -6,7 +6,7 @@ Only these rows are kept (about 60 bytes a joint), never an image, so that a dat
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ Float = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class TruthChunk:
+class TruthChunk(NamedTuple):
     """The reference of F frames of P slots and J joints.
 
     frame: (F,) numbers · joints_2d: (F, P, J, 2) px · joints_3d: (F, P, J, 3) m, camera frame, NaN = absent ·
@@ -41,8 +40,7 @@ class TruthChunk:
     sync_ns: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Space:
+class Space(NamedTuple):
     """Errors of S samples in one space, px or m, all (S, J), NaN where there is nothing to measure.
 
     found: whether the joint was found here · error: its distance to the truth · swap: 1 or 0 at the left joint of a pair ·
@@ -58,14 +56,12 @@ class Space:
     head: Float
 
 
-@dataclass(frozen=True)
-class Samples:
+class Samples(NamedTuple):
     """S samples over F frames, by rising frame, and the predicted people of each frame matched as COCO does.
 
-    frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · counts: (S, J) joints that count ·
-    absent: (S, J) joints that a right prediction leaves out · visibility: (S, J) · found: (S, J) · true, predicted: (S,)
-    whether the person is there ·
-    oks: (S,). A joint that neither counts nor is absent is hidden too well: it is neither right nor wrong.
+    frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · visibility: (S, J) · counts: (S, J) joints that
+    count · absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
+    is there · oks: (S,). A joint that neither counts nor is absent is too hidden to judge: it is neither right nor wrong.
     """
 
     skeleton: EvaluatedSkeleton
@@ -82,18 +78,10 @@ class Samples:
     m: Space
     detections: Detections
 
-
-@dataclass
-class _Collector:
-    skeleton: EvaluatedSkeleton
-    options: EvaluationOptions
-    frames: list[NDArray[np.int64]] = field(default_factory=list)
-    rows: list[dict[str, NDArray[np.generic]]] = field(default_factory=list)
-    px: list[Space] = field(default_factory=list)
-    m: list[Space] = field(default_factory=list)
-    detections: list[Detections] = field(default_factory=list)
-    seen: int = 0
-    tail: dict[str, NDArray[np.generic]] = field(default_factory=dict)  # of the last two frames, for jitter
+    def spaces(self) -> dict[str, Space]:
+        """The errors by space, "2d" (px) and "3d" (m), in which the model answers at all; "2d" where it never answers."""
+        answered = {name: space for name, space in (("2d", self.px), ("3d", self.m)) if space.found.any()}
+        return answered or {"2d": self.px}
 
 
 def collect(
@@ -103,52 +91,65 @@ def collect(
     predicted_persons: Sequence[str],
     options: EvaluationOptions,
 ) -> Samples:
-    """Errors of all chunks. Truth and predictions have the joints of `skeleton`, in its order.
+    """Errors of all chunks.
 
-    Raises `PredictionsError` where predictions name slots that the dataset does not have, or there are no frames.
+    Parameters
+    ----------
+    chunks
+        Truth and predictions of frames in their order, with the joints of `skeleton` in its order.
+    skeleton
+        The joints that are evaluated.
+    persons, predicted_persons
+        Names of the slots of truth and predictions.
+    options
+        What counts, and how people are matched.
+
+    Raises
+    ------
+    PredictionsError
+        Where predictions name slots that the dataset does not have, or there are no frames.
     """
-    state = _Collector(skeleton, options)
+    parts: list[Samples] = []
+    last_frames: dict[str, NDArray[np.generic]] = {}
+    seen = 0
     for truth, batch in chunks:
-        _add(state, truth, batch, persons, predicted_persons)
-    if not state.frames:
+        parts.append(_samples(truth, batch, skeleton, (persons, predicted_persons), options, seen, last_frames))
+        seen += len(truth.frame)
+    if not parts:
         raise PredictionsError("there are no frames to evaluate", hint="choose another split or selection")
-    rows = {name: np.concatenate([row[name] for row in state.rows]) for name in state.rows[0]}
-    return Samples(
-        skeleton,
-        np.concatenate(state.frames),
-        px=_joined(state.px),
-        m=_joined(state.m),
-        detections=Detections(*(np.concatenate([getattr(d, f.name) for d in state.detections]) for f in fields(Detections))),
-        **rows,
-    )
+    return _concatenated(parts)
 
 
-def _joined(spaces: list[Space]) -> Space:
-    return Space(*(np.concatenate([getattr(space, f.name) for space in spaces]) for f in fields(Space)))
+def _concatenated(parts: Sequence[Any]) -> Any:
+    """Named tuples of arrays, or of such tuples, as one."""
+    if isinstance(parts[0], tuple):
+        return type(parts[0])(*map(_concatenated, zip(*parts, strict=True)))
+    return np.concatenate(parts) if isinstance(parts[0], np.ndarray) else parts[0]
 
 
-def _add(
-    state: _Collector, truth: TruthChunk, batch: PoseBatch, persons: Sequence[str], predicted_persons: Sequence[str]
-) -> None:
-    options, skeleton = state.options, state.skeleton
+def _samples(
+    truth: TruthChunk, batch: PoseBatch, skeleton: EvaluatedSkeleton, persons: tuple[Sequence[str], Sequence[str]],
+    options: EvaluationOptions, seen: int, last_frames: dict[str, NDArray[np.generic]],
+) -> Samples:  # fmt: skip
+    """The samples of a chunk that `seen` frames come before; `last_frames` is updated, see `_jitter`."""
     frames, slots, _ = truth.visibility.shape
     box = _boxes(truth.joints_2d)  # (F, P, 4)
     batch = _found_only(batch, options.presence)
     if options.match == "slot":
-        places = slot_places(frames, persons, predicted_persons)
+        places = slot_places(frames, *persons)
     else:
-        places = assigned_places(
-            options.match, truth.joints_2d, truth.joints_3d, box[..., 2:].prod(axis=-1), skeleton.sigma, batch
-        )
+        area = box[..., 2:].prod(axis=-1)
+        places = assigned_places(options.match, truth.joints_2d, truth.joints_3d, area, skeleton.sigma, batch)
     batch = placed(batch, places)
-    extra = places.shape[1] - slots
-    visibility = np.pad(truth.visibility, ((0, 0), (0, extra), (0, 0)))
+    more = (0, places.shape[1] - slots)  # rows of predicted people whom no true one stands for
+    visibility = np.pad(truth.visibility, ((0, 0), more, (0, 0)))
     true_2d, true_3d = (
-        np.pad(x, ((0, 0), (0, extra), (0, 0), (0, 0)), constant_values=np.nan) for x in (truth.joints_2d, truth.joints_3d)
+        np.pad(x, ((0, 0), more, (0, 0), (0, 0)), constant_values=np.nan) for x in (truth.joints_2d, truth.joints_3d)
     )
-    box = np.pad(box, ((0, 0), (0, extra), (0, 0)))
+    box = np.pad(box, ((0, 0), more, (0, 0)))
     area = box[..., 2:].prod(axis=-1)
-    heads = _head_sizes(true_2d, THESIS_HEAD_PX, state), _head_sizes(true_3d, THESIS_HEAD_M, state)
+    head_2d = _head_sizes(true_2d, THESIS_HEAD_PX, skeleton, options)
+    head_3d = _head_sizes(true_3d, THESIS_HEAD_M, skeleton, options)
 
     counts = visibility >= options.min_visibility
     outside = (visibility == Visibility.OUTSIDE_IMAGE) & (options.min_visibility > Visibility.OUTSIDE_IMAGE)
@@ -160,80 +161,75 @@ def _add(
     f, p = np.nonzero(true | predicted)
 
     similarity = np.zeros((frames, places.shape[1]), np.float32)
+    detections = []
     for i in range(frames):
         matrix = oks(batch.joints_2d[i], true_2d[i], counts[i], area[i], skeleton.sigma, box[i])
         similarity[i] = np.diagonal(matrix)
-        state.detections.append(_detections(state.seen + i, matrix, batch.score[i], found_2d[i], true[i], counts[i].any(axis=-1)))
-    offsets_2d, offsets_3d = batch.joints_2d - true_2d, batch.joints_3d - true_3d
-    jitter_2d, jitter_3d = _jitter(state, truth, offsets_2d, offsets_3d)
-    state.px.append(_space(state, batch.joints_2d[f, p], true_2d[f, p], found_2d[f, p], heads[0][f, p], jitter_2d[f, p]))
-    state.m.append(_space(state, batch.joints_3d[f, p], true_3d[f, p], found_3d[f, p], heads[1][f, p], jitter_3d[f, p]))
-    state.rows.append(
-        {
-            "at": (state.seen + f).astype(np.int64),
-            "visibility": visibility[f, p],
-            "counts": counts[f, p],
-            "absent": ((visibility == Visibility.ABSENT) | outside)[f, p],
-            "found": found[f, p],
-            "true": true[f, p],
-            "predicted": predicted[f, p],
-            "oks": similarity[f, p],
-        }
+        detections.append(_detections(seen + i, matrix, batch.score[i], found_2d[i], true[i], counts[i].any(axis=-1)))
+    jitter_2d, jitter_3d = _jitter(last_frames, truth, batch.joints_2d - true_2d, batch.joints_3d - true_3d)
+    return Samples(
+        skeleton,
+        truth.frame,
+        (seen + f).astype(np.int64),
+        visibility[f, p],
+        counts[f, p],
+        ((visibility == Visibility.ABSENT) | outside)[f, p],
+        found[f, p],
+        true[f, p],
+        predicted[f, p],
+        similarity[f, p],
+        _space(skeleton, batch.joints_2d[f, p], true_2d[f, p], found_2d[f, p], head_2d[f, p], jitter_2d[f, p]),
+        _space(skeleton, batch.joints_3d[f, p], true_3d[f, p], found_3d[f, p], head_3d[f, p], jitter_3d[f, p]),
+        _concatenated(detections),
     )
-    state.frames.append(truth.frame)
-    state.seen += frames
 
 
 def _found_only(batch: PoseBatch, presence: float) -> PoseBatch:
     """The batch without the joints whose presence is too improbable."""
-    out = batch.presence < presence
-    two, three = (np.where(out[..., None], np.float32(np.nan), x) for x in (batch.joints_2d, batch.joints_3d))
+    out = (batch.presence < presence)[..., None]
+    two, three = (np.where(out, np.float32(np.nan), x) for x in (batch.joints_2d, batch.joints_3d))
     return PoseBatch(two, three, batch.score, batch.presence)
 
 
-def _space(state: _Collector, predicted: Float, true: NDArray[np.floating], found: Bool, head: Float, jitter: Float) -> Space:
-    skeleton = state.skeleton
+def _space(
+    skeleton: EvaluatedSkeleton, predicted: Float, true: NDArray[np.floating], found: Bool, head: Float, jitter: Float
+) -> Space:
     p, t = predicted.astype(np.float64), true.astype(np.float64)
-    nothing = np.full(found.shape, np.nan, np.float32)
-    solid = predicted.shape[-1] == 3
-    return Space(
-        found,
-        errors.distances(p, t).astype(np.float32),
-        errors.aligned_distances(p, t).astype(np.float32) if solid else nothing,
-        errors.bone_length_errors(p, t, skeleton.limbs).astype(np.float32) if solid else nothing,
-        errors.swaps(p, t, skeleton.pairs).astype(np.float32),
-        jitter,
-        head,
-    )
+    aligned = bone = np.full(found.shape, np.nan)
+    if predicted.shape[-1] == 3:
+        aligned, bone = errors.aligned_distances(p, t), errors.bone_length_errors(p, t, skeleton.limbs)
+    measured = errors.distances(p, t), aligned, bone, errors.swaps(p, t, skeleton.pairs)
+    distance, aligned, bone, swap = (x.astype(np.float32) for x in measured)
+    return Space(found, distance, aligned, bone, swap, jitter, head)
 
 
 def _jitter(
-    state: _Collector, truth: TruthChunk, offsets_2d: NDArray[np.floating], offsets_3d: NDArray[np.floating]
-) -> tuple[Float, Float]:
-    """(F, P, J) acceleration errors in px and m a frame², at the last of three frames in a row; NaN elsewhere."""
+    last_frames: dict[str, NDArray[np.generic]], truth: TruthChunk, offsets_2d: NDArray[Any], offsets_3d: NDArray[Any]
+) -> list[Float]:
+    """(F, P, J) acceleration errors in px and m a frame², at the last of three frames in a row; NaN elsewhere.
+
+    last_frames: what is needed of the two frames before the chunk, {} before the first one; those of the chunk take their place.
+    """
     now = {"frame": truth.frame, "sequence": truth.sequence, "sync_ns": truth.sync_ns, "2d": offsets_2d, "3d": offsets_3d}
-    tail = state.tail or {name: values[:0] for name, values in now.items()}
-    joined = {name: np.concatenate((tail[name], values)) for name, values in now.items()}
-    before = len(tail["frame"])
-    state.tail = {name: values[-2:] for name, values in joined.items()}
-    follows = np.zeros(len(joined["frame"]), bool)
+    joined = {name: np.concatenate((last_frames.get(name, values[:0]), values)) for name, values in now.items()}
+    before = len(joined["frame"]) - len(truth.frame)
+    last_frames.update({name: values[-2:] for name, values in joined.items()})
     step = {name: np.diff(joined[name]) for name in ("frame", "sequence", "sync_ns")}
+    follows = np.zeros(len(joined["frame"]), bool)
     follows[1:] = (step["frame"] == 1) & (step["sequence"] == 0) & (step["sync_ns"] > 0)
     result = []
     for name in ("2d", "3d"):
         values = np.full(joined[name].shape[:-1], np.nan, np.float32)
         values[2:] = errors.accelerations(joined[name], follows)
         result.append(values[before:])
-    return result[0], result[1]
+    return result
 
 
-def _head_sizes(true: NDArray[np.floating], thesis: float, state: _Collector) -> Float:
+def _head_sizes(true: NDArray[np.floating], thesis: float, skeleton: EvaluatedSkeleton, options: EvaluationOptions) -> Float:
     """(F, P) head size in the unit of the points (F, P, J, D)."""
-    if state.options.head == "thesis":
-        return np.full(true.shape[:2], thesis, np.float32)
-    if state.skeleton.head is None:
-        return np.full(true.shape[:2], np.nan, np.float32)
-    a, b = state.skeleton.head
+    if options.head == "thesis" or skeleton.head is None:
+        return np.full(true.shape[:2], thesis if options.head == "thesis" else np.nan, np.float32)
+    a, b = skeleton.head
     size = np.linalg.norm(true[:, :, a] - true[:, :, b], axis=-1).astype(np.float32)
     return np.where(size > 0, size, np.float32(np.nan))
 

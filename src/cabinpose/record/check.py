@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,11 +12,12 @@ from pathlib import Path
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import CabinposeError, SourceEndedError
 from cabinpose.core.ports import FrameSource
-from cabinpose.record.config import Rig, SourcePlan
+from cabinpose.record.config import Rig, SourcePlan, Storage
 from cabinpose.record.lane import is_data
+from cabinpose.store.recording import parts_beside
 
 _PATIENCE_S = 25.0  # for one source; they are asked at the same time
-_LISTEN_S = 5.0  # to a source that is ready: so long may its first data take
+_LISTEN_S = 5.0  # to a source that is ready: the longest wait for its first data
 _READ_S = 0.1
 
 
@@ -31,10 +31,25 @@ class Finding:
 
 
 def check(rig: Rig, out: Path | None, clock: HostClock) -> list[Finding]:
-    """What is missing, of the disk and of each source; nothing is recorded and nothing left open."""
+    """Look at everything that a take needs; nothing is recorded and nothing left open.
+
+    Parameters
+    ----------
+    rig
+        The checked rig.
+    out
+        The file that the take will be written to; None: the disk is not looked at.
+    clock
+        What the sources and the waiting go by.
+
+    Returns
+    -------
+    list of Finding
+        Of the take, the disk and each source, in this order.
+    """
     findings = [_take(rig)]
     if out is not None:
-        findings.append(Finding("disk", tuple(_disk(out, rig.storage.min_free_mb * 1e6))))
+        findings.append(Finding("disk", tuple(_disk(out, rig.storage))))
     asked = [(plan, _ask(plan, clock)) for plan in rig.sources]
     return findings + [Finding(plan.name, wait(), plan.required) for plan, wait in asked]
 
@@ -45,15 +60,16 @@ def _take(rig: Rig) -> Finding:
     return Finding("take", tuple(missing))
 
 
-def _disk(out: Path, min_free: float) -> list[str]:
-    if out.exists():
-        return [f"{out} exists: recordings are never overwritten"]
+def _disk(out: Path, storage: Storage) -> list[str]:
+    there = [out] if out.exists() else sorted(parts_beside(out).values()) if storage.split_every else []
+    if there:
+        return [f"{there[0]} exists: recordings are never overwritten"]
     folder = out.parent
     if not folder.is_dir():
         return [f"there is no folder {folder}"]
     if not os.access(folder, os.W_OK):
         return [f"{folder} cannot be written to"]
-    free = shutil.disk_usage(folder).free
+    free, min_free = shutil.disk_usage(folder).free, storage.min_free_mb * 1e6
     return [] if free > min_free else [f"{free / 1e6:.0f} MB free in {folder}, a take needs more than {min_free / 1e6:.0f} MB"]
 
 
@@ -64,12 +80,12 @@ def _without_log(plan: SourcePlan) -> SourcePlan:
     return replace(plan, settings=plan.settings.model_copy(update={"log": None}))
 
 
-def _listen(source: FrameSource) -> list[str]:
+def _listen(source: FrameSource, clock: HostClock) -> list[str]:
     """What there is to say of a source that is there and sends nothing."""
-    until = time.monotonic() + _LISTEN_S
+    until = clock.now_s() + _LISTEN_S
     try:
         source.open()
-        while time.monotonic() < until:
+        while clock.now_s() < until:
             if any(map(is_data, source.read(_READ_S))):
                 return []
     except SourceEndedError:
@@ -85,17 +101,17 @@ def _ask(plan: SourcePlan, clock: HostClock) -> Callable[[], tuple[str, ...]]:
 
     def ask() -> None:
         try:
-            answer.append(tuple(plan.build(clock).check() or _listen(_without_log(plan).build(clock))))
+            answer.append(tuple(plan.build(clock).check() or _listen(_without_log(plan).build(clock), clock)))
         except CabinposeError as error:
             answer.append((f"{error}; {error.hint}" if error.hint else str(error),))
-        except Exception as error:  # noqa: BLE001 - a source is anybody's code; its defect is a finding
+        except Exception as error:  # noqa: BLE001 - a source may be code of another package; its defect is a finding
             answer.append((f"its check failed: {error!r}",))
 
     thread = threading.Thread(target=ask, name=f"check-{plan.name}", daemon=True)
     thread.start()
 
     def wait() -> tuple[str, ...]:
-        thread.join(_PATIENCE_S)
+        clock.join(thread, _PATIENCE_S)
         return answer[0] if answer else (f"did not answer within {_PATIENCE_S:.0f} s",)
 
     return wait

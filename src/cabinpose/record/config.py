@@ -21,6 +21,7 @@ from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.ports import FrameSource
 from cabinpose.core.yaml_text import read_yaml
+from cabinpose.record.split import Limit
 from cabinpose.store.recording import Compression, Take
 
 ENTRY_POINTS = "cabinpose.sources"
@@ -35,6 +36,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
         "azure_mkv": f"{_HERE}.tof.azure_mkv:AzureMkvSource",
         "simulated": f"{_HERE}.tof.simulated:SimulatedSource",
         "lsl": f"{_HERE}.lsl:LslSource",
+        "stepper": f"{_HERE}.stepper:StepperSource",
         "replay": f"{_HERE}.replay:ReplaySource",
         "numbered": f"{_HERE}.numbered:NumberedSource",
     }
@@ -58,7 +60,15 @@ class Storage(BaseModel):
     sync_s: float = Field(
         1.0, ge=0, le=600, description="pause between requests to the disk to hold it all, s; 0 = only at the end"
     )
+    split_every: str | None = Field(None, description="go on in a new file after so long or so much: 10min, 2GB; left out: never")
     min_free_mb: float = Field(512.0, ge=0, description="the take ends before the disk has less free, MB")
+
+    @field_validator("split_every")
+    @classmethod
+    def _limit(cls, text: str | None) -> str | None:
+        if text is not None:
+            Limit.of(text)
+        return text
 
 
 class RigFile(BaseModel):
@@ -113,8 +123,19 @@ def kinds() -> dict[str, str]:
 
 
 def load_rig(path: Path) -> Rig:
-    """Read and check a rig's file. Raises ConfigError naming the key, the reason and what is possible, DependencyError where
-    a kind needs what is not installed.
+    """Read and check a rig's file.
+
+    Parameters
+    ----------
+    path
+        A YAML file; relative paths in it are taken from its folder.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key, the reason and what is possible.
+    DependencyError
+        Where a kind of source needs what is not installed.
     """
     data = read_yaml(path, hint="docs/recording.md has a rig to start from")
     return parse_rig(data, path.read_text(encoding="utf-8"), base=path.parent)

@@ -1,6 +1,7 @@
 """One source at work: its thread, the bounded queue between it and the file, and what is known of both.
 
-A source that fails is closed and opened again, for as long as the take lasts. What the queue has no room for is counted.
+A source that fails is closed and opened again, for as long as the take lasts; but the take ends with a source that leads it
+(`leads_take`, such as a motor). What the queue has no room for is counted.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from cabinpose.core.recorded import Facts
 from cabinpose.store.recording import SourceStatus
 from cabinpose.store.recording.messages import sample_bytes
 
-READ_S = 0.1  # how long a source may wait for a sample: so soon does it see that the take is over
+READ_S = 0.1  # how long a source waits for a sample before it looks whether the take is over
 RETRY_S = 0.5  # pause before a source is opened again; it doubles up to
 MOST_RETRY_S = 5.0
 _WINDOW_S = 2.0  # over which rates are measured
 _WINDOW_SAMPLES = 1000
-_SILENT_S = 1.0  # a source is silent after so long without data,
-_SILENT_INTERVALS = 10  # and after so many of its mean intervals
+_SILENT_S = 1.0  # a source without data for this long is silent
+_SILENT_INTERVALS = 10  # if that is also longer than this many of its mean intervals
 _OVERHEAD = 256  # bytes of a sample beside its raw bytes and arrays
 
 
@@ -45,7 +46,7 @@ class LaneStatus:
 class Lane:
     """A source, its thread and its queue. `wake` is set when samples wait.
 
-    queue_bytes, queue_s: no sample is taken into the queue beyond so many bytes, or while the oldest has waited for longer.
+    A sample is dropped where it would fill the queue beyond `queue_bytes`, or while the oldest in it has waited for `queue_s`.
     """
 
     def __init__(
@@ -72,7 +73,8 @@ class Lane:
         self._last_ns: int | None = None
         self._began_ns = self._came_ns = 0  # when the first and the last of them came here; before the first: when it was opened
         self._away = False
-        self._stop = threading.Event()
+        self._stop, self._begun = threading.Event(), threading.Event()
+        self.leads = getattr(source, "leads_take", False)
         self.opened = threading.Event()
         self.failure: RecordingError | None = None
         self._thread = threading.Thread(target=self._run, name=f"source-{self.name}", daemon=True)
@@ -81,17 +83,20 @@ class Lane:
         """Begin; `opened` is set once the source is there, or `failure` says why it is not."""
         self._thread.start()
 
+    def begin(self) -> None:
+        """All sources are open: one that leads the take may go on."""
+        self._begun.set()
+
     def stop(self) -> None:
         """Ask the source to stop."""
         self._stop.set()
 
     def join(self, timeout_s: float) -> bool:
         """Wait for it; False where it hangs, in which case it is left to itself."""
-        self._thread.join(timeout_s)
-        if self._thread.is_alive():
+        ended = self._clock.join(self._thread, timeout_s)
+        if not ended:
             self._error = self._error or "does not stop"
-            return False
-        return True
+        return ended
 
     @property
     def ended(self) -> bool:
@@ -104,7 +109,7 @@ class Lane:
         return self._given
 
     def take(self, most_bytes: int) -> list[Sample]:
-        """The oldest samples of the queue, up to about so many bytes."""
+        """The oldest samples of the queue, of about `most_bytes` in all."""
         taken: list[Sample] = []
         with self._lock:
             while self._queue and most_bytes > 0:
@@ -176,6 +181,8 @@ class Lane:
                     self._came_ns = self._clock.now_ns()
                 self.opened.set()
                 self._state = "recording"
+                while self.leads and not (self._begun.wait(READ_S) or self._stop.is_set()):
+                    pass
                 while not self._stop.is_set():
                     samples = self._source.read(READ_S)
                     if samples:
@@ -184,16 +191,16 @@ class Lane:
             except SourceEndedError:
                 self._state = "ended"
                 break
-            except Exception as error:  # noqa: BLE001 - a source is anybody's code: its defects must not end the others' take
+            except Exception as error:  # noqa: BLE001 - a source may be code of another package, whose defects must not end the take
                 self._error = str(error) or type(error).__name__
-                if not self.opened.is_set():
+                if self.leads or not self.opened.is_set():
                     self._state = "failed"
                     self.failure = error if isinstance(error, RecordingError) else RecordingError(f"{self.name}: {error!r}")
                     break
                 self._state, self._away = "retrying", True
             finally:
                 self._close()
-            self._stop.wait(pause)
+            self._clock.wait(self._stop, pause)
             pause = min(2 * pause, MOST_RETRY_S)
         if self._stop.is_set():
             self._state = "stopped"

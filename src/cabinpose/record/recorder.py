@@ -1,6 +1,6 @@
 """Several sources into one file, side by side: a thread each, and one that writes.
 
-No source waits for another, nor for the disk: between each and the file stands a queue of bounded bytes and seconds, and what
+No source waits for another or for the disk: between each and the file is a queue with a limit in bytes and seconds, and what
 finds it full is dropped and counted. The writing thread takes from the queues in turn.
 """
 
@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import shutil
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
 from cabinpose.record.lane import Lane, LaneStatus
-from cabinpose.store.recording import RecordingWriter, SourceStatus
+from cabinpose.record.split import SplitWriter
+from cabinpose.store.recording import SourceStatus
 
 _TURN_BYTES = 1 << 20  # that one source may write before the next has its turn
 _STATUS_S = 1.0
@@ -36,7 +37,7 @@ class RecorderStatus:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a take ended: the counts of its sources, bytes of the file, and the error that ended it, if one did.
+    """How a take ended: the counts of its sources, its files, their bytes, and the error that ended it, if one did.
 
     started_ns, ended_ns: host time at which all sources were open, and at which they were asked to stop.
     """
@@ -44,6 +45,7 @@ class Outcome:
     sources: tuple[SourceStatus, ...]
     started_ns: int
     ended_ns: int
+    files: tuple[Path, ...]
     bytes_written: int
     error: RecordingError | None
 
@@ -54,10 +56,10 @@ class Outcome:
 
 
 class Recorder:
-    """Records until it is stopped, all sources have ended, or the disk refuses."""
+    """Records until it is stopped, all sources or one that leads the take have ended, or the disk refuses."""
 
     def __init__(
-        self, lanes: Sequence[Lane], writer: RecordingWriter, clock: HostClock, wake: threading.Event, *, min_free_bytes: int = 0
+        self, lanes: Sequence[Lane], writer: SplitWriter, clock: HostClock, wake: threading.Event, *, min_free_bytes: int = 0
     ) -> None:
         """wake: that of the lanes · min_free_bytes: the take ends before the disk has less."""
         self._lanes, self._writer, self._clock, self._wake = tuple(lanes), writer, clock, wake
@@ -65,17 +67,17 @@ class Recorder:
         self._stopping = threading.Event()
         self._started_ns = self._ended_ns = clock.now_ns()
         self._free = self._min_free
-        self._rate = (time.monotonic(), 0, 0.0)  # when, bytes then, bytes a second before
+        self._rate = (clock.now_s(), 0, 0.0)  # when, bytes then, bytes a second before
         self._error: RecordingError | None = None
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
 
     def start(self, timeout_s: float = 30.0) -> None:
         """Open all sources and begin. Raises RecordingError, with nothing left running, where one cannot be opened."""
-        until = time.monotonic() + timeout_s
+        until = self._clock.now_s() + timeout_s
         for lane in self._lanes:
             lane.start()
         for lane in self._lanes:
-            if not lane.opened.wait(max(until - time.monotonic(), 0.0)) or lane.failure is not None:
+            if not self._clock.wait(lane.opened, until - self._clock.now_s()) or lane.failure is not None:
                 self._halt_sources()
                 self._writer.close()
                 raise lane.failure or RecordingError(
@@ -83,11 +85,14 @@ class Recorder:
                 )
         self._started_ns = self._ended_ns = self._clock.now_ns()
         self._thread.start()
+        for lane in self._lanes:
+            lane.begin()
 
     @property
     def running(self) -> bool:
         """Whether there is still something to record."""
-        return self._thread.is_alive() and self._error is None and not all(lane.ended for lane in self._lanes)
+        over = all(lane.ended for lane in self._lanes) or any(lane.leads and lane.ended for lane in self._lanes)
+        return self._thread.is_alive() and self._error is None and not over
 
     def status(self) -> RecorderStatus:
         """What the panel shows."""
@@ -101,16 +106,17 @@ class Recorder:
         self._halt_sources()
         self._stopping.set()
         self._wake.set()
-        self._thread.join()
+        self._clock.join(self._thread, float("inf"))
         counts = tuple(self._account(lane) for lane in self._lanes)
-        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.bytes_written, self._error)
+        error = next((lane.failure for lane in self._lanes if lane.failure is not None), self._error)
+        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.files, self._writer.bytes_written, error)
 
     def _halt_sources(self) -> None:
         for lane in self._lanes:
             lane.stop()
-        until = time.monotonic() + _STOP_S
+        until = self._clock.now_s() + _STOP_S
         for lane in self._lanes:
-            lane.join(max(until - time.monotonic(), 0.01))
+            lane.join(max(until - self._clock.now_s(), 0.01))
 
     def _run(self) -> None:
         try:
@@ -130,9 +136,9 @@ class Recorder:
             self._error = self._error or error
 
     def _write(self) -> None:
-        next_status = time.monotonic() + _STATUS_S
+        next_status = self._clock.now_s() + _STATUS_S
         while True:
-            self._wake.wait(_IDLE_S)
+            self._clock.wait(self._wake, _IDLE_S)
             self._wake.clear()
             stopping = self._stopping.is_set()
             wrote = True
@@ -142,18 +148,27 @@ class Recorder:
                     for sample in lane.take(_TURN_BYTES):
                         lane.written(sample, self._writer.write(lane.name, sample))
                         self._writer.poll()  # after each: where much waits, a chunk must not become old before it is full
+                        if self._writer.full:
+                            self._go_on()
                         wrote = True
                 self._writer.poll()
-                if time.monotonic() >= next_status:
-                    next_status = time.monotonic() + _STATUS_S
+                if self._clock.now_s() >= next_status:
+                    next_status = self._clock.now_s() + _STATUS_S
                     self._tick()
             if stopping:
                 return
 
+    def _go_on(self) -> None:
+        """Begin the next file, with the counts at the end of the one and at the beginning of the other."""
+        now_ns = self._clock.now_ns()
+        self._tell_counts(now_ns)
+        self._writer.go_on()
+        self._tell_counts(now_ns)
+
     def _tick(self) -> None:
         """Once a second: the counts into the file, and a look at the disk."""
         self._tell_counts(self._clock.now_ns())
-        now, before = time.monotonic(), self._rate
+        now, before = self._clock.now_s(), self._rate
         done = self._writer.bytes_written
         self._rate = (now, done, (done - before[1]) / max(now - before[0], 1e-9))
         self._free = shutil.disk_usage(self._writer.path.parent).free

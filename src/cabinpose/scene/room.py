@@ -11,8 +11,8 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import FORWARD_FROM_CAMERA, axis_rotation, transform
 from cabinpose.scene import labels, materials
 from cabinpose.scene.surface import Surface, merge
@@ -49,12 +49,12 @@ class Room:
     stand_y: Interval
 
 
-def _normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals(triangles: Floats) -> Floats:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 1])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def _solid(triangles: NDArray[np.float64], normals: NDArray[np.float64], label: str, material: str) -> Surface:
+def _solid(triangles: Floats, normals: Floats, label: str, material: str) -> Surface:
     """A faceted surface of triangles (F, 3, 3) with normals (F, 3): own vertices for every face, so that edges are hard."""
     count = len(triangles)
     return Surface(
@@ -72,8 +72,9 @@ def _box(low: tuple[float, float, float], high: tuple[float, float, float], labe
     return _solid(_UNIT_BOX * np.subtract(high, low) + low, _normals(_UNIT_BOX), label, material)
 
 
-def _pot(radius: float, height: float, sides: int = 12) -> NDArray[np.float64]:
+def _pot(radius: float, height: float) -> Floats:
     """Triangles (F, 3, 3) of a cylinder that stands upright on the origin."""
+    sides = 12
     angle = 2 * np.pi * np.arange(sides) / sides
     low = np.stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)), axis=1)
     high = low + (0.0, 0.0, height)
@@ -83,7 +84,7 @@ def _pot(radius: float, height: float, sides: int = 12) -> NDArray[np.float64]:
     return np.stack([np.stack(face, axis=1) for face in faces], axis=1).reshape(-1, 3, 3)
 
 
-def _ball(radius: float) -> NDArray[np.float64]:
+def _ball(radius: float) -> Floats:
     """Triangles (80, 3, 3) of a sphere about the origin: an icosahedron, every face of it cut in four."""
     a, b, c = np.moveaxis(_ICOSAHEDRON, 1, 0)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
@@ -152,7 +153,7 @@ def _chair(x: float, y: float, rng: np.random.Generator) -> list[Surface]:
 
 
 def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> list[Surface]:
-    """Furniture of one side of the room, kept outside |y| = `inner`."""
+    """Furniture along one side of the room, farther from the middle than |y| = `inner` (m)."""
     pieces: list[Surface] = []
     for _ in range(rng.integers(1, 5)):
         px, py = rng.uniform(*x), side * (inner + rng.uniform(0.25, 0.9))
@@ -207,7 +208,7 @@ def furnish_room(*, rng: np.random.Generator) -> Room:
     return Room(merge(pieces), (2.3, max(wall_x - 0.75, 2.6)), (-0.4, 0.4))
 
 
-def place_room_camera(*, rng: np.random.Generator) -> NDArray[np.float64]:
+def place_room_camera(*, rng: np.random.Generator) -> Floats:
     """`world_from_camera` of a camera on a tripod or shelf: 1.25-1.65 m high, pitched 0-7 degrees down, nearly level."""
     yaw, pitch, roll = np.radians((rng.normal(0, 2.0), rng.uniform(0.0, 7.0), rng.normal(0, 1.0)))
     # A positive turn about y (left) looks down.

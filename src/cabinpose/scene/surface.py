@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bytes, Floats32, Ints32
 from cabinpose.core.frames import Matrix
 
 
@@ -19,12 +19,12 @@ class Surface:
     label, material, instance: (F,) uint8 (instance: 0 = nobody, else 1 + occupant slot).
     """
 
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    faces: NDArray[np.int32]
-    label: NDArray[np.uint8]
-    material: NDArray[np.uint8]
-    instance: NDArray[np.uint8]
+    vertices: Floats32
+    normals: Floats32
+    faces: Ints32
+    label: Bytes
+    material: Bytes
+    instance: Bytes
 
     def moved(self, a_from_b: Matrix) -> Surface:
         """The surface in frame a, rigidly moved."""

@@ -1,4 +1,4 @@
-"""A dataset folder as a whole: making it, and going on with it."""
+"""Making a dataset folder, and resuming one."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
 
 
 class DatasetWriter:
-    """A dataset folder that is being filled; it keeps other writers out until it is closed.
+    """A dataset folder that is being filled, locked for other writers until it is closed.
 
-    new: there was no dataset in it before; made: there was no folder.
+    new: there was no dataset in it before · made: there was no folder.
     """
 
     def __init__(self, folder: Path, manifest: Manifest, lock: int, *, new: bool, made: bool) -> None:
@@ -60,11 +60,29 @@ class DatasetWriter:
 
 
 def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = False, resume: bool = False) -> DatasetWriter:
-    """Make a dataset folder, or go on with one, ready for `PartWriter`s; call `close` (or use `with`) at the end.
+    """Make a dataset folder, or go on with one, ready for `PartWriter`s.
 
-    `resume` keeps the complete parts of a dataset with the same manifest and may ask for more frames; `overwrite`
-    deletes the parts of the dataset that is there. Raises `DatasetError` where the folder holds anything else, the
-    manifests differ (the message names the keys), another process writes to it, or the disk is too small.
+    Parameters
+    ----------
+    folder
+        The folder of the dataset.
+    manifest
+        What it will hold.
+    overwrite
+        Delete the parts of the dataset that is there.
+    resume
+        Keep the complete parts of a dataset with the same manifest, which may ask for more frames.
+
+    Returns
+    -------
+    DatasetWriter
+        Call `close` (or use `with`) at the end.
+
+    Raises
+    ------
+    DatasetError
+        Where the folder holds anything else, the manifests differ (the message names the keys), another process writes to it,
+        or the disk is too small.
     """
     if overwrite and resume:
         raise DatasetError("a dataset is either resumed or overwritten", hint="give one of --resume and --overwrite")

@@ -1,6 +1,6 @@
 """A dataset folder as one lazy `xarray.Dataset`, whose arrays read the parts when they are indexed (no dask needed).
 
-Apart from `store.dataset`, so that who writes a dataset does not import xarray.
+A module of its own, so that writing a dataset does not import xarray.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from xarray.core import indexing
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
-from cabinpose.core.skeleton import ITOP_JOINTS
 from cabinpose.store.part_facts import PartFacts, check_part
-from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, label_attributes, read_manifest
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole
+from cabinpose.store.zarr_metadata import dimension_labels
 
 
 def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignore"] = "warn") -> xr.Dataset:
@@ -67,18 +67,15 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         )
     frames = {plan.name: part.frames for plan, part in zip(plans, facts, strict=True)}
     variables = {
-        v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(_variable_attributes(manifest, v))
+        v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(variable_attributes(manifest, v))
         for v in manifest.stored
     }
     coordinates: dict[str, Any] = {
         "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, facts, strict=True)]),
-        "person": list(manifest.persons),
-        "joint": list(manifest.joints),
+        **{name: list(labels) for name, labels in dimension_labels(manifest).items()},
         "xyz": ["x", "y", "z"],
         "uv": ["u", "v"],
     }
-    if "itop_joints_3d" in variables:
-        coordinates["itop_joint"] = list(ITOP_JOINTS)
     dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, facts))
     return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
 
@@ -89,28 +86,13 @@ def _indices(plan: PartPlan, part: PartFacts) -> NDArray[np.int64]:
     return planned[~np.isin(planned, part.skipped)]
 
 
-def _variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
-    attrs: dict[str, Any] = {"long_name": variable.meaning}
-    if variable.units is not None:
-        attrs["units"] = variable.units
-    if variable.name == "labels":
-        attrs |= label_attributes(manifest)
-    return attrs
-
-
 def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str, Any]:
     """What holds for all frames, and the parts' counts of proposed and rejected scenes added up."""
     rejections: Counter[str] = Counter()
     for part in parts:
         rejections.update(part.rejections)
-    return {
-        "schema_version": manifest.schema_version,
-        "generator": manifest.generator,
-        "generator_version": manifest.generator_version,
-        "seed": manifest.seed,
-        "licence": manifest.licence,
-        "width": manifest.width,
-        "height": manifest.height,
+    names = ("schema_version", "generator", "generator_version", "seed", "licence", "width", "height")
+    return {name: getattr(manifest, name) for name in names} | {
         "planned_frames": manifest.frames,
         "parts_without_checksum": sum(part.checksum is None for part in parts),
         "skipped_frames": sum(len(part.skipped) for part in parts),
@@ -208,10 +190,24 @@ class PointsArray(BackendArray):
 
 
 def points_m(dataset: xr.Dataset, variable: str = "depth") -> xr.DataArray:
-    """The point cloud (frame, y, x, xyz) of a dataset or a selection of it, lazily.
+    """The point cloud of a dataset or a selection of it, computed as it is indexed.
 
-    float32 metres in the camera frame, NaN where invalid. `variable` names the depth that is
-    unprojected. A frame taken out (`ds.isel(frame=3)`) has points (y, x, xyz).
+    Parameters
+    ----------
+    dataset
+        A dataset, or one frame of it (`ds.isel(frame=3)`).
+    variable
+        The depth that is unprojected.
+
+    Returns
+    -------
+    xarray.DataArray
+        (frame, y, x, xyz), of one frame (y, x, xyz): float32 metres in the camera frame, NaN where invalid.
+
+    Raises
+    ------
+    DatasetError
+        Where the dataset lacks the variable, or does not know its camera.
     """
     if variable not in dataset:
         known = [str(name) for name in dataset.data_vars if str(name).startswith("depth")]

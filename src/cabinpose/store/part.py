@@ -25,6 +25,7 @@ from cabinpose.store.shard import ShardWriter, compressed, compressed_column, de
 from cabinpose.store.zarr_metadata import array_json, dimension_labels, group_json, zarr_arrays
 
 _SUFFIX = ".tmp"
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # or a quota, or a limit of the size of files
 _serial = count()
 
 
@@ -39,7 +40,7 @@ def disk_errors(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        if error.errno not in FULL_DISK:
             raise
         raise DatasetError(
             f"no space left while writing to {folder}",
@@ -169,10 +170,7 @@ class PartWriter:
             raise DatasetError(f"{self.plan.name} would be empty: every frame of it was skipped", hint="choose larger parts")
         for image in self._images.values():
             image.finish()
-        columns: dict[str, Sequence[Any]] = self._columns | {
-            "frame": self._written,
-            **dimension_labels(self._manifest),
-        }
+        columns: dict[str, Sequence[Any]] = self._columns | {"frame": self._written, **dimension_labels(self._manifest)}
         arrays = zarr_arrays(self._manifest, len(self._written))
         for array in arrays:
             if not array.is_image:
@@ -183,15 +181,15 @@ class PartWriter:
             (self._temporary / array.name / "zarr.json").write_text(array_json(array), encoding="utf-8")
         (self._temporary / "zarr.json").write_text(group_json(arrays, self._attributes()), encoding="utf-8")
         for path in sorted(self._temporary.rglob("*")):
-            _sync(path)
-        _sync(self._temporary)
+            sync(path)
+        sync(self._temporary)
         try:
             self._temporary.rename(self.folder / self.plan.name)
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
             return  # another worker was quicker, with the same bytes
-        _sync(self.folder)
+        sync(self.folder)
 
     def _attributes(self) -> dict[str, Any]:
         files = sorted(path for path in self._temporary.rglob("*") if path.is_file())
@@ -214,7 +212,7 @@ class PartWriter:
         }
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
     """Wait until a file, or the entries of a folder, would survive a power cut."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

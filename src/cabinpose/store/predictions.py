@@ -12,7 +12,7 @@ A joint without a row was not found: what the file leaves out counts as missed, 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -78,22 +78,30 @@ def check_new_predictions(file: Path, *, overwrite: bool) -> None:
 
 
 def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
-    """Write the file, as Parquet where its name ends in `.parquet`, else as JSON lines; it appears when it is whole.
+    """Write a predictions file; it appears when it is whole. A joint gets a row if its position (in px or m) is finite.
 
-    A joint gets a row if its position (in px or m) is finite. Raises `PredictionsError` where the file exists, or where its
-    name ends otherwise.
+    Parameters
+    ----------
+    path
+        The file: Parquet where its name ends in `.parquet`, JSON lines where it ends in `.jsonl`.
+    predictions
+        What to write.
+    overwrite
+        Replace the file.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    PredictionsError
+        Where the file exists, or its name ends otherwise.
     """
     file = Path(path)
     check_new_predictions(file, overwrite=overwrite)
-    header = {
-        "format": FORMAT,
-        "version": VERSION,
-        "model": predictions.model,
-        "skeleton": predictions.skeleton,
-        "joints": list(predictions.joints),
-        "persons": list(predictions.persons),
-        "dataset": predictions.dataset,
-    }
+    header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:]}
     temporary = file.with_name(f".{file.name}.tmp")
     try:
         with disk_errors(file.parent):
@@ -157,31 +165,27 @@ def _read_lines(file: Path) -> tuple[dict[str, Any], Any]:
     header, end = None, None
     with file.open(encoding="utf-8") as lines:
         for number, line in enumerate(lines, 1):
+            place = f"{file}:{number}"
             try:
                 row = json.loads(line)
             except json.JSONDecodeError as error:
                 if error.msg == "Extra data":
-                    raise PredictionsError(
-                        f"{file}:{number}: the line goes on after its JSON object", hint=f"write one object a line; {_DESCRIBED}"
-                    ) from error
-                raise PredictionsError(
-                    f"{file}:{number}: not a line of JSON ({error.msg})", hint=f"the file may be cut short; {_DESCRIBED}"
-                ) from error
+                    message, hint = "the line goes on after its JSON object", "write one object a line"
+                else:
+                    message, hint = f"not a line of JSON ({error.msg})", "the file may be cut short"
+                raise PredictionsError(f"{place}: {message}", hint=f"{hint}; {_DESCRIBED}") from error
             if number == 1:
                 header = row
                 _check_header(file, header)  # before thousands of rows of something else
                 continue
             if not isinstance(row, dict):
-                raise PredictionsError(f"{file}:{number}: a row is a JSON object", hint=_DESCRIBED)
+                raise PredictionsError(f"{place}: a row is a JSON object", hint=_DESCRIBED)
             if end is not None:
-                raise PredictionsError(f"{file}:{number}: a row behind the last line", hint='`{"rows": n}` is the last line')
+                raise PredictionsError(f"{place}: a row behind the last line", hint='`{"rows": n}` is the last line')
             if "frame" not in row and "rows" in row:
                 end = row["rows"]
                 continue
-            if unknown := sorted(row.keys() - set(COLUMNS)):
-                raise PredictionsError(
-                    f"{file}:{number}: unknown column {', '.join(unknown)}", hint=f"columns are {', '.join(COLUMNS)}"
-                )
+            _check_columns(place, row)
             for name in COLUMNS:
                 columns[name].append(row.get(name))
     if header is None:
@@ -244,8 +248,7 @@ def _read_parquet(file: Path) -> tuple[dict[str, Any], Any]:
         raise PredictionsError(f"{file} lacks the key 'cabinpose' in its metadata", hint=_DESCRIBED)
     header = json.loads(metadata[_PARQUET_KEY])
     _check_header(file, header)
-    if unknown := sorted(set(table.column_names) - set(COLUMNS)):
-        raise PredictionsError(f"{file}: unknown column {', '.join(unknown)}", hint=f"columns are {', '.join(COLUMNS)}")
+    _check_columns(str(file), table.column_names)
     empty = [None] * table.num_rows
     return {name: table.column(name).to_pylist() if name in table.column_names else empty for name in COLUMNS}, header
 
@@ -253,7 +256,14 @@ def _read_parquet(file: Path) -> tuple[dict[str, Any], Any]:
 # ----------------------------------------------------------------------------------------------------------- checks
 
 
+def _check_columns(place: str, names: Iterable[str]) -> None:
+    """Raise `PredictionsError` for a column that the format does not have."""
+    if unknown := sorted(set(names) - set(COLUMNS)):
+        raise PredictionsError(f"{place}: unknown column {', '.join(unknown)}", hint=f"columns are {', '.join(COLUMNS)}")
+
+
 def _check_header(file: Path, header: Any) -> None:
+    """Raise `PredictionsError` for a header that is not this format's."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise PredictionsError(f"{file} is no predictions file", hint=f'its header says `"format": "{FORMAT}"`; {_DESCRIBED}')
     if header.get("version") != VERSION:
@@ -274,11 +284,13 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     """The table as arrays; `PredictionsError` for the first row that is wrong."""
     persons, joints = tuple(header["persons"]), tuple(header["joints"])
     numbered = columns["frame"]
-    for row, number in enumerate(numbered, 1):
-        if not isinstance(number, int) or isinstance(number, bool) or number < 0:
-            raise PredictionsError(
-                f"{file}: row {row}: frame {number!r} is no frame number", hint="frames are whole numbers from 0"
-            )
+    whole = [isinstance(number, int) and not isinstance(number, bool) and number >= 0 for number in numbered]
+    _refuse(
+        file,
+        ~np.array(whole, bool),
+        lambda row: f": frame {numbered[row]!r} is no frame number",
+        "frames are whole numbers from 0",
+    )
     p = _positions(file, "person", columns["person"], persons)
     j = _positions(file, "joint", columns["joint"], joints)
     frame, f = np.unique(np.array(numbered, np.int64), return_inverse=True)
@@ -303,13 +315,18 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     )  # fmt: skip
 
 
+def _refuse(file: Path, wrong: NDArray[np.bool_], what: Callable[[int], str], hint: str) -> None:
+    """Raise `PredictionsError` for the first row that is wrong; what: the rest of the message, by the row's index."""
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise PredictionsError(f"{file}: row {row + 1}{what(row)}", hint=hint)
+
+
 def _positions(file: Path, kind: str, names: list[Any], known: tuple[str, ...]) -> NDArray[np.int64]:
+    """Of each name, its position among the known ones."""
     index = {name: i for i, name in enumerate(known)}
-    for row, name in enumerate(names, 1):
-        if name not in index:
-            raise PredictionsError(
-                f"{file}: row {row}: unknown {kind} {name!r}", hint=f"the header's {kind}s are {', '.join(known)}"
-            )
+    unknown = np.array([name not in index for name in names], bool)
+    _refuse(file, unknown, lambda row: f": unknown {kind} {names[row]!r}", f"the header's {kind}s are {', '.join(known)}")
     return np.array([index[name] for name in names], np.int64)
 
 
@@ -321,26 +338,18 @@ def _numbers(file: Path, name: str, values: list[Any]) -> NDArray[np.float32]:
     except (TypeError, ValueError) as error:
         raise PredictionsError(f"{file}: column {name} holds something that is no number ({error})", hint=_DESCRIBED) from error
     wrong = ~np.isfinite(numbers) & np.array([value is not None for value in values], bool)
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        raise PredictionsError(
-            f"{file}: row {row + 1}: {name} is {values[row]}", hint="leave out what was not found; null stands for no coordinate"
-        )
+    hint = "leave out what was not found; null stands for no coordinate"
+    _refuse(file, wrong, lambda row: f": {name} is {values[row]}", hint)
     return numbers
 
 
 def _check_values(file: Path, values: Mapping[str, NDArray[np.float32]]) -> None:
+    """Raise `PredictionsError` for the first row without a whole position, or with a presence that is no probability."""
     for names in (("u", "v"), ("x", "y", "z")):
         given = np.stack([np.isfinite(values[name]) for name in names])
-        partial = given.any(axis=0) != given.all(axis=0)
-        if partial.any():
-            row = int(np.flatnonzero(partial)[0]) + 1
-            raise PredictionsError(f"{file}: row {row} has some of {', '.join(names)}", hint="give all of them or none")
+        partial, some = given.any(axis=0) != given.all(axis=0), f" has some of {', '.join(names)}"
+        _refuse(file, partial, lambda _, some=some: some, "give all of them or none")  # type: ignore[misc]
     neither = np.isnan(values["u"]) & np.isnan(values["x"])
-    if neither.any():
-        row = int(np.flatnonzero(neither)[0]) + 1
-        raise PredictionsError(f"{file}: row {row} has no position", hint="give u and v, or x, y and z, or leave the row out")
+    _refuse(file, neither, lambda _: " has no position", "give u and v, or x, y and z, or leave the row out")
     outside = (values["presence"] < 0) | (values["presence"] > 1)
-    if outside.any():
-        row = int(np.flatnonzero(outside)[0]) + 1
-        raise PredictionsError(f"{file}: row {row}: presence is a probability", hint="give a number from 0 to 1")
+    _refuse(file, outside, lambda _: ": presence is a probability", "give a number from 0 to 1")

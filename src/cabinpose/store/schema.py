@@ -27,7 +27,6 @@ SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
 MANIFEST_NAME = "dataset.yaml"
 DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
-MAX_DEPTH_M = 65535 * DEPTH_SCALE_M
 
 
 @dataclass(frozen=True)
@@ -228,6 +227,14 @@ def label_attributes(manifest: Manifest) -> dict[str, Any]:
         "flag_meanings": " ".join(row.name for row in rows),
         "flag_rgb": tuple(row.rgb for row in rows),
     }
+
+
+def variable_attributes(manifest: Manifest, variable: Variable) -> dict[str, Any]:
+    """What a variable's attributes say of its values as they are read: meaning, unit, classes."""
+    attrs: dict[str, Any] = {"long_name": variable.meaning}
+    if variable.units is not None:
+        attrs["units"] = variable.units
+    return attrs | (label_attributes(manifest) if variable.name == "labels" else {})
 
 
 class _Dumper(yaml.SafeDumper):

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-import yaml
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError, unknown_name
@@ -64,25 +63,28 @@ def _refuse_overlap(splits: Splits, source: Path | str) -> None:
             )
 
 
-def read_splits(path: Path | str) -> dict[str, dict[str, tuple[Any, ...]]]:
-    """The splits of a YAML file; raises `DatasetError` as `parse_splits` does."""
-    return parse_splits(read_yaml(Path(path), hint="give a YAML file of splits", error=DatasetError), path)
+def read_splits(path: Path | str, names: Sequence[str] | None = None) -> dict[str, dict[str, tuple[Any, ...]]]:
+    """The splits of a YAML file.
 
+    Parameters
+    ----------
+    path
+        The file.
+    names
+        Which of them, in this order; None: all.
 
-def read_named_splits(path: Path | str, names: Sequence[str]) -> dict[str, dict[str, tuple[Any, ...]]]:
-    """Some splits of a YAML file, by name; raises as `read_splits` does, and `ConfigError` for a name that is not there."""
-    splits = read_splits(path)
-    for name in names:
+    Raises
+    ------
+    DatasetError
+        As `parse_splits` does.
+    ConfigError
+        For a name that is not there.
+    """
+    splits = parse_splits(read_yaml(Path(path), hint="give a YAML file of splits", error=DatasetError), path)
+    for name in names or ():
         if name not in splits:
             raise unknown_name("split", name, list(splits))
-    return {name: splits[name] for name in names}
-
-
-def write_splits(path: Path | str, splits: Splits) -> None:
-    """Keep splits as YAML; what overlaps is refused before anything is written."""
-    data = {name: {key: list(values) for key, values in selection.items()} for name, selection in splits.items()}
-    parse_splits(data, path)
-    Path(path).write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True), encoding="utf-8")
+    return splits if names is None else {name: splits[name] for name in names}
 
 
 def frame_mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
@@ -120,10 +122,22 @@ def _mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
 
 
 def held_out(dataset: xr.Dataset, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Frames to learn from and frames to validate on, of which nobody is in both; train, validate: what messages call them.
+    """Frames to learn from and frames to validate on, with nobody in both.
 
-    The subjects held out are 15 % of them, those last in the order of names. Frames that show one of them beside others are on
-    no side. `DatasetError` where a side is empty.
+    The subjects held out are 15 % of them, those last in the order of names. Frames that show one of them beside others are in
+    neither.
+
+    Parameters
+    ----------
+    dataset
+        The frames.
+    train, validate
+        What error messages call the two.
+
+    Raises
+    ------
+    DatasetError
+        Where there are fewer than two subjects, or one of the two is empty.
     """
     subjects = sorted(people_of(dataset))
     count = max(1, round(_HELD_OUT * len(subjects)))
@@ -157,9 +171,17 @@ def split_dataset(dataset: xr.Dataset, splits: Splits) -> dict[str, xr.Dataset]:
 
 
 def split_datasets(datasets: Sequence[xr.Dataset], splits: Splits) -> dict[str, list[xr.Dataset]]:
-    """The lazy parts of several datasets by split: one of each dataset, in their order, without frames where none belongs to it.
+    """The lazy parts of several datasets by split.
 
-    `DatasetError` for a value that none of them has, and for a split that has no frame in any of them.
+    Returns
+    -------
+    dict
+        By the name of the split, a part of each dataset, in their order, without frames where none belongs to the split.
+
+    Raises
+    ------
+    DatasetError
+        For a value that none of them has, and for a split that has no frame in any of them.
     """
     result = {}
     for name, selection in splits.items():

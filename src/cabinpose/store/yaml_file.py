@@ -1,4 +1,4 @@
-"""Files of settings: YAML mappings, and what is wrong with one in a sentence that names the key."""
+"""Settings in YAML files, with errors that name the key."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The `zarr.json` files of a part, as the Zarr v3 specification describes arrays and groups.
 
-Written here rather than by the Zarr library, whose import takes as long as the rest of a first frame; `tests/store` hold them to
-the library's own, byte by byte.
+Written here rather than by the Zarr library, whose import takes as long as the rest of a first frame; `tests/store` compare them
+with the library's own, byte by byte.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.store.schema import Manifest, checksum, label_attributes
+from cabinpose.store.schema import Manifest, checksum, variable_attributes
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL
 
 _FILL: dict[str, float | str] = {"U": "", "f": "NaN", "u": 0, "i": 0}  # by numpy's kind of type
@@ -45,13 +45,9 @@ def zarr_arrays(manifest: Manifest, frames: int) -> tuple[ZarrArray, ...]:
     arrays = [ZarrArray("frame", ("frame",), (frames,), "int64", (("long_name", "index of the frame in the dataset"),))]
     arrays += [ZarrArray(dim, (dim,), (len(labels),), "str", ()) for dim, labels in dimension_labels(manifest).items()]
     for variable in manifest.stored:
-        attrs: dict[str, Any] = {"long_name": variable.meaning}
-        if variable.units is not None:
-            attrs["units"] = variable.units
+        attrs = variable_attributes(manifest, variable)
         if variable.scale is not None:
             attrs |= {"scale_factor": variable.scale, "_FillValue": 0}
-        if variable.name == "labels":
-            attrs |= label_attributes(manifest)
         shape = (frames, *manifest.frame_shape(variable))
         arrays.append(ZarrArray(variable.name, variable.dims, shape, variable.dtype, tuple(attrs.items())))
     return tuple(arrays)

@@ -12,7 +12,7 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.store import Manifest, PartPlan
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import SceneSampler
-from cabinpose.synth.write import FrameReport, FrameTotal, make_frames
+from cabinpose.synth.write import FrameReport, make_frames
 
 
 def make_parts(
@@ -43,11 +43,11 @@ def make_parts(
 
 def _make_part(plan: PartPlan, *, folder: Path, config: SynthConfig, manifest: Manifest) -> FrameReport:
     """What a worker does with one part."""
-    total = FrameTotal()
+    total = FrameReport()
     sampler = _sampler(config.model_dump_json(), manifest.seed)
     for report in make_frames(folder, [plan], config, manifest, threads=1, sampler=sampler):
         total.add(report)
-    return total.report
+    return total
 
 
 @lru_cache(maxsize=2)

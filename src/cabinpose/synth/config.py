@@ -27,7 +27,7 @@ from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.posture import ACTIONS
-from cabinpose.synth.profiles import IncrementalProfile, Profile, dof_scale, limits_deg, standing
+from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
 
 Vector = tuple[float, float, float]
 _RANDOM_CAR = re.compile(r"C\d{4,}")
@@ -124,8 +124,7 @@ class ExactPose(Model):
     def _within(cls, angles: Mapping[str, float]) -> Mapping[str, float]:
         for name, angle in angles.items():
             low, high = (limit * dof_scale(name) for limit in limits_deg(name))
-            if not low - _LIMIT_SLACK <= angle <= high + _LIMIT_SLACK:
-                raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"from {low:g} to {high:g}")
+            check_within(name, angle, low, high, _LIMIT_SLACK)
         return angles
 
 

@@ -24,7 +24,7 @@ from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.write import Content, FrameReport, FrameTotal, make_frames
+from cabinpose.synth.write import Content, FrameReport, make_frames
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def generate(
     overwrite
         Replace a dataset of ours.
     progress
-        Called before the work, and after every frame, or part of a cluster.
+        Called before the work starts and after every frame (on a cluster: every part).
 
     Returns
     -------
@@ -116,7 +116,7 @@ def generate(
     preflight(config, frames=frames)
     manifest = build_manifest(config, frames, seed)
     started = time.perf_counter()
-    total = FrameTotal()
+    total = FrameReport()
     with create_dataset(out, manifest, overwrite=overwrite, resume=resume) as dataset:
         plans = dataset.missing()
         before = sum(plan.frames for plan in dataset.complete())
@@ -162,7 +162,7 @@ def _make(
     return make_frames(folder, plans, config, manifest, threads=workers or os.cpu_count() or 1)
 
 
-def _summary(out: Path, total: FrameTotal, before: int, seconds: float) -> GenerationReport:
+def _summary(out: Path, total: FrameReport, before: int, seconds: float) -> GenerationReport:
     rejected = sum(total.rejections.values())
     return GenerationReport(
         out=str(out),

@@ -41,8 +41,7 @@ class RandomPeople(Model):
 
     count: int = Field(100, ge=1, le=100_000)
     ranges: Mapping[str, Range] = Field(
-        {},
-        description="Ranges of years, stature_cm, gender, muscle, weight, height, proportions (0..1), where not the defaults.",
+        {}, description="Ranges of years, stature_cm, gender, muscle, weight, height, proportions (0..1), where not the defaults."
     )
 
     @field_validator("ranges")

@@ -1,7 +1,7 @@
 """Which cars, people and rooms a frame of a dataset draws from: a function of the configuration, the seed and the frame's number.
 
-Bodies and cars take time and memory to make. Where a dataset has many, only a few are in play at a time: every now and then one
-leaves and another takes its place, so that each is made once, and all come equally often.
+Bodies and cars take time and memory to make. Where a dataset has many, frames draw from a small set of them: at a fixed number of
+frames one is exchanged for the next, so that each is made once and all are used equally often (decision 0009).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def person_slots(config: SynthConfig) -> tuple[str, ...]:
 
 
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
-    """Shape and clothes of a person of this dataset: the same whoever asks, in whatever order."""
+    """Shape and clothes of a person of this dataset; a function of the arguments alone, whatever was drawn before."""
     if subject in SUBJECTS:
         return SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit
     if subject in config.people.own:
@@ -90,7 +90,7 @@ def car_names(config: SynthConfig) -> tuple[str, ...]:
 
 
 def car_dimensions(seed: int, car: str) -> CabinDimensions:
-    """The dimensions of a random car, "C0000" ..., of the dataset of this seed: the same whoever asks, in whatever order."""
+    """The dimensions of a random car, "C0000" ..., of the dataset of this seed, whatever was drawn before."""
     return random_dimensions(car, rng=frame_rng(seed, _CAR_STREAM + int(car[1:])))
 
 

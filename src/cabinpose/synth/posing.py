@@ -1,4 +1,4 @@
-"""People take their seats: row after row, those of a row posed together, and who does not fit is drawn anew.
+"""Poses of the people in one car: row by row, those of a row solved together; a person who does not fit is drawn again.
 
 The solver lets all of a row give way to each other. What the verdict refuses then costs the person it names another draw of an
 action and all that goes with it; where it names two, they take turns.
@@ -67,10 +67,34 @@ def pose_people(
     causes: Counter[Rejection],
     given: Mapping[str, OccupantPose] = MappingProxyType({}),
 ) -> tuple[Posed | None, int]:
-    """Seat everybody, or None; and the number of poses that were drawn for it. Rejections are counted in `causes`, in place.
+    """Pose everybody in a car, row by row.
 
-    draw: what somebody in a slot seeks, drawn anew at each call · given: poses by slot that stand, and are only judged.
-    Raises SceneError where one of these does not hold, whatever the others do.
+    Parameters
+    ----------
+    people
+        By slot.
+    cabin, validator, settings
+        The car, its judge, and how its seats are set, by slot.
+    draw
+        Draws the goals of the person in a slot; called again after each rejection of this person.
+    poses_per_person
+        Draws of one person before all is given up.
+    causes
+        Counts the rejections, in place.
+    given
+        Poses by slot that are judged but not solved.
+
+    Returns
+    -------
+    Posed or None
+        None where somebody found no valid pose.
+    int
+        The number of draws.
+
+    Raises
+    ------
+    SceneError
+        Where a given pose is not valid, whatever the other people do.
     """
     poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root)) for slot, pose in given.items()}
     stay = {slot: as_given(people[slot], cabin.seats[slot], pose.q, pose.vehicle_from_root) for slot, pose in given.items()}

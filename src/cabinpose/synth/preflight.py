@@ -6,8 +6,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, build_cabin
 from cabinpose.scene.contact import ContactField
@@ -96,7 +96,7 @@ def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, s
 
 def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
     """Refuses a camera that stands inside a part of the car. The own views of cars that we build are known to be free."""
-    eyes: dict[str, NDArray[np.float64]] = {}
+    eyes: dict[str, Floats] = {}
     for name in config.camera.weights:
         view = config.camera.views[name]
         if not isinstance(view, float):

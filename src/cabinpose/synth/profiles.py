@@ -1,4 +1,4 @@
-"""RetargetedMotion profiles: how an occupant departs from the posture that was solved for the seat.
+"""Motion profiles: how an occupant departs from the posture that was solved for the seat.
 
 Three kinds, chosen by `kind` in a configuration: `gaussian` (a truncated normal distribution per degree of freedom),
 `incremental` (every combination of steps within the range of motion) and `mocap` (a recording, retargeted). Angles are
@@ -15,10 +15,10 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cabinpose._native import core as native
+from cabinpose.core.arrays import Floats, Ints
 from cabinpose.core.errors import ConfigError, MocapError, unknown_name
 from cabinpose.core.frames import axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from cabinpose.store.convert.bvh import UpAxis
     from cabinpose.synth.posture.retarget import RetargetedMotion
 
-Array = NDArray[np.float64]
 
 _SPINE = tuple(i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in ("lumbar", "thorax", "neck", "head"))
 _ARMS = tuple(
@@ -50,6 +49,12 @@ def limits_deg(name: str) -> tuple[float, float]:
     dof = DOFS[DOF_INDEX[name]]
     scale = dof_scale(name)
     return dof.lower / scale, dof.upper / scale
+
+
+def check_within(name: str, angle: float, low: float, high: float, slack: float = _LIMIT_SLACK_DEG) -> None:
+    """ConfigError where an angle lies outside a joint's limits, in the unit of all three."""
+    if not low - slack <= angle <= high + slack:
+        raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"the range of motion is {low:g} .. {high:g}")
 
 
 class _Model(BaseModel):
@@ -88,14 +93,7 @@ def _checked_range(name: str, axis: GaussianAxis | IncrementalAxis) -> tuple[flo
     return max(low, lower), min(high, upper)
 
 
-def truncated_normal(
-    mean: NDArray[np.float64],
-    sigma: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    *,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
+def truncated_normal(mean: Floats, sigma: Floats, lower: Floats, upper: Floats, *, rng: np.random.Generator) -> Floats:
     """Draw from normal distributions truncated to [lower, upper], by inversion: one uniform number per element.
 
     Where sigma is 0 the result is the mean, moved into the range. Inverting through the nearer tail keeps precision
@@ -119,47 +117,47 @@ def truncated_normal(
 class _GaussianTable:
     """index: (K,) degrees of freedom · mean (NaN: the posture's), sigma, lower, upper: (K,) each, in our units."""
 
-    index: NDArray[np.int64]
-    mean: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    index: Ints
+    mean: Floats
+    sigma: Floats
+    lower: Floats
+    upper: Floats
 
 
 class Recorded(NamedTuple):
     """One frame of a recording: q (D,) rad, and the root's rotation (3, 3) where x is the first pose's heading."""
 
-    q: Array
-    root: Array
+    q: Floats
+    root: Floats
 
 
 class _Profile(_Model):
-    """What every profile can do.
+    """Interface of a motion profile.
 
-    may_skip: whether a frame is left out, rather than the run ended, where no scene holds.
+    may_skip: whether a frame without a valid scene is skipped; otherwise it ends the run.
     """
 
     may_skip: ClassVar[bool] = False
 
     @property
     def held(self) -> tuple[str, ...]:
-        """The degrees of freedom that stand at what `apply` gives them."""
+        """Degrees of freedom that the solver must not change: they keep the value that `apply` sets."""
         return ()
 
     @property
     def followed(self) -> tuple[str, ...]:
-        """The degrees of freedom that come as near to what `apply` gives them as the car and the body allow."""
+        """Degrees of freedom that the solver keeps near the value that `apply` sets, as far as car and body allow."""
         return ()
 
     def preflight(self) -> None:
-        """Raises before any work starts what every frame would fail of."""
+        """Raise now, before any work starts, the error that would end every frame."""
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """A copy of the posture q (D,) rad with this profile's degrees of freedom set, for frame `index`."""
         raise NotImplementedError
 
     def whole_body(self, index: int) -> Recorded | None:
-        """The pose of somebody who stands, for frame `index`; None where that is `apply` to a pose of any kind."""
+        """The whole pose of a standing person for frame `index`; None where the profile changes a given pose by `apply`."""
         return None
 
 
@@ -176,8 +174,7 @@ class GaussianProfile(_Profile):
             low, high = _checked_range(name, axis)
             if axis.mean_deg is not None and not low - _LIMIT_SLACK_DEG <= axis.mean_deg <= high + _LIMIT_SLACK_DEG:
                 raise ConfigError(
-                    f"{name}: the mean {axis.mean_deg:g} lies outside {low:g} .. {high:g}",
-                    hint="choose a mean within the range",
+                    f"{name}: the mean {axis.mean_deg:g} lies outside {low:g} .. {high:g}", hint="choose a mean within the range"
                 )
         return axes
 
@@ -197,8 +194,8 @@ class GaussianProfile(_Profile):
     def held(self) -> tuple[str, ...]:
         return tuple(self.axes)
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
-        """The degrees of freedom drawn anew, within their ranges."""
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
+        """A copy of q in which each named degree of freedom is drawn from its truncated normal distribution."""
         t = self._table
         result = q.copy()
         mean = np.where(np.isnan(t.mean), q[t.index], t.mean)
@@ -209,9 +206,7 @@ class GaussianProfile(_Profile):
 def standing(angles_deg: Mapping[str, float]) -> GaussianProfile:
     """A profile that holds each of these degrees of freedom at its angle; ConfigError outside the joint's limits."""
     for name, angle in angles_deg.items():
-        low, high = limits_deg(name)
-        if not low - _LIMIT_SLACK_DEG <= angle <= high + _LIMIT_SLACK_DEG:
-            raise ConfigError(f"{name}: {angle:g} leaves the joint's limits", hint=f"the range of motion is {low:g} .. {high:g}")
+        check_within(name, angle, *limits_deg(name))
     return GaussianProfile(axes={name: GaussianAxis(mean_deg=angle, sigma_deg=0.0) for name, angle in angles_deg.items()})
 
 
@@ -261,7 +256,7 @@ class IncrementalProfile(_Profile):
     def held(self) -> tuple[str, ...]:
         return tuple(self.axes)
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """Combination `index`; ConfigError where it does not exist."""
         result = q.copy()
         for name, value in self.combination(index).items():
@@ -292,7 +287,7 @@ class MocapProfile(_Profile):
 
     @cached_property
     def count(self) -> int:
-        """The number of poses taken from the recording before it begins anew; MocapError where there is none."""
+        """The number of poses taken from the recording before it is repeated; MocapError where there is none."""
         motion, frame_s, _ = self._motion
         last = len(motion.q) - 1 if self.end_s is None else min(round(self.end_s / frame_s), len(motion.q) - 1)
         if last < self._first:
@@ -306,7 +301,7 @@ class MocapProfile(_Profile):
         """MocapError for a file that is missing, broken, not retargetable or too short."""
         self.whole_body(0)
 
-    def apply(self, q: Array, *, index: int, rng: np.random.Generator) -> Array:
+    def apply(self, q: Floats, *, index: int, rng: np.random.Generator) -> Floats:
         """The recording's upper body on a seated posture, from its start again after its end.
 
         Arms are taken as they are, against the chest. The spine keeps the seat's posture and adds the recording's departure
@@ -329,7 +324,7 @@ class MocapProfile(_Profile):
         return Recorded(motion.q[frame].copy(), axis_rotation("z", -heading) @ motion.root[frame])
 
     @property
-    def _motion(self) -> tuple[RetargetedMotion, float, Array]:
+    def _motion(self) -> tuple[RetargetedMotion, float, Floats]:
         return _recorded_motion(self.path, self.unit_m, self.up)
 
     @property
@@ -348,7 +343,7 @@ _UPPER_BODY = tuple(dof.name for dof in DOFS if not dof.name[1:].startswith(("hi
 
 
 @lru_cache(maxsize=8)
-def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[RetargetedMotion, float, Array]:
+def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[RetargetedMotion, float, Floats]:
     """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
     from cabinpose.store.convert.bvh import read_bvh  # noqa: PLC0415 - scipy's rotations, for recordings alone
     from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import cabin as native
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
@@ -37,16 +37,7 @@ from cabinpose.synth.config import (
     SynthConfig,
     is_car_file,
 )
-from cabinpose.synth.plan import (
-    DriveSide,
-    Plan,
-    car_dimensions,
-    is_random_car,
-    person_slots,
-    place_name,
-    room_rng,
-    subject_body,
-)
+from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, is_random_car, person_slots, place_name, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
 from cabinpose.synth.posture.neighbours import neighbours_of
@@ -71,7 +62,7 @@ class ScenePerson:
     posed: PosedBody
     surfaces: tuple[Surface, ...] = ()
 
-    def itop_joints(self) -> NDArray[np.float64]:
+    def itop_joints(self) -> Floats:
         """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
 
         ITOP's neck lies midway between the shoulders and its torso midway between neck and hips (both hold on its
@@ -364,7 +355,7 @@ def _occupied(scene: CabinScene, cabin: Cabin, rng: np.random.Generator) -> list
     return taken or [_weighted(chances, rng)]
 
 
-def _blocked(eye: NDArray[np.float64], people: Sequence[ScenePerson], seated: Seated) -> bool:
+def _blocked(eye: Floats, people: Sequence[ScenePerson], seated: Seated) -> bool:
     """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
     if seated.placed is not None and seated.placed.clearance(eye[None])[0] < LENS_M:
         return True

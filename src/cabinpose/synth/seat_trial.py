@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
@@ -28,7 +28,7 @@ PEOPLE = ("S01", "S02", "S03", "S04")  # who is tried
 PUSHED_M = 0.02  # from the H-point: farther away a seat has pushed somebody off; the presets leave 12 mm at most
 _SKIN_STEP = 5  # every fifth point of the skin is measured
 _LEVEL = 0.7  # of a normal's vertical part: cushions are more level than this, backrests less
-SEAT_BOXES: Mapping[SeatSide, NDArray[np.float64]] = {"base": CUSHION_BOX, "back": BACK_BOX}
+SEAT_BOXES: Mapping[SeatSide, Floats] = {"base": CUSHION_BOX, "back": BACK_BOX}
 
 
 @dataclass
@@ -45,7 +45,7 @@ class SeatTrial:
     held: int = 0
     off_m: list[float] = field(default_factory=list)
     rejections: Counter[Rejection] = field(default_factory=Counter)
-    where: list[NDArray[np.float64]] = field(default_factory=list)
+    where: list[Floats] = field(default_factory=list)
     sunk_m: dict[tuple[str, SeatSide], float] = field(default_factory=dict)
 
     @property
@@ -130,7 +130,7 @@ def _measure(
                 trial.sunk_m[part.name, side] = max(trial.sunk_m.get((part.name, side), 0.0), depth)
 
 
-def _from_bone_to_skin(person: Person, posed: PosedBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _from_bone_to_skin(person: Person, posed: PosedBody) -> tuple[Floats, Floats]:
     """(N, 3) m each, vehicle frame: points of the skin of trunk and thighs, and the place of the bone nearest to each."""
     at = {name: posed.joints[i] for name, i in INDEX.items()}
     hips = (at["lpelvis"] + at["rpelvis"]) / 2

@@ -14,8 +14,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
@@ -24,7 +24,6 @@ from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.goals import stand_on
 from cabinpose.synth.profiles import Profile
 
-Array = NDArray[np.float64]
 Spread = tuple[float, float]  # mean and sigma, degrees
 
 _THIGH_BONES = (BONE_INDEX["lthigh"], BONE_INDEX["rthigh"])
@@ -95,7 +94,7 @@ class StandingPose:
     soles and knees touches the floor.
     """
 
-    q: Array
+    q: Floats
     floor_from_root: Matrix
     action: str
 
@@ -114,7 +113,7 @@ def sample_standing(person: Person, profile: Profile | None = None, *, index: in
     return _grounded(person, profile.apply(q, index=index, rng=rng), floor_from_root[:3, :3], action)
 
 
-def _grounded(person: Person, q: Array, root: Array, action: str) -> StandingPose:
+def _grounded(person: Person, q: Floats, root: Floats, action: str) -> StandingPose:
     """The pose with its pelvis over the origin, as high as the lowest of heels, balls of the feet, toes and knees demands."""
     floor_from_root = transform(root)
     skeleton = frames(q, person.rest, floor_from_root)
@@ -132,7 +131,7 @@ def _normal(spread: Spread, rng: np.random.Generator) -> float:
     return spread[0] + spread[1] * float(np.clip(rng.standard_normal(), -2.5, 2.5))
 
 
-def _set(q: Array, name: str, degrees: float) -> None:
+def _set(q: Floats, name: str, degrees: float) -> None:
     d = DOF_INDEX[name]
     q[d] = min(max(math.radians(degrees), LOWER[d]), UPPER[d])
 
@@ -160,7 +159,7 @@ def _arm_poses(rng: np.random.Generator) -> tuple[str, str, str]:
     return "cross", "cross", "arms_cross"
 
 
-def _gesture(person: Person, rng: np.random.Generator) -> tuple[Array, Matrix, str]:
+def _gesture(person: Person, rng: np.random.Generator) -> tuple[Floats, Matrix, str]:
     q = np.zeros(len(LOWER))
     left, right, arms = _arm_poses(rng)
     for side, pose in (("l", left), ("r", right)):
@@ -185,7 +184,7 @@ def _gesture(person: Person, rng: np.random.Generator) -> tuple[Array, Matrix, s
     return q, root, arms if stance_name == "stand" else stance_name
 
 
-def _stand(person: Person, q: Array, stance: Stance, rng: np.random.Generator) -> Matrix:
+def _stand(person: Person, q: Floats, stance: Stance, rng: np.random.Generator) -> Matrix:
     """Put pelvis and legs: soles flat on the floor, but for a leg that is lifted; returns floor_from_root."""
     lengths = person.segment_lengths
     size = person.stature_m / 1.75

@@ -19,8 +19,8 @@ def frame_rng(seed: int, frame_index: int) -> np.random.Generator:
 
 
 def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
-    """The generator of one frame's noise: of the same key, and so far on that no scene's draws reach it.
+    """The generator of one frame's noise: the same key with a counter that no scene's draws reach.
 
-    A scene that is given, not drawn, so has the noise that it would have had.
+    So a scene that is given exactly, instead of drawn, has the same noise.
     """
     return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 1)))

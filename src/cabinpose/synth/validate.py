@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
+from cabinpose.core.arrays import Floats, Ints32
 from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.body.rig import SEGMENTS
+from cabinpose.scene.body import SEGMENTS, Person, PosedBody
 from cabinpose.scene.contact import (
     FLESH_M,
     OUTSIDE,
@@ -48,25 +48,7 @@ _AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
 Cause = Literal["self", "person", "car", "reach", "camera"]
 
 
-class Skinned(Protocol):
-    """The part of `scene.body.Person` that contact needs."""
-
-    @property
-    def skin_faces(self) -> NDArray[np.int32]: ...
-    @property
-    def skin_segment(self) -> NDArray[np.uint8]: ...
-
-
-class Posed(Protocol):
-    """The part of `scene.body.PosedBody` that contact needs."""
-
-    @property
-    def skin(self) -> NDArray[np.float32]: ...
-    @property
-    def joints(self) -> NDArray[np.float64]: ...
-
-
-Occupant = tuple[str, Skinned, Posed]
+Occupant = tuple[str, Person, PosedBody]
 
 
 class _Body(NamedTuple):
@@ -74,7 +56,7 @@ class _Body(NamedTuple):
 
     slot: str
     solids: PosedSolids
-    joints: NDArray[np.float64]
+    joints: Floats
 
 
 class Rejection(NamedTuple):
@@ -131,7 +113,7 @@ class Verdict(NamedTuple):
 
     rejection: Rejection | None = None
     depth_m: float = 0.0
-    where: NDArray[np.float64] | None = None
+    where: Floats | None = None
 
     @property
     def ok(self) -> bool:
@@ -158,7 +140,7 @@ class Seated:
 
 
 # People share the faces of their model: one cut serves them all, in every cabin. Known by the array itself, which is kept.
-_TOPOLOGIES: dict[int, tuple[NDArray[np.int32], SolidTopology]] = {}
+_TOPOLOGIES: dict[int, tuple[Ints32, SolidTopology]] = {}
 
 
 class Validator:
@@ -181,7 +163,7 @@ class Validator:
         return Seated(settings, wheel_angle, None if self.contact is None else self.contact.at(settings, wheel_angle))
 
     def turned(self, seated: Seated, wheel_angle: float) -> Seated:
-        """The same people with the wheel at another angle (rad). Nobody may sit yet whom it could meet."""
+        """The empty cabin with the wheel at another angle (rad); ValueError where somebody sits already, whom it could touch."""
         if wheel_angle == seated.wheel_angle:
             return seated
         if seated.bodies:
@@ -189,9 +171,23 @@ class Validator:
         return self.empty(seated.settings, wheel_angle)
 
     def admit(self, seated: Seated, occupant: Occupant) -> tuple[Verdict, Seated]:
-        """The verdict of `check` on the people seated and one more, and the people seated then: with him where it holds.
+        """Whether one more person fits.
 
-        Only what the newcomer changes is tested: the person alone, with the others, and in the car.
+        Only what the new person changes is tested: the person alone, with the others, and in the car.
+
+        Parameters
+        ----------
+        seated
+            The cabin and the people who are accepted already.
+        occupant
+            Slot, person and posed body of the new one.
+
+        Returns
+        -------
+        Verdict
+            As of `check` on all of them.
+        Seated
+            With the new person where the verdict is ok, else as it was.
         """
         bodies = (*seated.bodies, self._body(occupant))
         verdict = _among(bodies, len(bodies) - 1)
@@ -205,7 +201,7 @@ class Validator:
         slot, person, posed = occupant
         return _Body(slot, PosedSolids.of(self._topology(person, posed), posed.skin), posed.joints)
 
-    def _topology(self, person: Skinned, posed: Posed) -> SolidTopology:
+    def _topology(self, person: Person, posed: PosedBody) -> SolidTopology:
         known = _TOPOLOGIES.get(id(person.skin_faces))
         if known is None:
             topology = solid_topology(person.skin_faces, person.skin_segment, SEGMENTS, posed.skin)

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -33,7 +33,9 @@ from cabinpose.synth.validate import Rejection, by_cause
 Frame = dict[str, Any]
 Content = Literal["cars", "people", "seats", "views"]
 _AHEAD = 3  # frames that a thread may be ahead of what is written
-_SWITCH_S = 0.0005  # a thread that comes out of the core waits no longer than this for the interpreter: a frame is 10 ms of work
+# Interval (s) after which the interpreter lets another thread run. Kernels release the lock; at Python's default of 5 ms a thread
+# that returns from one would wait for half of a frame's 10 ms of work.
+_SWITCH_S = 0.0005
 
 
 class FrameMaker:
@@ -118,40 +120,25 @@ class FrameMaker:
         return result
 
 
-@dataclass(frozen=True)
+@dataclass
 class FrameReport:
     """What making some frames took. frames: written, without those skipped · proposals, rejections: poses of people ·
     stage_seconds: CPU time of the threads that made them · content: frames by car and view, people by name and seat.
     """
 
-    frames: int
-    proposals: int
-    rejections: Mapping[Rejection, int]
-    stage_seconds: Mapping[str, float]
-    content: Mapping[tuple[Content, str], int] = field(default_factory=dict)
+    frames: int = 0
+    proposals: int = 0
+    rejections: Counter[Rejection] = field(default_factory=Counter)
+    stage_seconds: Counter[str] = field(default_factory=Counter)
+    content: Counter[tuple[Content, str]] = field(default_factory=Counter)
 
-
-class FrameTotal:
-    """The sum of reports."""
-
-    def __init__(self) -> None:
-        self.frames = self.proposals = 0
-        self.rejections: Counter[Rejection] = Counter()
-        self.stage_seconds: Counter[str] = Counter()
-        self.content: Counter[tuple[Content, str]] = Counter()
-
-    def add(self, report: FrameReport) -> None:
-        """Count a report in."""
-        self.frames += report.frames
-        self.proposals += report.proposals
-        self.rejections.update(report.rejections)
-        self.stage_seconds.update(report.stage_seconds)
-        self.content.update(report.content)
-
-    @property
-    def report(self) -> FrameReport:
-        """The sum as one report."""
-        return FrameReport(self.frames, self.proposals, dict(self.rejections), dict(self.stage_seconds), dict(self.content))
+    def add(self, other: FrameReport) -> None:
+        """Count another report in."""
+        self.frames += other.frames
+        self.proposals += other.proposals
+        self.rejections.update(other.rejections)
+        self.stage_seconds.update(other.stage_seconds)
+        self.content.update(other.content)
 
 
 class _Made(NamedTuple):
@@ -168,10 +155,27 @@ def make_frames(
     threads: int,
     sampler: SceneSampler | None = None,
 ) -> Iterator[FrameReport]:
-    """Make parts one after the other and write each, whole or not at all; yields a report after every frame.
+    """Make parts one after the other; each is written whole or not at all.
 
-    Threads make frames; this one writes them, in order. They share people and cars, which are those of the `sampler`, made for
-    the same configuration and seed, where one is given.
+    Several threads make frames and share people and cars; the calling thread writes the frames in order.
+
+    Parameters
+    ----------
+    folder
+        Of the dataset.
+    plans
+        The parts.
+    config, manifest
+        What the frames show, and what `dataset.yaml` says.
+    threads
+        How many make frames.
+    sampler
+        A sampler of the same configuration and seed whose people and cars are used; its own by default.
+
+    Yields
+    ------
+    FrameReport
+        After every frame.
     """
     may_skip = any(profile.may_skip for profile in config.profiles)
     shared = sampler or SceneSampler(config, manifest.seed)
@@ -187,27 +191,26 @@ def make_frames(
         except ImpossibleSceneError as error:
             if not may_skip:
                 raise
-            return _Made(None, FrameReport(0, error.proposals, error.rejections, dict(maker.seconds)))
+            return _Made(None, FrameReport(0, error.proposals, error.rejections, Counter(maker.seconds)))
         with maker.stage("write"):
             encoded = encode_frame(frame, index, manifest)
-        return _Made(encoded, FrameReport(1, scene.proposals, scene.rejections, dict(maker.seconds), _content(scene)))
+        return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(maker.seconds), _content(scene)))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
     with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads)) as results:
         for plan in plans:
             with PartWriter(folder, plan, manifest) as part:
-                proposals, rejections = 0, Counter[Rejection]()
+                total = FrameReport()
                 for made in islice(results, plan.frames):
                     if made.frame is None:
                         part.skip()
                     else:
                         part.append_encoded(made.frame)
-                    proposals += made.report.proposals
-                    rejections.update(made.report.rejections)
+                    total.add(made.report)
                     if part.missing:
                         yield made.report
-                part.attrs["proposals"] = proposals
-                part.attrs["rejections"] = by_cause(rejections)
+                part.attrs["proposals"] = total.proposals
+                part.attrs["rejections"] = by_cause(total.rejections)
             _give_memory_back()
             yield made.report  # of the last frame, once its part is whole
 

@@ -10,7 +10,7 @@ namespace {
 
 using namespace rig;
 
-// Shares of a group's rotation that its vertebrae take: `rig.SPINE_SHARES`.
+// Shares of a group's rotation that its vertebrae take.
 constexpr int n_groups = 4;
 constexpr double spine_share[head + 1][n_groups] = {
     {},          {0.4},           {0.4},           {0.2, 0.4},

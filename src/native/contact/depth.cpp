@@ -296,7 +296,7 @@ Meeting first_between(const Solids& body, const Solids& other, Array<const doubl
 
 Meeting first_probe(Array<const double, any, 3> probes, Array<const double, any, 4> balls, Array<const double, any> gives,
                     Transform vehicle_from_group, Array<const float, 2, 3> box, double tolerance, const Solids& body,
-                    double* where) {
+                    Array<double, 3> where) {
   Workspace& work = workspace();
   const double* m = vehicle_from_group.data();
   const Index solids = body.boxes.size();
@@ -365,18 +365,19 @@ Meeting first_probe(Array<const double, any, 3> probes, Array<const double, any,
 
 SampledSkin sampled_skin(Points skin, Indices order, Array<const std::int32_t, any, 2> edges, double spacing) {
   SampledSkin result;
+  auto& [points, owner] = result;
   const float square = static_cast<float>(spacing * spacing);
   auto square_of = [&](Index e) {
     const float *a = &skin(edges(e, 0), 0), *b = &skin(edges(e, 1), 0);
     const float x = b[0] - a[0], y = b[1] - a[1], z = b[2] - a[2];
     return x * x + y * y + z * z;
   };
-  result.points.reserve(at(4 * order.size()));
-  result.owner.reserve(at(4 * order.size() / 3));
+  points.reserve(at(4 * order.size()));
+  owner.reserve(at(4 * order.size() / 3));
   for (Index n = 0; n < order.size(); ++n) {
     const float* p = &skin(order[n], 0);
-    result.points.insert(result.points.end(), p, p + 3);
-    result.owner.push_back(order[n]);
+    points.insert(points.end(), p, p + 3);
+    owner.push_back(order[n]);
   }
   for (Index e = 0; e < edges.size(); ++e) {
     const float s = square_of(e);
@@ -386,9 +387,9 @@ SampledSkin sampled_skin(Points skin, Indices order, Array<const std::int32_t, a
     for (Index n = 1; n < pieces; ++n) {
       const double t = static_cast<double>(n) / static_cast<double>(pieces);
       for (int axis = 0; axis < 3; ++axis) {
-        result.points.push_back(static_cast<float>(static_cast<double>(a[axis]) + t * static_cast<double>(b[axis] - a[axis])));
+        points.push_back(static_cast<float>(static_cast<double>(a[axis]) + t * static_cast<double>(b[axis] - a[axis])));
       }
-      result.owner.push_back(edges(e, 0));
+      owner.push_back(edges(e, 0));
     }
   }
   return result;
@@ -397,14 +398,15 @@ SampledSkin sampled_skin(Points skin, Indices order, Array<const std::int32_t, a
 SampledSkin limb_axes(Array<const double, any, 3> joints, Array<const std::int64_t, any, 2> ends,
                       Array<const double, any> skipped, double step) {
   SampledSkin result;
+  auto& [points, owner] = result;
   for (Index row = 0; row < ends.size(); ++row) {
     const double *a = &joints(ends(row, 0), 0), *b = &joints(ends(row, 1), 0);
     const double x = b[0] - a[0], y = b[1] - a[1], z = b[2] - a[2];
     const Index count = std::max(static_cast<Index>(std::sqrt(x * x + y * y + z * z) / step), Index{2});
     for (Index k = 0; k < count; ++k) {
       const double t = skipped[row] + static_cast<double>(k) * ((1.0 - skipped[row]) / static_cast<double>(count - 1));
-      for (int axis = 0; axis < 3; ++axis) result.points.push_back(static_cast<float>(a[axis] + t * (b[axis] - a[axis])));
-      result.owner.push_back(static_cast<std::int32_t>(row));
+      for (int axis = 0; axis < 3; ++axis) points.push_back(static_cast<float>(a[axis] + t * (b[axis] - a[axis])));
+      owner.push_back(static_cast<std::int32_t>(row));
     }
   }
   return result;

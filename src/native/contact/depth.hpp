@@ -42,6 +42,8 @@ struct Deepest {
   double excess = 0.0;
   std::int64_t point = -1;
   double depth = 0.0;
+
+  auto result() const { return std::tuple(excess, point, depth); }
 };
 
 /// The indexed point of (N, 3) that goes farthest beyond its limit into a solid.
@@ -55,6 +57,8 @@ Deepest deepest_in(Points points, Indices index, Index solid, Vector centre, dou
 struct Meeting {
   std::int64_t first = -1, second = -1;
   Deepest deepest;
+
+  auto result() const { return std::tuple(first, second, deepest.excess, deepest.point, deepest.depth); }
 };
 
 /// The first of `pairs` (P, 2) that overlaps beyond its tolerance: first the pair's number, second the solid gone into.
@@ -73,13 +77,10 @@ Meeting first_between(const Solids& body, const Solids& other, Array<const doubl
 /// box: (2, 3) around the body · balls: `balls_of(probes)`. `deepest.point` is the probe's number.
 Meeting first_probe(Array<const double, any, 3> probes, Array<const double, any, 4> balls, Array<const double, any> gives,
                     Transform vehicle_from_group, Array<const float, 2, 3> box, double tolerance, const Solids& body,
-                    double* where);
+                    Array<double, 3> where);
 
 /// The vertices in `order`, then points along the edges longer than `spacing` (m); and a vertex near each point.
-struct SampledSkin {
-  std::vector<float> points;
-  std::vector<std::int32_t> owner;
-};
+using SampledSkin = std::pair<Grown<float, 3>, Grown<std::int32_t>>;
 SampledSkin sampled_skin(Points skin, Indices order, Array<const std::int32_t, any, 2> edges, double spacing);
 
 /// Points (N, 3) every `step` m along limbs' bones, and the row of `ends` (L, 2) of each.

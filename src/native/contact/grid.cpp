@@ -356,6 +356,7 @@ template void balls_of(Array<const double, any, 3>, Array<double, any, 4>);
 Below points_below(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_vehicle,
                    const FieldGrid& field, double threshold, double seal) {
   Below found;
+  auto& [index, clearance] = found;
   const double* m = group_from_vehicle.data();
   double ends[3];
   for (std::size_t axis = 0; axis < 3; ++axis) ends[axis] = static_cast<double>(field.values.size(axis)) * field.step;
@@ -374,8 +375,8 @@ Below points_below(Array<const float, any, 3> points, Array<const double, any, 4
       const double px = points(n, 0), py = points(n, 1), pz = points(n, 2);
       const double value = field.quantum * interpolate(px, py, pz, m, field, field.outside / field.quantum);
       if (value < threshold) {
-        found.index.push_back(n);
-        found.clearance.push_back(value);
+        index.push_back(n);
+        clearance.push_back(value);
       }
     }
   }

@@ -75,10 +75,7 @@ template <class T>
 void balls_of(Array<const T, any, 3> points, Array<double, any, 4> balls);
 
 /// The points (N, 3) whose value is below `threshold` (m): their numbers and their values (m). balls: `balls_of` them.
-struct Below {
-  std::vector<std::int64_t> index;
-  std::vector<double> clearance;
-};
+using Below = std::pair<Grown<std::int64_t>, Grown<double>>;
 Below points_below(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_vehicle,
                    const FieldGrid& field, double threshold, double seal);
 

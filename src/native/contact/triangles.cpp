@@ -26,9 +26,9 @@ Index clamped(double x, Index count) { return std::min(std::max(static_cast<Inde
 
 }  // namespace
 
-std::pair<std::vector<std::int32_t>, std::vector<std::int32_t>> bin_triangles(Corners corners, Vector origin, double cell,
-                                                                              Cells dims) {
-  std::vector<std::int32_t> starts(static_cast<std::size_t>(dims[0] * dims[1] * dims[2] + 1), 0), entries;
+std::pair<Grown<std::int32_t>, Grown<std::int32_t>> bin_triangles(Corners corners, Vector origin, double cell, Cells dims) {
+  Grown<std::int32_t> starts, entries;
+  starts.resize(static_cast<std::size_t>(dims[0] * dims[1] * dims[2] + 1));
   auto each_cell = [&](auto&& visit) {
     for (Index t = 0; t < corners.size(); ++t) {
       Index low[3], high[3];

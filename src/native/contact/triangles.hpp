@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstdint>
 #include <utility>
-#include <vector>
 
 #include "core/array.hpp"
 
@@ -93,8 +92,7 @@ using Cells = Array<const std::int64_t, 3>;  // of a grid, along each axis
 using Vector = Array<const double, 3>;
 
 /// Triangles by grid cell, compressed rows: (cells + 1,) starts and the numbers of the triangles.
-std::pair<std::vector<std::int32_t>, std::vector<std::int32_t>> bin_triangles(Corners corners, Vector origin, double cell,
-                                                                              Cells dims);
+std::pair<Grown<std::int32_t>, Grown<std::int32_t>> bin_triangles(Corners corners, Vector origin, double cell, Cells dims);
 
 /// Distance (N,) of points (N, 3) to triangles, m, negative inside where `closed`; `radius` stands for what is farther away.
 ///

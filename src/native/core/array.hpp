@@ -7,6 +7,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 namespace cabinpose {
 
@@ -66,5 +67,9 @@ class Array {
   T* data_ = nullptr;
   std::array<Index, rank> shape_{};
 };
+
+/// Numbers whose count a kernel finds out: to Python a new array (N,), or (N, Width) of rows.
+template <class T, Index Width = 1>
+struct Grown : std::vector<T> {};
 
 }  // namespace cabinpose

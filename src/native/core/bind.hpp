@@ -1,6 +1,7 @@
 // How the kernels' arguments come from Python: numpy arrays as `Array`, named tuples as structs. For bindings alone.
 //
-// A struct that stands for a named tuple has a member function `members()`, which ties its members in the tuple's order.
+// A struct that stands for a named tuple has a member function `members()`, which ties its members in the tuple's order; one
+// that goes to Python has `result()`, a tuple of what is told of it.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -35,6 +36,9 @@ nb::ndarray<nb::numpy, T, nb::shape<Dims...>, nb::c_contig> owned(std::vector<T>
 
 template <class T>
 concept NamedTuple = requires(T t) { t.members(); };
+
+template <class T>
+concept Result = requires(const T& t) { t.result(); };
 
 }  // namespace cabinpose
 
@@ -82,6 +86,32 @@ struct type_caster<T, int> {
     if (!caster.from_python(item, flags, cleanup)) return false;
     member = caster.operator cast_t<Member>();
     return true;
+  }
+};
+
+template <class T, cabinpose::Index Width>
+struct type_caster<cabinpose::Grown<T, Width>> {
+  static constexpr bool flat = Width == 1;
+  using Made = make_caster<
+      std::conditional_t<flat, ndarray<T, numpy, shape<-1>, c_contig>, ndarray<T, numpy, shape<-1, Width>, c_contig>>>;
+  using Grown = cabinpose::Grown<T, Width>;
+  NB_TYPE_CASTER(Grown, Made::Name)
+
+  static handle from_cpp(Grown&& grown, rv_policy policy, cleanup_list* cleanup) noexcept {
+    auto* kept = new Grown(std::move(grown));
+    const capsule owner(kept, [](void* p) noexcept { delete static_cast<Grown*>(p); });
+    const size_t extents[] = {kept->size() / Width, Width};
+    return Made::from_cpp({kept->data(), flat ? 1u : 2u, extents, owner}, policy, cleanup);
+  }
+};
+
+template <cabinpose::Result T>
+struct type_caster<T, int> {
+  using Tuple = make_caster<decltype(std::declval<const T&>().result())>;
+  NB_TYPE_CASTER(T, Tuple::Name)
+
+  static handle from_cpp(const T& found, rv_policy policy, cleanup_list* cleanup) noexcept {
+    return Tuple::from_cpp(found.result(), policy, cleanup);
   }
 };
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <stdexcept>
 
 #include "core/math.hpp"
 
@@ -565,6 +566,11 @@ class Search {
 
 std::vector<Squeeze> solve_people(const std::vector<Mover>& people, const std::vector<PlacedGrid>& car, const PairArrays& pairs,
                                   double between, bool free, const std::vector<Array<double, any, 2>>& missed) {
+  if (missed.size() != people.size()) throw std::invalid_argument("what is missed: one array for each person");
+  for (std::size_t k = 0; k < people.size(); ++k) {
+    const bool fit = people[k].samples.rows.size() <= max_solids && missed[k].size() == people[k].goals.bone.size();
+    if (!fit) throw std::invalid_argument("a person has too many solids, or what is missed another number of tasks");
+  }
   std::vector<std::unique_ptr<Search>> searches;
   for (const Mover& who : people) searches.push_back(std::make_unique<Search>(who, car, pairs, between));
   for (int phase = 0; phase < (free ? 1 : phases); ++phase) {

@@ -83,9 +83,13 @@ struct Squeeze {
   int kind = none;
   std::int64_t solid = -1, other = -1;
   double excess = 0.0;
+
+  auto result() const { return std::tuple(kind, solid, other, excess); }
 };
 
 /// Pose everybody at once, through everything where `free`; missed: (T, 2) for each person, what each task is off by (m, rad).
+///
+/// Throws std::invalid_argument where the arrays do not fit each other.
 std::vector<Squeeze> solve_people(const std::vector<Mover>& people, const std::vector<PlacedGrid>& car, const PairArrays& pairs,
                                   double between, bool free, const std::vector<Array<double, any, 2>>& missed);
 

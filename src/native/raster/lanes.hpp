@@ -31,48 +31,42 @@ struct [[gnu::packed, gnu::may_alias]] InMemory {
   Register value;
 };
 
-/// Eight float32. Built from one value, all lanes hold it.
-struct Floats {
-  FloatRegister part[registers];
+/// Eight values, a register's worth in each part. Built from one value, all lanes hold it.
+template <class Value, class Register>
+struct Lanes {
+  Register part[registers];
 
-  Floats() = default;
-  CABINPOSE_INLINE Floats(float value) {
-    for (FloatRegister& p : part) p = value - FloatRegister{};  // not + 0, which would take the sign of -0
+  Lanes() = default;
+  CABINPOSE_INLINE Lanes(Value value) {
+    for (Register& p : part) p = value - Register{};  // not + 0, which would take the sign of -0
   }
 };
 
-/// Eight int32; as a mask, -1 where something holds and 0 where not.
-struct Ints {
-  IntRegister part[registers];
+using Floats = Lanes<float, FloatRegister>;     // float32
+using Ints = Lanes<std::int32_t, IntRegister>;  // int32; as a mask, -1 where something holds and 0 where not
 
-  Ints() = default;
-  CABINPOSE_INLINE Ints(std::int32_t value) {
-    for (IntRegister& p : part) p = value - IntRegister{};
-  }
-};
+/// What a function gives for the number of each register.
+template <class Result, class Function>
+CABINPOSE_INLINE Result in_registers(const Function& function) {
+  Result r;
+  for (int i = 0; i < registers; ++i) r.part[i] = function(i);
+  return r;
+}
 
 CABINPOSE_INLINE Floats load(const float* from) {
-  Floats r;
-  for (int i = 0; i < registers; ++i) r.part[i] = reinterpret_cast<const InMemory<FloatRegister>*>(from)[i].value;
-  return r;
+  return in_registers<Floats>([&](int i) { return reinterpret_cast<const InMemory<FloatRegister>*>(from)[i].value; });
 }
 CABINPOSE_INLINE Ints load(const std::int32_t* from) {
-  Ints r;
-  for (int i = 0; i < registers; ++i) r.part[i] = reinterpret_cast<const InMemory<IntRegister>*>(from)[i].value;
-  return r;
+  return in_registers<Ints>([&](int i) { return reinterpret_cast<const InMemory<IntRegister>*>(from)[i].value; });
 }
-CABINPOSE_INLINE void store(const Floats& value, float* to) {
-  for (int i = 0; i < registers; ++i) reinterpret_cast<InMemory<FloatRegister>*>(to)[i].value = value.part[i];
-}
-CABINPOSE_INLINE void store(const Ints& value, std::int32_t* to) {
-  for (int i = 0; i < registers; ++i) reinterpret_cast<InMemory<IntRegister>*>(to)[i].value = value.part[i];
+template <class Value, class Register>
+CABINPOSE_INLINE void store(const Lanes<Value, Register>& value, Value* to) {
+  for (int i = 0; i < registers; ++i) reinterpret_cast<InMemory<Register>*>(to)[i].value = value.part[i];
 }
 
-#define CABINPOSE_LANEWISE(RESULT, ARGUMENT, OPERATOR)                              \
-  CABINPOSE_INLINE RESULT operator OPERATOR(const ARGUMENT& a, const ARGUMENT& b) { \
-    RESULT r;                                                                       \
-    for (int i = 0; i < registers; ++i) r.part[i] = a.part[i] OPERATOR b.part[i];   \
-    return r;                                                                       \
+#define CABINPOSE_LANEWISE(RESULT, ARGUMENT, OPERATOR)                                \
+  CABINPOSE_INLINE RESULT operator OPERATOR(const ARGUMENT& a, const ARGUMENT& b) {   \
+    return in_registers<RESULT>([&](int i) { return a.part[i] OPERATOR b.part[i]; }); \
   }
 CABINPOSE_LANEWISE(Floats, Floats, +)
 CABINPOSE_LANEWISE(Floats, Floats, -)
@@ -92,21 +86,15 @@ CABINPOSE_LANEWISE(Ints, Ints, <<)
 #undef CABINPOSE_LANEWISE
 
 CABINPOSE_INLINE Ints operator~(const Ints& a) {
-  Ints r;
-  for (int i = 0; i < registers; ++i) r.part[i] = ~a.part[i];
-  return r;
+  return in_registers<Ints>([&](int i) { return ~a.part[i]; });
 }
 
 /// a where the mask is set, b elsewhere.
 CABINPOSE_INLINE Floats select(const Ints& mask, const Floats& a, const Floats& b) {
-  Floats r;
-  for (int i = 0; i < registers; ++i) r.part[i] = mask.part[i] ? a.part[i] : b.part[i];
-  return r;
+  return in_registers<Floats>([&](int i) { return mask.part[i] ? a.part[i] : b.part[i]; });
 }
 CABINPOSE_INLINE Ints select(const Ints& mask, const Ints& a, const Ints& b) {
-  Ints r;
-  for (int i = 0; i < registers; ++i) r.part[i] = mask.part[i] ? a.part[i] : b.part[i];
-  return r;
+  return in_registers<Ints>([&](int i) { return mask.part[i] ? a.part[i] : b.part[i]; });
 }
 
 /// Whether a mask is set anywhere.
@@ -129,26 +117,18 @@ CABINPOSE_INLINE Floats abs(const Floats& a) { return max(a, Floats(0.0f) - a); 
 
 /// The whole part of values that fit.
 CABINPOSE_INLINE Ints truncate(const Floats& a) {
-  Ints r;
-  for (int i = 0; i < registers; ++i) r.part[i] = __builtin_convertvector(a.part[i], IntRegister);
-  return r;
+  return in_registers<Ints>([&](int i) { return __builtin_convertvector(a.part[i], IntRegister); });
 }
 CABINPOSE_INLINE Floats as_floats(const Ints& a) {
-  Floats r;
-  for (int i = 0; i < registers; ++i) r.part[i] = __builtin_convertvector(a.part[i], FloatRegister);
-  return r;
+  return in_registers<Floats>([&](int i) { return __builtin_convertvector(a.part[i], FloatRegister); });
 }
 
 /// The same 32 bits taken for another type.
 CABINPOSE_INLINE Ints bits(const Floats& a) {
-  Ints r;
-  for (int i = 0; i < registers; ++i) r.part[i] = reinterpret_cast<IntRegister>(a.part[i]);
-  return r;
+  return in_registers<Ints>([&](int i) { return reinterpret_cast<IntRegister>(a.part[i]); });
 }
 CABINPOSE_INLINE Floats from_bits(const Ints& a) {
-  Floats r;
-  for (int i = 0; i < registers; ++i) r.part[i] = reinterpret_cast<FloatRegister>(a.part[i]);
-  return r;
+  return in_registers<Floats>([&](int i) { return reinterpret_cast<FloatRegister>(a.part[i]); });
 }
 
 /// Store the first four lanes and the last four apart.

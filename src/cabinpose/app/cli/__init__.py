@@ -1,4 +1,8 @@
-"""The command line: `cabinpose <verb>`. Data on stdout, everything else on stderr, exit code 2 for what a user can mend."""
+"""The command line: `cabinpose VERB`. Data goes to stdout, everything else to stderr; exit code 2 for mistakes a user can mend.
+
+Each verb is a module of this folder (see `verb_module`). Its top level imports only the standard library, tyro and light
+modules of this package, so that `--help` is quick; `run` imports what the work needs.
+"""
 
 from __future__ import annotations
 
@@ -8,41 +12,99 @@ import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
+from inspect import isclass
+from keyword import iskeyword
+from pathlib import Path
+from types import MappingProxyType, ModuleType
 from typing import TextIO
 
 from cabinpose.app.cli.output import printable
 
-_OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # the dataset is what stands behind them
+GROUPS = MappingProxyType(
+    {
+        "datasets": ("synth", "config", "car", "info", "view", "export", "import"),
+        "detectors": ("train", "models", "predict", "evaluate", "live", "serve"),
+        "recordings": ("record", "recover", "forget", "emulate", "lab", "calibrate", "align", "evaluate-mocap"),
+        "the browser": ("studio",),
+        "this machine": ("bench",),
+    }
+)
+VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
+_OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # their first argument is the dataset
+
+
+def _module_name(verb: str) -> str:
+    name = verb.replace("-", "_")
+    return f"{name}_" if iskeyword(name) else name
+
+
+def verb_module(verb: str) -> ModuleType:
+    """The module of a verb.
+
+    Its first line is "`cabinpose VERB`: what it does." `COMMAND` is the type that tyro makes from the words behind the verb: a
+    dataclass, or several from `one_of`. `run(command)` does the work and returns the exit code, None for 0.
+    """
+    return import_module(f"{__name__}.{_module_name(verb)}")
+
+
+def _summary(verb: str) -> str:
+    """What a verb does, from the first line of its module: importing all of them would take longer than all the rest."""
+    with Path(__file__).with_name(f"{_module_name(verb)}.py").open(encoding="utf-8") as file:
+        return file.readline().partition(": ")[2].strip().strip('."')
+
+
+def _help() -> str:
+    import cabinpose
+
+    lines = ["usage: cabinpose VERB ...", "       cabinpose VERB --help", "       cabinpose --version", ""]
+    lines.append(cabinpose.__doc__ or "")
+    for group, verbs in GROUPS.items():
+        lines += ["", f"{group}:", *(f"  {verb:<15} {_summary(verb)}" for verb in verbs)]
+    return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return the exit code: 0 done, 1 done and not well, 2 a mistake the user can mend, 130 interrupted."""
-    import tyro
+    """Run one command.
 
+    Parameters
+    ----------
+    argv
+        The words behind `cabinpose`; default: those of this process.
+
+    Returns
+    -------
+    int
+        The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted.
+    """
     import cabinpose
-    from cabinpose.app.cli.commands import RUNNERS, STYLE, VERBS, command_line
     from cabinpose.core.errors import CabinposeError
 
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if arguments == ["--version"]:
-        print(cabinpose.__version__)
-        return 0
-    if arguments and not arguments[0].startswith("-") and arguments[0] not in VERBS:
-        close = get_close_matches(arguments[0], VERBS, n=1)
-        print(f"error: there is no command '{arguments[0]}'", file=sys.stderr)
-        print("hint: " + (f"did you mean {close[0]}? " if close else "") + "`cabinpose --help` lists them", file=sys.stderr)
-        return 2
-    if arguments and arguments[0] in _OF_DATASETS and any(w == "--data" or w.startswith("--data=") for w in arguments):
-        print("error: there is no flag --data", file=sys.stderr)
-        print(f"hint: the dataset is given behind the verb: cabinpose {arguments[0]} DATASET", file=sys.stderr)
-        return 2
+    verb, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
     try:
+        if verb in ("-h", "--help", "--version"):
+            print(cabinpose.__version__ if verb == "--version" else _help())
+            return 0
+        if verb not in VERBS:
+            close = get_close_matches(verb, VERBS, n=1)
+            did_you_mean = f"did you mean {close[0]}? " if close else ""
+            raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
+        if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
+            raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
+        import tyro
+        from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
+
+        module = verb_module(verb)
         command = tyro.cli(
-            command_line, prog="cabinpose", description=cabinpose.__doc__, args=arguments or ["--help"], config=STYLE
+            module.COMMAND,
+            prog=f"cabinpose {verb}",
+            description=None if isclass(module.COMMAND) else _summary(verb),
+            args=rest,
+            config=(DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes),
         )
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
-            code: int | None = import_module(f"{__name__}.{RUNNERS[type(command)]}").run(command)
+            code: int | None = module.run(command)
             return code or 0
     except CabinposeError as error:
         print(f"error: {printable(error)}", file=sys.stderr)
@@ -52,7 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImportError as error:
         if error.name != "cabinpose._native":
             raise
-        print(f"error: {error}", file=sys.stderr)  # it ends with its hint
+        print(f"error: {error}", file=sys.stderr)  # the message ends with its own hint
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -63,17 +125,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _print_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
     line: str | None = None,
-) -> None:
-    """What the package warns of in one line; of other libraries, which warn by other categories, as Python has it."""
-    text = (
-        f"warning: {printable(message)}\n"
-        if category is UserWarning
-        else warnings.formatwarning(message, category, filename, lineno, line)
-    )
+) -> None:  # fmt: skip
+    """Print a warning of this package in one line, and one of another library, which has another category, as Python does."""
+    ours = category is UserWarning
+    text = f"warning: {printable(message)}\n" if ours else warnings.formatwarning(message, category, filename, lineno, line)
     (file or sys.stderr).write(text)

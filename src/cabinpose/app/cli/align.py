@@ -1,27 +1,63 @@
-"""`cabinpose align`: a dataset of recordings."""
+"""`cabinpose align`: make a dataset of recordings of suit, optical system and camera."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import sys
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cabinpose.app.cli.align_commands import Align
-from cabinpose.app.cli.output import print_json, print_rows, progress
+from tyro.conf import Positional
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.pose import Visibility
-from cabinpose.store.convert import check_new_dataset, import_source
+
+if TYPE_CHECKING:
+    from cabinpose.align.dataset import TakeReport
 
 _WARN_FLOATING = 0.05
 
 
+@dataclass(frozen=True, kw_only=True)
+class Align(PrintsJson):
+    """Make a dataset of recordings of suit, optical system and camera: the suit's pose in every frame of the camera.
+
+    Frames in which the pose is not known are left out, counted by reason; nothing is interpolated across gaps.
+    """
+
+    recordings: Annotated[Positional[tuple[Path, ...]], several("RECORDING [RECORDING ...]")]
+    """Recordings of the rig; everybody whom a take names wears a suit of their own."""
+    calibration: Path
+    """Calibration of the rig (YAML), made by `cabinpose calibrate`."""
+    out: Path
+    """Folder of the dataset."""
+    report: Maybe[Path] = None
+    """HTML file to write: how well suit and optical system agree on the head over each take, with its best and worst frame."""
+    subject: Maybe[str] = None
+    """Subject code, if a take does not name it, or if only one of its people wears a suit."""
+    pose_correction: bool = True
+    """Correct the errors of the suit's own calibration, where the rig's calibration knows them."""
+    max_lag: float = 2.0
+    """Largest delay between suit and optical system to search, s."""
+    licence: str = "private"
+    """Licence of the dataset; recordings of people are personal data."""
+    overwrite: bool = False
+    """Replace the dataset in the folder."""
+
+
+COMMAND = Align
+
+
 def run(command: Align) -> None:
     """Align and write, with a progress bar; say what was left out of each take, and how well the joints fit the depth."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.align.calibration import Calibration
-    from cabinpose.align.dataset import TakeReport, align_takes
+    from cabinpose.align.dataset import align_takes
+    from cabinpose.store.source import check_new_dataset, import_source
 
     if not command.recordings:
         raise ConfigError("there is nothing to align", hint="name one or more recordings")
@@ -30,14 +66,19 @@ def run(command: Align) -> None:
         raise ConfigError(f"{command.report} exists", hint="--overwrite replaces it, or give another file with --report")
     calibration = Calibration.load(command.calibration)
     takes = align_takes(
-        command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag, licence=command.licence
-    )
+        command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag,
+        correct_pose=command.pose_correction, licence=command.licence,
+    )  # fmt: skip
+    for warning in takes.warnings:
+        print(printable(warning), file=sys.stderr)
     with progress(takes.source.manifest.frames, "frames") as report:
         folder = import_source(takes.source, command.out, overwrite=command.overwrite, report=report)
     if command.report is not None:
-        from cabinpose.app.head_page import write_head_page
+        from cabinpose.app.report.heads import write_head_page
 
-        write_head_page(folder, [(take.recording, take.subject) for take in takes.reports], command.report)
+        write_head_page(
+            folder, [(take.sequence, take.recording, take.subject, take.person) for take in takes.reports], command.report
+        )
     if command.as_json:
         print_json({"out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]})
         return
@@ -53,6 +94,7 @@ def run(command: Align) -> None:
             *((f"  {why}", f"{count} frames left out") for why, count in take.left_out.items()),
             ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, {told}"),
             ("  head", f"{take.head_deg[0]:.2f} deg rms between suit and optical system, at most {take.head_deg[1]:.2f}"),
+            *((("  initial pose", "corrected"),) if take.pose_corrected else ()),
             ("  joints", ", ".join(states)),
             ("  before the surface", floating),
         ]
@@ -76,4 +118,6 @@ def _plain(take: Any) -> dict[str, Any]:
 
 
 def _words(state: int) -> str:
+    from cabinpose.core.pose import Visibility
+
     return Visibility(state).name.lower().replace("_", " ")

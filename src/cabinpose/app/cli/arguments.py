@@ -1,41 +1,52 @@
-"""Arguments that several commands have."""
+"""Arguments that several verbs have, and checks of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional, TypeVar
+from typing import Annotated, Any, Optional, TypeVar, Union
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, arg, subcommand
 
-from cabinpose.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from cabinpose.app.cli.commands import Info, View
-    from cabinpose.app.cli.exchange_commands import Export
+from cabinpose.core.errors import ConfigError, DatasetError
 
 
-def several(metavar: str) -> object:
-    """How what may be left out, or takes any number of words, shows in the help: without an empty default behind it."""
+def several(metavar: str) -> Any:
+    """Metavar of an argument that is optional or takes any number of words; its help shows no empty default."""
     return arg(metavar=metavar, help_behavior_hint="")
 
 
+def one_of(**commands: type) -> Any:
+    """`COMMAND` of a verb with verbs of its own, such as `cabinpose config init`."""
+    return Union[tuple(Annotated[command, subcommand(name)] for name, command in commands.items())]  # noqa: UP007
+
+
+# Optional[T] and not T | None: for the latter tyro imports typeguard, which takes as long as tyro itself.
 T = TypeVar("T")
-Maybe = Annotated[Optional[T], arg(help_behavior_hint="")]  # a flag that may be left out; its help says what then
+Maybe = Annotated[Optional[T], arg(help_behavior_hint="")]  # a flag without a value as default; its help states what happens
 ThingArgument = Annotated[Positional[Path], arg(metavar="DATASET|RECORDING")]
-RecordingArgument = Annotated[Positional[Path], arg(metavar="RECORDING")]
 DatasetArgument = Annotated[Positional[Path], arg(metavar="DATASET", help="Folder of the dataset.")]
-SplitsFlag = Annotated[Maybe[Path], arg(metavar="FILE", help="YAML file of splits, of which --split names one.")]
-SplitFlag = Annotated[Maybe[str], arg(metavar="NAME", help="Only the frames of this split.")]
-SelectFlag = Annotated[
-    tuple[str, ...],
-    arg(
-        metavar="NAME=VALUE[,VALUE] ...",
-        help="Only frames with these values of subject, action, car, pov or sequence.",
-        help_behavior_hint="",
-    ),
-]
-JsonFlag = Annotated[bool, arg(name="json", help="Print one JSON object on stdout.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrintsJson:
+    """The flag of every verb that prints results."""
+
+    as_json: Annotated[bool, arg(name="json")] = False
+    """Print one JSON object on stdout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectsFrames(PrintsJson):
+    """Flags of the verbs that work on some frames of a dataset."""
+
+    splits: Annotated[Maybe[Path], arg(metavar="FILE")] = None
+    """YAML file of splits; --split names one of them."""
+    split: Annotated[Maybe[str], arg(metavar="NAME")] = None
+    """Only the frames of this split."""
+    select: Annotated[tuple[str, ...], several("NAME=VALUE[,VALUE] ...")] = ()
+    """Only frames with these values of subject, action, car, pov or sequence."""
 
 
 def refuse(flags: Mapping[str, object], message: str) -> None:
@@ -45,20 +56,28 @@ def refuse(flags: Mapping[str, object], message: str) -> None:
             raise ConfigError(message.format(flag), hint=f"leave out {flag}")
 
 
-def refuse_selection(command: Info | View | Export, message: str) -> None:
-    """ConfigError for the first of the flags that choose frames of a dataset."""
+def refuse_selection(command: SelectsFrames, message: str) -> None:
+    """ConfigError for the first flag that selects frames of a dataset."""
     refuse({"--splits": command.splits, "--split": command.split, "--select": command.select}, message)
 
 
+def refuse_existing(folder: Path | None, *names: str, overwrite: bool) -> None:
+    """DatasetError where one of these files is in the folder already and may not be replaced."""
+    there = [name for name in names if folder is not None and (folder / name).exists()]
+    if there and not overwrite:
+        raise DatasetError(f"{folder} already has {' and '.join(there)}", hint="--overwrite replaces them")
+
+
 def is_recording(path: Path) -> bool:
-    """Whether a DATASET|RECORDING is a recording, also one that a recovery left; ConfigError for a file that is neither."""
+    """Whether a path is a recording, one that `recover` left unfinished or a folder of takes among them.
+
+    Raises ConfigError for a file that is neither a recording nor a dataset.
+    """
     if path.is_dir():
-        return False
-    if ".mcap" in path.suffixes:
-        return True
-    if path.exists():
+        return not (path / "dataset.yaml").exists() and any(path.glob("*.mcap"))
+    if path.exists() and ".mcap" not in path.suffixes:
         raise ConfigError(
             f"{path} is neither a dataset nor a recording",
             hint="give the folder that holds dataset.yaml, or a recording (.mcap)",
         )
-    return False
+    return ".mcap" in path.suffixes

@@ -1,80 +1,124 @@
-"""`cabinpose bench`: the figures of generation, of the detectors, of recording and of ground truth on this machine."""
+"""`cabinpose bench`: measure generation, detectors, recording and ground truth on this machine."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
-from typing import Any
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
 
-from cabinpose.app.bench.detect import run_detect_bench
-from cabinpose.app.bench.synth import run_bench
-from cabinpose.app.cli.commands import Bench, BenchDetect, BenchLab, BenchRecord, BenchSynth
+import cabinpose
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, several
 from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
+from cabinpose.core.errors import ConfigError
 
 _STAGES = ("input", "network", "decode")
 
 
-def run(command: Bench) -> None:
-    """Measure, saying on stderr what is under way."""
-    action = command.action
-    if isinstance(action, BenchSynth):
-        result = _synth(action)
-    elif isinstance(action, BenchRecord):
-        result = _record(action)
-    elif isinstance(action, BenchLab):
-        result = _lab(action)
-    else:
-        result = _detect(action)
-    if action.as_json:
+@dataclass(frozen=True, kw_only=True)
+class BenchSynth(PrintsJson):
+    """Measure generation: frames a second, CPU time, threads, start-up, memory, and Blender on the same scenes."""
+
+    frames: int = 400
+    """Frames of each timed run."""
+    repeats: int = 5
+    """Rounds in which everything is measured once; medians and quartiles are reported."""
+    workers: int = 2
+    """Threads, ours and Blender's."""
+    skip_blender: bool = False
+    """Leave the comparison out; Blender gets an environment of its own with bpy."""
+    memory_frames: int = 0
+    """Frames of a long run whose memory is watched; 0: no such run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchDetect(PrintsJson):
+    """Measure detectors on the CPU, from a camera's frame to joints, one frame at a time, beside networks of others.
+
+    The packaged models; and, with the extra `train`, `compact` and `paf` with default settings and fresh weights.
+    """
+
+    model: Annotated[tuple[str, ...], several("FILE [FILE ...]")] = ()
+    """ONNX files of further models to measure."""
+    frames: int = 100
+    """Frames of each timed run."""
+    repeats: int = 3
+    """Timed runs; the medians are reported."""
+    threads: int = 2
+    """Threads of ONNX Runtime."""
+    skip_fresh: bool = False
+    """Leave out the detectors with fresh weights."""
+    skip_peers: bool = False
+    """Leave out the networks of others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRecord(PrintsJson):
+    """Measure recording: two ToF cameras and a suit, emulated, raw and decoded, into one file at a steady rate."""
+
+    seconds: float = 120.0
+    """Length of the take, s."""
+    rate_mb: float = 160.0
+    """Rate of the sources, MB/s."""
+    folder: Maybe[Path] = None
+    """Folder on the disk to measure; default: that of temporary files. The recording is deleted afterwards."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchLab(PrintsJson):
+    """Measure ground truth: a virtual rig's errors, all together and each alone, in its calibration and in the joints."""
+
+    errors: Annotated[tuple[str, ...], several("[ERROR [ERROR ...]]")] = ()
+    """Errors to measure alone; default: all that the rig has."""
+    views: int = 40
+    """Poses of the checkerboard."""
+    seconds: float = 20.0
+    """Length of the driver's take, s."""
+    seed: int = 0
+    """Seed of all random numbers, the same for every error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRemote(PrintsJson):
+    """Measure the way to a model on a server and back, over loopback, beside a bare echo server asked by Triton's client."""
+
+    frames: int = 1000
+    """Round trips of each way."""
+
+
+COMMAND = one_of(synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote)
+
+
+def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote) -> None:
+    """Measure; stderr tells what is being measured."""
+    name = type(command).__name__.removeprefix("Bench").lower()
+    require(*{"record": ("record", "bench"), "lab": ("record",), "remote": ("remote",)}.get(name, ()))
+    flags = {key: value for key, value in vars(command).items() if key != "as_json"}
+    result = _benchmark(name).run(**flags, say=lambda words: print(words, file=sys.stderr))
+    if command.as_json:
         print_json(result)
-    elif isinstance(action, (BenchSynth, BenchRecord)):
-        print_rows(_rows(result))
-    elif isinstance(action, BenchLab):
+    elif isinstance(command, BenchLab):
         _print_budget(result)
-    else:
+    elif isinstance(command, BenchDetect):
         _print_detectors(result)
+    else:
+        print_rows(_rows(result))
 
 
-def _synth(command: BenchSynth) -> dict[str, Any]:
-    return run_bench(
-        frames=command.frames,
-        repeats=command.repeats,
-        workers=command.workers,
-        blender=not command.skip_blender,
-        memory_frames=command.memory_frames,
-        say=_say,
-    )
-
-
-def _detect(command: BenchDetect) -> dict[str, Any]:
-    return run_detect_bench(
-        command.model,
-        frames=command.frames,
-        repeats=command.repeats,
-        threads=command.threads,
-        fresh=not command.skip_fresh,
-        peers=not command.skip_peers,
-        say=_say,
-    )
-
-
-def _record(command: BenchRecord) -> dict[str, Any]:
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "psutil", extra="record,bench")
-    from cabinpose.app.bench.record import run_record_bench
-
-    return run_record_bench(seconds=command.seconds, rate_mb=command.rate_mb, folder=command.folder, say=_say)
-
-
-def _lab(command: BenchLab) -> dict[str, Any]:
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
-    from cabinpose.app.bench.lab import run_lab_bench
-
-    return run_lab_bench(errors=command.errors, views=command.views, seconds=command.seconds, seed=command.seed, say=_say)
-
-
-def _say(words: str) -> None:
-    print(words, file=sys.stderr)
+def _benchmark(name: str) -> Any:
+    """A module of the folder `benchmarks` of a checkout; ConfigError where the package is installed without it."""
+    root = Path(cabinpose.__file__).parents[2]
+    if not (root / "benchmarks" / f"{name}.py").exists():
+        raise ConfigError(
+            "the benchmarks are part of a checkout of cabinpose, not of the installed package",
+            hint="clone the repository, then `make bench`, or `.venv/bin/cabinpose bench` there",
+        )
+    if str(root) not in sys.path:
+        sys.path.append(str(root))
+    return import_module(f"benchmarks.{name}")
 
 
 def _rows(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
@@ -87,38 +131,29 @@ def _rows(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]
 
 def _print_budget(result: Mapping[str, Any]) -> None:
     """A line for each error that was switched on."""
-    head = ("error", "camera mm", "deg", "delay ms", "head deg", "suit ms", "joints cm", "median cm", "px")
-    rows = [
-        (
-            name,
-            *(f"{s[key]:.3f}" for key in ("camera_mm", "camera_deg", "tof_delay_ms", "head_deg")),
-            *(f"{s['joints'][key]:.3f}" for key in ("suit_delay_ms", "mean_cm", "median_cm", "mean_px")),
-        )
-        for name, s in result["sessions"].items()
-    ]
-    print_table([head, *rows])
+    rows = [("error", "camera mm", "deg", "delay ms", "head deg", "suit ms", "joints cm", "median cm", "px")]
+    for name, s in result["sessions"].items():
+        values = [s[key] for key in ("camera_mm", "camera_deg", "tof_delay_ms", "head_deg")]
+        values += [s["joints"][key] for key in ("suit_delay_ms", "mean_cm", "median_cm", "mean_px")]
+        rows.append((name, *(f"{value:.3f}" for value in values)))
+    print_table(rows)
     print(f"root of the sum of squares of each alone: {result['budget_cm']['root_of_squares']:.3f} cm")
 
 
 def _print_detectors(result: Mapping[str, Any]) -> None:
     """A line for each model and each peer: frames/s, milliseconds of a frame and its stages, and the peers' as its multiples."""
-    models, peers = result["models"], result["peers"]
-    head = ["", "frames/s", "aim", "p50 ms", "p95 ms", *(f"{stage} ms" for stage in _STAGES), "batch frames/s"]
-    rows = [[*head, *(f"{peer} takes" for peer in peers)]]
-    for name, figures in (models | peers).items():
-        rates = figures["frames_per_s"], figures.get("aim")
-        times = figures["p50_ms"], figures["p95_ms"], *(figures["stages_ms"].get(stage) for stage in _STAGES)
-        cells = [*(_cell(x, 1) for x in rates), *(_cell(x, 2) for x in times), _cell(figures.get("frames_per_s_batch"), 1)]
-        takes = (figures.get("peers_take", {}).get(peer) for peer in peers)
-        rows.append([name, *cells, *("" if x is None else f"{x:.1f} x" for x in takes)])
+    models, peers, runtime, load = (result[key] for key in ("models", "peers", "runtime", "load_average"))
+    stages = [f"{stage} ms" for stage in _STAGES]
+    rows = [["", "frames/s", "aim", "p50 ms", "p95 ms", *stages, "batch frames/s", *(f"{peer} takes" for peer in peers)]]
+    for name, f in (models | peers).items():
+        times = f["p50_ms"], f["p95_ms"], *(f["stages_ms"].get(stage) for stage in _STAGES)
+        figures = [(f["frames_per_s"], "{:.1f}"), (f.get("aim"), "{:.1f}"), *((time, "{:.2f}") for time in times)]
+        figures.append((f.get("frames_per_s_batch"), "{:.1f}"))
+        figures += [(f.get("peers_take", {}).get(peer), "{:.1f} x") for peer in peers]
+        rows.append([name, *("" if value is None else form.format(value) for value, form in figures)])
     print_table(rows)
-    runtime = result["runtime"]
     print(
         f"{result['repeats']} runs of {result['frames']} frames; ONNX Runtime {runtime['onnxruntime']}, "
         f"{runtime['intra_op_num_threads']} threads of {result['cores']} cores; "
-        f"load {result['load_average']['before'][0]:.1f} before, {result['load_average']['after'][0]:.1f} after"
+        f"load {load['before'][0]:.1f} before, {load['after'][0]:.1f} after"
     )
-
-
-def _cell(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"

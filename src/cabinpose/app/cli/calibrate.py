@@ -1,13 +1,16 @@
-"""`cabinpose calibrate`: a rig's calibration from its calibration takes."""
+"""`cabinpose calibrate`: find where a rig's camera stands and how late its stamps are."""
 
 from __future__ import annotations
 
 import sys
-from math import degrees
+from dataclasses import dataclass
+from math import degrees, hypot
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from cabinpose.app.cli.align_commands import Calibrate
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import PrintsJson
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
@@ -16,9 +19,27 @@ if TYPE_CHECKING:
     from cabinpose.align.session import Calibrated
 
 
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(PrintsJson):
+    """Find the camera's place in a rig, the delay of its time stamps, and how the suit's head relates to the optical system's.
+
+    From recordings of a checkerboard with markers, of a swinging marker, and of each subject's turning head.
+    """
+
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
+    """YAML file that names the recordings and the board."""
+    out: Path
+    """Calibration to write (YAML)."""
+    overwrite: bool = False
+    """Replace the calibration file."""
+
+
+COMMAND = Calibrate
+
+
 def run(command: Calibrate) -> None:
     """Calibrate, write the file, and say how far each step can be trusted."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
+    require("record")
     from cabinpose.align.session import Session, calibrate
 
     if command.out.exists() and not command.overwrite:
@@ -34,6 +55,8 @@ def run(command: Calibrate) -> None:
     rejected = [why for why in found.views.reasons if why]
     if rejected:
         print(f"{len(rejected)} views without a board, the first: {printable(rejected[0])}", file=sys.stderr)
+    for warning in found.warnings:
+        print(printable(warning), file=sys.stderr)
     print(f"align a take with: cabinpose align TAKE.mcap --calibration {command.out} --out DATASET", file=sys.stderr)
 
 
@@ -59,6 +82,10 @@ def _rows(found: Calibrated, out: Path) -> list[tuple[str, str]]:
         rows.append((f"head of {code}", f"{degrees(turn.rms_rad):.2f} deg between the systems, turned by {turned} deg"))
         rows.append(("  suit's delay", _delay(late.offset_s, late.interval_s, late.correlation)))
         rows.append(("  C1 in the head object", f"{', '.join(f'{1000 * x:.0f}' for x in offset.offset)} mm, {offset.method}"))
+        if (pose := found.calibration.heads[code].pose_correction) is not None:
+            size = {name: 1000 * hypot(*shift) for name, shift in pose.shifts_m.items()}
+            worst = max(size, key=size.__getitem__)
+            rows.append(("  initial pose", f"by {pose.truth}: points moved by up to {size[worst]:.0f} mm ({worst})"))
     return rows
 
 

@@ -1,124 +1,158 @@
-"""`cabinpose config`: write a first configuration, check one, print its JSON Schema."""
+"""`cabinpose config`: write, check or describe the configuration of `synth`."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import yaml
-from pydantic import BaseModel
+from tyro.conf import Positional, arg
 
-import cabinpose
-from cabinpose.app.cli.commands import Config, ConfigCheck, ConfigFrame, ConfigInit
-from cabinpose.app.cli.output import progress
+from cabinpose.app.cli.arguments import DatasetArgument, PrintsJson, one_of, several
+from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.core.errors import ConfigError
-from cabinpose.synth.config import SynthConfig, room_preset
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from cabinpose.synth.config import SynthConfig
+
+_TRIED_FRAMES = 3  # scenes that `config check` draws
+_NewFile = Annotated[Positional[Path | None], several("FILE")]
 
 
-def run(command: Config) -> None:
-    """Do what the chosen action says."""
-    if isinstance(command.action, ConfigInit):
-        _init(command.action)
-    elif isinstance(command.action, ConfigCheck):
-        _check(command.action)
-    elif isinstance(command.action, ConfigFrame):
-        _frame(command.action)
+@dataclass(frozen=True)
+class ConfigInit:
+    """Write a configuration to start from: every key with its default and what it means."""
+
+    file: _NewFile = None
+    """File to write; default: stdout."""
+    scene: Literal["cabin", "room"] = "cabin"
+    """People in cars, or one person who stands in a room, with the geometry of the ITOP dataset."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfigCheck(PrintsJson):
+    """Check a configuration as `synth` would, meshes, recordings and a few scenes included, and summarise it."""
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Configuration (YAML)."""
+
+
+@dataclass(frozen=True)
+class ConfigFrame:
+    """Write the scene of one frame of a generated dataset as a configuration, exact to the last bit."""
+
+    dataset: DatasetArgument
+    frame: Annotated[Positional[int], arg(metavar="FRAME")]
+    """Number of the frame."""
+    file: _NewFile = None
+    """File to write; default: stdout."""
+
+
+@dataclass(frozen=True)
+class ConfigSchema:
+    """Print the JSON Schema of the configuration, for editors and validators."""
+
+
+COMMAND = one_of(init=ConfigInit, check=ConfigCheck, frame=ConfigFrame, schema=ConfigSchema)
+
+
+def run(command: ConfigInit | ConfigCheck | ConfigFrame | ConfigSchema) -> None:
+    """Write, check or describe a configuration."""
+    from cabinpose.synth.config import SynthConfig, room_preset
+
+    if isinstance(command, ConfigInit):
+        _write(commented_yaml(room_preset() if command.scene == "room" else SynthConfig()), command.file)
+    elif isinstance(command, ConfigCheck):
+        _check(command, SynthConfig.load(command.file))
+    elif isinstance(command, ConfigFrame):
+        _write(_frame_yaml(command), command.file)
     else:
         print(json.dumps(SynthConfig.model_json_schema(), indent=2))
 
 
-def _init(action: ConfigInit) -> None:
-    _write(commented_yaml(room_preset() if action.scene == "room" else SynthConfig()), action.file)
+def _frame_yaml(command: ConfigFrame) -> str:
+    """The scene of a frame as YAML, without the keys that have their defaults."""
+    import yaml
 
-
-def _frame(action: ConfigFrame) -> None:
-    """Write what `exact_config` says of a frame, without what is as by default."""
+    import cabinpose
     from cabinpose.store import read_manifest
+    from cabinpose.synth.config import SynthConfig
     from cabinpose.synth.exact import exact_config
 
-    manifest = read_manifest(action.dataset)
+    folder, number, manifest = command.dataset, command.frame, read_manifest(command.dataset)
     if manifest.generator != "cabinpose.synth":
-        raise ConfigError(f"{action.dataset} was not generated", hint="give a dataset that `cabinpose synth` wrote")
-    if not 0 <= action.frame < manifest.frames:
-        raise ConfigError(
-            f"{action.dataset} has no frame {action.frame}", hint=f"its frames are numbered from 0 to {manifest.frames - 1}"
-        )
+        raise ConfigError(f"{folder} was not generated", hint="give a dataset that `cabinpose synth` wrote")
+    if not 0 <= number < manifest.frames:
+        raise ConfigError(f"{folder} has no frame {number}", hint=f"its frames are numbered from 0 to {manifest.frames - 1}")
     if manifest.generator_version != cabinpose.__version__:
-        print(f"warning: {action.dataset} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
-    exact = exact_config(SynthConfig.parse(manifest.config), manifest.seed, action.frame)
+        print(f"warning: {folder} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
+    exact = exact_config(SynthConfig.parse(manifest.config), manifest.seed, number)
     defaults = SynthConfig().model_dump(mode="json")
-    told = {key: value for key, value in exact.model_dump(mode="json").items() if value != defaults[key]}
-    told["scene"] = exact.scene.model_dump(mode="json", exclude_defaults=True)
-    text = f"# frame {action.frame} of a dataset with seed {manifest.seed}\n"
-    _write(text + yaml.safe_dump(told, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True), action.file)
+    changed = {key: value for key, value in exact.model_dump(mode="json").items() if value != defaults[key]}
+    changed["scene"] = exact.scene.model_dump(mode="json", exclude_defaults=True)
+    text = yaml.safe_dump(changed, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True)
+    return f"# frame {number} of a dataset with seed {manifest.seed}\n{text}"
 
 
-def _write(text: str, to: Path | None) -> None:
+def _write(text: str, file: Path | None) -> None:
     """Write a new file, or to stdout."""
-    if to is None:
+    if file is None:
         print(text, end="")
         return
     try:
-        with to.open("x", encoding="utf-8") as file:
-            file.write(text)
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(text)
     except FileExistsError:
-        raise ConfigError(f"{to} exists", hint="give another name; nothing is overwritten") from None
+        raise ConfigError(f"{file} exists", hint="give another name; nothing is overwritten") from None
     except OSError as error:
-        raise ConfigError(f"cannot write {to}: {error.strerror}", hint="give a file in a folder that exists") from error
-    print(f"wrote {to}", file=sys.stderr)
+        raise ConfigError(f"cannot write {file}: {error.strerror}", hint="give a file in a folder that exists") from error
+    print(f"wrote {file}", file=sys.stderr)
 
 
-def _check(action: ConfigCheck) -> None:
-    config = SynthConfig.load(action.file)
-    with progress() as report:
-        report.phase("trying scenes")
-        tried = _try(config)
-    if action.as_json:
-        print(
-            json.dumps({"file": str(action.file), "valid": True, "poses_tried": tried, "config": config.model_dump(mode="json")})
-        )
-        return
-    print(f"{action.file} is valid: {_FRAMES} frames found their scene in {tried} poses")
-    if config.frames is not None:
-        print(f"frames   {config.frames} combinations")
-    print(f"scene    {_scene(config)}")
-    print(f"camera   {config.camera.sensor}, views {', '.join(config.camera.views)}")
-    people = config.people
-    kinds = ((len(people.subjects), "named"), (len(people.own), "own"), (people.random.count if people.random else 0, "random"))
-    print(f"people   {', '.join(f'{count} {kind}' for count, kind in kinds if count)}")
-    print(f"noise    {config.noise.kind}")
-
-
-_FRAMES = 3  # whose scenes a check draws
-
-
-def _try(config: SynthConfig) -> int:
-    """Load what the configuration names, draw a few scenes, and return the number of poses that took; raises as `synth` would."""
+def _check(command: ConfigCheck, config: SynthConfig) -> None:
+    """Draw a few scenes, as `synth` would, and summarise the configuration."""
     from cabinpose.synth.preflight import preflight
     from cabinpose.synth.sample import SceneSampler
     from cabinpose.synth.streams import frame_rng
 
-    preflight(config, frames=1)
-    sampler = SceneSampler(config, 0)
-    return sum(sampler.sample(index, rng=frame_rng(0, index)).proposals for index in range(_FRAMES))
-
-
-def _scene(config: SynthConfig) -> str:
-    if config.scene.kind == "cabin":
-        named = ", ".join(Path(car).name for car in config.scene.cars)
-        random = f"{config.scene.random_cars} drawn at random" if config.scene.random_cars else ""
-        return f"cabin, cars {' and '.join(filter(None, (named, random)))}"
-    return f"room, {config.scene.rooms} of them"
+    with progress() as report:
+        report.phase("trying scenes")
+        preflight(config, frames=1)
+        sampler = SceneSampler(config, 0)
+        tried = sum(sampler.sample(index, rng=frame_rng(0, index)).proposals for index in range(_TRIED_FRAMES))
+    if command.as_json:
+        print_json({"file": str(command.file), "valid": True, "poses_tried": tried, "config": config.model_dump(mode="json")})
+        return
+    print(f"{command.file} is valid: {_TRIED_FRAMES} frames found their scene in {tried} poses")
+    scene, people = config.scene, config.people
+    cars = ", ".join(Path(car).name for car in scene.cars) if scene.kind == "cabin" else ""
+    drawn = f"{scene.random_cars} drawn at random" if scene.kind == "cabin" and scene.random_cars else ""
+    kinds = ((len(people.subjects), "named"), (len(people.own), "own"), (people.random.count if people.random else 0, "random"))
+    rows = [("frames", f"{config.frames} combinations")] if config.frames is not None else []
+    in_cars = f"cabin, cars {' and '.join(filter(None, (cars, drawn)))}"
+    rows += [
+        ("scene", in_cars if scene.kind == "cabin" else f"room, {scene.rooms} of them"),
+        ("camera", f"{config.camera.sensor}, views {', '.join(config.camera.views)}"),
+        ("people", ", ".join(f"{count} {kind}" for count, kind in kinds if count)),
+        ("noise", config.noise.kind),
+    ]
+    print_rows(rows)
 
 
 def commented_yaml(model: BaseModel) -> str:
-    """A model as YAML with the descriptions of its fields as comments; reading it gives the model back."""
+    """A model as YAML with the descriptions of its fields as comments; parsing it gives the same model again."""
     return "".join(f"{line}\n" for line in _lines(model, ""))
 
 
 def _lines(model: BaseModel, indent: str) -> Iterator[str]:
+    import yaml
+    from pydantic import BaseModel
+
     plain = model.model_dump(mode="json")
     for name, field in type(model).model_fields.items():
         value = getattr(model, name)
@@ -128,5 +162,5 @@ def _lines(model: BaseModel, indent: str) -> Iterator[str]:
             yield from _lines(value, indent + "  ")
         else:
             text = yaml.safe_dump(plain[name], default_flow_style=True, width=10_000, allow_unicode=True)
-            value_text = text.removesuffix("...\n").strip()  # PyYAML ends a bare scalar's document
-            yield f"{indent}{name}: {value_text}{comment}"
+            text = text.removesuffix("...\n").strip()  # PyYAML ends the document of a bare scalar
+            yield f"{indent}{name}: {text}{comment}"

@@ -1,77 +1,143 @@
-"""`cabinpose evaluate`: predictions held against a dataset, as a table, a page and JSON."""
+"""`cabinpose evaluate`: compare predictions or models with a dataset: a table, a page and JSON."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import xarray as xr
+from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.commands import Evaluate
-from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
-from cabinpose.app.cli.selection import selected
+from cabinpose.app.cli.arguments import Maybe, SelectsFrames, refuse_existing, several
+from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
-from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.core.ports import Predictor
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.estimate.predictor import load_model
-from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate, model_name, shared_places
-from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import Report
-from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.labels import labels_of, with_labels
-from cabinpose.store.part import disk_errors
-from cabinpose.store.predictions import Predictions, read_predictions
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from cabinpose.core.ports import Predictor
+    from cabinpose.evaluate.options import EvaluationOptions
+    from cabinpose.evaluate.report import Report
+    from cabinpose.store.predictions import Predictions
+
+_USUAL = (
+    "PCKh@0.5 2D", "AUC of PCKh 2D", "median error 2D", "PCK@10 cm 3D", "MPJPE 3D", "median error 3D", "presence precision",
+    "presence recall",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(SelectsFrames):
+    """Compare predictions, or models, with a dataset: a table by joint group, and with --out a page and report.json.
+
+    Several predictions files and models are compared on the joints that all of them predict.
+    """
+
+    dataset: Annotated[Positional[Path | None], several("[DATASET]")] = None
+    """Folder of the dataset."""
+    itop_npz: Maybe[Path] = None
+    """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
+    predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
+    """Predictions files (.jsonl or .parquet), one per model."""
+    model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
+    """Models to run: names of packaged models, ONNX files, or models on servers (grpc://HOST:PORT/MODEL)."""
+    persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
+    """Only people in these slots; default: the slots that all models predict."""
+    labels: Maybe[Path] = None
+    """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
+    out: Maybe[Path] = None
+    """Folder for index.html and report.json."""
+    min_visibility: Literal["outside_image", "occluded", "self_occluded", "visible"] = "occluded"
+    """Least visibility of the joints that count."""
+    head: Literal["thesis", "true"] = "thesis"
+    """Head size of PCKh: 26 px and 200 mm, or each person's own length from head to neck."""
+    match: Literal["slot", "oks", "distance"] = "slot"
+    """How predictions are matched to people: by seat, or by the assignment with the best OKS or the least distance."""
+    presence: float = 0.5
+    """Least probability at which a joint counts as found."""
+    pckh: tuple[float, ...] = (0.5, 1.0)
+    """Thresholds of PCKh, in head sizes."""
+    pck_px: tuple[float, ...] = (26.0,)
+    """Thresholds of PCK in 2D, px."""
+    pck_cm: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0)
+    """Thresholds of PCK in 3D, cm."""
+    resamples: int = 1000
+    """Resamples of the bootstrap for the intervals; 0: no intervals."""
+    seed: int = 0
+    """Seed of the bootstrap."""
+    everything: Annotated[bool, arg(name="all")] = False
+    """Print every number, not only the usual eight; the page and the JSON always hold all."""
+    overwrite: bool = False
+    """Replace the report in the folder."""
+
+
+COMMAND = Evaluate
 
 
 def run(command: Evaluate) -> None:
-    """Evaluate every file; the table goes to stdout, the page to `out`."""
-    options = _options(command)
+    """Evaluate all files and models; the tables go to stdout, the page to `out`."""
+    from cabinpose.core.pose import Visibility
+    from cabinpose.evaluate.options import EvaluationOptions
+
+    options = EvaluationOptions(
+        min_visibility=Visibility[command.min_visibility.upper()], presence=command.presence, head=command.head,
+        pck_px=command.pck_px, pck_m=tuple(cm / 100 for cm in command.pck_cm), pckh=command.pckh, match=command.match,
+        resamples=command.resamples, seed=command.seed,
+    )  # fmt: skip
     if command.itop_npz is not None:
         _run_itop(command, command.itop_npz, options)
-        return
-    if command.dataset is None or not (command.predictions or command.model):
-        raise ConfigError(
-            "there is nothing to evaluate", hint="give DATASET with --predictions or --model, or --itop-npz with --model"
-        )
-    _check_out(command)
-    whole = open_dataset(command.dataset)
+    elif command.dataset is None or not (command.predictions or command.model):
+        hint = "give DATASET with --predictions or --model, or --itop-npz with --model"
+        raise ConfigError("there is nothing to evaluate", hint=hint)
+    else:
+        _run_dataset(command, command.dataset, options)
+
+
+def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
+    from cabinpose.app.cli.selection import selected
+    from cabinpose.estimate.remote import open_predictor
+    from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate
+    from cabinpose.store import open_dataset, read_manifest
+    from cabinpose.store.labels import labels_of, with_labels
+    from cabinpose.store.predictions import read_predictions
+
+    refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
+    whole = open_dataset(folder)
     if command.labels is not None:
-        whole = with_labels(whole, labels_of(command.labels, (dataset_id(read_manifest(command.dataset)),)))
+        whole = with_labels(whole, labels_of(command.labels, (dataset_id(read_manifest(folder)),)))
     files = [read_predictions(path) for path in command.predictions]
-    names = (dataset_id(read_manifest(command.dataset)), command.dataset.resolve().name)
+    names = (dataset_id(read_manifest(folder)), folder.resolve().name)
     for file in files:
         check_predictions(file, whole, names)
-    models: list[Predictions | Predictor] = [*_named_apart(files, command.predictions), *map(load_model, command.model)]
+    models: list[Predictions | Predictor] = [*_with_own_names(files, command.predictions), *map(open_predictor, command.model)]
     dataset = selected(whole, command)
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
     frames = dataset.sizes["frame"]
     reports = []
     for model in models:
-        with progress(frames, "frames") as show:
+        with progress(frames, "frames") as shown:
 
-            def told(done: int, show: ProgressReport = show) -> None:
-                show(done, "" if done < frames else "intervals")
+            def show(done: int, shown: ProgressReport = shown) -> None:
+                shown(done, "" if done < frames else "intervals")
 
-            reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=told))
-    record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
+            reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=show))
+        tell_failed(model)
+    record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
+        from cabinpose.app.report.detectors import page_html
         from cabinpose.app.report.frames import frame_figures
-        from cabinpose.app.report.page import page_html
 
-        shown = dataset.sel(person=list(persons))
+        in_view = dataset.sel(person=list(persons))
         typical, worst = (
-            {r.model: frame_figures(shown, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
+            {r.model: frame_figures(in_view, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
             for kind in ("typical", "worst")
         )
-        _write(command.out, page_html(reports, typical, worst), record)
+        write_report(command.out, page_html(reports, typical, worst), record)
     if command.as_json:
         print_json(record)
         return
@@ -83,12 +149,14 @@ def run(command: Evaluate) -> None:
 
 def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> None:
     """One model on ITOP frames, by ITOP's protocol."""
+    from cabinpose.core.skeleton import ITOP_JOINTS
+    from cabinpose.estimate.remote import open_predictor
     from cabinpose.evaluate.itop import evaluate_itop, itop_summary
     from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
 
     if len(command.model) != 1 or command.predictions or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
-    model = load_model(command.model[0])
+    model = open_predictor(command.model[0])
     if model.joints != ITOP_JOINTS or len(model.persons) != 1:
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
     reference = read_itop_reference(frames)
@@ -103,43 +171,21 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
         print(f"where the model puts the joints of the body, not ITOP's labels: {within:.1f} % within 10 cm")
 
 
-def _options(command: Evaluate) -> EvaluationOptions:
-    return EvaluationOptions(
-        min_visibility=Visibility[command.min_visibility.upper()],
-        presence=command.presence,
-        head=command.head,
-        pck_px=command.pck_px,
-        pck_m=tuple(cm / 100 for cm in command.pck_cm),
-        pckh=command.pckh,
-        match=command.match,
-        resamples=command.resamples,
-        seed=command.seed,
-    )
-
-
-def _check_out(command: Evaluate) -> None:
-    if command.out is None or command.overwrite:
-        return
-    there = [name for name in ("index.html", "report.json") if (command.out / name).exists()]
-    if there:
-        raise DatasetError(f"{command.out} already has {' and '.join(there)}", hint="--overwrite replaces them")
-
-
-def _named_apart(models: Sequence[Predictions], paths: Sequence[Path]) -> list[Predictions]:
-    """The models, those that share a name told apart by their files; `ConfigError` for a file given twice."""
+def _with_own_names(models: Sequence[Predictions], paths: Sequence[Path]) -> list[Predictions]:
+    """The predictions; those that share a model name get their file's name added. `ConfigError` for a file given twice."""
     for path in paths:
         if list(paths).count(path) > 1:
             raise ConfigError(f"{path} is given twice", hint="name each predictions file once")
-    names = [model_name(m) for m in models]
-    shared = {name for name in names if names.count(name) > 1}
+    names = [m.model for m in models]
     return [
-        Predictions(**{**vars(m), "model": f"{m.model} ({path})"}) if m.model in shared else m
-        for m, path in zip(models, paths, strict=True)
+        replace(m, model=f"{m.model} ({path})") if names.count(m.model) > 1 else m for m, path in zip(models, paths, strict=True)
     ]
 
 
 def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
-    """`shared_places`; what is left out is told."""
+    """The slots that all models predict; people in the others are counted on stderr."""
+    from cabinpose.evaluate.offline import shared_places
+
     shared = shared_places(dataset, models)
     places = [place for place in dataset["person"].values.tolist() if place not in shared]
     left = {place: int((dataset["subject"].sel(person=place) != "").sum()) for place in places}
@@ -149,7 +195,10 @@ def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> t
     return shared
 
 
-def _write(folder: Path, page: str, record: dict[str, Any]) -> None:
+def write_report(folder: Path, page: str, record: dict[str, Any]) -> None:
+    """Write a page and its numbers as index.html and report.json; DatasetError where there is no such folder."""
+    from cabinpose.store.part import disk_errors
+
     with disk_errors(folder):
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -159,16 +208,10 @@ def _write(folder: Path, page: str, record: dict[str, Any]) -> None:
         (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
 
 
-_USUAL = (
-    "PCKh@0.5 2D", "AUC of PCKh 2D", "median error 2D", "PCK@10 cm 3D", "MPJPE 3D", "median error 3D", "presence precision",
-    "presence recall",
-)  # fmt: skip
-
-
 def print_report(report: Report, *, everything: bool) -> None:
-    """The table by joint group, numbers about all joints with their intervals and denominators (the usual eight, or every one),
-    and the notes.
-    """
+    """Print the table by joint group, the numbers over all joints (the usual eight, or every one), and the notes."""
+    from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
+
     columns = group_columns([report])
     print(f"{printable(report.model)} on {printable(report.dataset)}: {report.frames} frames, {report.people} people")
     rows = [["", *(c.title for c in columns)]]
@@ -177,9 +220,9 @@ def print_report(report: Report, *, everything: bool) -> None:
     ]
     print_table(rows)
     print()
-    rows = [["", "value", "95 % interval", "samples", "of what; how averaged"]]
     numbers = list(people_rows(report))
     shown = [(name, v) for name, v in numbers if everything or name in _USUAL]
+    rows = [["", "value", "95 % interval", "samples", "of what; how averaged"]]
     rows += [
         [name, f"{number(v)} {v.unit}".rstrip(), interval(v), str(v.samples), f"{v.denominator}; {v.average}"]
         for name, v in shown

@@ -1,100 +1,211 @@
-"""`cabinpose evaluate-mocap`: the thesis' evaluations of a suit, as a table, a page and JSON."""
+"""`cabinpose evaluate-mocap`: judge a suit's ground truth by the thesis' four evaluations."""
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
+from tyro.conf import Positional
 
-from cabinpose.app.cli.mocap_commands import EvaluateDfe, EvaluateDse, EvaluateMocap, EvaluateSfe, EvaluateSse, MocapReport
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, refuse_existing, several
 from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.app.finite import finite
-from cabinpose.core.errors import AlignmentError, ConfigError, DatasetError
-from cabinpose.core.resample import resample_positions
-from cabinpose.evaluate.mocap.bones import Bone, bone_lengths, mvn_bones, rigid_pairs
-from cabinpose.evaluate.mocap.result import Judgement
-from cabinpose.evaluate.mocap.sfe import SfeRun, find_poses, sfe, sfe_run
-from cabinpose.evaluate.mocap.sse import AXES, SseRun, find_steps, sse, sse_run
-from cabinpose.evaluate.mocap.stillness import Window
-from cabinpose.store.part import disk_errors
+from cabinpose.core.errors import AlignmentError, ConfigError, RecordingError
 
-if TYPE_CHECKING:  # they need the extra `record`, which is asked for first
-    from cabinpose.app.mocap.compare import Setup
+if TYPE_CHECKING:
     from cabinpose.app.mocap.figures import Section
     from cabinpose.app.mocap.inputs import PointTracks
+    from cabinpose.evaluate.mocap.bones import Bone
+    from cabinpose.evaluate.mocap.result import Judgement
+    from cabinpose.evaluate.mocap.sfe import SfeRun
+    from cabinpose.evaluate.mocap.sse import SseRun
 
-Outcome = tuple[Judgement, "list[Section]", dict[str, Any]]
+_MOTOR_GAP_S = 60.0  # an encoder may speak only when it turns
+Outcome = tuple["Judgement", "list[Section]", dict[str, Any]]
 
 
-def run(command: EvaluateMocap) -> None:
+@dataclass(frozen=True, kw_only=True)
+class MocapReport(PrintsJson):
+    """Flags of all four evaluations."""
+
+    out: Maybe[Path] = None
+    """Folder for the page (index.html) and its numbers (report.json)."""
+    resamples: int = 1000
+    """Resamples of the bootstrap for the intervals; 0: no intervals."""
+    block_s: Maybe[float] = None
+    """Seconds of a block of the bootstrap; default: from the autocorrelation of the errors."""
+    seed: int = 0
+    """Seed of the bootstrap."""
+    overwrite: bool = False
+    """Replace the report in the folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateSse(MocapReport):
+    """One sensor, turned in known steps about each of its axes: the error about the axis, mean and deviation."""
+
+    takes: Annotated[Positional[tuple[str, ...]], several("AXIS=FILE")] = ()
+    """roll=FILE, pitch=FILE, yaw=FILE: recordings (.mcap) or MVNX files, one axis each."""
+    sensor: Maybe[str] = None
+    """Name of the sensor (or segment); default: the only one."""
+    source: Maybe[str] = None
+    """Source of the sensor in a recording."""
+    step_deg: float = 11.25
+    """Angle of a step of the motor, degrees."""
+    steps: int = 33
+    """Number of standstills: 33 for a full turn of 32 steps, the start included."""
+    samples: int = 300
+    """Samples used of each standstill, from its middle; 0: all."""
+    still_deg_s: float = 1.5
+    """The sensor stands still below this speed, degrees/s."""
+    still_s: float = 0.5
+    """Least duration of a standstill, s."""
+    motor: Maybe[str] = None
+    """SOURCE/CHANNEL that recorded the motor's angle in degrees; default: a source of kind stepper, else steps by stillness."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateSfe(MocapReport):
+    """The whole body: the first N-pose against the last, before and after a drive, joints relative to the pelvis."""
+
+    takes: Annotated[Positional[tuple[str, ...]], several("[DRIVE=]FILE")] = ()
+    """Recordings (.mcap), MVNX, BVH or C3D files, one a drive."""
+    source: Maybe[str] = None
+    """Source of the suit in a recording; default: suit where there is one, else the only one that gives a body."""
+    subject: Maybe[str] = None
+    """Subject code; default: the only one."""
+    first: Maybe[tuple[float, float]] = None
+    """Seconds from and to, of the first pose; default: where the person stands still in an N-pose for the first time."""
+    last: Maybe[tuple[float, float]] = None
+    """Seconds from and to, of the last pose; default: the last time."""
+    still_m_s: float = 0.05
+    """The person stands still when every segment is below this speed, m/s."""
+    any_pose: bool = False
+    """Use any pose in which the person stands still, not only the N-pose."""
+    fit: Literal["pelvis", "body"] = "pelvis"
+    """Align the poses by the pelvis, or by all joints (markers have no pelvis)."""
+    pelvis: str = "Pelvis"
+    """Name of the pelvis segment."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgainstOptical(MocapReport):
+    """Flags of both evaluations against an optical system."""
+
+    takes: Annotated[Positional[tuple[str, ...]], several("[PLANE=]TAKE")] = ()
+    """Recordings (.mcap) of both systems, or SUIT.c3d,OPTICAL.c3d, two files of one trigger; default label: the take's action."""
+    suit: str = "suit"
+    """Source of the suit."""
+    optical: str = "optical"
+    """Source of the optical system."""
+    subject: Maybe[str] = None
+    """Subject code in the suit's stream; default: the only one."""
+    optical_subject: Maybe[str] = None
+    """Subject in the optical system's stream; default: the suit's, if it has it, else the only one."""
+    windows: Annotated[tuple[str, ...], several("[WINDOW [WINDOW ...]]")] = ()
+    """PLANE=START:END in seconds of the take, to tell planes of motion in one recording apart."""
+    pairs: Annotated[tuple[str, ...], several("[PAIR [PAIR ...]]")] = ()
+    """NAME=SEGMENT of the optical system, where its model names something differently."""
+    rate: Maybe[float] = None
+    """Samples a second of the common clock; default: the slower system's."""
+    max_gap_s: float = 0.1
+    """Longest gap of a stream that is interpolated, s."""
+    delay_ms: Maybe[float] = None
+    """Delay of the suit's time stamps relative to the optical system's, ms; default: estimated from rotations, in two files 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateDse(AgainstOptical):
+    """Rotations of segments since the first frame, suit against optical system, in up to 17 pairs, by plane of motion."""
+
+    sensors: bool = False
+    """Use the orientations of the suit's sensors, not of its segments."""
+    heading_deg: Maybe[float] = None
+    """Heading of the optical system's world relative to the suit's, degrees; default: fitted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateDfe(AgainstOptical):
+    """Joint positions, suit against optical system, in up to 20 pairs: raw, aligned by the pelvis, by pelvis and ICP."""
+
+
+COMMAND = one_of(sse=EvaluateSse, sfe=EvaluateSfe, dse=EvaluateDse, dfe=EvaluateDfe)
+
+
+def run(command: EvaluateSse | EvaluateSfe | EvaluateDse | EvaluateDfe) -> None:
     """Evaluate; the table goes to stdout, the page to `out`."""
-    chosen = command.evaluation
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
-    if not chosen.takes:
+    require("record")
+    from cabinpose.app.cli.evaluate import write_report
+    from cabinpose.app.mocap.page import page_html, summary_rows
+
+    if not command.takes:
         raise ConfigError("there is nothing to evaluate", hint="give a recording or a file; --help shows how")
-    _check_out(chosen)
+    refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
     with progress() as report:
         report.phase("reading and comparing")
-        judgement, drawn, more = _EVALUATIONS[type(chosen)](chosen)
-    record = judgement.to_dict() | {"takes": list(chosen.takes)} | more
-    if chosen.out is not None:
-        from cabinpose.app.mocap.page import page_html
-
-        told = ", ".join(Path(word.partition("=")[2] or word).name for word in chosen.takes)
-        _write(chosen.out, page_html(judgement, drawn, told), record)
-    if chosen.as_json:
+        judgement, drawn, more = _EVALUATIONS[type(command)](command)
+    record = judgement.to_dict() | {"takes": list(command.takes)} | more
+    if command.out is not None:
+        told = ", ".join(Path(word.partition("=")[2] or word).name for word in command.takes)
+        write_report(command.out, page_html(judgement, drawn, told), record)
+    if command.as_json:
         print_json(record)
         return
-    from cabinpose.app.mocap.page import summary_rows
-
     print_table(summary_rows(judgement))
     for note in judgement.notes:
         print(printable(note))
-    if chosen.out is not None:
-        print(f"open {chosen.out / 'index.html'}", file=sys.stderr)
+    if command.out is not None:
+        print(f"open {command.out / 'index.html'}", file=sys.stderr)
 
 
 def _sse(command: EvaluateSse) -> Outcome:
     from cabinpose.app.mocap.figures import sse_sections
     from cabinpose.app.mocap.inputs import labelled
+    from cabinpose.evaluate.mocap.sse import AXES, sse
 
     runs: list[SseRun] = []
     for axis, path in labelled(command.takes):
         if axis not in AXES:
             raise ConfigError(f"'{path}' is of no axis", hint=f"write AXIS=FILE, with an axis of {', '.join(AXES)}")
         runs.append(_sse_run(command, axis, path))
-    found = sse(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
-    found = _told(found, command)
+    found = _judged(command, sse, runs)
     return found, sse_sections(found, runs, _measures(found)), {}
 
 
 def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
-    from cabinpose.app.mocap.inputs import read_channel, read_orientations
+    import numpy as np
+
+    from cabinpose.app.mocap.inputs import read_channels, read_orientations
+    from cabinpose.core.recorded import MOTOR_CHANNELS
+    from cabinpose.core.resample import resample_positions
+    from cabinpose.evaluate.mocap.sse import find_steps, sse_run
 
     time, turned, origin_ns = read_orientations(path, command.sensor, source=command.source)
-    if command.motor is None:
-        step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
-        samples = command.samples or None
-        return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
-    source, slash, channel = command.motor.partition("/")
-    if not slash:
+    source, slash, channel = (command.motor or "").partition("/")
+    if command.motor is not None and not slash:
         raise ConfigError(f"'{command.motor}' names no channel", hint="write --motor SOURCE/CHANNEL")
-    at, degrees, motor_ns = read_channel(path, source, channel)
-    offset_s = (motor_ns - origin_ns) / 1e9
-    reference = resample_positions(at + offset_s, np.radians(degrees), time, max_gap_s=60.0, policy="previous")
-    return sse_run(time, turned, axis=axis, reference_rad=reference)
+    motor = read_channels(path, (channel,) if slash else MOTOR_CHANNELS, source=source or None)
+    samples = command.samples or None
+    if motor is not None:
+        at_s, values = (motor[0] - origin_ns) / 1e9, motor[1]
+        values = resample_positions(at_s, values, time, max_gap_s=_MOTOR_GAP_S, policy="previous")
+        marks = None if slash else np.nan_to_num(values[:, 1], nan=-1).astype(np.int64)
+        return sse_run(time, turned, axis=axis, step=marks, reference_rad=np.radians(values[:, 0]), samples=samples)
+    if slash:
+        raise RecordingError(f"{path}: {source} gives no channel '{channel}'", hint=f"see cabinpose info {path}")
+    step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
+    return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
 
 
 def _sfe(command: EvaluateSfe) -> Outcome:
     from cabinpose.app.mocap.figures import sfe_sections
     from cabinpose.app.mocap.inputs import body_source, labelled, read_motion
+    from cabinpose.evaluate.mocap.bones import bone_lengths, mvn_bones, rigid_pairs
+    from cabinpose.evaluate.mocap.sfe import sfe
 
     runs: list[SfeRun] = []
     bones: dict[str, tuple[Bone, ...]] = {}
@@ -107,12 +218,15 @@ def _sfe(command: EvaluateSfe) -> Outcome:
         segments = mvn_bones(motion.names)
         linked = segments if len(segments) >= 3 else rigid_pairs(motion.position_m, motion.names)
         bones[condition] = bone_lengths(motion.position_m, motion.names, linked)
-    found = _told(sfe(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s), command)
+    found = _judged(command, sfe, runs)
     lengths = {name: [asdict(bone) for bone in found_] for name, found_ in bones.items()}
     return found, sfe_sections(found, runs, _measures(found), bones), {"lengths": lengths}
 
 
 def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRun:
+    from cabinpose.evaluate.mocap.sfe import find_poses, sfe_run
+    from cabinpose.evaluate.mocap.stillness import Window
+
     if (command.first is None) != (command.last is None):
         raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
     if command.first is not None and command.last is not None:
@@ -132,17 +246,13 @@ def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRu
 
 
 def _dse(command: EvaluateDse) -> Outcome:
+    import numpy as np
+
     from cabinpose.app.mocap.compare import dse_runs
     from cabinpose.app.mocap.figures import dse_sections
-    from cabinpose.app.mocap.inputs import labelled
     from cabinpose.evaluate.mocap.dse import dse
 
-    heading = None if command.heading_deg is None else float(np.radians(command.heading_deg))
-    setup = replace(_setup(command), sensors=command.sensors, heading_rad=heading)
-    found = [dse_runs(path, label, setup) for label, path in labelled(command.takes)]
-    runs = [each for some, _ in found for each in some]
-    judged = dse(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
-    judged = _told(judged, command, [note for _, notes in found for note in notes])
+    runs, judged = _against_optical(command, dse_runs, dse)
     headings = [{"condition": r.condition, "heading_deg": float(np.degrees(r.heading_rad))} for r in runs]
     return judged, dse_sections(judged, runs, _measures(judged)), {"headings": headings}
 
@@ -150,65 +260,38 @@ def _dse(command: EvaluateDse) -> Outcome:
 def _dfe(command: EvaluateDfe) -> Outcome:
     from cabinpose.app.mocap.compare import dfe_runs
     from cabinpose.app.mocap.figures import dfe_sections
-    from cabinpose.app.mocap.inputs import labelled
     from cabinpose.evaluate.mocap.dfe import dfe
 
-    setup = _setup(command)
-    found = [dfe_runs(path, label, setup) for label, path in labelled(command.takes)]
-    runs = [each for some, _ in found for each in some]
-    judged = dfe(runs, rng=_generator(command), resamples=command.resamples, block_s=command.block_s)
-    judged = _told(judged, command, [note for _, notes in found for note in notes])
+    runs, judged = _against_optical(command, dfe_runs, dfe)
     return judged, dfe_sections(judged, runs, _measures(judged)), {}
 
 
-def _setup(command: EvaluateDse | EvaluateDfe) -> Setup:
-    from cabinpose.app.mocap.compare import Setup
-    from cabinpose.app.mocap.inputs import pairs, windows
+def _against_optical(
+    command: AgainstOptical, read: Callable[..., Any], judge: Callable[..., Judgement]
+) -> tuple[list[Any], Judgement]:
+    from cabinpose.app.mocap.inputs import labelled
 
     if command.windows and len(command.takes) > 1:
         raise ConfigError(
             "windows are of one recording", hint="give one recording with --windows, or several with PLANE=RECORDING"
         )
-    return Setup(
-        suit=command.suit,
-        optical=command.optical,
-        subject=command.subject,
-        optical_subject=command.optical_subject,
-        windows=windows(command.windows),
-        pairs=pairs(command.pairs),
-        rate_hz=command.rate,
-        max_gap_s=command.max_gap_s,
-        delay_s=None if command.delay_ms is None else command.delay_ms / 1e3,
-    )
+    found = [read(path, label, command) for label, path in labelled(command.takes)]
+    runs = [each for some, _ in found for each in some]
+    return runs, _judged(command, judge, runs, [note for _, notes in found for note in notes])
 
 
-def _generator(command: MocapReport) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(key=command.seed))
+def _judged(command: MocapReport, judge: Callable[..., Judgement], runs: Sequence[Any], notes: Sequence[str] = ()) -> Judgement:
+    """The judgement of runs, with the command's options as its settings, and with what the reading of the takes had to say."""
+    import numpy as np
 
-
-def _told(found: Judgement, command: MocapReport, notes: Sequence[str] = ()) -> Judgement:
-    """The judgement with the command's options as its settings, and with what the reading of the takes had to say."""
-    left_out = ("out", "overwrite", "as_json")
-    settings = {k: v for k, v in asdict(command).items() if k not in left_out}
+    rng = np.random.Generator(np.random.Philox(key=command.seed))
+    found = judge(runs, rng=rng, resamples=command.resamples, block_s=command.block_s)
+    settings = {k: v for k, v in asdict(command).items() if k not in ("out", "overwrite", "as_json")}
     return replace(found, settings=settings, notes=(*dict.fromkeys(notes), *found.notes))
 
 
 def _measures(found: Judgement) -> list[str]:
     return list(dict.fromkeys(s.measure for s in found.summaries))
-
-
-def _check_out(command: MocapReport) -> None:
-    if command.out is None or command.overwrite:
-        return
-    if there := [name for name in ("index.html", "report.json") if (command.out / name).exists()]:
-        raise DatasetError(f"{command.out} already has {' and '.join(there)}", hint="--overwrite replaces them")
-
-
-def _write(folder: Path, page: str, record: dict[str, Any]) -> None:
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "index.html").write_text(page, encoding="utf-8")
-        (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
 
 
 _EVALUATIONS: MappingProxyType[type, Callable[[Any], Outcome]] = MappingProxyType(

@@ -1,22 +1,44 @@
-"""`cabinpose forget`: the erasure of a subject's takes."""
+"""`cabinpose forget`: erase the takes of a subject."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
-from cabinpose.app.cli.output import print_json, print_table
-from cabinpose.app.cli.record_commands import Forget
-from cabinpose.app.cli.takes import rows, unknown_note
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import PrintsJson
+from cabinpose.app.cli.output import print_json
+from cabinpose.app.cli.takes import print_takes, print_unknown
 from cabinpose.app.extras import require
 from cabinpose.core.errors import RecordingError
 
 
-def run(command: Forget) -> None:
-    """List what would go; with `confirm`, delete it and say so.
+@dataclass(frozen=True, kw_only=True)
+class Forget(PrintsJson):
+    """Erase the takes of a subject, at their request: list them, and with --confirm delete them."""
 
-    Raises RecordingError where takes are left that show others beside the subject.
+    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
+    """Folder of recordings; the folders within are searched too."""
+    subject: str
+    """Subject code."""
+    confirm: bool = False
+    """Delete; without this flag nothing is deleted."""
+    shared: bool = False
+    """Delete also the takes that show other people beside the subject."""
+
+
+COMMAND = Forget
+
+
+def run(command: Forget) -> None:
+    """List what would be deleted; with `confirm`, delete it.
+
+    Raises RecordingError where takes are left that show other people beside the subject.
     """
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.recording import erase, takes_in
 
     files = takes_in(command.folder)
@@ -27,22 +49,18 @@ def run(command: Forget) -> None:
     if command.confirm:
         erase(going)
     if command.as_json:
-        print_json(
-            {
-                "subject": command.subject, "deleted" if command.confirm else "would_delete": [str(f.path) for f in going],
-                "shared_kept": [str(f.path) for f in kept], "unknown": [str(f.path) for f in unknown],
-            }
-        )  # fmt: skip
+        lists = {"deleted" if command.confirm else "would_delete": going, "shared_kept": kept, "unknown": unknown}
+        print_json({"subject": command.subject, **{name: [str(f.path) for f in some] for name, some in lists.items()}})
     else:
         if going:
-            print(f"{'deleted' if command.confirm else 'would be deleted'}:")
-            print_table(rows(going), words=(0, 1, 2, 3, 4))
+            print("deleted:" if command.confirm else "would be deleted:")
+            print_takes(going)
         if kept:
             print(f"kept, since others than {command.subject} were recorded as well:")
-            print_table(rows(kept), words=(0, 1, 2, 3, 4))
+            print_takes(kept)
         if not shown:
             print(f"no take of {command.subject} in {command.folder}")
-        unknown_note(unknown)
+        print_unknown(unknown)
     if going and not command.confirm:
         print("nothing was deleted; --confirm deletes for good", file=sys.stderr)
     if kept and command.confirm:

@@ -1,19 +1,40 @@
-"""`cabinpose info`: what a dataset or a recording holds."""
+"""`cabinpose info`: summarise a dataset or a recording, or list the takes of a subject."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from cabinpose.app.cli.arguments import is_recording, refuse_selection
-from cabinpose.app.cli.commands import Info
-from cabinpose.app.cli.output import listed, print_json, print_rows, progress
-from cabinpose.app.cli.recording_info import recording_info, takes_of
+from cabinpose.app.cli.arguments import Maybe, SelectsFrames, ThingArgument, is_recording, refuse_selection
+from cabinpose.app.cli.output import listed, print_json, print_rows, print_table, progress
+from cabinpose.app.cli.takes import print_takes, print_unknown, when
+from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from cabinpose.app.view.summary import DatasetSummary
+    from cabinpose.store.recording import Survey
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info(SelectsFrames):
+    """Summarise a dataset (frames by car, person, action and view) or a recording (sources, rates, gaps, losses).
+
+    With --subject: list the takes of a person in a folder of recordings.
+    """
+
+    dataset: ThingArgument
+    """Folder of the dataset, or a recording (.mcap)."""
+    verify: bool = False
+    """Read every frame of a dataset, which compares every checksum; those of a recording are always compared."""
+    subject: Maybe[str] = None
+    """List the takes of this subject code in the folder."""
+
+
+COMMAND = Info
 
 
 def run(command: Info) -> None:
@@ -25,15 +46,15 @@ def run(command: Info) -> None:
                 hint=f"count its frames with --select subject={command.subject}",
             )
         refuse_selection(command, "{} is of datasets, and --subject lists recordings")
-        takes_of(command.dataset, command.subject, as_json=command.as_json)
+        _print_takes_of(command.dataset, command.subject, as_json=command.as_json)
     elif is_recording(command.dataset):
         refuse_selection(command, "{} is of datasets, and this is a recording")
-        recording_info(command.dataset, as_json=command.as_json)
+        _print_recording(command.dataset, as_json=command.as_json)
     else:
-        _dataset_info(command)
+        _print_dataset(command)
 
 
-def _dataset_info(command: Info) -> None:
+def _print_dataset(command: Info) -> None:
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.view.summary import summarise
     from cabinpose.store import open_dataset, read_manifest
@@ -48,57 +69,49 @@ def _dataset_info(command: Info) -> None:
                 chosen.isel(frame=i).load()
                 report(i + 1)
     summary = summarise(dataset, manifest, command.dataset, chosen)
-    without = dataset.attrs["parts_without_checksum"]
+    unchecked = dataset.attrs["parts_without_checksum"]
     if command.as_json:
-        checks = {"verified": command.verify, "checksum": manifest.checksum, "parts_without_checksum": without}
+        checks = {"verified": command.verify, "checksum": manifest.checksum, "parts_without_checksum": unchecked}
         print_json(dataclasses.asdict(summary) | checks)
         return
-    print_rows(summary_rows(summary))
+    print_rows(_dataset_rows(summary))
     if command.verify:
         print(f"{count} frames were read; all checksums are right")
-        if without or manifest.checksum is None:
-            where = ["dataset.yaml"] * (manifest.checksum is None) + [f"{without} of {summary.parts} parts"] * bool(without)
-            print(f"{' and '.join(where)} were written without a checksum of names and settings: nothing vouches for these")
+        if unchecked or manifest.checksum is None:
+            where = ["dataset.yaml"] * (manifest.checksum is None) + [f"{unchecked} of {summary.parts} parts"] * bool(unchecked)
+            print(f"{' and '.join(where)} were written without a checksum of names and settings, which are therefore unchecked")
 
 
-def summary_rows(summary: DatasetSummary) -> list[tuple[str, str]]:
-    """Names and values for people to read."""
-    s = summary
+def _dataset_rows(s: DatasetSummary) -> list[tuple[str, str]]:
     whole = "" if s.parts == s.planned_parts else f" of {s.planned_frames} planned: go on with --resume"
     chosen = "" if s.selected == s.frames else f"; {s.selected} selected, counted below"
-    joints = sum(s.visibility.values())
+    valid = "no depth" if math.isnan(s.valid_pixels) else f"{100 * s.valid_pixels:.1f} % of the pixels valid"
+    people = (f"{n} in {count} {'frame' if count == 1 else 'frames'}" for n, count in s.by_people.items())
+    joints = max(sum(s.visibility.values()), 1)
     rows = [
         ("dataset", s.folder),
         ("made by", f"{s.generator}, seed {s.seed}, licence {s.licence}"),
         ("frames", f"{s.frames} in {s.parts} of {s.planned_parts} parts{whole}{chosen}"),
         ("size", f"{s.bytes_on_disk / 1e6:.1f} MB, {s.bytes_on_disk / max(s.frames, 1) / 1e3:.0f} kB a frame"),
-        ("image", f"{s.width}x{s.height}, {_valid(s.valid_pixels)}"),
+        ("image", f"{s.width}x{s.height}, {valid}"),
         ("variables", ", ".join(s.variables)),
-        ("depth", _quantiles(s.depth_histogram)),
+        ("depth", _depths(s.depth_histogram)),
         ("cars", listed(s.by_car, most=12)),
         ("views", listed(s.by_pov)),
-        ("people a frame", ", ".join(f"{n} in {_frames(count)}" for n, count in s.by_people.items())),
+        ("people a frame", ", ".join(people)),
         ("seats", listed({seat: count for seat, count in s.by_seat.items() if count})),
         ("subjects", listed(s.by_subject, most=12)),
         ("actions", listed(s.by_action, most=12)),
-        ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / max(joints, 1):.1f} %" for name, n in s.visibility.items())),
+        ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / joints:.1f} %" for name, n in s.visibility.items())),
     ]
-    if s.proposals:  # poses were drawn
+    if s.proposals:  # of generated datasets alone
         rejected = listed(s.rejections) or "none"
         rows.append(("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {rejected}"))
     return rows
 
 
-def _frames(count: int) -> str:
-    return "1 frame" if count == 1 else f"{count} frames"
-
-
-def _valid(share: float) -> str:
-    return "no depth" if math.isnan(share) else f"{100 * share:.1f} % of the pixels valid"
-
-
-def _quantiles(histogram: tuple[float, ...]) -> str:
-    """5, 50 and 95 per cent of the depths, as well as bins tell."""
+def _depths(histogram: tuple[float, ...]) -> str:
+    """The 5, 50 and 95 % quantiles of the depths, to the width of a bin."""
     if not histogram:
         return "no valid pixel"
     import numpy as np
@@ -107,3 +120,74 @@ def _quantiles(histogram: tuple[float, ...]) -> str:
 
     low, middle, high = np.searchsorted(np.cumsum(histogram), (0.05, 0.5, 0.95)) * BIN_M
     return f"median {middle:.2f} m, 90 % within {low:.2f} m to {high + BIN_M:.2f} m"
+
+
+def _print_takes_of(folder: Path, subject: str, *, as_json: bool) -> None:
+    """List the takes of a subject in a folder."""
+    require("record")
+    from cabinpose.store.recording import takes_in
+
+    files = takes_in(folder)
+    shown = [file for file in files if file.shows(subject)]
+    unknown = [file for file in files if file.take is None]
+    if as_json:
+        takes = [
+            {"file": str(f.path), "started_ns": f.started_ns, "bytes": f.bytes, **f.take.model_dump(mode="json")}
+            for f in shown
+            if f.take is not None
+        ]
+        print_json({"subject": subject, "takes": takes, "unknown": [str(f.path) for f in unknown]})
+        return
+    if shown:
+        print_takes(shown)
+    else:
+        print(f"no take of {subject} in {folder}")
+    print_unknown(unknown)
+
+
+def _print_recording(path: Path, *, as_json: bool) -> None:
+    require("record")
+    from cabinpose.app.report.recordings import source_rows, topic_rows
+    from cabinpose.store.recording import survey
+
+    found = survey(path)
+    if as_json:
+        print_json(_as_data(found))
+        return
+    take, damage = found.take, found.damage
+    who = (f"{s.code}{f' ({s.seat})' if s.seat else ''}{f', consent {s.consent}' if s.consent else ''}" for s in take.subjects)
+    state = "whole" if damage.whole else "without its end: `cabinpose recover` gives it one"
+    if damage.chunks or damage.skipped_bytes:
+        state += f"; {damage.chunks} damaged chunks, {damage.skipped_bytes} bytes skipped"
+    print_rows(
+        [
+            ("recording", str(path)),
+            ("recorded", f"{when(found.started_ns)}, {found.seconds:.1f} s"),
+            ("size", f"{found.bytes / 1e6:.1f} MB, {found.bytes / 1e6 / max(found.seconds, 1e-9):.1f} MB/s"),
+            ("take", ", ".join(filter(None, (take.action, take.car))) or "nothing is said of it"),
+            ("subjects", ", ".join(who) or "none named"),
+            ("file", state),
+        ]
+    )
+    print()
+    print_table(source_rows(found))
+    errors = [(s.name, s.status.error) for s in found.sources if s.status is not None and s.status.error]
+    if errors:
+        print()
+        print_rows(errors)
+    print()
+    print_table(topic_rows(found), words=(0, 1))
+
+
+def _as_data(found: Survey) -> dict[str, Any]:
+    """A survey as plain data, without the arrival time of each sample."""
+    plain = dataclasses.asdict(found)
+    for source in plain["sources"]:
+        del source["arrival_ns"]
+        source["gaps_s"] = source.pop("gaps").tolist()
+    return {
+        "recording": str(found.path),
+        "take": found.take.model_dump(mode="json"),
+        **{key: plain[key] for key in ("bytes", "started_ns", "seconds", "damage", "topics")},
+        "sources": {source.pop("name"): source for source in plain["sources"]},
+    }

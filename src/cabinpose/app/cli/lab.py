@@ -1,21 +1,57 @@
-"""`cabinpose lab`: a session of the virtual laboratory."""
+"""`cabinpose lab`: record a session in a virtual laboratory, with its truth."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from pathlib import Path
 
-from pydantic import ValidationError
-
-from cabinpose.app.cli.align_commands import Lab
+from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 
 
+@dataclass(frozen=True, kw_only=True)
+class Lab(PrintsJson):
+    """Record a session in a virtual laboratory: suit, optical system and ToF camera with realistic errors, and the truth.
+
+    Writes calibration takes, a take of a driver, the files that `calibrate` and `align` need, and the truth of all of them.
+    """
+
+    out: Path
+    """Folder of the session; new or empty."""
+    rig: Maybe[Path] = None
+    """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of real devices."""
+    only: Maybe[str] = None
+    """Switch on this error alone; `exact`: no error."""
+    seconds: float = 20.0
+    """Length of the driver's take, s."""
+    rate: Maybe[float] = None
+    """Frames per second of the camera in the driver's take; default: the rig's."""
+    views: int = 50
+    """Poses of the checkerboard."""
+    car: str = "sedan"
+    """Name of a preset car."""
+    subjects: tuple[str, ...] = ("S01",)
+    """People of the package who are recorded, one after the other."""
+    together: bool = False
+    """Record the first two of them in one car as well, driver and front passenger, each in a suit of their own."""
+    exercises: bool = True
+    """Record movements in each anatomical plane outside the car as well, for `evaluate-mocap`."""
+    seed: int = 0
+    """Seed of all random numbers."""
+
+
+COMMAND = Lab
+
+
 def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "cv2", extra="record")
-    from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, exercise_take, load_rig, record_session
+    require("record")
+    from pydantic import ValidationError
+
+    from cabinpose.app.lab.laboratory import PAIR, SESSION, Plan, drive_take, exercise_take, load_rig, record_session
     from cabinpose.app.lab.rig import VirtualRig
 
     rig = load_rig(command.rig) if command.rig is not None else VirtualRig()
@@ -28,12 +64,13 @@ def run(command: Lab) -> None:
             rate_hz=command.rate,
             car=command.car,
             subjects=command.subjects,
+            together=command.together,
             exercises=command.exercises,
             seed=command.seed,
         )
     except ValidationError as error:
         first = error.errors()[0]
-        flag = str(first["loc"][0]).removesuffix("_hz")
+        flag = str(first["loc"][0]).removesuffix("_hz") if first["loc"] else "together"
         reason = first["msg"][0].lower() + first["msg"][1:]
         raise ConfigError(
             f"--{flag}: {reason}, not {first['input']}", hint="`cabinpose lab --help` says what each flag takes"
@@ -48,6 +85,8 @@ def run(command: Lab) -> None:
     print(f"{out}: calibration takes and {frames} frames of {', '.join(truths)} at the wheel, with their truth")
     print(f"calibrate with: cabinpose calibrate {out / SESSION} --out {calibration}", file=sys.stderr)
     print(f"align with: cabinpose align {takes} --calibration {calibration} --out {out / 'dataset'}", file=sys.stderr)
+    if command.together:
+        print(f"and both in one car: {out / PAIR}", file=sys.stderr)
     if command.exercises:
         exercises = out / exercise_take(command.subjects[0])
         print(f"judge the suit with: cabinpose evaluate-mocap dfe {exercises} --out {out / 'dfe'}", file=sys.stderr)

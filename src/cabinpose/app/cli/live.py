@@ -1,4 +1,4 @@
-"""`cabinpose live`: detectors on the frames of a camera, a recording or a dataset as they come."""
+"""`cabinpose live`: run detectors on the frames of a camera, a recording or a dataset as they come."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import JsonFlag, Maybe, several
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table
 from cabinpose.app.finite import finite
@@ -28,8 +28,8 @@ _REFRESH_S = 0.25
 _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
 
 
-@dataclass(frozen=True)
-class LiveCommand:
+@dataclass(frozen=True, kw_only=True)
+class LiveCommand(PrintsJson):
     """Run detectors on frames as they come, and say how long each takes from its arrival to its joints.
 
     Of a camera the newest frame is taken and older ones are left out; of a dataset or a recording every frame is, unless
@@ -40,7 +40,8 @@ class LiveCommand:
     """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), Azure file (.mkv), or kind of
     camera: simulated, synth, royale, bta, genicam."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
-    """Models to run, one after the other on each frame: names of those in the package, or ONNX files."""
+    """Models to run, one after the other on each frame: names of packaged models, ONNX files, or models on
+    servers (grpc://HOST:PORT/MODEL)."""
     settings: Annotated[tuple[str, ...], arg(name="set", metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
     """Settings of the source, as in a rig, such as use_case=MODE_9_5FPS_2000 or faults.rate_hz=30."""
     realtime: bool = False
@@ -57,14 +58,16 @@ class LiveCommand:
     """Count frames on which a model fails, and go on; otherwise the first ends the run."""
     overwrite: bool = False
     """Replace the predictions file."""
-    as_json: JsonFlag = False
+
+
+COMMAND = LiveCommand
 
 
 def run(command: LiveCommand) -> int:
     """Look at frames until they or the user end it; 1 where a camera was silent at the end."""
     from cabinpose.app.extras import require
 
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.app.live.choose import open_feed, parsed_settings
     from cabinpose.app.live.run import Live
     from cabinpose.store.predictions import check_new_predictions
@@ -111,9 +114,9 @@ def run(command: LiveCommand) -> int:
 
 def load(names: Sequence[str]) -> list[Predictor]:
     """The detectors of these names, ready."""
-    from cabinpose.estimate.predictor import load_model
+    from cabinpose.estimate.remote import open_predictor
 
-    return [load_model(name) for name in names]
+    return [open_predictor(name) for name in names]
 
 
 def _check(command: LiveCommand) -> None:

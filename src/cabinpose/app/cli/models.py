@@ -1,34 +1,45 @@
-"""`cabinpose models`: the trained models that come with the package, and what is known of a model."""
+"""`cabinpose models`: list the trained models of the package, or describe one model."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import yaml
+from tyro.conf import Positional
 
-from cabinpose.app.cli.commands import Models
+from cabinpose.app.cli.arguments import PrintsJson, several
 from cabinpose.app.cli.output import print_json, print_rows
-from cabinpose.estimate.onnx_model import describe_model, packaged_models
+
+
+@dataclass(frozen=True, kw_only=True)
+class Models(PrintsJson):
+    """List the trained models that come with the package, or print the card of one model."""
+
+    model: Annotated[Positional[str | None], several("MODEL")] = None
+    """Name of a packaged model, or an ONNX file."""
+
+
+COMMAND = Models
 
 
 def run(command: Models) -> None:
     """Print one model's description and card, or a line for each packaged model."""
+    import yaml
+
+    from cabinpose.estimate.onnx_model import describe_model, packaged_models
+
     packaged = packaged_models()
-    if command.model is not None:
-        described = describe_model(packaged.get(command.model, Path(command.model)))
-        if command.as_json:
-            print_json(described)
-            return
-        print_rows(_rows(described))
-        print()
-        print(yaml.safe_dump(described["card"], sort_keys=False, allow_unicode=True, width=110).rstrip())
-        return
-    listed = {name: describe_model(path) for name, path in packaged.items()}
+    chosen = packaged if command.model is None else {"": packaged.get(command.model, Path(command.model))}
+    described = {name: describe_model(path) for name, path in chosen.items()}
     if command.as_json:
-        print_json(listed)
-        return
-    print_rows((name, str(described["card"].get("summary", ""))) for name, described in listed.items())
+        print_json(described.get("", described))
+    elif command.model is None:
+        print_rows((name, str(each["card"].get("summary", ""))) for name, each in described.items())
+    else:
+        print_rows(_rows(described[""]))
+        print()
+        print(yaml.safe_dump(described[""]["card"], sort_keys=False, allow_unicode=True, width=110).rstrip())
 
 
 def _rows(described: dict[str, Any]) -> list[tuple[str, str]]:

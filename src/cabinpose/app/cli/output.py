@@ -15,13 +15,14 @@ from cabinpose.app.finite import finite
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-QUIET_S = 2.0  # what is over sooner needs no progress
+QUIET_S = 2.0  # shorter work shows no progress
 LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
-_BEAT_S = 0.5  # between looks whether a line is due
+_BEAT_S = 0.5  # between checks whether a line is due
+_LEAST_SHARE = 0.02  # of the work, before the time left is estimated
 
 
 def printable(text: object) -> str:
-    """The text of something, lines kept, without control characters: in names from files they would command the terminal."""
+    """The text of something, with its lines, without control characters: in names from files they could control the terminal."""
     return "\n".join("".join(filter(str.isprintable, line)) for line in str(text).split("\n"))
 
 
@@ -39,12 +40,18 @@ def print_rows(rows: Iterable[tuple[str, str]]) -> None:
 
 
 def print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> None:
-    """Columns aligned: those of words to the left, numbers to the right."""
+    """Aligned columns: words to the left, numbers to the right."""
     rows = [[_cell(cell) for cell in row] for row in rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         cells = (c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
         print("  ".join(cells).rstrip())
+
+
+def tell_failed(model: object) -> None:
+    """Say on stderr how many frames a detector elsewhere gave no answer for."""
+    if failed := getattr(model, "failed", 0):
+        print(f"{printable(getattr(model, 'name', model))}: {failed} frames without an answer", file=sys.stderr)
 
 
 def _cell(text: str) -> str:
@@ -72,7 +79,7 @@ class ProgressReport:
         self._lock = Lock()
 
     def __call__(self, done: int, note: str = "") -> None:
-        """`done` of all items are there; `note` is shown beside the rate of those that this run made."""
+        """Set the number of finished items; `note` is shown beside the rate of this run."""
         with self._lock:
             if self._bar is None:
                 self._seen.append((time.monotonic(), done))
@@ -80,13 +87,13 @@ class ProgressReport:
         self.tell()
 
     def phase(self, name: str) -> None:
-        """What is under way before the first item, after the last, or where nothing is counted."""
+        """Name what is being done before the first item, after the last, or where nothing is counted."""
         with self._lock:
             self._note = name
         self.tell()
 
     def tell(self) -> None:
-        """Show the state: on a bar at once, else as a line if the last one is long enough ago."""
+        """Show the state: on the bar at once, elsewhere as a line if the last line is old enough."""
         with self._lock:
             now = time.monotonic()
             rate = (self._done - self._start) / max(now - self._began, 1e-9)
@@ -100,8 +107,8 @@ class ProgressReport:
                 self._logged = now
 
     def _left(self, now: float, done: int) -> str:
-        """The time left by what the last half of the time has brought: the first half prepares. Nothing before it can be told."""
-        if done - self._start < _TELLS * (self._total - self._start):
+        """The time left, from the rate over the second half of the elapsed time (the first half includes preparation)."""
+        if done - self._start < _LEAST_SHARE * (self._total - self._start):
             return ""
         middle = (self._began + now) / 2
         then, before = max((seen for seen in self._seen if seen[0] <= middle), key=lambda seen: seen[0])
@@ -109,14 +116,11 @@ class ProgressReport:
         return f"{(self._total - done) * (now - then) / max(done - before, 1):.0f} s left"
 
 
-_TELLS = 0.02  # of the work, before its time can be told
-
-
 @contextmanager
 def progress(total: int = 0, unit: str = "", *, start: int = 0) -> Iterator[ProgressReport]:
-    """A `ProgressReport` of `total` items, of which `start` were there before; its bar is gone when the block ends.
+    """A `ProgressReport` of `total` items, of which `start` exist already; its bar disappears when the block ends.
 
-    A total of 0 is for work in which nothing is counted, told by its phases.
+    A total of 0 is for work in which nothing is counted: it shows the phases.
     """
     if not sys.stderr.isatty():
         report, over = ProgressReport(None, total, unit, start), Event()

@@ -18,6 +18,9 @@ from cabinpose.record.lane import LaneStatus
 from cabinpose.record.recorder import RecorderStatus
 
 _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
+_COLUMNS = (
+    "source", "state", "rate/s", "jitter ms", "to file ms", "queue", "samples", "lost", "late", "bad", "dropped", "restarts",
+)  # fmt: skip
 _BAR = 8  # characters of a queue's bar
 _STYLES = {"recording": "green", "waiting": "yellow", "retrying": "bold red", "failed": "bold red", "connecting": "yellow"}
 _TIGHT_S = 600.0  # a disk that is full sooner is shown in red
@@ -25,7 +28,7 @@ _TIGHT_S = 600.0  # a disk that is full sooner is shown in red
 
 @contextmanager
 def panel(out: Path, duration: float | None) -> Iterator[Callable[[RecorderStatus], None]]:
-    """What is to be called with the present state: it draws on a terminal, and elsewhere prints a line every ten seconds."""
+    """A function to call with the current state: it draws on a terminal, elsewhere it prints a line every ten seconds."""
     console = Console(stderr=True)
     if console.is_terminal:
         with Live(console=console, auto_refresh=False, transient=True) as live:
@@ -54,19 +57,12 @@ def line(status: RecorderStatus) -> str:
 def drawn(status: RecorderStatus, out: Path, duration: float | None) -> Panel:
     """The state as rich draws it."""
     table = Table(box=None, expand=True, pad_edge=False, header_style="dim")
-    for title, justify in (
-        ("source", "left"), ("state", "left"), ("rate/s", "right"), ("jitter ms", "right"), ("to file ms", "right"),
-        ("queue", "left"), ("samples", "right"), ("lost", "right"), ("late", "right"), ("bad", "right"), ("dropped", "right"),
-        ("restarts", "right"),
-    ):  # fmt: skip
-        table.add_column(title, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    for title in _COLUMNS:
+        table.add_column(title, justify="left" if title in ("source", "state", "queue") else "right", no_wrap=True)
     for lane in status.lanes:
         table.add_row(*_row(lane))
-    problems = [
-        Text.assemble((f"{lane.counts.source}: ", "dim"), (lane.counts.error, "red"))
-        for lane in status.lanes
-        if lane.counts.error
-    ]
+    errors = ((lane.counts.source, lane.counts.error) for lane in status.lanes if lane.counts.error)
+    problems = [Text.assemble((f"{source}: ", "dim"), (error, "red")) for source, error in errors]
     return Panel(
         Group(_disk(status), Text(), table, *([Text(), *problems] if problems else [])),
         title=f"[bold]{out.name}[/]  {_clock(status.elapsed_s)}" + (f" of {_clock(duration)}" if duration else ""),

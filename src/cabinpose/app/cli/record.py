@@ -1,23 +1,24 @@
-"""`cabinpose record`: a take, or the check before it."""
+"""`cabinpose record`: record the devices of a rig, or check that they are ready."""
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-import time
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from tyro.conf import arg
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_rows
-from cabinpose.app.cli.record_commands import Record
 from cabinpose.app.extras import require
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
-    from cabinpose.record.config import Rig
+    from cabinpose.record.config import Rig, Storage
     from cabinpose.record.recorder import Outcome, Recorder
     from cabinpose.store.recording import SourceStatus
 
@@ -25,14 +26,40 @@ _REFRESH_S = 0.25
 _FIRST_DATA_S = 2.0  # a source that has sent nothing for so long at the start is told of
 
 
+@dataclass(frozen=True, kw_only=True)
+class Record(PrintsJson):
+    """Record the data of a rig's devices in one file (MCAP), until Ctrl-C.
+
+    Only connections that the rig names are opened. A device that disappears is connected again; losses are counted.
+    """
+
+    config: Path
+    """The rig (YAML): its sources, how to write, and the take."""
+    out: Maybe[Path] = None
+    """Recording to write (.mcap)."""
+    take: Maybe[Path] = None
+    """YAML file of the take (subjects, action, car), in place of the rig's."""
+    check: bool = False
+    """Check the disk and each source, and record nothing."""
+    duration: Maybe[float] = None
+    """Stop after so many seconds."""
+    split_every: Annotated[Maybe[str], arg(metavar="10min|2GB")] = None
+    """Go on in a new file after so long (s, min, h) or so much (MB, GB): FILE.mcap, FILE-001.mcap; in place of the rig's."""
+
+
+COMMAND = Record
+
+
 def run(command: Record) -> int:
     """Check, or record until Ctrl-C, the end of the duration, or of all sources; 1 where one that is needed fell silent."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.record.config import load_rig, load_take
 
     rig = load_rig(command.config)
     if command.take is not None:
         rig = dataclasses.replace(rig, take=load_take(command.take))
+    if command.split_every is not None:
+        rig = dataclasses.replace(rig, storage=_split(rig.storage, command.split_every))
     if command.check:
         _check(command, rig)
         return 0
@@ -43,7 +70,19 @@ def run(command: Record) -> int:
     return _record(command, rig, command.out)
 
 
+def _split(storage: Storage, text: str) -> Storage:
+    """How the recording is written, with another limit of its files."""
+    from cabinpose.record.split import Limit
+
+    try:
+        Limit.of(text)
+    except ValueError as error:
+        raise ConfigError(f"--split-every {text} is no limit of a file", hint=str(error)) from error
+    return storage.model_copy(update={"split_every": text})
+
+
 def _check(command: Record, rig: Rig) -> None:
+    from cabinpose.core.clock import HostClock
     from cabinpose.record.check import check
 
     findings = check(rig, command.out, HostClock())
@@ -58,26 +97,31 @@ def _check(command: Record, rig: Rig) -> None:
 
 def _record(command: Record, rig: Rig, out: Path) -> int:
     from cabinpose.app.cli.panel import panel
+    from cabinpose.core.clock import HostClock
     from cabinpose.record.session import begin
 
-    recorder = begin(rig, out, HostClock())
-    began = time.monotonic()
+    clock = HostClock()
+    recorder = begin(rig, out, clock)
+    began = clock.now_s()
     until, warned = began + (command.duration or float("inf")), False
     with asked_to_stop("ending the recording") as asked, panel(out, command.duration) as show:
         try:
-            while recorder.running and time.monotonic() < until and not asked():
+            while recorder.running and clock.now_s() < until and not asked():
                 show(recorder.status())
-                if not warned and time.monotonic() - began > _FIRST_DATA_S:
+                if not warned and clock.now_s() - began > _FIRST_DATA_S:
                     warned = True
                     _warn_of_silence(recorder)
-                time.sleep(max(min(_REFRESH_S, until - time.monotonic()), 0.0))
+                clock.sleep(min(_REFRESH_S, until - clock.now_s()))
         finally:
             outcome = recorder.stop()
     totals = {s.source: dataclasses.asdict(s) for s in outcome.sources}
     if command.as_json:
-        print_json({"recording": str(out), "seconds": outcome.seconds, "bytes": outcome.bytes_written, "sources": totals})
+        files = [str(file) for file in outcome.files]
+        told = {"recording": str(out), "files": files, "seconds": outcome.seconds, "bytes": outcome.bytes_written}
+        print_json({**told, "sources": totals})
     else:
-        print(f"{out}: {outcome.seconds:.1f} s, {outcome.bytes_written / 1e6:.1f} MB")
+        several = f" in {len(outcome.files)} files" if len(outcome.files) > 1 else ""
+        print(f"{out}: {outcome.seconds:.1f} s, {outcome.bytes_written / 1e6:.1f} MB{several}")
         print_rows((s.source, _counts(s, outcome.started_ns)) for s in outcome.sources)
     if outcome.error is not None:
         raise outcome.error

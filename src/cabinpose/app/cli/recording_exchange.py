@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
 from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
-from cabinpose.app.cli.exchange_commands import Export, Import
 from cabinpose.app.cli.output import print_json, print_rows, printable
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDING_IMPORTS
+from cabinpose.store.convert.rows import epoch_ns
 
 if TYPE_CHECKING:  # needs the extra `record`, which is asked for first
+    from cabinpose.app.cli.export import Export
+    from cabinpose.app.cli.import_ import Import
     from cabinpose.store.recording import Take
-
-_NO_TIME_OF_DAY = ("c3d", "bvh", "trc", "sto")
-_ONE_SOURCE = ("mvnx", "c3d", "bvh", "trc", "sto", "azure-mkv")
-_OF_FORMATS = {
-    "--begun": _NO_TIME_OF_DAY, "--name": _ONE_SOURCE, "--unit-m": ("bvh",), "--up": ("c3d", "bvh"),
-    "--keep-whole-frames": ("c3d",),
-}  # fmt: skip
-_RATED = ("c3d", "trc", "sto", "mvnx")
 
 
 def import_recording(command: Import) -> bool:
@@ -56,10 +49,7 @@ def import_recording(command: Import) -> bool:
         "--licence": command.licence,
     }  # fmt: skip
     refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
-    for flag, formats in _OF_FORMATS.items():
-        if name not in formats:
-            refuse({flag: of_recording[flag]}, f"{{}} is of {', '.join(formats)}, not of {name}")
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.convert.recordings import RecordingOptions, import_recording
 
     take = _take(command)
@@ -96,13 +86,11 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
         )
     refuse_selection(command, "{} is of datasets, and this is a recording")
     refuse({"--images": command.images}, "{} is of datasets, and this is a recording")
-    if name not in _RATED:
-        refuse({"--rate": command.rate}, f"{{}} is of {', '.join(_RATED)}, not of {name}")
     if command.rate is not None and not command.rate > 0:
         raise ConfigError(f"{command.rate:g} frames a second are none", hint="give --rate more than 0")
     if command.out.resolve() == path.resolve():
         raise ConfigError(f"{path} is the recording itself", hint="give another file with --out")
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    require("record")
     from cabinpose.store.convert.recordings import Selection, export_recording
 
     selection = Selection(command.source, command.subject, command.span, command.rate, command.angles)
@@ -135,12 +123,8 @@ def _take(command: Import) -> Take:
 
 
 def _nanoseconds(moment: str | None) -> int:
-    """Since the Unix epoch; without a zone it is UTC."""
-    if moment is None:
-        return 0
+    """Since the Unix epoch; 0 where no moment is given."""
     try:
-        found = datetime.fromisoformat(moment)
+        return 0 if moment is None else epoch_ns(moment)
     except ValueError as error:
         raise ConfigError(f"--begun {moment}: {error}", hint="as in 2026-11-21T14:30:00+01:00") from error
-    since = (found if found.tzinfo else found.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000

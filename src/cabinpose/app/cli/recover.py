@@ -1,22 +1,41 @@
-"""`cabinpose recover`: a whole recording of what a crash left."""
+"""`cabinpose recover`: make a whole recording of one that a crash cut short."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import PrintsJson
 from cabinpose.app.cli.output import print_json, print_rows, progress
-from cabinpose.app.cli.record_commands import Recover
 from cabinpose.app.extras import require
 
 
+@dataclass(frozen=True, kw_only=True)
+class Recover(PrintsJson):
+    """Make a whole recording of one that a crash cut short, or that is damaged."""
+
+    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
+    """The damaged recording; it is not changed."""
+    out: Path
+    """Recording to write."""
+
+
+COMMAND = Recover
+
+
 def run(command: Recover) -> None:
-    """Recover, and say what was saved and what was not."""
-    require("mcap", "mcap_protobuf", "foxglove_schemas_protobuf", extra="record")
+    """Recover, and print what was saved and what was not."""
+    require("record")
     from cabinpose.store.recording import recover
 
-    with progress(max(_size(command.recording) // 1_000_000, 1), "MB") as report:
-        result = recover(command.recording, command.out, progress=lambda done, _: report(done // 1_000_000))
+    source = command.recording
+    size = source.stat().st_size if source.exists() else 0
+    with progress(max(size // 1_000_000, 1), "MB") as report:
+        result = recover(source, command.out, progress=lambda done, _: report(done // 1_000_000))
     damage = result.damage
     if command.as_json:
         print_json({"recording": str(command.out), **dataclasses.asdict(result)})
@@ -24,7 +43,7 @@ def run(command: Recover) -> None:
     seconds = (result.last_ns - result.first_ns) / 1e9
     rows = [
         ("recovered", f"{command.out}: {result.messages} messages over {seconds:.1f} s"),
-        *((f"  {source}", f"{count} samples") for source, count in result.samples.items()),
+        *((f"  {name}", f"{count} samples") for name, count in result.samples.items()),
         ("end of file", "was there" if damage.whole else "was missing"),
         ("damaged chunks", str(damage.chunks)),
         ("bytes skipped", str(damage.skipped_bytes)),
@@ -36,7 +55,3 @@ def run(command: Recover) -> None:
     if damage.orphans or damage.records:
         rows.append(("left out", f"{damage.orphans} messages of unknown channels, {damage.records} damaged records"))
     print_rows(rows)
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0

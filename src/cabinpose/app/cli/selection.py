@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from cabinpose.app.cli.commands import Evaluate, Info, Predict, View
-from cabinpose.app.cli.exchange_commands import Export
+from cabinpose.app.cli.arguments import SelectsFrames
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
-from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_named_splits
+from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
 
 
-def selected(dataset: xr.Dataset, command: Info | View | Export | Evaluate | Predict) -> xr.Dataset:
+def selected(dataset: xr.Dataset, command: SelectsFrames) -> xr.Dataset:
     """The frames of the split that a command names and of its --select; ConfigError or DatasetError where there is none."""
     return frames_with(dataset, [*_split(command.splits, command.split), selection(command.select)])
 
@@ -31,7 +30,7 @@ def frames_with(dataset: xr.Dataset, selections: Sequence[Selection]) -> xr.Data
 
 
 def selection(words: Sequence[str]) -> Selection:
-    """What the words behind --select ask for; ConfigError for one that is not NAME=VALUE[,VALUE]."""
+    """The selection of the words after --select; ConfigError for a word that is not NAME=VALUE[,VALUE]."""
     found: dict[str, tuple[Any, ...]] = {}
     for word in words:
         name, equals, values = word.partition("=")
@@ -54,4 +53,4 @@ def _split(file: Path | None, name: str | None) -> list[Selection]:
         return []
     if file is None or name is None:
         raise ConfigError("a split needs its file and its name", hint="give both --splits FILE and --split NAME")
-    return list(read_named_splits(file, [name]).values())
+    return list(read_splits(file, [name]).values())

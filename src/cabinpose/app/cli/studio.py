@@ -1,4 +1,4 @@
-"""`cabinpose studio`: the studio in the browser."""
+"""`cabinpose studio`: configure, look, label, compare and run detectors live, in the browser."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, several
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Studio:
     """Configure scenes, look at data, label, compare models and run them live, in the browser.
 
@@ -33,11 +33,14 @@ class Studio:
     """Word that a browser has to bring; needed for --host beyond this machine."""
 
 
+COMMAND = Studio
+
+
 def run(command: Studio) -> None:
     """Open what was named and serve until Ctrl-C."""
     from cabinpose.app.extras import require
 
-    require("nicegui", extra="studio")
+    require("studio", "record")
     from cabinpose.app.studio.serve import serve
     from cabinpose.app.studio.workspace import open_workspace
 

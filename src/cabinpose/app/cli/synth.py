@@ -1,24 +1,60 @@
-"""`cabinpose synth`: generate a dataset and report what it took."""
+"""`cabinpose synth`: generate a dataset of people in cars, or of one person in a room."""
 
 from __future__ import annotations
 
 import dataclasses
 import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from cabinpose.app.cli.commands import Synth
+from tyro.conf import Positional
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import listed, print_json, print_rows, progress
 from cabinpose.core.errors import ConfigError
-from cabinpose.store import read_manifest
-from cabinpose.store.schema import MANIFEST_NAME
-from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.generate import Progress, generate
-from cabinpose.synth.validate import most_common
 
-_FEW_POSES, _HARDLY_ANY = 100, 0.05  # from so many poses on it is told why so few of them hold
+if TYPE_CHECKING:
+    from cabinpose.synth.generate import Progress
+
+_FEW_POSES, _HARDLY_ANY = 100, 0.05  # after so many poses, an acceptance below this is explained on stderr
+
+
+@dataclass(frozen=True, kw_only=True)
+class Synth(PrintsJson):
+    """Generate a dataset: people in cars, or one person in a room, seen by a Time-of-Flight camera.
+
+    The same configuration and seed give the same bytes, with any number of workers.
+    """
+
+    out: Path
+    """Folder of the dataset."""
+    frames: Maybe[int] = None
+    """Number of frames; default: all combinations, if the configuration has a finite number of them."""
+    overrides: Annotated[Positional[tuple[str, ...]], several("[KEY=VALUE ...]")] = ()
+    """Changes to the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
+    config: Maybe[Path] = None
+    """Configuration (YAML), as `cabinpose config init` writes it; default: people in all seven cars."""
+    workers: Maybe[int] = None
+    """Threads; default: one per core."""
+    scheduler: Maybe[str] = None
+    """Address of a running Dask cluster that makes the parts; exclusive with --workers."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    resume: bool = False
+    """Continue an interrupted run of the same configuration."""
+    overwrite: bool = False
+    """Replace the dataset in the folder."""
+
+
+COMMAND = Synth
 
 
 def run(command: Synth) -> None:
-    """Generate with a progress bar; the report goes to stdout."""
+    """Generate with a progress bar, then report speed, acceptance and content."""
+    from cabinpose.synth.config import SynthConfig
+    from cabinpose.synth.generate import generate
+
     if command.workers is not None and command.scheduler is not None:
         raise ConfigError(
             "--workers are threads of this process, --scheduler is a cluster elsewhere",
@@ -27,31 +63,23 @@ def run(command: Synth) -> None:
     config = SynthConfig.load(command.config, command.overrides)
     frames = config.frames_or_all(command.frames)
     with progress(frames, "frames", start=_frames_there(command)) as report:
-        told = _FEW_POSES
+        warn_at = _FEW_POSES
 
         def show(state: Progress) -> None:
-            nonlocal told
+            nonlocal warn_at
             if state.phase != "posing":
                 report.phase(state.phase)
                 return
             accepted = state.proposals - sum(state.rejections.values())
             report(state.frames_done, f"{accepted} poses accepted, {state.proposals - accepted} rejected")
-            if state.proposals >= told and accepted < _HARDLY_ANY * state.proposals:
-                told = 4 * state.proposals
-                share = 100.0 * accepted / state.proposals
-                print(f"only {share:.1f} % of the poses hold: {most_common(state.rejections, 3)}", file=sys.stderr)
+            if state.proposals >= warn_at and accepted < _HARDLY_ANY * state.proposals:
+                warn_at = 4 * state.proposals
+                _warn_of_rejections(state, accepted)
 
         result = generate(
-            config,
-            frames,
-            command.out,
-            seed=command.seed,
-            workers=command.workers,
-            scheduler=command.scheduler,
-            resume=command.resume,
-            overwrite=command.overwrite,
-            progress=show,
-        )
+            config, frames, command.out, seed=command.seed, workers=command.workers, scheduler=command.scheduler,
+            resume=command.resume, overwrite=command.overwrite, progress=show,
+        )  # fmt: skip
     if command.as_json:
         print_json(dataclasses.asdict(result))
         return
@@ -68,8 +96,18 @@ def run(command: Synth) -> None:
     print(f"look at it with: cabinpose view {command.out} --out {command.out}-view", file=sys.stderr)
 
 
+def _warn_of_rejections(state: Progress, accepted: int) -> None:
+    from cabinpose.synth.validate import most_common
+
+    causes = most_common(state.rejections, 3)
+    print(f"only {100.0 * accepted / state.proposals:.1f} % of the poses hold: {causes}", file=sys.stderr)
+
+
 def _frames_there(command: Synth) -> int:
     """Frames that a resumed run finds on disk."""
+    from cabinpose.store import read_manifest
+    from cabinpose.store.schema import MANIFEST_NAME
+
     if not command.resume or not (command.out / MANIFEST_NAME).exists():
         return 0
     return sum(plan.frames for plan in read_manifest(command.out).parts if (command.out / plan.name).is_dir())

@@ -1,59 +1,84 @@
-"""`cabinpose train`: a detector from datasets, or from scenes generated meanwhile."""
+"""`cabinpose train`: train a detector on datasets, or on scenes generated during training."""
 
 from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from cabinpose.app.cli.commands import Train
+from tyro.conf import Positional
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import ProgressReport, print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
-from cabinpose.store import open_dataset
-from cabinpose.synth.config import SynthConfig
+
+if TYPE_CHECKING:
+    from cabinpose.estimate.data import Frames, FrameSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(PrintsJson):
+    """Train a detector on datasets, or on scenes generated during training; the best epoch is kept.
+
+    Needs the extra `train`. --resume continues an interrupted run after its last complete epoch.
+    """
+
+    out: Path
+    """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv."""
+    datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
+    """Folders of the datasets to train on."""
+    method: Maybe[str] = None
+    """Method, if the configuration names none: compact, paf, lifting, unet."""
+    config: Maybe[Path] = None
+    """Configuration of the run (YAML); every key has a default."""
+    synth: Maybe[Path] = None
+    """Scene configuration (YAML) from which frames are generated during training, in place of datasets."""
+    frames: int = 2000
+    """Frames per epoch with --synth."""
+    splits: Maybe[Path] = None
+    """YAML file of splits; without it, some subjects of each dataset are held out for validation."""
+    train: str = "train"
+    """Name of the split to train on."""
+    validate: str = "validate"
+    """Name of the split to validate on."""
+    devices: str = "auto"
+    """Devices per machine, as Lightning understands them."""
+    nodes: int = 1
+    """Machines, started by Lightning's launchers."""
+    init: Maybe[Path] = None
+    """Checkpoint of an earlier run of the same network to start from."""
+    resume: bool = False
+    """Continue the run in the folder."""
+
+
+COMMAND = Train
 
 
 def run(command: Train) -> None:
-    """Train, tell how far it is, and name the best checkpoint."""
-    require("torch", "lightning", extra="train")
-    from cabinpose.app.training import generated_frames, read_train_config, stored_frames
-    from cabinpose.estimate.data import Frames
+    """Train with a progress bar, and print the best checkpoint."""
+    require("train")
+    from cabinpose.app.training import read_train_config
     from cabinpose.estimate.training import fit, frame_spec
 
     if command.datasets and command.synth is not None:
         raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
     config = read_train_config(command.config, command.method)
-    spec = frame_spec(config)
-    training: Frames
-    validation: Frames
-    if command.datasets:
-        datasets = {str(folder): open_dataset(folder) for folder in command.datasets}
-        if len(datasets) < len(command.datasets):
-            raise ConfigError("a dataset is named twice", hint="give each of them once")
-        training, validation = stored_frames(datasets, spec, command.splits, command.train, command.validate)
-    elif command.synth is not None:
-        training, validation = generated_frames(SynthConfig.load(command.synth), spec, command.frames, config.seed)
-    else:
-        raise ConfigError("there is nothing to learn from", hint="give DATASET or --synth SCENE.yaml")
+    training, validation = _frames(command, frame_spec(config), config.seed)
     with ExitStack() as stack:
         shown: list[ProgressReport] = []
 
-        def tell(done: int, total: int, note: str) -> None:
+        def show(done: int, total: int, note: str) -> None:
             if not shown:
                 shown.append(stack.enter_context(progress(total, "batches", start=done - 1)))
             shown[0](done, note)
 
         best = fit(
-            config,
-            training,
-            validation,
-            command.out,
-            resume=command.resume,
-            init=command.init,
-            devices=_devices(command.devices),
-            nodes=command.nodes,
-            progress=tell,
-        )
+            config, training, validation, command.out, resume=command.resume, init=command.init,
+            devices=int(command.devices) if command.devices.isdigit() else command.devices, nodes=command.nodes, progress=show,
+        )  # fmt: skip
     if command.as_json:
         print_json({"best": str(best)})
     else:
@@ -61,5 +86,17 @@ def run(command: Train) -> None:
         print(f"export it with: cabinpose export --onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
 
 
-def _devices(words: str) -> int | str:
-    return int(words) if words.isdigit() else words
+def _frames(command: Train, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]:
+    """Training and validation frames, stored or generated."""
+    from cabinpose.app.training import generated_frames, stored_frames
+    from cabinpose.store import open_dataset
+    from cabinpose.synth.config import SynthConfig
+
+    if command.synth is not None:
+        return generated_frames(SynthConfig.load(command.synth), spec, command.frames, seed)
+    if not command.datasets:
+        raise ConfigError("there is nothing to learn from", hint="give DATASET or --synth SCENE.yaml")
+    datasets = {str(folder): open_dataset(folder) for folder in command.datasets}
+    if len(datasets) < len(command.datasets):
+        raise ConfigError("a dataset is named twice", hint="give each of them once")
+    return stored_frames(datasets, spec, command.splits, command.train, command.validate)

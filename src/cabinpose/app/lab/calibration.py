@@ -21,7 +21,7 @@ from cabinpose.app.lab.pendulum import Swing, swing
 from cabinpose.app.lab.raycast import PrimitiveScene
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.targets import as_message, board_scene, pendulum_scene, plate_size, see
-from cabinpose.app.lab.writing import write_recording
+from cabinpose.app.lab.writing import samples, write_recording
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, apply, invert, transform
@@ -105,7 +105,7 @@ def board_take(
 
 
 def _pose(rig: VirtualRig, board: Board, view: int, views: int, *, rng: Generator) -> Matrix:
-    """camera_from_board of one view: in its turn of the image's parts and of the distances, otherwise at random."""
+    """camera_from_board of one view: parts of the image and distances in turn, all else at random."""
     sensor = rig.tof_sensor
     camera = sensor.camera
     x0, y0, x1, y1 = plate_size(board)
@@ -115,7 +115,7 @@ def _pose(rig: VirtualRig, board: Board, view: int, views: int, *, rng: Generato
     near, far = _DISTANCES_M
     distance = near * (far / near) ** ((view * _GOLDEN + rng.uniform() / views) % 1.0)  # spread evenly, in no order
     for attempt in range(_TRIES):
-        ease = attempt / _TRIES  # a board close by fits the middle of the image alone: other places are given up in the end
+        ease = attempt / _TRIES  # a near board fits the middle of the image only: with each try the place moves there
         share = (cell + rng.uniform(size=2)) / _CELLS
         uv = (1 - ease) * share + ease * 0.5
         centre = camera.unproject(uv * (camera.width - 1, camera.height - 1), distance)
@@ -235,9 +235,8 @@ def write_pendulum_take(path: Path, rig: VirtualRig, truth: PendulumTake, *, rng
 def _tof_samples(rig: VirtualRig, true_ns: Times, scene: Callable[[int], PrimitiveScene], *, rng: Generator) -> Iterator[Sample]:
     """The camera's samples of the scenes `scene(k)` at the true times (T,), made one by one while they are taken."""
     clock = rig.clock("tof")
-    stamps, arrivals = clock.stamps(true_ns), clock.arrivals(true_ns, rng=rng)
-    for k, (device, host) in enumerate(zip(stamps.tolist(), arrivals.tolist(), strict=True)):
-        yield Sample(k, host, device, b"", (as_message(rig, see(rig, scene(k), rng=rng)),))
+    arrivals = clock.arrivals(true_ns, rng=rng)
+    return samples(clock, true_ns, arrivals, lambda k: (as_message(rig, see(rig, scene(k), rng=rng)),))
 
 
 def _moved(a_from_b: F64, p_b: F64) -> F64:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.motion import F64, KeyedMotion, Window
-from cabinpose.core.frames import transform
+from cabinpose.core.frames import Matrix, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.synth.posture.feet import GROUND_M
@@ -19,7 +19,7 @@ PLANES = ("coronal", "sagittal", "transversal")
 NEUTRAL_S = 3.0
 _SWING_S, _HOLD_S = 1.0, 0.2
 _SPREAD = 0.06  # of an amplitude, one sigma: nobody repeats a movement exactly
-_ARMS_OFF_DEG = 6.0  # hands hang beside the thighs, not in them
+ARMS_OFF_DEG = 6.0  # hands hang beside the thighs, not in them
 
 _Turns = dict[str, float]  # degrees by degree of freedom; l/r: both sides where a name begins with "*"
 # What is done in each plane: the far ends of each movement, one after the other and back; degrees added to the neutral pose.
@@ -46,7 +46,7 @@ def neutral_pose() -> F64:
     """q (D,) rad of the N-pose: upright, arms hanging beside the thighs."""
     q = np.zeros(len(DOFS))
     for side in "lr":
-        q[DOF_INDEX[side + "shoulder.abduction"]] = np.radians(_ARMS_OFF_DEG)
+        q[DOF_INDEX[side + "shoulder.abduction"]] = np.radians(ARMS_OFF_DEG)
     return q
 
 
@@ -57,9 +57,7 @@ def exercises(
 
     Windows: neutral_first, coronal, sagittal, transversal, neutral_last. The pelvis stays where it is.
     """
-    lowest = min(float(sole[2, 3]) for sole in person.pose(neutral_pose(), np.eye(4)).soles.values())
-    root = transform(Rotation.from_euler("z", heading), (*at_m, GROUND_M - lowest))
-    neutral = neutral_pose()
+    neutral, root = neutral_pose(), _standing(person, at_m, heading)
     keys, arrive, leave, names = [neutral], [0.0], [NEUTRAL_S], ["neutral"]
     windows = [Window("neutral_first", 0.0, NEUTRAL_S)]
     for plane in PLANES:
@@ -77,6 +75,18 @@ def exercises(
         person, np.array(arrive), np.array(leave), np.stack(keys), np.tile(root, (len(keys), 1, 1)), np.zeros(len(keys)),
         tuple(names), tuple(windows),
     )  # fmt: skip
+
+
+def stand(person: Person, seconds: float, *, at_m: tuple[float, float] = (0.0, 0.0), heading: float = 0.0) -> KeyedMotion:
+    """Somebody who stands in the N-pose; the rest as `exercises`."""
+    root = _standing(person, at_m, heading)
+    return KeyedMotion(person, np.zeros(1), np.array([seconds]), neutral_pose()[None], root[None], np.zeros(1), ("neutral",))
+
+
+def _standing(person: Person, at_m: tuple[float, float], heading: float) -> Matrix:
+    """room_from_root (4, 4) of somebody in the N-pose whose soles are on the floor."""
+    lowest = min(float(sole[2, 3]) for sole in person.pose(neutral_pose(), np.eye(4)).soles.values())
+    return transform(Rotation.from_euler("z", heading), (*at_m, GROUND_M - lowest))
 
 
 def _turned(neutral: F64, turns: _Turns, rng: np.random.Generator) -> F64:

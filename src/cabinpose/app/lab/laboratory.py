@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.align.board import Board
 from cabinpose.app.lab.calibration import board_take, pendulum_take, write_board_take, write_pendulum_take
+from cabinpose.app.lab.exercises import ARMS_OFF_DEG
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.app.lab.takes import Truth, dress_up, truth_path, write_action_take, write_head_take, write_motion_take
+from cabinpose.app.lab.takes import (
+    Actor,
+    Truth,
+    dress_up,
+    truth_path,
+    write_action_take,
+    write_head_take,
+    write_motion_take,
+    write_pair_take,
+    write_pose_take,
+)
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert
 from cabinpose.store.yaml_file import read_mapping, validated
 
 SESSION, RIG = "session.yaml", "rig.yaml"
 BOARD, PENDULUM = "board.mcap", "pendulum.mcap"
-_RIG_TAKES, _PERSON_TAKES = 2, 3
+PAIR = "together.mcap"
+_RIG_TAKES, _PERSON_TAKES = 2, 4
 
 
 class Plan(BaseModel):
@@ -35,19 +47,31 @@ class Plan(BaseModel):
     seconds: float = Field(20.0, gt=1, description="length of the take of the driver")
     rate_hz: float | None = Field(None, gt=0, description="frames per second in it; left out: the rig's")
     exercises: bool = Field(True, description="movements in each anatomical plane outside the car as well")
+    together: bool = Field(False, description="a take of the first two subjects in one car as well, each in a suit of their own")
     car: str = Field("sedan", description="a preset car")
     subjects: tuple[str, ...] = Field(("S01",), min_length=1, description="of the package's people, one after the other")
     seed: int = Field(0, ge=0, description="of everything that is drawn")
 
+    @model_validator(mode="after")
+    def _has_two(self) -> Self:
+        if self.together and len(self.subjects) < 2:
+            raise ValueError("together needs two subjects")
+        return self
+
     @property
     def steps(self) -> int:
         """Takes of the session."""
-        return _RIG_TAKES + _PERSON_TAKES * len(self.subjects)
+        return _RIG_TAKES + _PERSON_TAKES * len(self.subjects) + self.together
 
 
 def head_take(subject: str) -> str:
     """Name of the recording of a subject's turning head."""
     return f"head-{subject}.mcap"
+
+
+def pose_take(subject: str) -> str:
+    """Name of the recording of a subject's N-pose."""
+    return f"pose-{subject}.mcap"
 
 
 def drive_take(subject: str) -> str:
@@ -81,22 +105,31 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
     write_pendulum_take(folder / PENDULUM, rig, pendulum_take(rig, duration_s=plan.pendulum_s, rng=drawn(2)), rng=drawn(3))
     report(_RIG_TAKES)
     truths: dict[str, Truth] = {}
+    actors = []
     for number, subject in enumerate(plan.subjects):
         done = _RIG_TAKES + _PERSON_TAKES * number
-        actor = dress_up(plan.car, subject, code=subject, rng=drawn(4, number))
+        worn: dict[str, Any] = {"suit": "suit2", "head": "head2"} if plan.together and number == 1 else {}
+        actor = dress_up(plan.car, subject, **worn, rng=drawn(4, number))
+        actors.append(actor)
         write_head_take(folder / head_take(subject), rig, actor, rng=drawn(5, number))
         report(done + 1)
         if plan.exercises:
             write_motion_take(folder / exercise_take(subject), rig, actor, rng=drawn(6, number))
         report(done + 2)
+        write_pose_take(folder / pose_take(subject), rig, actor, rng=drawn(8, number))
+        report(done + 3)
         path = folder / drive_take(subject)
         truths[subject] = write_action_take(path, rig, actor, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(7, number))
-        report(done + 3)
-    _write_session(folder, board, truths)
+        report(done + 4)
+    if plan.together:
+        pair = actors[0], actors[1].moved_to("front_passenger", rng=drawn(9))
+        write_pair_take(folder / PAIR, rig, pair, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(10))
+        report(plan.steps)
+    _write_session(folder, board, actors, truths)
     return truths
 
 
-def _write_session(folder: Path, board: Board, truths: Mapping[str, Truth]) -> None:
+def _write_session(folder: Path, board: Board, actors: Sequence[Actor], truths: Mapping[str, Truth]) -> None:
     """The session as a user would write it: what can be measured with a ruler is given, everything else is to be found."""
 
     def measured(p: NDArray[np.float64]) -> list[float]:
@@ -108,12 +141,17 @@ def _write_session(folder: Path, board: Board, truths: Mapping[str, Truth]) -> N
         "board_take": BOARD,
         "pendulum_take": PENDULUM,
         "subjects": {
-            code: {
-                "take": head_take(code),
-                "head_offset_m": measured(truth.object_from_head[:3, 3]),
-                "hands_m": [measured(hand) for hand in truth.hands],
+            actor.code: {
+                "take": head_take(actor.code),
+                "head_offset_m": measured(truths[actor.code].object_from_head[:3, 3]),
+                "hands_m": [measured(hand) for hand in truths[actor.code].hands],
+                "suit": actor.suit,
+                "head_object": actor.head,
+                "pose_take": pose_take(actor.code),
+                "pose_truth": "n-pose",
+                "arms_off_deg": ARMS_OFF_DEG,
             }
-            for code, truth in truths.items()
+            for actor in actors
         },
         # the car stands where the first drive has it, and stays there
         "vehicle_from_world": invert(next(iter(truths.values())).world_from_scene).tolist(),
@@ -131,9 +169,9 @@ def load_rig(path: Path) -> VirtualRig:
     return validated(VirtualRig, read_mapping(path, hint=hint), path, hint=hint)
 
 
-def load_truth(folder: Path, subject: str) -> Truth:
-    """The truth of a subject's drive in a session. Raises ConfigError where there is none."""
-    path = truth_path(folder / drive_take(subject))
+def load_truth(folder: Path, subject: str, *, together: bool = False) -> Truth:
+    """The truth of a subject's drive in a session, alone or together. Raises ConfigError where there is none."""
+    path = truth_path(folder / PAIR, subject) if together else truth_path(folder / drive_take(subject))
     if not path.exists():
         raise ConfigError(f"{folder} holds no {path.name}", hint="`cabinpose lab` makes sessions of the laboratory")
     return Truth.load(path)

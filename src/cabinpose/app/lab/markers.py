@@ -9,6 +9,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from cabinpose.app.lab.rig import VirtualRig
+from cabinpose.app.lab.writing import samples
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers
 
@@ -52,5 +53,4 @@ def marker_samples(
     clock = rig.clock("optical")
     said, arrivals = observed(rig, true_ns, positions, rng=rng), clock.arrivals(true_ns, rng=rng)
     unknown = np.full(len(names), np.nan)
-    for k, (device, host) in enumerate(zip(clock.stamps(true_ns), arrivals, strict=True)):
-        yield Sample(k, int(host), int(device), b"", (Markers(subject, tuple(names), said[k], unknown),))
+    return samples(clock, true_ns, arrivals, lambda k: (Markers(subject, tuple(names), said[k], unknown),))

@@ -1,4 +1,4 @@
-"""A person who moves: key poses of the generator, joined so that at every instant the body holds and its joints obey.
+"""A person who moves: key poses of the generator, joined so that joints stay within their limits and the body clear of the car.
 
 Between keys each degree of freedom follows a minimum-jerk course (Flash & Hogan 1985, eq. 2: 10 t³ - 15 t⁴ + 6 t⁵) and the
 pelvis the same by slerp. Angles are interpolated as joint coordinates and not as rotations of bones: limits of joints are a
@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,12 +20,13 @@ from scipy.spatial.transform import Rotation
 from cabinpose._native import body as native
 from cabinpose.core.errors import SceneError, unknown_name
 from cabinpose.core.frames import Matrix
+from cabinpose.core.pose import STANDING_SLOT
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.body.rig import LOWER, UPPER
-from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, self_contact, solid_topology
+from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
+from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, person_contact, self_contact, solid_topology
 from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation
 from cabinpose.synth.posture.goals import turn_head
@@ -33,10 +35,10 @@ from cabinpose.synth.validate import Validator
 
 F64 = NDArray[np.float64]
 
-SLOT = "driver"
 # Deeper than what yields anyway, in passing from one key to the next: a hand that leaves the rim opens late.
 PASS_M = 0.01
 CHECK_HZ = 8.0  # how often a move is looked at
+PAIR_HZ = 4.0  # how often it is looked at whether two people touch
 _TRIES = 60  # keys drawn before giving up
 _MOVE_S, _HOLD_S, _GLANCE_HOLD_S = (0.8, 2.0), (0.1, 0.6), (0.2, 0.6)
 _FASTEST = 2.5  # rad/s at the peak, of an unhurried joint
@@ -61,8 +63,8 @@ class KeyedMotion:
     """One person's motion in the scene's frame (the vehicle's, or a room's with z up and the floor at 0).
 
     Key k is held from arrive_s[k] to leave_s[k] (K,), rising · q: (K, D) rad in the order of `DOFS` · root: (K, 4, 4)
-    scene_from_root · wheel_angle: (K,) rad · keys: (K,) what each is · windows: labelled spans · cabin, settings: the car, None
-    in a room. Before the first key and after the last one the person holds still.
+    scene_from_root · wheel_angle: (K,) rad · keys: (K,) what each is · windows: labelled spans · slot, cabin, settings: the
+    seat and the car, None in a room. Before the first key and after the last one the person holds still.
     """
 
     person: Person
@@ -73,6 +75,7 @@ class KeyedMotion:
     wheel_angle: F64
     keys: tuple[str, ...]
     windows: tuple[Window, ...] = ()
+    slot: str = STANDING_SLOT
     cabin: Cabin | None = None
     settings: Mapping[str, SeatSetting] = field(default_factory=dict)
 
@@ -82,7 +85,7 @@ class KeyedMotion:
         return float(self.leave_s[-1])
 
     def key_at(self, time_s: float) -> str:
-        """What the person is about: the key that is held, or the next one."""
+        """What the person does: the key that is held, or the next one."""
         return self.keys[min(int(np.searchsorted(self.leave_s, time_s)), len(self.keys) - 1)]
 
     def pose_at(self, time_s: ArrayLike) -> tuple[F64, Matrix, F64]:
@@ -123,15 +126,20 @@ class KeyedMotion:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A person at the wheel: the car, its validator, who, how the seats are set, how the pelvis sits in the driver's."""
+    """A person in a seat of a car: the car, its validator, who, where, how the seats are set, how the pelvis sits."""
 
     car: str
     cabin: Cabin
     validator: Validator
-    subject: str
     person: Person
+    slot: str
     settings: Mapping[str, SeatSetting]
     offset: SeatOffset
+
+    @property
+    def seat(self) -> Seat:
+        """The person's."""
+        return self.cabin.seats[self.slot]
 
 
 @lru_cache(maxsize=8)
@@ -142,27 +150,27 @@ def named_person(subject: str) -> Person:
     return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
 
 
-def at_the_wheel(car: str = "sedan", subject: str = "S01", *, rng: np.random.Generator) -> Stage:
-    """A person of the package on the driver's seat of a preset car, the seat set as people differ in setting it."""
+def in_seat(car: str = "sedan", subject: str = "S01", slot: str = "driver", *, rng: np.random.Generator) -> Stage:
+    """A person of the package in a seat of a preset car, the seat set as people differ in setting it."""
     cabin, validator = judged_cabin(car, "left")
     person = named_person(subject)
-    settings = {slot: seat.default for slot, seat in cabin.seats.items()}
-    settings[SLOT] = choose_setting(person, cabin.seats[SLOT], cabin, rng=rng, variation=1.0)
-    return Stage(car, cabin, validator, subject, person, settings, draw_offset(0.015, math.radians(3.0), rng=rng))
+    settings = {name: seat.default for name, seat in cabin.seats.items()}
+    settings[slot] = choose_setting(person, cabin.seats[slot], cabin, rng=rng, variation=1.0)
+    return Stage(car, cabin, validator, person, slot, settings, draw_offset(0.015, math.radians(3.0), rng=rng))
 
 
-def drive(stage: Stage, seconds: float, *, rng: np.random.Generator) -> KeyedMotion:
-    """At least `seconds` of a driver's doings, ending at rest: actions of the generator, with looks to mirrors and sides between.
+def act(stage: Stage, seconds: float, *, rng: np.random.Generator) -> KeyedMotion:
+    """At least `seconds` of an occupant's actions, ending at rest: the generator's, with looks to mirrors and sides between.
 
     Keys hold as the generator's frames do (`Validator.check`). Between them the body goes no deeper than `PASS_M` beyond what
     yields, looked at `CHECK_HZ` times a second: a key that cannot be reached so is drawn again. Raises SceneError where none
     is found.
     """
     course = _Course(stage)
-    course.add(_first(stage, rng), "drive", 0.0, rng.uniform(*_HOLD_S))
+    course.add(_first(stage, rng), _resting(stage), 0.0, rng.uniform(*_HOLD_S))
     while course.end_s < seconds:
         for _ in range(_TRIES):
-            action = random_action(stage.cabin.seats[SLOT], stage.cabin, rng=rng)
+            action = random_action(stage.seat, stage.cabin, rng=rng)
             try:
                 key = _key(stage, action, rng)
             except SceneError:
@@ -177,6 +185,23 @@ def drive(stage: Stage, seconds: float, *, rng: np.random.Generator) -> KeyedMot
             name = str(rng.choice(list(_LOOKS_DEG)))
             course.try_move(_look(stage, course.last, name, rng), f"look_{name}", 0.8, rng.uniform(*_GLANCE_HOLD_S))
     return course.motion()
+
+
+def keep_apart(one: KeyedMotion, two: KeyedMotion) -> bool:
+    """Whether two people of one car never touch deeper than flesh yields, looked at `PAIR_HZ` times a second."""
+    seconds = min(one.duration_s, two.duration_s)
+    topologies: list[SolidTopology] = []
+    for time_s in np.arange(0.0, seconds, 1 / PAIR_HZ):
+        posed = [motion.body(float(time_s)) for motion in (one, two)]
+        if not topologies:
+            topologies = [
+                solid_topology(motion.person.skin_faces, motion.person.skin_segment, SEGMENTS, body.skin)
+                for motion, body in zip((one, two), posed, strict=True)
+            ]
+        first, second = (PosedSolids.of(topology, body.skin) for topology, body in zip(topologies, posed, strict=True))
+        if person_contact(first, second) is not None:
+            return False
+    return True
 
 
 _SHARE = {"flexion": 0.7, "lateral": 0.8, "rotation": 0.5}  # of a turn that the neck does; the head does the rest
@@ -211,14 +236,16 @@ def calibrate_head(stage: Stage, *, rng: np.random.Generator) -> KeyedMotion:
     raise SceneError("the head has no room to turn in this seat", hint="try another seed, person or car")
 
 
-class Key(tuple[F64, Matrix, float]):
+class Key(NamedTuple):
     """A key pose: q (D,) rad, scene_from_root (4, 4), wheel angle (rad)."""
 
-    __slots__ = ()
+    q: F64
+    root: Matrix
+    wheel_angle: float = 0.0
 
 
 class _Course:
-    """Keys in the making."""
+    """A motion in the making: its keys and their times."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -245,7 +272,7 @@ class _Course:
 
     def try_move(self, key: Key, name: str, pace: float, hold_s: float) -> bool:
         """Add a key if the way there is free; pace: how long it takes, in parts of the unhurried time."""
-        farthest = float(np.abs(key[0] - self.last[0])[_TURNING].max())
+        farthest = float(np.abs(key.q - self.last.q)[_TURNING].max())
         move_s = float(np.clip(pace * _PEAK * farthest / _FASTEST, *_MOVE_S))
         if not self.free(key, move_s):
             return False
@@ -260,9 +287,9 @@ class _Course:
 
     def motion(self, windows: tuple[Window, ...] = ()) -> KeyedMotion:
         return KeyedMotion(
-            self._stage.person, np.array(self._arrive), np.array(self._leave), np.stack([k[0] for k in self._keys]),
-            np.stack([k[1] for k in self._keys]), np.array([k[2] for k in self._keys]), tuple(self.names), windows,
-            self._stage.cabin, self._stage.settings,
+            self._stage.person, np.array(self._arrive), np.array(self._leave), np.stack([k.q for k in self._keys]),
+            np.stack([k.root for k in self._keys]), np.array([k.wheel_angle for k in self._keys]), tuple(self.names), windows,
+            self._stage.slot, self._stage.cabin, self._stage.settings,
         )  # fmt: skip
 
     def _depth(self, q: F64, root: Matrix, wheel: float) -> float:
@@ -285,10 +312,14 @@ _TURNING = np.array([not name.endswith("grip") for name in DOF_INDEX])
 def _between(one: Key, two: Key, share: F64) -> tuple[F64, Matrix, F64]:
     """Poses at shares (N,) of the way's time from one key to another."""
     way = KeyedMotion(
-        None, np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.stack((one[0], two[0])), np.stack((one[1], two[1])),  # type: ignore[arg-type]
-        np.array((one[2], two[2])), ("", ""),
+        None, np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.stack((one.q, two.q)), np.stack((one.root, two.root)),  # type: ignore[arg-type]
+        np.array((one.wheel_angle, two.wheel_angle)), ("", ""),
     )  # fmt: skip
     return way.pose_at(share)
+
+
+def _resting(stage: Stage) -> str:
+    return "drive" if stage.slot == "driver" else "rest_lap"
 
 
 def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
@@ -296,22 +327,22 @@ def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
     contact = stage.validator.contact
     assert contact is not None  # a car's validator has the car's fields
     pose = sample_pose(
-        stage.person, stage.cabin.seats[SLOT], stage.settings[SLOT], stage.cabin, action, offset=stage.offset,
+        stage.person, stage.seat, stage.settings[stage.slot], stage.cabin, action, offset=stage.offset,
         car=lambda angle: contact.at(stage.settings, angle), rng=rng,
     )  # fmt: skip
     wheel = pose.wheel_angle or 0.0
     posed = stage.person.pose(pose.q, pose.vehicle_from_root)
-    verdict = stage.validator.check([(SLOT, stage.person, posed)], stage.settings, wheel)
+    verdict = stage.validator.check([(stage.slot, stage.person, posed)], stage.settings, wheel)
     if not verdict.ok:
         raise SceneError(f"{action}: {verdict.rejection}", hint="draw again")
-    return Key((pose.q, pose.vehicle_from_root, wheel))
+    return Key(pose.q, pose.vehicle_from_root, wheel)
 
 
 def _first(stage: Stage, rng: np.random.Generator) -> Key:
-    """Both hands on the wheel. Raises SceneError where no draw holds."""
+    """The action that a motion begins with. Raises SceneError where no draw holds."""
     for _ in range(_TRIES):
         try:
-            return _key(stage, "drive", rng)
+            return _key(stage, _resting(stage), rng)
         except SceneError as error:
             last = error
     raise SceneError(f"none of {_TRIES} draws: {last}", hint="try another seed, person or car")
@@ -320,10 +351,10 @@ def _first(stage: Stage, rng: np.random.Generator) -> Key:
 def _look(stage: Stage, key: Key, where: str, rng: np.random.Generator) -> Key:
     """A key with the head turned elsewhere."""
     yaw, pitch = np.radians(np.array(_LOOKS_DEG[where]) + _LOOK_SIGMA_DEG * np.clip(rng.standard_normal(2), -2.0, 2.0))
-    q = key[0].copy()
-    heading = stage.cabin.seats[SLOT].facing_yaw
-    turn_head(stage.person, q, key[1], head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch))
-    return Key((q, key[1], key[2]))
+    q = key.q.copy()
+    heading = stage.seat.facing_yaw
+    turn_head(stage.person, q, key.root, head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch))
+    return key._replace(q=q)
 
 
 def _farthest(course: _Course, axis: str, degrees: float) -> Key | None:
@@ -331,14 +362,14 @@ def _farthest(course: _Course, axis: str, degrees: float) -> Key | None:
     neck, head = DOF_INDEX[f"neck.{axis}"], DOF_INDEX[f"head.{axis}"]
     start = course.last
     for share in np.arange(1.0, 0.2, -0.1):
-        q = start[0].copy()
+        q = start.q.copy()
         turn = math.radians(share * degrees)
         q[neck] = np.clip(q[neck] + _SHARE[axis] * turn, LOWER[neck], UPPER[neck])
-        q[head] = np.clip(start[0][head] + turn - (q[neck] - start[0][neck]), LOWER[head], UPPER[head])
-        turned = abs(float(q[neck] + q[head] - start[0][neck] - start[0][head]))
+        q[head] = np.clip(start.q[head] + turn - (q[neck] - start.q[neck]), LOWER[head], UPPER[head])
+        turned = abs(float(q[neck] + q[head] - start.q[neck] - start.q[head]))
         if turned < math.radians(_LEAST_DEG):
             return None
-        key = Key((q, start[1], start[2]))
+        key = start._replace(q=q)
         if course.free(key, _SWING_S):
             return key
     return None

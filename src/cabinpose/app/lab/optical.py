@@ -23,7 +23,7 @@ F64 = NDArray[np.float64]
 
 HEAD_SUBJECT = HEAD_SEGMENT = "head"
 LEAST_MARKERS, LEAST_CAMERAS = 3, 2  # of a rigid body; that see a marker
-LOOK_HZ = 10.0  # how often it is looked at what is hidden; it stays so until the next time
+LOOK_HZ = 10.0  # how often occlusion is computed; it holds until the next time
 # Cameras about a driver on the left, m from C1 along the vehicle's axes: five on stands around the car,
 # which see through its windows, and three in it, before the windscreen and under the roof.
 CAMERAS_M: F64 = np.array(
@@ -96,7 +96,7 @@ def seen_by(eyes: F64, markers: F64, vertices: NDArray[np.float32], faces: NDArr
 
 
 class Watch:
-    """What hides a driver's cap from cameras: his own body, and the car without its panes."""
+    """What hides a person's cap from cameras: their own body, and the car without its panes; other people are left out."""
 
     def __init__(self, motion: KeyedMotion, cap: Cap, eyes: F64 | None = None) -> None:
         """eyes: (N, 3) m in the scene's frame; left out: `CAMERAS_M` about the head's place at the start."""
@@ -137,13 +137,14 @@ class Watch:
 
 
 def kept(time_s: F64, markers: int, *, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """(T, M): false where a marker is lost for a moment for no reason that could be seen, at rising times (T,)."""
+    """(T, M): false where a marker is lost for a moment although nothing hides it, at rising times (T,)."""
     rate, lasts = np.array([_LOST_MARKER] * markers + [_LOST_OBJECT]).T
     drawn = rng.random((len(time_s), markers + 1))
     steps = np.diff(time_s, prepend=time_s[0])[:, None]
     stays, starts = drawn > steps / lasts, drawn < steps * rate  # what becomes of a marker that was lost, and of one that was not
     stays[0] = starts[0] = False
-    # Where both are one, that is what it becomes; since then it was turned over whenever a lost one comes and a seen one goes.
+    # A Markov chain of two states, lost and seen, without a loop. Where `stays` and `starts` agree, the state does not depend on
+    # the one before; from there on it is inverted at each step with `starts` and without `stays`.
     known = np.maximum.accumulate(np.where(stays == starts, np.arange(len(time_s))[:, None], 0), axis=0)
     turns = np.cumsum(starts & ~stays, axis=0)
     since = turns - np.take_along_axis(turns, known, axis=0)

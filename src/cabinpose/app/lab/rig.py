@@ -15,8 +15,8 @@ from cabinpose.core.errors import unknown_name
 from cabinpose.core.frames import Matrix, invert, is_rigid, look_at
 from cabinpose.scene.sensor import PhysicalNoise, Sensor, sensor_by_name
 
-Source = Literal["tof", "optical", "suit"]
-SOURCES: tuple[Source, ...] = ("tof", "optical", "suit")
+Source = Literal["tof", "optical", "suit", "suit2"]
+SOURCES: tuple[Source, ...] = ("tof", "optical", "suit", "suit2")
 Row = tuple[float, float, float, float]
 Rows = tuple[Row, Row, Row, Row]
 
@@ -79,6 +79,10 @@ class VirtualRig(BaseModel):
     suit: Device = Field(
         default=Device(rate_hz=60, offset_s=412.75, drift_ppm=31, resolution_ns=1_000_000, latency_s=0.021, jitter_s=0.005),
         description="The suit's clock.",
+    )
+    suit2: Device = Field(
+        default=Device(rate_hz=60, offset_s=98.4, drift_ppm=-12, resolution_ns=1_000_000, latency_s=0.034, jitter_s=0.005),
+        description="The clock of a second person's suit.",
     )
     sensor_noise: bool = Field(default=True, description="Shot and read noise of the camera.")
     sensor_systematic: bool = Field(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab.motion import SLOT, KeyedMotion
+from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix, invert, transform
-from cabinpose.core.pose import STANDING_SLOT
 from cabinpose.core.recorded import ToFFrame
 from cabinpose.scene.cabin import belt_surface
 from cabinpose.scene.room import Room
@@ -52,62 +51,55 @@ def _placed(world_from_camera: Matrix, eye: NDArray[np.float64], heading: float)
     return transform(turn, world_from_camera[:3, 3] - turn.apply(eye))
 
 
-class Stagehand:
-    """Makes the camera's frames of one motion. `room`: what stands around a person outside a car."""
+class SceneCamera:
+    """Makes the camera's frames of people who move in one car or room."""
 
     def __init__(
-        self, rig: VirtualRig, motion: KeyedMotion, world_from_scene: Matrix, room: Room | None = None, *,
-        sensor: Sensor | None = None, belted: bool = True,
+        self, rig: VirtualRig, motions: Sequence[KeyedMotion], world_from_scene: Matrix, room: Room | None = None, *,
+        sensor: Sensor | None = None,
     ) -> None:  # fmt: skip
-        """sensor: in place of the rig's camera."""
-        self._motion, self._belted = motion, belted
-        self._sensor = sensor or rig.tof_sensor
+        """motions: of one car, or without one · room: what stands around people outside a car · sensor: in place of the rig's."""
+        self._motions = tuple(motions)
         self._scene_from_camera = invert(world_from_scene) @ invert(rig.camera_from_world)
-        scene = CabinScene() if motion.cabin is not None else RoomScene()
-        self._config = SynthConfig(scene=scene, camera=CameraConfig(sensor=self._sensor), noise=rig.noise)
-        self._maker = FrameMaker(self._config, 0)
-        self._slot = SLOT if motion.cabin is not None else STANDING_SLOT
-        self._row = person_slots(self._config).index(self._slot)
+        scene = CabinScene() if motions[0].cabin is not None else RoomScene()
+        config = SynthConfig(scene=scene, camera=CameraConfig(sensor=sensor or rig.tof_sensor), noise=rig.noise)
+        self._maker = FrameMaker(config, 0)
+        self._rows = [person_slots(config).index(motion.slot) for motion in motions]
         self._room = room
-
-    @property
-    def camera(self) -> Camera:
-        """The camera's intrinsics."""
-        return self._sensor.camera
 
     def frame(self, time_s: float, *, rng: np.random.Generator) -> dict[str, Any]:
         """The frame at a time: variables of the dataset standard, as `FrameMaker.see` has them.
 
-        joints_3d (20, 3) m, camera frame, joints_2d (20, 2) px and visibility (20,) are the person's.
+        joints_3d (P, 20, 3) m, camera frame, joints_2d (P, 20, 2) px and visibility (P, 20) are of the motions' people.
         """
         frame = dict(self._maker.see(self._scene(time_s), rng=rng))
         for name in ("joints_3d", "joints_2d", "visibility"):
-            frame[name] = frame[name][self._row]
+            frame[name] = frame[name][self._rows]
         return frame
 
     def _scene(self, time_s: float) -> Scene:
-        motion = self._motion
-        body = motion.body(time_s)
-        clothed = body.surface(1 + self._row)
-        surfaces = [clothed]
-        somebody = ScenePerson(self._slot, "", motion.key_at(time_s), motion.person, body)
-        if motion.cabin is None:
+        first = self._motions[0]
+        # Each knows of their own seat alone how it is set.
+        settings = {**first.settings, **{m.slot: m.settings[m.slot] for m in self._motions if m.cabin is not None}}
+        people = tuple(self._person(m, row, time_s) for m, row in zip(self._motions, self._rows, strict=True))
+        if first.cabin is None:
             if self._room is None:
                 raise ValueError("a person outside a car needs a room to be seen in")
-            people = (_with(somebody, surfaces),)
             return Scene(self._room.surface, people, self._scene_from_camera, "room", "room")
-        wheel = float(motion.pose_at(time_s)[2][0])
-        seat = motion.cabin.seats[self._slot]
-        if self._belted and seat.belt is not None:
-            setting = motion.settings[self._slot]
+        wheel = sum(float(m.pose_at(time_s)[2][0]) for m in self._motions)  # the driver's: others leave it as it is
+        backdrop = first.cabin.surface(settings, wheel_angle=wheel)
+        return Scene(backdrop, people, self._scene_from_camera, first.cabin.name, VIEW, first.cabin, settings, wheel)
+
+    @staticmethod
+    def _person(motion: KeyedMotion, row: int, time_s: float) -> ScenePerson:
+        """Somebody at a time, belted in a car."""
+        body = motion.body(time_s)
+        clothed = body.surface(1 + row)
+        surfaces = [clothed]
+        if motion.cabin is not None and (seat := motion.cabin.seats[motion.slot]).belt is not None:
+            setting = motion.settings[motion.slot]
             surfaces.append(belt_surface(clothed.vertices, clothed.faces, body.joints, seat, setting, motion.cabin))
-        backdrop = motion.cabin.surface(motion.settings, wheel_angle=wheel)
-        people = (_with(somebody, surfaces),)
-        return Scene(backdrop, people, self._scene_from_camera, motion.cabin.name, VIEW, motion.cabin, motion.settings, wheel)
-
-
-def _with(person: ScenePerson, surfaces: list[Any]) -> ScenePerson:
-    return ScenePerson(person.slot, person.subject, person.action, person.person, person.posed, tuple(surfaces))
+        return ScenePerson(motion.slot, "", motion.key_at(time_s), motion.person, body, tuple(surfaces))
 
 
 def message_of(frame: dict[str, Any]) -> ToFFrame:

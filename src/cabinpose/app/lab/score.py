@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cabinpose.align.calibration import Calibration
 from cabinpose.align.project import Aligned
-from cabinpose.app.lab.rig import VirtualRig
+from cabinpose.app.lab.rig import Source, VirtualRig
 from cabinpose.app.lab.takes import Truth
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import Matrix, invert
@@ -78,7 +78,7 @@ def calibration_error(calibration: Calibration, rig: VirtualRig, truth: Truth, s
     )
 
 
-def joint_error(aligned: Aligned, rig: VirtualRig, truth: Truth) -> JointError:
+def joint_error(aligned: Aligned, rig: VirtualRig, truth: Truth, *, suit: Source = "suit") -> JointError:
     """Hold aligned joints against the true ones, frame by frame. Raises AlignmentError for frames that are not the truth's."""
     late_ns = round(rig.tof.latency_s * 1e9)
     same = len(aligned.frame_ns) == len(truth.tof_ns)
@@ -95,7 +95,7 @@ def joint_error(aligned: Aligned, rig: VirtualRig, truth: Truth) -> JointError:
     return JointError(
         error_m=np.linalg.norm(aligned.joints[kept] - true, axis=2),
         error_px=np.where(camera.contains(uv), apart, np.nan),
-        suit_delay_ms=1000 * (found - (rig.optical.latency_s - rig.suit.latency_s)),
+        suit_delay_ms=1000 * (found - (rig.optical.latency_s - rig.clock(suit).settings.latency_s)),
     )
 
 

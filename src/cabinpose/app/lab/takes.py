@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.lab.exercises import exercises
-from cabinpose.app.lab.motion import KeyedMotion, Stage, at_the_wheel, calibrate_head, drive, named_person
+from cabinpose.app.lab.exercises import exercises, stand
+from cabinpose.app.lab.motion import KeyedMotion, Stage, act, calibrate_head, in_seat, keep_apart, named_person
 from cabinpose.app.lab.optical import (
     HEAD_SEGMENT,
     HEAD_SUBJECT,
@@ -24,42 +24,57 @@ from cabinpose.app.lab.optical import (
     measured_object,
     true_object,
 )
-from cabinpose.app.lab.rig import SOURCES, Source, VirtualRig
-from cabinpose.app.lab.scene import Stagehand, message_of, world_from_room, world_from_vehicle
+from cabinpose.app.lab.rig import Device, Source, VirtualRig
+from cabinpose.app.lab.scene import SceneCamera, message_of, world_from_room, world_from_vehicle
 from cabinpose.app.lab.suit import Wear, as_worn, hand_offset, put_on, steel_of, true_segments
+from cabinpose.app.lab.writing import samples, write_recording
+from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, apply
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Message, SegmentPoses
 from cabinpose.core.skeleton import JOINTS, MVN_SEGMENTS
 from cabinpose.scene.body import Person
-from cabinpose.scene.room import Room, furnish_room
+from cabinpose.scene.room import furnish_room
 from cabinpose.scene.sensor import Sensor
-from cabinpose.store.recording import Participant, RecordingWriter, Take
+from cabinpose.store.recording import Participant, Take
 
 F64 = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 CODE = "S01"
+POSE_S = 4.0  # length of the take of the N-pose
+_TRIES = 10  # motions of a passenger that are drawn before giving up
 
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """Somebody in a suit and with a cap on, for all takes of a session: what is wrong with both stays the same."""
+    """Somebody in a suit and with a cap on, for all takes of a session: what is wrong with both stays the same.
+
+    suit: the source by which it is recorded · head: what the optical system calls the cap.
+    """
 
     stage: Stage
     wear: Wear
     cap: Cap
     code: str = CODE
+    suit: Source = "suit"
+    head: str = HEAD_SUBJECT
 
     @property
     def person(self) -> Person:
         return self.stage.person
 
+    def moved_to(self, slot: str, *, rng: np.random.Generator) -> Actor:
+        """The same person in another seat of the car."""
+        return replace(self, stage=in_seat(self.stage.car, self.code, slot, rng=rng))
 
-def dress_up(car: str = "sedan", subject: str = "S01", *, code: str = CODE, rng: np.random.Generator) -> Actor:
-    """A person of the package in a preset car, with suit and cap put on. code: by which recordings name the person."""
+
+def dress_up(
+    car: str = "sedan", subject: str = CODE, *, suit: Source = "suit", head: str = HEAD_SUBJECT, rng: np.random.Generator
+) -> Actor:
+    """A person of the package at the wheel of a preset car, with suit and cap put on."""
     wear = put_on(rng=rng)
-    return Actor(at_the_wheel(car, subject, rng=rng), wear, cap_of(named_person(subject)), code)
+    return Actor(in_seat(car, subject, rng=rng), wear, cap_of(named_person(subject)), subject, suit, head)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +85,8 @@ class Truth:
     (T, 23, 4): segments in the world, without the suit's errors · world_from_object (O, 4, 4), object_seen (O, M): the cap, and
     which of its markers enough cameras saw · joints_3d (N, 20, 3) m, camera frame, joints_2d (N, 20, 2) px, visibility (N, 20) ·
     camera_from_world, world_from_scene (vehicle or room), suit_from_world, object_from_head (4, 4) · hands (2, 3) m: our joints
-    lhand, rhand in MVN's hand segments · windows (W,): names; window_ns (W, 2) · actions (N,): what the person is
-    about · rig: as JSON; its clocks tell the stamps.
+    lhand, rhand in MVN's hand segments · windows (W,): names; window_ns (W, 2) · actions (N,): what the person
+    does · rig: as JSON; its clocks tell the stamps.
     """
 
     suit_ns: Times
@@ -107,23 +122,41 @@ class Truth:
         return cls(**{**values, "rig": str(values["rig"])})
 
 
-def truth_path(take: Path) -> Path:
-    """Where the truth of a take lies: take.mcap -> take.truth.npz."""
-    return take.with_suffix(".truth.npz")
+def truth_path(take: Path, code: str = "") -> Path:
+    """Where the truth of a take lies: take.mcap -> take.truth.npz, or, of one of several people, take.S01.truth.npz."""
+    return take.with_suffix(f".{code}.truth.npz" if code else ".truth.npz")
 
 
 def write_head_take(path: Path, rig: VirtualRig, actor: Actor, *, rng: np.random.Generator) -> Truth:
     """The head turned about each axis, twice, on a still trunk in the car: suit and cap. Windows: flexion, lateral, rotation."""
-    return _in_car(path, rig, actor, calibrate_head(actor.stage, rng=rng), "head calibration", None, 0.0, None, rng)
+    motion = calibrate_head(actor.stage, rng=rng)
+    return _write(path, rig, [(actor, motion)], "head calibration", motion.duration_s, rng=rng)[0]
 
 
 def write_action_take(
     path: Path, rig: VirtualRig, actor: Actor, seconds: float, *, rate_hz: float | None = None, sensor: Sensor | None = None,
     rng: np.random.Generator,
 ) -> Truth:  # fmt: skip
-    """A driver's doings: suit, cap and camera. rate_hz: of the camera, where not the rig's · sensor: in place of the rig's."""
-    motion = drive(actor.stage, seconds, rng=rng)
-    return _in_car(path, rig, actor, motion, "drive", seconds, rate_hz or rig.tof.rate_hz, sensor, rng)
+    """A driver's actions: suit, cap and camera. rate_hz: of the camera, where not the rig's · sensor: in place of the rig's."""
+    motion = act(actor.stage, seconds, rng=rng)
+    return _write(path, rig, [(actor, motion)], "drive", seconds, rate_hz=rate_hz or rig.tof.rate_hz, sensor=sensor, rng=rng)[0]
+
+
+def write_pair_take(
+    path: Path, rig: VirtualRig, actors: tuple[Actor, Actor], seconds: float, *, rate_hz: float | None = None,
+    sensor: Sensor | None = None, rng: np.random.Generator,
+) -> list[Truth]:  # fmt: skip
+    """Two people in one car, each in a seat and a suit of their own; otherwise as `write_action_take`.
+
+    Raises SceneError where no motion of the second person keeps clear of the first one's.
+    """
+    first = act(actors[0].stage, seconds, rng=rng)
+    for _ in range(_TRIES):
+        second = act(actors[1].stage, seconds, rng=rng)
+        if keep_apart(first, second):
+            people = list(zip(actors, (first, second), strict=True))
+            return _write(path, rig, people, "drive", seconds, rate_hz=rate_hz or rig.tof.rate_hz, sensor=sensor, rng=rng)
+    raise SceneError(f"two people touch in each of {_TRIES} draws", hint="try another seed, other people or a wider car")
 
 
 def write_motion_take(
@@ -134,157 +167,135 @@ def write_motion_take(
     rate_hz: above 0, a camera sees it too, in a room · sensor: in place of the rig's.
     Windows: neutral_first, coronal, sagittal, transversal, neutral_last.
     """
-    world = world_from_room(rig)
     motion = exercises(actor.person, at_m=(2.6, 0.0), heading=np.pi, rng=rng)
-    session = _Session(path, rig, actor, motion, world, motion.duration_s, rng)
-    session.add_suit(None)
-    session.add_optical(whole_body=True)
+    return _write(
+        path, rig, [(actor, motion)], "planes of motion", motion.duration_s, rate_hz=rate_hz, sensor=sensor, rng=rng
+    )[0]  # fmt: skip
+
+
+def write_pose_take(path: Path, rig: VirtualRig, actor: Actor, *, rng: np.random.Generator) -> Truth:
+    """The N-pose outside the car, held for some seconds: suit, cap and full-body optical model."""
+    motion = stand(actor.person, POSE_S, at_m=(2.6, 0.0), heading=np.pi)
+    return _write(path, rig, [(actor, motion)], "initial pose", POSE_S, rng=rng)[0]
+
+
+def _write(
+    path: Path, rig: VirtualRig, people: Sequence[tuple[Actor, KeyedMotion]], action: str, seconds: float, *,
+    rate_hz: float = 0.0, sensor: Sensor | None = None, rng: np.random.Generator,
+) -> list[Truth]:  # fmt: skip
+    """Write a take of people in one car, or of one in a room, and the truth of each beside it.
+
+    rate_hz: of the camera; 0 = none sees it. In a room the optical system gives a model of the whole body too.
+    """
+    motion = people[0][1]
+    room = motion.cabin is None
+    world = world_from_room(rig) if room else world_from_vehicle(rig, motion)
+    streams: dict[str, Iterator[Sample]] = {}
+    truths: list[dict[str, Any]] = [{} for _ in people]
+    for (actor, moves), truth in zip(people, truths, strict=True):
+        streams[actor.suit] = _suit(rig, actor, moves, world, seconds, truth, rng=rng)
+    streams["optical"] = _optical(rig, people, world, seconds, truths, rng=rng)
     if rate_hz:
-        session.add_tof(rate_hz, furnish_room(rng=rng), sensor)
-    return session.write("planes of motion", "")
+        camera = SceneCamera(rig, [m for _, m in people], world, furnish_room(rng=rng) if room else None, sensor=sensor)
+        streams["tof"] = _tof(rig, camera, people, rate_hz, seconds, truths, rng=rng)
+    car = "" if room else people[0][0].stage.car
+    subjects = tuple(Participant(code=actor.code, seat=None if room else moves.slot) for actor, moves in people)
+    write_recording(path, rig, Take(action=action, car=car, subjects=subjects), streams)
+    result = []
+    for (actor, moves), values in zip(people, truths, strict=True):
+        result.append(_truth(rig, actor, moves, world, values))
+        result[-1].save(truth_path(path, actor.code if len(people) > 1 else ""))
+    return result
 
 
-def _in_car(
-    path: Path, rig: VirtualRig, actor: Actor, motion: KeyedMotion, action: str, seconds: float | None, tof_hz: float,
-    sensor: Sensor | None, rng: np.random.Generator,
-) -> Truth:  # fmt: skip
-    world = world_from_vehicle(rig, motion)
-    session = _Session(path, rig, actor, motion, world, seconds or motion.duration_s, rng)
-    session.add_suit(apply(world, steel_of(actor.stage.cabin, actor.stage.settings)))
-    session.add_optical(whole_body=False)
-    if tof_hz:
-        session.add_tof(tof_hz, None, sensor)
-    return session.write(action, actor.stage.car)
+def _ticks(
+    rig: VirtualRig, source: Source, seconds: float, rate_hz: float = 0.0, *, rng: np.random.Generator
+) -> tuple[Times, Times, F64]:
+    """True times and arrivals (T,) ns of a source's samples, and the times (T,) s in the motion; rate_hz: not the rig's."""
+    device: Device = getattr(rig, source)
+    true_ns = rig.clock(source).ticks(rate_hz or device.rate_hz, 0.0, seconds)
+    return true_ns, rig.clock(source).arrivals(true_ns, rng=rng), (true_ns - rig.start_ns) / 1e9
 
 
-@dataclass
-class _Stream:
-    """One source's samples: true, device and host times (T,), and the messages of each, made in their order."""
+def _suit(
+    rig: VirtualRig, actor: Actor, motion: KeyedMotion, world: Matrix, seconds: float, truth: dict[str, Any], *,
+    rng: np.random.Generator,
+) -> Iterator[Sample]:  # fmt: skip
+    """The samples of a suit; what is true goes into `truth`, here and below."""
+    true_ns, host_ns, time = _ticks(rig, actor.suit, seconds, rng=rng)
+    true = true_segments(motion, time).moved(world)
+    steel = None if motion.cabin is None else apply(world, steel_of(motion.cabin, motion.settings))
+    worn = as_worn(true, rig.suit_errors, actor.wear, actor.person, steel, rng=rng)
+    truth |= {"suit_ns": true_ns, "suit_position": true.position_m, "suit_orientation_wxyz": true.orientation_wxyz}
 
-    true_ns: Times
-    device_ns: Times
-    host_ns: Times
-    messages: Callable[[int], tuple[Message, ...]]
+    def messages(k: int) -> tuple[Message, ...]:
+        return (SegmentPoses(actor.code, MVN_SEGMENTS, worn.position_m[k], worn.orientation_wxyz[k]),)
 
-
-@dataclass
-class _Session:
-    """A take in the making: streams are added, then all is written in the order of arrival."""
-
-    path: Path
-    rig: VirtualRig
-    actor: Actor
-    motion: KeyedMotion
-    world_from_scene: Matrix
-    seconds: float
-    rng: np.random.Generator
-    streams: dict[Source, _Stream] = field(default_factory=dict)
-    truth: dict[str, Any] = field(default_factory=dict)
-
-    def add_suit(self, steel: F64 | None) -> None:
-        """Steel: (N, 3) m in the world."""
-        time = self._clock("suit", self.rig.suit.rate_hz)
-        true = true_segments(self.motion, time).moved(self.world_from_scene)
-        worn = as_worn(true, self.rig.suit_errors, self.actor.wear, self.actor.person, steel, rng=self.rng)
-        self._say("suit", lambda k: (_poses(self.actor.code, MVN_SEGMENTS, worn.position_m[k], worn.orientation_wxyz[k]),))
-        self.truth |= {"suit_position": true.position_m, "suit_orientation_wxyz": true.orientation_wxyz}
-
-    def add_optical(self, *, whole_body: bool) -> None:
-        """The cap, and the full-body model where it is asked for."""
-        cap, rig = self.actor.cap, self.rig
-        time = self._clock("optical", rig.optical.rate_hz)
-        head = self.world_from_scene @ true_segments(self.motion, time).pose("Head")
-        true = true_object(head, cap)
-        seen = kept(time, len(cap.names), rng=self.rng) | (not rig.optical_occlusion)
-        if rig.optical_occlusion and self.motion.cabin is not None:
-            seen &= Watch(self.motion, cap).over(time)
-        position, turned = measured_object(true, cap, seen, rig.optical_noise_m, rng=self.rng)
-        if not whole_body:
-            self._say("optical", lambda k: (_poses(HEAD_SUBJECT, (HEAD_SEGMENT,), position[k, None], turned[k, None]),))
-        else:
-            at, about = measured_model(self.motion, time, self.world_from_scene, rig.optical_noise_m, rng=self.rng)
-            self._say(
-                "optical",
-                lambda k: (
-                    _poses(HEAD_SUBJECT, (HEAD_SEGMENT,), position[k, None], turned[k, None]),
-                    _poses(self.actor.code, MODEL_SEGMENTS, at[k], about[k]),
-                ),
-            )
-        self.truth |= {"world_from_object": true, "object_seen": seen}
-
-    def add_tof(self, rate_hz: float, room: Room | None, sensor: Sensor | None) -> None:
-        """The camera's frames, rendered one by one while they are written."""
-        time = self._clock("tof", rate_hz)
-        hand = Stagehand(self.rig, self.motion, self.world_from_scene, room, sensor=sensor)
-        frames: dict[str, list[Any]] = {"joints_3d": [], "joints_2d": [], "visibility": [], "actions": []}
-
-        def messages(k: int) -> tuple[Message, ...]:
-            frame = hand.frame(float(time[k]), rng=self.rng)
-            for name in ("joints_3d", "joints_2d", "visibility"):
-                frames[name].append(frame[name])
-            frames["actions"].append(self.motion.key_at(float(time[k])))
-            return (message_of(frame),)
-
-        self._say("tof", messages)
-        self.truth |= frames
-
-    def write(self, action: str, car: str) -> Truth:
-        """Write recording and truth."""
-        seat = "driver" if car else None
-        take = Take(action=action, car=car, subjects=(Participant(code=self.actor.code, seat=seat),))
-        with RecordingWriter(self.path, take, started_ns=self.rig.start_ns, flush_s=np.inf, sync_s=0.0) as writer:
-            for source, k in _in_order(self.streams):
-                stream = self.streams[source]
-                sample = Sample(k, int(stream.host_ns[k]), int(stream.device_ns[k]), b"", stream.messages(k))
-                writer.write(source, sample)
-        truth = self._truth()
-        truth.save(truth_path(self.path))
-        return truth
-
-    def _clock(self, source: Source, rate_hz: float) -> F64:
-        """Times (T,) s of a source's samples in the motion; their stamps are noted."""
-        clock = self.rig.clock(source)
-        true_ns = clock.ticks(rate_hz, 0.0, self.seconds)
-        host_ns = clock.arrivals(true_ns, rng=self.rng)
-        self.streams[source] = _Stream(true_ns, clock.stamps(true_ns), host_ns, lambda _: ())
-        return (true_ns - self.rig.start_ns) / 1e9
-
-    def _say(self, source: Source, messages: Callable[[int], tuple[Message, ...]]) -> None:
-        self.streams[source].messages = messages
-
-    def _truth(self) -> Truth:
-        joints = len(JOINTS)
-        values: dict[str, Any] = {
-            "joints_3d": np.zeros((0, joints, 3)), "joints_2d": np.zeros((0, joints, 2)),
-            "visibility": np.zeros((0, joints), np.uint8), "actions": np.zeros(0, np.str_),
-        }  # fmt: skip
-        values |= {name: np.asarray(value) for name, value in self.truth.items() if len(value)}
-        for source in SOURCES:
-            values[f"{source}_ns"] = self.streams[source].true_ns if source in self.streams else np.zeros(0, np.int64)
-        windows = self.motion.windows
-        spans = np.array([(w.start_s, w.end_s) for w in windows]).reshape(-1, 2)
-        return Truth(
-            **values,
-            camera_from_world=self.rig.camera_from_world,
-            world_from_scene=self.world_from_scene,
-            suit_from_world=self.actor.wear.suit_from_world,
-            object_from_head=self.actor.cap.object_from_head,
-            hands=np.stack([hand_offset(self.actor.person, side) for side in "lr"]),
-            windows=np.array([w.name for w in windows], np.str_),
-            window_ns=self.rig.start_ns + np.rint(spans * 1e9).astype(np.int64),
-            rig=self.rig.model_dump_json(),
-        )
+    return samples(rig.clock(actor.suit), true_ns, host_ns, messages)
 
 
-def _poses(subject: str, names: tuple[str, ...], position: F64, orientation: F64) -> SegmentPoses:
-    return SegmentPoses(subject, names, position, orientation)
+def _optical(
+    rig: VirtualRig, people: Sequence[tuple[Actor, KeyedMotion]], world: Matrix, seconds: float, truths: list[dict[str, Any]], *,
+    rng: np.random.Generator,
+) -> Iterator[Sample]:  # fmt: skip
+    """The samples of the optical system: all caps, and in a room the full-body models."""
+    true_ns, host_ns, time = _ticks(rig, "optical", seconds, rng=rng)
+    tracked: list[tuple[str, tuple[str, ...], F64, F64]] = []
+    for (actor, motion), truth in zip(people, truths, strict=True):
+        cap = actor.cap
+        true = true_object(world @ true_segments(motion, time).pose("Head"), cap)
+        seen = kept(time, len(cap.names), rng=rng) | (not rig.optical_occlusion)
+        if rig.optical_occlusion and motion.cabin is not None:
+            seen &= Watch(motion, cap).over(time)
+        position, turned = measured_object(true, cap, seen, rig.optical_noise_m, rng=rng)
+        tracked.append((actor.head, (HEAD_SEGMENT,), position[:, None], turned[:, None]))
+        if motion.cabin is None:
+            at, about = measured_model(motion, time, world, rig.optical_noise_m, rng=rng)
+            tracked.append((actor.code, MODEL_SEGMENTS, at, about))
+        truth |= {"optical_ns": true_ns, "world_from_object": true, "object_seen": seen}
+
+    def messages(k: int) -> tuple[Message, ...]:
+        return tuple(SegmentPoses(subject, names, at[k], about[k]) for subject, names, at, about in tracked)
+
+    return samples(rig.clock("optical"), true_ns, host_ns, messages)
 
 
-def _in_order(streams: Mapping[Source, _Stream]) -> Iterable[tuple[Source, int]]:
-    """Source and number of all samples by arrival; those of one instant in the order of the streams."""
-    sources = list(streams)
-    host = np.concatenate([streams[source].host_ns for source in sources])
-    which = np.repeat(np.arange(len(sources)), [len(streams[source].host_ns) for source in sources])
-    number = np.concatenate([np.arange(len(streams[source].host_ns)) for source in sources])
-    for k in np.argsort(host, kind="stable"):
-        yield sources[which[k]], int(number[k])
+def _tof(
+    rig: VirtualRig, camera: SceneCamera, people: Sequence[tuple[Actor, KeyedMotion]], rate_hz: float, seconds: float,
+    truths: list[dict[str, Any]], *, rng: np.random.Generator,
+) -> Iterator[Sample]:  # fmt: skip
+    """The camera's frames, rendered one by one while they are written."""
+    true_ns, host_ns, time = _ticks(rig, "tof", seconds, rate_hz, rng=rng)
+    names = ("joints_3d", "joints_2d", "visibility")
+    for truth in truths:
+        truth |= {"tof_ns": true_ns, "actions": [], **{name: [] for name in names}}
+
+    def messages(k: int) -> tuple[Message, ...]:
+        frame = camera.frame(float(time[k]), rng=rng)
+        for person, ((_, motion), truth) in enumerate(zip(people, truths, strict=True)):
+            for name in names:
+                truth[name].append(frame[name][person])
+            truth["actions"].append(motion.key_at(float(time[k])))
+        return (message_of(frame),)
+
+    return samples(rig.clock("tof"), true_ns, host_ns, messages)
+
+
+def _truth(rig: VirtualRig, actor: Actor, motion: KeyedMotion, world: Matrix, values: dict[str, Any]) -> Truth:
+    joints = len(JOINTS)
+    nothing: dict[str, Any] = {
+        "tof_ns": np.zeros(0, np.int64), "joints_3d": np.zeros((0, joints, 3)), "joints_2d": np.zeros((0, joints, 2)),
+        "visibility": np.zeros((0, joints), np.uint8), "actions": np.zeros(0, np.str_),
+    }  # fmt: skip
+    spans = np.array([(w.start_s, w.end_s) for w in motion.windows]).reshape(-1, 2)
+    return Truth(
+        **nothing | {name: np.asarray(value) for name, value in values.items() if len(value)},
+        camera_from_world=rig.camera_from_world,
+        world_from_scene=world,
+        suit_from_world=actor.wear.suit_from_world,
+        object_from_head=actor.cap.object_from_head,
+        hands=np.stack([hand_offset(actor.person, side) for side in "lr"]),
+        windows=np.array([w.name for w in motion.windows], np.str_),
+        window_ns=rig.start_ns + np.rint(spans * 1e9).astype(np.int64),
+        rig=rig.model_dump_json(),
+    )

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
+from cabinpose.app.lab.clocks import Clock, Times
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core.ports import Sample
+from cabinpose.core.recorded import Message
 from cabinpose.store.recording import RecordingWriter, Take
+
+
+def samples(clock: Clock, true_ns: Times, host_ns: Times, messages: Callable[[int], tuple[Message, ...]]) -> Iterator[Sample]:
+    """The samples of a source at true times (T,), which arrive at host_ns (T,); `messages(k)` is called one after the other."""
+    for k, (device, host) in enumerate(zip(clock.stamps(true_ns).tolist(), host_ns.tolist(), strict=True)):
+        yield Sample(k, host, device, b"", messages(k))
 
 
 def write_recording(

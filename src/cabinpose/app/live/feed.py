@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, RecordingError, SourceEndedError
+from cabinpose.core.errors import RecordingError, SourceEndedError
 from cabinpose.core.ports import Counts, FrameBatch, FrameSource, Sample
 from cabinpose.core.recorded import ToFFrame
 from cabinpose.evaluate.offline import frame_batch
 from cabinpose.record.config import Rig
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
+from cabinpose.record.session import start_recorder
 from cabinpose.store import open_dataset
-from cabinpose.store.recording import RecordingWriter
 
 _WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on
 
@@ -138,18 +138,7 @@ class LatestFrame(Feed):
     def start(self) -> None:
         """Open the source, and the recording where there is to be one."""
         if self._out is not None:
-            storage = self._rig.storage
-            writer = RecordingWriter(
-                self._out, self._rig.take, rig=self._rig.text, started_ns=self.clock.now_ns(), compression=storage.compression,
-                chunk_bytes=int(storage.chunk_mb * 1e6), flush_s=storage.flush_s, sync_s=storage.sync_s,
-            )  # fmt: skip
-            free = int(storage.min_free_mb * 1e6)
-            self._recorder = Recorder([self._lane], writer, self.clock, self._wake, min_free_bytes=free)
-            try:
-                self._recorder.start()
-            except CabinposeError:
-                self._out.unlink()
-                raise
+            self._recorder = start_recorder(self._rig, [self._lane], self._out, self.clock, self._wake)
             return
         self._lane.start()
         if not self._lane.opened.wait(30.0) or self._lane.failure is not None:

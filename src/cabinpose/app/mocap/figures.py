@@ -3,55 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.mocap.stick import stick_figure
-from cabinpose.app.report.charts import box_chart, legend, series_chart
-from cabinpose.core.skeleton import MVN_JOINTS
+from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
+from cabinpose.app.report.html import Html, el, join, table
+from cabinpose.core.skeleton import MVN_JOINTS, PARENT
 from cabinpose.evaluate.mocap.bones import Bone
 from cabinpose.evaluate.mocap.dfe import ICP, KABSCH, PELVIS_STAGE, POSITION, STAGES, DfeRun
 from cabinpose.evaluate.mocap.dse import DseRun
-from cabinpose.evaluate.mocap.pairs import joint_limbs
+from cabinpose.evaluate.mocap.pairs import limbs
 from cabinpose.evaluate.mocap.result import ALL, Judgement, Summary
 from cabinpose.evaluate.mocap.sfe import SfeRun
 from cabinpose.evaluate.mocap.sse import SseRun
 
 F64 = NDArray[np.float64]
 Section = tuple[str, str, str]  # title, body (HTML), note
+# Without the pelvis, which is where a pose's frame begins, the legs hang from L5.
+_SEGMENT_PARENTS = {c: "L5" if p == "Pelvis" and c != "L5" else p for _, p, c in MVN_JOINTS}
 _POINTS = 400  # of a line; more than a chart has pixels
 _BOX_NOTE = "Box: quartiles and median; line: 5 % to 95 %."
 
 
-def boxes(judgement: Judgement, measures: Sequence[str]) -> str:
-    """A chart a measure, with a box for each thing and condition."""
-    charts = []
-    for measure in measures:
-        drawn, unit = _drawn([s for s in judgement.summaries if s.measure == measure], by="condition")
-        charts.append(_box_chart(f"{measure}, {unit}", drawn))
-    return "".join(charts)
-
-
-def boxes_by_measure(judgement: Judgement, measures: Sequence[str]) -> str:
-    """A chart a condition, with a box for each thing and measure."""
-    charts = []
-    for condition in _conditions(judgement.summaries):
-        chosen = [s for s in judgement.summaries if s.condition == condition and s.measure in measures]
-        drawn, unit = _drawn(chosen, by="measure")
-        charts.append(_box_chart(f"{condition}, {unit}", drawn))
-    return "".join(charts)
-
-
-def _drawn(rows: Sequence[Summary], by: str) -> tuple[dict[str, dict[str, list[float]]], str]:
-    """Boxes by condition or measure and by name, and their unit."""
-    conditions = _conditions(rows)
-    found: dict[str, dict[str, list[float]]] = {}
-    for s in rows:
-        if s.condition in conditions and s.samples:
-            found.setdefault(getattr(s, by), {})[s.name] = list(s.box)
-    return found, rows[0].unit if rows else ""
+def boxes(judgement: Judgement, measures: Sequence[str], *, chart_by: Literal["measure", "condition"] = "measure") -> Html:
+    """A chart a measure with a box for each thing and condition, or the other way round."""
+    rows = [s for s in judgement.summaries if s.measure in measures and s.samples]
+    rows = [s for s in rows if s.condition in _conditions([r for r in rows if r.measure == s.measure])]
+    found = []
+    for title in dict.fromkeys(getattr(s, chart_by) for s in rows):
+        chosen = [s for s in rows if getattr(s, chart_by) == title]
+        drawn: dict[str, dict[str, list[float]]] = {}
+        for s in chosen:
+            drawn.setdefault(s.condition if chart_by == "measure" else s.measure, {})[s.name] = list(s.box)
+        found += [legend(drawn)] if len(drawn) > 1 else []
+        found.append(box_chart(f"{title}, {chosen[0].unit}", drawn, height=300))
+    return join(found)
 
 
 def _conditions(rows: Sequence[Summary]) -> list[str]:
@@ -59,25 +48,20 @@ def _conditions(rows: Sequence[Summary]) -> list[str]:
     return [c for c in dict.fromkeys(s.condition for s in rows) if c != ALL] or [ALL]
 
 
-def _box_chart(title: str, drawn: dict[str, dict[str, list[float]]]) -> str:
-    if not drawn:
-        return ""
-    return (legend(list(drawn)) if len(drawn) > 1 else "") + box_chart(title, drawn, height=300)
-
-
 def sse_sections(judgement: Judgement, runs: Sequence[SseRun], measures: Sequence[str]) -> list[Section]:
     """Error by angle of the motor, for each axis."""
-    charts: dict[str, dict[str, tuple[list[float], list[float]]]] = {"error": {}, "tilt": {}}
+    turns: dict[str, dict[str, tuple[list[float], list[float]]]] = {"error": {}, "tilt": {}}
     for run in runs:
-        steps = np.unique(run.reference_rad.round(9))
+        steps = np.unique(run.step)
+        angle = [float(np.degrees(run.reference_rad[run.step == s].mean())) for s in steps]
         for what, values in (("error", run.turn_rad - run.reference_rad), ("tilt", run.tilt_rad)):
-            mean = [float(np.degrees(values[np.abs(run.reference_rad - s) < 1e-6].mean())) for s in steps]
-            name = run.axis if run.axis not in charts[what] else f"{run.axis} {len(charts[what]) + 1}"
-            charts[what][name] = (np.degrees(steps).tolist(), mean)
-    drawn = series_chart("Sensor − motor, °", "angle of the motor, °", charts["error"], width=620)
-    drawn += series_chart("Tilt off the axis, °", "angle of the motor, °", charts["tilt"], width=620)
+            mean = [float(np.degrees(values[run.step == s].mean())) for s in steps]
+            name = run.axis if run.axis not in turns[what] else f"{run.axis} {len(turns[what]) + 1}"
+            turns[what][name] = (angle, mean)
+    titles = {"error": "Sensor − motor, °", "tilt": "Tilt off the axis, °"}
+    drawn = charts((series_chart(titles[what], "angle of the motor, °", turns[what], width=620) for what in titles), "two")
     return [
-        ("Error by angle", legend(list(charts["error"])) + f'<div class="charts two">{drawn}</div>', "The mean at each step."),
+        ("Error by angle", legend(turns["error"]) + drawn, "The mean at each step."),
         ("Error by axis", boxes(judgement, measures), _BOX_NOTE),
     ]
 
@@ -89,13 +73,9 @@ def sfe_sections(
     figures = []
     for run in runs:
         bodies = {"first": run.first_m, "last": run.last_m}
-        figures.append(stick_figure(f"{run.condition}: {run.drive_s:.1f} s between", bodies, _segment_limbs(run.names)))
+        figures.append(stick_figure(f"{run.condition}: {run.drive_s:.1f} s between", bodies, limbs(run.names, _SEGMENT_PARENTS)))
     return [
-        (
-            "Both poses",
-            legend(["first", "last"]) + f'<div class="charts two">{"".join(figures)}</div>',
-            "Laid on each other as the errors are.",
-        ),
+        ("Both poses", legend(["first", "last"]) + charts(figures, "two"), "Laid on each other as the errors are."),
         ("Error by joint", boxes(judgement, measures), f"{_BOX_NOTE} Over the frames of the last pose."),
         (
             "Lengths over the take",
@@ -116,8 +96,7 @@ def dse_sections(judgement: Judgement, runs: Sequence[DseRun], measures: Sequenc
                 both = {"suit": run.suit_rad, "optical": run.optical_rad, "error": run.difference_rad}
                 drawn = {k: (run.time_s[thin].tolist(), np.degrees(v[thin, i]).tolist()) for k, v in both.items()}
                 lines.append(series_chart(f"{name}, °", "s", drawn, height=180))
-        title = f"<h3>{escape(run.condition)}</h3>" if len(runs) > 1 else ""
-        body += f'{title}<div class="charts">{"".join(lines)}</div>'
+        body = Html(body + (el("h3", run.condition) if len(runs) > 1 else "") + charts(lines))
     return [
         ("Error by segment", boxes(judgement, measures), _BOX_NOTE),
         ("Angle since the first frame", body, ""),
@@ -140,19 +119,19 @@ def dfe_sections(judgement: Judgement, runs: Sequence[DfeRun], measures: Sequenc
             drawn[stage] = (run.time_s[thin].tolist(), (1e3 * mean).tolist())
         lines.append(series_chart(f"{run.condition}: mean over the joints, mm", "s", drawn, width=620))
         figures += _dfe_figures(run)
-    stages, over_time = legend([PELVIS_STAGE, ICP, KABSCH]), "".join(lines)
-    bodies = legend(["suit", "optical"]) + f'<div class="charts two">{"".join(figures)}</div>'
+    stages, over_time = legend([PELVIS_STAGE, ICP, KABSCH]), charts(lines, "two")
+    bodies = legend(["suit", "optical"]) + charts(figures, "two")
     eq38 = "The thesis' eq. 3.8: constant differences drop out."
     return [
-        ("Error by joint", boxes_by_measure(judgement, near), _BOX_NOTE),
-        ("Displacement since the first frame", boxes_by_measure(judgement, moved), eq38),
+        ("Error by joint", boxes(judgement, near, chart_by="condition"), _BOX_NOTE),
+        ("Displacement since the first frame", boxes(judgement, moved, chart_by="condition"), eq38),
         ("As they come", boxes(judgement, raw), "Positions in the two worlds, before anything is laid on anything."),
-        ("Over time", f'{stages}<div class="charts two">{over_time}</div>', ""),
+        ("Over time", stages + over_time, ""),
         ("Both bodies", bodies, "In the suit's pelvis frame; red: the error."),
     ]  # fmt: skip
 
 
-def _dfe_figures(run: DfeRun) -> list[str]:
+def _dfe_figures(run: DfeRun) -> list[Html]:
     error = run.position_error_m(KABSCH)
     known = np.flatnonzero(np.isfinite(error).sum(axis=1) >= 3)
     if not len(known):
@@ -165,26 +144,14 @@ def _dfe_figures(run: DfeRun) -> list[str]:
             bodies = {"suit": run.suit_m[stage][t], "optical": run.optical_m[stage][t]}
             mean_mm = 1e3 * np.nanmean(run.position_error_m(stage)[t])
             told = f"{run.condition}, {what} frame at {run.time_s[t]:.2f} s, {stage}: {mean_mm:.1f} mm"
-            found.append(stick_figure(told, bodies, joint_limbs(run.names), links=[("suit", "optical")]))
+            found.append(stick_figure(told, bodies, limbs(run.names, PARENT), links=[("suit", "optical")]))
     return found
 
 
-def _segment_limbs(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Lines between segments' origins of MVN; without the pelvis, which is where the frame begins, the legs hang from L5."""
-    lines = []
-    for _, parent, child in MVN_JOINTS:
-        start = "L5" if parent == "Pelvis" and parent not in names else parent
-        if start in names and child in names and start != child:
-            lines.append((names.index(start), names.index(child)))
-    return lines
-
-
 def _bone_table(bones: Mapping[str, Sequence[Bone]]) -> str:
-    rows = []
+    rows: list[list[object]] = [["", "take", "mean, mm", "σ, mm", "range, mm", "frames"]]
     for condition, lengths in bones.items():
         for bone in sorted(lengths, key=lambda b: -b.sd_m)[:10]:
-            cells = "".join(f"<td>{1e3 * x:.2f}</td>" for x in (bone.mean_m, bone.sd_m, bone.range_m))
-            name = escape(f"{bone.start} – {bone.end}")
-            rows.append(f"<tr><th>{name}</th><td class=name>{escape(condition)}</td>{cells}<td>{bone.frames}</td></tr>")
-    head = "<tr><th></th><th class=name>take</th><th>mean, mm</th><th>σ, mm</th><th>range, mm</th><th>frames</th></tr>"
-    return f"<div class=scroll><table>{head}{''.join(rows)}</table></div>" if rows else ""
+            values = (f"{1e3 * x:.2f}" for x in (bone.mean_m, bone.sd_m, bone.range_m))
+            rows.append([f"{bone.start} – {bone.end}", condition, *values, bone.frames])
+    return table(rows, words=(0, 1))

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.align.streams import on_host
-from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
-from cabinpose.core.recorded import Channels, Markers, Message, SegmentPoses, SensorReadings
-from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
+from cabinpose.core.errors import AlignmentError, ConfigError, RecordingError, unknown_name
+from cabinpose.core.recorded import Channels, Facts, Markers, Message, SegmentPoses, SensorReadings
+from cabinpose.core.rotations import conjugate, product
+from cabinpose.evaluate.mocap.landmarks import segment_poses
+from cabinpose.evaluate.mocap.pairs import HAND_ENDS, JOINT_PAIRS, SEGMENT_PAIRS
 from cabinpose.evaluate.mocap.stillness import Window
 from cabinpose.store.convert.bvh import read_bvh_rows
 from cabinpose.store.convert.c3d import read_c3d
@@ -25,14 +28,18 @@ from cabinpose.store.recording.series import marker_series, segment_series
 
 F64 = NDArray[np.float64]
 FILES = (".mcap", ".mvnx", ".c3d", ".bvh")
+M = TypeVar("M", SegmentPoses, Markers, SensorReadings)
 _LOOK = 50  # samples that tell what a source gives
+_FACTS_NS = 10_000_000_000  # of a take, within which MVN has said where its landmarks lie
 
 
 @dataclass(frozen=True)
 class PointTracks:
     """Named points of one subject over T samples: position_m (T, N, 3), orientation_wxyz (T, N, 4), None where points have none.
 
-    time_s (T,): on the host's clock, since `origin_ns` · action: what the take says it is of, "" where it says nothing.
+    time_s (T,): on the host's clock, since `origin_ns` · action: what the take says it is of, "" where it says nothing ·
+    points: how many of the first names are points of which segments were made (`evaluate.mocap.landmarks`), which follow them;
+    0 where none were.
     """
 
     path: Path
@@ -42,7 +49,24 @@ class PointTracks:
     origin_ns: int
     position_m: F64
     orientation_wxyz: F64 | None
-    action: str
+    action: str = ""
+    points: int = 0
+
+    def known(self, what: Literal["position", "orientation"]) -> tuple[str, ...]:
+        """The names but for segments made of points of which this is never known."""
+        values = self.position_m if what == "position" else self.orientations()
+        if not self.points:
+            return self.names
+        return tuple(n for i, n in enumerate(self.names) if i < self.points or np.isfinite(values[:, i]).all(axis=1).any())
+
+    def orientations(self) -> F64:
+        """orientation_wxyz. Raises AlignmentError where there are points alone."""
+        if self.orientation_wxyz is None:
+            raise AlignmentError(
+                f"{self.path.name} has points alone, and none of MVN's landmarks or Plug-in Gait's bones to make segments of",
+                hint=f"it has: {', '.join(self.names) or 'none'}",
+            )
+        return self.orientation_wxyz
 
     @property
     def rate_hz(self) -> float:
@@ -55,8 +79,9 @@ def read_motion(
 ) -> PointTracks:
     """The segments of a subject, or its markers where a source gives no segments; from a recording or a file of `FILES`.
 
-    source: of a recording, None: the only one that gives either. Times count from `origin_ns`, None: the first sample.
-    Raises RecordingError or MocapError where there is nothing of that name, or the file cannot be read.
+    Beside markers stand the segments that can be made of them, beside MVN's segments the ends of the hands, where the landmarks
+    of the hand are known. source: of a recording, None: the only one that gives either. Times count from `origin_ns`, None: the
+    first sample. Raises RecordingError or MocapError where there is nothing of that name, or the file cannot be read.
     """
     if path.suffix.lower() == ".mcap":
         with Recording(path) as recording:
@@ -89,34 +114,28 @@ def read_orientations(path: Path, name: str | None, *, source: str | None = None
     return (time_ns - time_ns[0]) / 1e9, np.stack([q for _, q in kept])[rising], int(time_ns[0])
 
 
-def read_sensors(path: Path, *, source: str | None = None, subject: str | None = None) -> PointTracks:
+def read_sensors(
+    path: Path, *, source: str | None = None, subject: str | None = None, origin_ns: int | None = None
+) -> PointTracks:
     """The inertial sensors of a subject as a motion without positions (NaN): orientations under the sensors' names."""
     rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, SensorReadings) and len(m.orientation_wxyz)]
-    subjects = tuple(dict.fromkeys(m.subject for _, m in rows))
-    if subject is None and len(subjects) == 1:
-        subject = subjects[0]
-    mine = [(ns, m) for ns, m in rows if m.subject == subject]
-    if not mine:
-        raise RecordingError(
-            f"{path} has no orientations of {'sensors' if not subjects else 'that subject'}",
-            hint=f"subjects with sensors: {', '.join(map(repr, subjects)) or 'none; leave --sensors away'}",
-        )
-    names = mine[0][1].names
-    same = [(ns, m) for ns, m in mine if m.names == names]
-    turned = np.stack([m.orientation_wxyz for _, m in same])
-    time_ns = np.array([ns for ns, _ in same], np.int64)
-    return _motion(path, subject or "", names, time_ns, None, np.full((*turned.shape[:2], 3), np.nan), turned, "")
+    time_ns, messages = _of_subject(path, rows, subject, "orientations of sensors")
+    turned = np.stack([m.orientation_wxyz for m in messages])
+    position = np.full((*turned.shape[:2], 3), np.nan)
+    return _motion(path, messages[0].subject, messages[0].names, time_ns, origin_ns, position, turned)
 
 
-def read_channel(path: Path, source: str, channel: str) -> tuple[F64, F64, int]:
-    """Times (T,) s and values (T,) of one channel of a recording's source, and the clock's origin."""
-    rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, Channels)]
-    names = tuple(dict.fromkeys(n for _, m in rows for n in m.names))
-    if channel not in names:
-        raise RecordingError(f"{source} gives no channel '{channel}'", hint=f"it gives: {', '.join(names) or 'none'}")
-    kept = [(ns, m.values[m.names.index(channel)]) for ns, m in rows if channel in m.names]
+def read_channels(path: Path, channels: Sequence[str], *, source: str | None = None) -> tuple[NDArray[np.int64], F64] | None:
+    """Host times (T,) ns and values (T, C) of channels that come together, of a source (None: any); None where none has them."""
+    kept = [
+        (ns, [m.values[m.names.index(channel)] for channel in channels])
+        for ns, m in _messages(path, source)
+        if isinstance(m, Channels) and set(channels) <= set(m.names)
+    ]
+    if not kept:
+        return None
     time_ns, rising = np.unique(np.array([ns for ns, _ in kept], np.int64), return_index=True)
-    return (time_ns - time_ns[0]) / 1e9, np.array([v for _, v in kept])[rising], int(time_ns[0])
+    return time_ns, np.array([values for _, values in kept])[rising]
 
 
 def _recorded(recording: Recording, source: str | None, subject: str | None, origin_ns: int | None) -> PointTracks:
@@ -128,18 +147,51 @@ def _recorded(recording: Recording, source: str | None, subject: str | None, ori
         return _motion(recording.path, markers.subject, named, on_host(markers), origin_ns, position, None, action)
     series = segment_series(recording, source, subject)
     turned = series.orientation_wxyz
-    return _motion(recording.path, series.subject, series.names, on_host(series), origin_ns, series.position_m, turned, action)
+    motion = _motion(recording.path, series.subject, series.names, on_host(series), origin_ns, series.position_m, turned, action)
+    until_ns = int(series.host_ns[0]) + _FACTS_NS
+    return _with_hand_ends(motion, (m for _, s in recording.samples([source], end_ns=until_ns) for m in s.messages))
 
 
 def _motion(
     path: Path, subject: str, names: tuple[str, ...], time_ns: NDArray[np.int64], origin_ns: int | None, position: F64,
-    orientation: F64 | None, action: str,
+    orientation: F64 | None, action: str = "",
 ) -> PointTracks:  # fmt: skip
     """The host's times of a device rise as the device's do, but for rounding: equal ones are left out."""
+    points = 0
+    if orientation is None:
+        segments, placed, turned = segment_poses(position, names)
+        if segments:
+            points, nothing = len(names), np.full((*position.shape[:2], 4), np.nan)
+            names, position = (*names, *segments), np.concatenate((position, placed), axis=1)
+            orientation = np.concatenate((nothing, turned), axis=1)
     time_ns, rising = np.unique(time_ns, return_index=True)
     origin = int(time_ns[0]) if origin_ns is None else origin_ns
-    turned = None if orientation is None else orientation[rising]
-    return PointTracks(path, subject, names, (time_ns - origin) / 1e9, origin, position[rising], turned, action)
+    orientation = None if orientation is None else orientation[rising]
+    time_s = (time_ns - origin) / 1e9
+    return PointTracks(path, subject, names, time_s, origin, position[rising], orientation, action, points)
+
+
+def _with_hand_ends(motion: PointTracks, messages: Iterable[Message]) -> PointTracks:
+    """Beside MVN's segments the landmarks at the ends of its hands, where facts say how they lie in the hands."""
+    points: dict[str, Any] = {}
+    for message in messages:
+        if (
+            isinstance(message, Facts)
+            and message.about == motion.subject
+            and isinstance(told := message.values.get("points"), list)
+        ):
+            points |= {point["name"]: point for point in told}
+    for name in HAND_ENDS.values():
+        point = points.get(name)
+        if motion.orientation_wxyz is None or point is None or point["segment"] not in motion.names:
+            continue
+        hand = motion.names.index(point["segment"])
+        turn, offset = motion.orientation_wxyz[:, hand], np.array([0.0, *point["offset"]])
+        end = motion.position_m[:, hand] + product(product(turn, offset), conjugate(turn))[:, 1:]
+        position = np.concatenate((motion.position_m, end[:, None]), axis=1)
+        orientation = np.concatenate((motion.orientation_wxyz, turn[:, None]), axis=1)
+        motion = replace(motion, names=(*motion.names, name), position_m=position, orientation_wxyz=orientation)
+    return motion
 
 
 def _only_source(recording: Recording) -> str:
@@ -160,22 +212,34 @@ def _kinds(recording: Recording, source: str) -> set[str]:
 
 
 def _from_rows(path: Path, subject: str | None, origin_ns: int | None) -> PointTracks:
-    rows = [row for row in _messages(path, None) if isinstance(row[1], SegmentPoses | Markers)]
-    segments = [row for row in rows if isinstance(row[1], SegmentPoses)]
-    rows = segments or rows
-    subjects = tuple(dict.fromkeys(m.subject for _, m in rows if isinstance(m, SegmentPoses | Markers)))
-    if subject is None and len(subjects) == 1:
-        subject = subjects[0]
-    mine = [(ns, m) for ns, m in rows if isinstance(m, SegmentPoses | Markers) and m.subject == subject]
+    rows = _messages(path, None)
+    segments = [(ns, m) for ns, m in rows if isinstance(m, SegmentPoses)]
+    markers = [(ns, m) for ns, m in rows if isinstance(m, Markers)]
+    if segments:
+        time_ns, poses = _of_subject(path, segments, subject, "motion")
+        turned: F64 | None = np.stack([m.orientation_wxyz for m in poses])
+        named: SegmentPoses | Markers = poses[0]
+        position = np.stack([m.position_m for m in poses])
+    else:
+        time_ns, points = _of_subject(path, markers, subject, "motion")
+        named, position, turned = points[0], np.stack([m.position_m for m in points]), None
+    motion = _motion(path, named.subject, named.names, time_ns, origin_ns, position, turned)
+    return _with_hand_ends(motion, (m for _, m in rows))
+
+
+def _of_subject(path: Path, rows: Sequence[tuple[int, M]], subject: str | None, what: str) -> tuple[NDArray[np.int64], list[M]]:
+    """Times and messages of a subject (None: the only one that has a name, or else the only one), all of the same points."""
+    subjects = tuple(dict.fromkeys(m.subject for _, m in rows))
+    named = [name for name in subjects if name] or list(subjects)
+    if subject is None and len(named) == 1:
+        subject = named[0]
+    mine = [(ns, m) for ns, m in rows if m.subject == subject]
     if not mine:
-        what = "several subjects" if subject is None and subjects else f"nothing of '{subject}'" if subject else "no motion"
-        raise RecordingError(f"{path} holds {what}", hint=f"--subject, of: {', '.join(map(repr, subjects)) or 'none'}")
-    names = mine[0][1].names
-    same = [(ns, m) for ns, m in mine if m.names == names]
-    time_ns = np.array([ns for ns, _ in same], np.int64)
-    position = np.stack([m.position_m for _, m in same])
-    turned = [m.orientation_wxyz for _, m in same if isinstance(m, SegmentPoses)]
-    return _motion(path, subject or "", names, time_ns, origin_ns, position, np.stack(turned) if turned else None, "")
+        wrong = f"{what} of several subjects" if subject is None and subjects else f"no {what}"
+        wrong += f" of '{subject}'" if subject else ""
+        raise RecordingError(f"{path} has {wrong}", hint=f"--subject, of: {', '.join(map(repr, subjects)) or 'none'}")
+    same = [(ns, m) for ns, m in mine if m.names == mine[0][1].names]
+    return np.array([ns for ns, _ in same], np.int64), [m for _, m in same]
 
 
 def _messages(path: Path, source: str | None) -> list[tuple[int, Message]]:
@@ -220,7 +284,7 @@ def windows(words: Sequence[str]) -> tuple[Window, ...]:
     return tuple(found)
 
 
-def pairs(words: Sequence[str]) -> dict[str, str]:
+def pairs_of(words: Sequence[str]) -> dict[str, str]:
     """NAME=SEGMENT as a mapping. Raises ConfigError for what is none, and for names of no pair."""
     known = {name for p in (*SEGMENT_PAIRS, *JOINT_PAIRS) for name in (p.name, p.suit)}
     found = {}

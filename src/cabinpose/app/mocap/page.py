@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from html import escape
 
 from cabinpose.app.mocap.figures import Section
-from cabinpose.app.report.page import document, section
+from cabinpose.app.report.html import Html, document, el, remark, section, table, tiles, with_small
 from cabinpose.evaluate.mocap.result import ALL, Judgement, Summary
 
 _FEW = 3  # measures that have tiles
@@ -22,12 +21,12 @@ _TITLES = {
 def page_html(judgement: Judgement, drawn: Sequence[Section], told: str) -> str:
     """The page: tiles, what was drawn, all numbers, settings. told: the takes, in a line."""
     heading = f"{_TITLES[judgement.kind]} ({judgement.kind.upper()})"
-    notes = "".join(f"<p class=note>{escape(note)}</p>" for note in judgement.notes)
+    notes = "".join(map(remark, judgement.notes))
     sections = [
         section("At a glance", _glance(judgement) + notes, _interval_note(judgement)),
         *(section(title, body, note) for title, body, note in drawn),
-        section("All numbers", _table(judgement)),
-        section("Settings", _settings(judgement)),
+        section("All numbers", _numbers(judgement)),
+        section("Settings", table(list(judgement.settings.items()), words=(0, 1), head=False)),
     ]
     return document(f"{judgement.kind.upper()}: {told}", heading, told, sections)
 
@@ -62,26 +61,19 @@ def _glance(judgement: Judgement) -> str:
         if s.name == ALL and s.samples:
             by_measure.setdefault(s.measure, []).append(s)
     if len(by_measure) <= _FEW:
-        return "".join(
-            f"<h3>{escape(m)}</h3><div class=tiles>{''.join(map(_tile, rows))}</div>" for m, rows in by_measure.items()
-        )
+        return "".join(el("h3", measure) + tiles(map(_tile, rows)) for measure, rows in by_measure.items())
     conditions = list(dict.fromkeys(s.condition for rows in by_measure.values() for s in rows))
-    head = "".join(f"<th>{escape(c)}</th>" for c in conditions)
-    lines = []
-    for measure, rows in by_measure.items():
-        cells = "".join(
-            f"<td>{number(s.median)} {escape(s.unit)}<small>{interval(s.median_low, s.median_high)}</small></td>" for s in rows
-        )
-        lines.append(f"<tr><th>{escape(measure)}</th>{cells}</tr>")
-    return f"<p class=note>Medians.</p><div class=scroll><table><tr><th></th>{head}</tr>{''.join(lines)}</table></div>"
+    medians = [[measure, *(_with_unit(s) for s in rows)] for measure, rows in by_measure.items()]
+    return remark("Medians.") + table([["", *conditions], *medians])
 
 
-def _tile(s: Summary) -> str:
-    return (
-        f'<div class="tile"><b>{number(s.median)}<small> {escape(s.unit)}</small></b>'
-        f"<span>median, {escape('all' if s.condition == ALL else s.condition)}</span>"
-        f"<em>{interval(s.median_low, s.median_high)}</em><em>mean {number(s.mean)}, σ {number(s.sd)}</em></div>"
-    )
+def _with_unit(s: Summary) -> Html:
+    return with_small(f"{number(s.median)} {s.unit}", interval(s.median_low, s.median_high))
+
+
+def _tile(s: Summary) -> tuple[str, str, str, tuple[str, ...], str]:
+    lines = interval(s.median_low, s.median_high), f"mean {number(s.mean)}, σ {number(s.sd)}"
+    return number(s.median), s.unit, f"median, {'all' if s.condition == ALL else s.condition}", lines, ""
 
 
 def _interval_note(judgement: Judgement) -> str:
@@ -92,28 +84,13 @@ def _interval_note(judgement: Judgement) -> str:
     return f"Small: 95 % intervals, blocks of {span} drawn with replacement {judgement.settings['resamples']} times."
 
 
-def _table(judgement: Judgement) -> str:
-    rows = []
+def _numbers(judgement: Judgement) -> Html:
+    rows: list[list[object]] = [["", "measure", "condition", "mean", "σ", "median", "95 %", "largest", "samples", "unit"]]
     for s in judgement.summaries:
-        if not s.samples:
-            continue
-        cells = (
-            f"<td>{number(s.mean)}<small>{interval(s.mean_low, s.mean_high)}</small></td><td>{number(s.sd)}</td>"
-            f"<td>{number(s.median)}<small>{interval(s.median_low, s.median_high)}</small></td>"
-            f"<td>{number(s.p95)}</td><td>{number(s.maximum)}</td><td>{s.samples}</td>"
-        )
-        name = f"<b>{escape(s.name)}</b>" if s.name == ALL else escape(s.name)
-        rows.append(
-            f"<tr><th>{name}</th><td class=name>{escape(s.measure)}</td><td class=name>{escape(s.condition)}</td>{cells}"
-            f"<td class=name>{escape(s.unit)}</td></tr>"
-        )
-    head = (
-        "<tr><th></th><th class=name>measure</th><th class=name>condition</th><th>mean</th><th>σ</th><th>median</th><th>95 %</th>"
-        "<th>largest</th><th>samples</th><th class=name>unit</th></tr>"
-    )
-    return f"<div class=scroll><table>{head}{''.join(rows)}</table></div>"
-
-
-def _settings(judgement: Judgement) -> str:
-    rows = (f"<tr><th>{escape(str(k))}</th><td class=name>{escape(str(v))}</td></tr>" for k, v in judgement.settings.items())
-    return f"<div class=scroll><table>{''.join(rows)}</table></div>"
+        if s.samples:
+            mean = with_small(number(s.mean), interval(s.mean_low, s.mean_high))
+            median = with_small(number(s.median), interval(s.median_low, s.median_high))
+            name = el("b", s.name) if s.name == ALL else s.name
+            spread = number(s.p95), number(s.maximum), s.samples, s.unit
+            rows.append([name, s.measure, s.condition, mean, number(s.sd), median, *spread])
+    return table(rows, words=(0, 1, 2, 9))

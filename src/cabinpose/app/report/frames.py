@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.app.view.draw import depth_image, jpeg
+from cabinpose.app.report.charts import line, svg
+from cabinpose.app.report.html import Html, el, figure, picture_uri
+from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
 from cabinpose.core.ports import PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
@@ -21,19 +21,12 @@ from cabinpose.evaluate.skeletons import EvaluatedSkeleton, evaluated_skeleton
 from cabinpose.store.predictions import Predictions
 
 TRUTH, PREDICTION, ERROR = "#ffffff", "#ff9f1c", "#ff3b3b"
-_HALF = 0.5  # a pixel's centre is a whole number for us, half of one for SVG
-
-
-def _answer(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> PoseBatch:
-    """What a model says of the frame of this number."""
-    if isinstance(model, Predictions):
-        return model.take(np.array([number]))
-    return model.predict(frame_batch(dataset.sel(frame=[number]), slice(0, 1)))
+_HALF = 0.5  # pixel centres are whole numbers in this package, halves in SVG
 
 
 def frame_figures(
     dataset: xr.Dataset, report: Report, model: Predictions | Predictor, options: EvaluationOptions, numbers: Sequence[int]
-) -> list[str]:
+) -> list[Html]:
     """Figures of the frames of these numbers; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
@@ -43,25 +36,46 @@ def frame_figures(
     wanted = dataset[[*small, "depth"]].sel(joint=list(skeleton.joints))
     figures = []
     for number in numbers:
-        batch = _answer(dataset, model, number)
+        batch = _poses(dataset, model, number)
         uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
-        if options.match == "slot":  # in the order of the dataset's people, so that each joint has its true one
+        if options.match == "slot":  # in the order of the dataset's people, so that joints correspond
             uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
         figures.append(overlay(wanted.sel(frame=number).load(), skeleton, uv, model.persons, options.match == "slot"))
     return figures
 
 
+def _poses(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> PoseBatch:
+    """The poses that a model finds in the frame of this number."""
+    if isinstance(model, Predictions):
+        return model.take(np.array([number]))
+    return model.predict(frame_batch(dataset.sel(frame=[number]), slice(0, 1)))
+
+
 def overlay(
-    frame: xr.Dataset, skeleton: EvaluatedSkeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool
-) -> str:
+    frame: xr.Dataset, skeleton: EvaluatedSkeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool,
+    title: str = "",
+) -> Html:  # fmt: skip
     """One frame as a figure: joints of truth (white) and prediction (orange), in px.
 
-    frame: in memory, with the joints of `skeleton` · predicted: (P, J, 2), NaN where not found · matched: the predicted
-    people are those of `persons`, in the dataset's order; then a red line goes from each joint to where it was put.
+    Parameters
+    ----------
+    frame
+        In memory, with the joints of `skeleton`.
+    skeleton
+        Joints and limbs to draw.
+    predicted
+        (P, J, 2) px, NaN where not found.
+    persons
+        Slots that the model predicts.
+    matched
+        The predicted people are those of `persons`, in the dataset's order; a red line then joins each joint with its truth.
+    title
+        Put before the caption.
     """
-    height, width = frame["depth"].shape
+    depth = frame["depth"].values
+    height, width = depth.shape
     true = np.where(frame["visibility"].values[..., None] > Visibility.OUTSIDE_IMAGE, frame["joints_2d"].values, np.nan)
-    parts = [f'<image href="{_picture(frame["depth"].values)}" width="{width}" height="{height}"/>']
+    parts = [el("image", href=picture_uri(depth_image(depth, *depth_range(depth))), width=width, height=height)]
     if matched:
         mine = true[[i for i, name in enumerate(frame["person"].values.tolist()) if name in persons]]
         ends = zip(mine.reshape(-1, 2), predicted.reshape(-1, 2), strict=True)
@@ -70,19 +84,10 @@ def overlay(
         for uv in people:
             parts += [_segment(uv[a], uv[b], colour, 1.9) for a, b in skeleton.limbs if np.isfinite(uv[a] + uv[b]).all()]
             dots = uv[np.isfinite(uv).all(axis=1)] + _HALF
-            parts += [f'<circle cx="{u:.1f}" cy="{v:.1f}" r="2.6" fill="{colour}"/>' for u, v in dots]
-    drawing = f'<svg viewBox="0 0 {width} {height}" class="frame">{"".join(parts)}</svg>'
-    return f"<figure>{drawing}<figcaption>{escape(caption(frame))}</figcaption></figure>"
+            parts += [el("circle", cx=f"{u:.1f}", cy=f"{v:.1f}", r=2.6, fill=colour) for u, v in dots]
+    return figure(svg(width, height, parts, kind="frame"), f"{title}; {caption(frame)}" if title else caption(frame))
 
 
-def _picture(depth_m: NDArray[np.float32]) -> str:
-    """The depth in colours as a data URI."""
-    valid = depth_m[np.isfinite(depth_m)]
-    near, far = np.quantile(valid, (0.01, 0.99)).tolist() if valid.size else (0.0, 1.0)
-    image = depth_image(depth_m, near, far)
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg(image, 85)).decode("ascii")
-
-
-def _segment(a: NDArray[np.float32], b: NDArray[np.float32], colour: str, width: float) -> str:
+def _segment(a: NDArray[np.float32], b: NDArray[np.float32], colour: str, width: float) -> Html:
     (u1, v1), (u2, v2) = a + _HALF, b + _HALF
-    return f'<line x1="{u1:.1f}" y1="{v1:.1f}" x2="{u2:.1f}" y2="{v2:.1f}" stroke="{colour}" stroke-width="{width}"/>'
+    return line(u1, v1, u2, v2, stroke=colour, stroke_width=width)

@@ -18,7 +18,7 @@ from cabinpose.app.view.summary import BIN_M, summarise
 from cabinpose.core.frames import apply
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import LIMBS
-from cabinpose.store.convert.frames import label_colours
+from cabinpose.store.frames import label_colours
 
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}

@@ -19,7 +19,7 @@ from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import Predictor
 from cabinpose.core.skeleton import LIMBS
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate.options import EvaluationOptions
 
 _PERIOD_S = 0.1  # between looks for a new frame
@@ -74,7 +74,7 @@ class LiveTab:
         try:
             settings = parsed_settings([line.strip() for line in str(self._settings.value or "").splitlines() if line.strip()])
             names = list(self._models.value or ())
-            models: list[Predictor] = await run.io_bound(lambda: [load_model(name) for name in names]) or []
+            models: list[Predictor] = await run.io_bound(lambda: [open_predictor(name) for name in names]) or []
             self._room.stop()
             record = Path(f"live-{datetime.now():%Y%m%d-%H%M%S}.mcap") if self._recording.value else None  # noqa: DTZ005 - local
             self._room.session = LiveSession(str(self._source.value), settings, models, record=record)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.ports import Predictor
 from cabinpose.estimate.onnx_model import packaged_models
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.remote import open_predictor
 from cabinpose.store.predictions import Predictions
 
 _FILE = "file:"
@@ -28,4 +28,4 @@ def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | N
         return None
     if value.startswith(_FILE):
         return workspace.predictions[value.removeprefix(_FILE)]
-    return load_model(value)
+    return open_predictor(value)

@@ -1,4 +1,4 @@
-"""A drawing of a car for who made its mesh: side and top view with all that its YAML says, and one frame with people in it."""
+"""A drawing of a user's own car: side and top view with the points of its YAML, and one frame with people in it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.view.draw import Colour, Image, Strokes, amplitude_image, depth_image, draw_skeleton, resized, text, to_view
+from cabinpose.app.view.draw import (
+    Colour,
+    Image,
+    Strokes,
+    amplitude_image,
+    depth_image,
+    depth_range,
+    draw_skeleton,
+    resized,
+    text,
+    to_view,
+)
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, look_at
 from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel, ViewAnchor
@@ -173,8 +184,8 @@ def _grid(image: Image, plan: _Plan) -> None:
 
 
 def _mesh(image: Image, plan: _Plan, corners: Floats, labels: NDArray[np.uint8]) -> None:
-    """The surface as through paper: the more of it lies behind a pixel, the darker, in the colours of its labels."""
-    rng = np.random.Generator(np.random.Philox(0))  # points at random, since a regular pattern of them would be seen as such
+    """The surface, translucent, in the colours of its labels: a pixel is darker the more surface projects onto it."""
+    rng = np.random.Generator(np.random.Philox(0))  # random points: a regular pattern would be visible
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.linalg.norm(np.cross(one, two), axis=1)
     face = rng.choice(len(area), _POINTS, p=area / area.sum())
@@ -241,14 +252,10 @@ def _frame_pictures(frame: Mapping[str, NDArray[Any]] | None) -> Image | None:
     if frame is None:
         return None
     depth, amplitude = frame["depth"], frame["amplitude"]
-    valid = depth[np.isfinite(depth)]
-    near, far = np.quantile(valid, (0.01, 0.99)) if valid.size else (0.0, 1.0)
     width = (_WIDTH - 20) // 2
     size = width, round(depth.shape[0] * width / depth.shape[1])
-    pictures = [
-        resized(picture, size).copy()
-        for picture in (depth_image(depth, near, far), amplitude_image(amplitude, float(np.quantile(amplitude, 0.995))))
-    ]
+    images = depth_image(depth, *depth_range(depth)), amplitude_image(amplitude, float(np.quantile(amplitude, 0.995)))
+    pictures = [resized(image, size).copy() for image in images]
     for uv, visibility in zip(frame["joints_2d"], frame["visibility"], strict=True):
         draw_skeleton(pictures[1], uv.astype(np.float32), visibility, size[0] / depth.shape[1])
     both = np.full((size[1], _WIDTH, 3), _PAPER, np.uint8)
@@ -257,16 +264,14 @@ def _frame_pictures(frame: Mapping[str, NDArray[Any]] | None) -> Image | None:
 
 
 def _legend(sheet: Image, top: int) -> None:
-    left = _MARGIN
-    for colour, words in (
+    points = (
         (_SEAT, "seat: H-point, line of the back, heels"), (_WHEEL, "wheel and axis"), (_PEDAL, "pedals"),
         (_VIEW, "views, their field of view"), (_WRONG, "x where people were refused"),
-    ):  # fmt: skip
-        sheet[top - 11 : top + 1, left : left + 12] = colour
-        text(sheet, words, (left + 18, top), _INK, 14)
-        left += 44 + round(7.2 * len(words))
-    left = _MARGIN
-    for name in ("seat", "trim", "glass", "floor", "steering_wheel"):
-        sheet[top + 9 : top + 21, left : left + 12] = _TINTS[ID[name]]
-        text(sheet, name.replace("_", " "), (left + 18, top + 20), _GREY, 13)
-        left += 44 + round(7.2 * len(name))
+    )  # fmt: skip
+    surfaces = [(_TINTS[ID[name]], name.replace("_", " ")) for name in ("seat", "trim", "glass", "floor", "steering_wheel")]
+    for level, entries, ink in ((top, points, _INK), (top + 20, surfaces, _GREY)):
+        left = _MARGIN
+        for colour, words in entries:
+            sheet[level - 11 : level + 1, left : left + 12] = colour
+            text(sheet, words, (left + 18, level), ink, 14)
+            left += 44 + round(7.2 * len(words))

@@ -1,4 +1,4 @@
-"""What a view needs and an imported dataset may not have."""
+"""Fill in what a view needs and an imported dataset may lack."""
 
 from __future__ import annotations
 

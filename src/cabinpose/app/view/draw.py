@@ -34,7 +34,7 @@ _VIRIDIS = (
     (46, 109, 142), (41, 123, 142), (35, 137, 142), (31, 151, 139), (33, 165, 133), (46, 179, 124),
     (70, 192, 111), (101, 203, 94), (137, 213, 72), (176, 221, 47), (216, 226, 25), (253, 231, 37),
 )  # fmt: skip
-_FINER = 4  # pixels a side that a drawn pixel is averaged over
+_FINER = 4  # lines and dots are drawn so many times larger, then averaged
 
 
 @lru_cache
@@ -43,6 +43,13 @@ def colour_map() -> NDArray[np.uint8]:
     ends = np.linspace(0, 255, len(_VIRIDIS)).round()
     channels = [np.interp(np.arange(255, -1, -1), ends, channel) for channel in np.array(_VIRIDIS, float).T]
     return np.stack(channels, axis=1).round().astype(np.uint8)
+
+
+def depth_range(depth_m: NDArray[np.float32]) -> tuple[float, float]:
+    """The depths (m) for the ends of the colours: the 1 and 99 % quantiles of the valid pixels."""
+    valid = depth_m[np.isfinite(depth_m)]
+    near, far = np.quantile(valid, (0.01, 0.99)).tolist() if valid.size else (0.0, 1.0)
+    return near, far
 
 
 def depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> Image:

@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.finite import finite
+from cabinpose.app.report.html import style
 from cabinpose.app.view.complete import completed
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR, amplitude_image, colour_map, depth_image, jpeg, resized
 from cabinpose.app.view.sheet import contact_sheet, ranges
@@ -27,7 +28,7 @@ from cabinpose.app.view.summary import BIN_M, spread, summarise
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import LIMBS
 from cabinpose.store import Manifest
-from cabinpose.store.convert.frames import depth_mm, label_table, people, write_png
+from cabinpose.store.frames import depth_mm, label_table, people, write_png
 from cabinpose.store.lazy import camera_of
 
 _RAY_STEP = 8  # pixels between the rays that the page is given
@@ -59,10 +60,10 @@ def write_view(
 def page_html(data: dict[str, Any]) -> str:
     """The page that shows `data`."""
     assets = files("cabinpose.app.view") / "assets"
-    html, style, script = ((assets / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js"))
+    html, script = ((assets / name).read_text(encoding="utf-8") for name in ("page.html", "page.js"))
     # "</" could end the script element early, whatever names the dataset holds
     text = json.dumps(finite(data), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-    return html.replace("/*STYLE*/", style).replace("/*SCRIPT*/", script).replace("/*DATA*/", text)
+    return html.replace("/*STYLE*/", style("browse")).replace("/*SCRIPT*/", script).replace("/*DATA*/", text)
 
 
 def page_data(

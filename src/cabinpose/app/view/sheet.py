@@ -16,6 +16,7 @@ from cabinpose.app.view.draw import (
     cloud_colours,
     colour_map,
     depth_image,
+    depth_range,
     draw_skeleton,
     orthographic,
     text,
@@ -24,7 +25,7 @@ from cabinpose.app.view.draw import (
 from cabinpose.core.frames import apply
 from cabinpose.core.pose import Visibility
 from cabinpose.store import points_m
-from cabinpose.store.convert.frames import label_colours, people
+from cabinpose.store.frames import label_colours, people
 
 _PAPER, _INK, _GREY = (247, 248, 250), (32, 36, 44), (104, 112, 124)
 _PANEL_WIDTH = 240  # smaller frames are enlarged by a whole factor
@@ -67,9 +68,7 @@ def contact_sheet(dataset: xr.Dataset, indices: NDArray[np.int64], title: str, r
 
 def ranges(dataset: xr.Dataset, indices: NDArray[np.int64]) -> tuple[float, float, float]:
     """Depths (m) for the ends of the colours, and the amplitude of white, from some frames of a dataset."""
-    depth = dataset["depth"].isel(frame=indices[:16]).values
-    valid = depth[np.isfinite(depth)]
-    near, far = (float(q) for q in np.quantile(valid, (0.01, 0.99))) if valid.size else (0.0, 1.0)
+    near, far = depth_range(dataset["depth"].isel(frame=indices[:16]).values)
     amplitude = dataset["amplitude"].isel(frame=indices[:16]).values if "amplitude" in dataset else np.zeros(1)
     return np.floor(near * 20) / 20, np.ceil(far * 20) / 20, float(np.quantile(amplitude, 0.995))
 

@@ -4,36 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.estimate.inputs import InputView
+from cabinpose.estimate.settings import ViewSettings
+
+_Positive = Annotated[float, Field(gt=0)]
 
 
-class CompactConfig(BaseModel):
+class CompactConfig(ViewSettings):
     """The compact detector: its view, its channels and what it predicts."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     width: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Width of the network's view (px).")] = 176
     height: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Height of the network's view (px).")] = 144
     focal: Annotated[float, Field(gt=0, description="Focal length of the network's view (px).")] = 80.0
-    max_depth_m: Annotated[float, Field(gt=0, le=20, description="What lies farther counts as invalid (m).")] = 3.0
     amplitude: Annotated[bool, Field(description="Use the amplitude image beside the depth.")] = True
     skeleton: Annotated[Literal["cabinpose", "itop"], Field(description="Joints to predict.")] = "cabinpose"
-    slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places that people are predicted for.")] = OCCUPANT_SLOTS
     channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)
     blocks: Annotated[tuple[int, int, int], Field(description="Blocks at strides 4, 8 and 16.")] = (1, 3, 4)
     looks_px: Annotated[
-        tuple[Annotated[float, Field(gt=0)], ...],
-        Field(description="Looks again around each joint, one after the other: distance of the samples in the view (px)."),
+        tuple[_Positive, ...],
+        Field(description="Refinements of each joint, one after the other: distance of their samples in the view (px)."),
     ] = (4.0, 2.0)
-
-    @property
-    def view(self) -> InputView:
-        """The view of a model with these settings."""
-        return InputView(self.width, self.height, self.focal, self.max_depth_m)
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from torch.nn import functional
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.compact.model import STRIDE, Compact, Votes
 
-_SPREAD = 1.2  # cells: standard deviation of the weights that training asks for around a joint
+_SPREAD = 1.2  # cells: standard deviation of the target weights around a joint
 _WEIGHTS = {
     "image": 1.0,
     "depth": 1.0,
@@ -20,7 +20,7 @@ _WEIGHTS = {
     "visible": 0.2,
     "present": 0.5,
 }
-_MISSED = 4.0  # weight of a joint in the image that is denied, to one that is claimed and not there
+_MISSED = 4.0  # weight of a joint in the image that is missed, relative to one that is invented
 _OUTSIDE = 0.2  # weight of a joint outside the image: it is guessed from the rest of the body
 
 

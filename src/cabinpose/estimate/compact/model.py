@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.compact.config import CompactConfig
 from cabinpose.estimate.compact.refine import Refine
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
@@ -25,7 +26,7 @@ _CLOUD_M = 1.5  # half width of the cloud that is mapped to [-1, 1]
 
 
 class Votes(NamedTuple):
-    """What the network says of N frames, S places and J joints.
+    """The network's answers for N frames, S places and J joints.
 
     joints: (N, S, J, 3) u, v (px of the view) and depth (m) · inside, visible: (N, S, J) logits of the joint being in the
     image, and seen there · present: (N, S) logit of somebody being there · weights: (N, S, J, cells) log-probability of
@@ -68,9 +69,7 @@ class Compact(nn.Module):
             Refine(size, len(config.slots), len(config.joints), c4, c8, pitch) for pitch in config.looks_px
         )
         self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
-        self.register_buffer(
-            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
-        )
+        self.register_buffer("rays", ray_tensor(config.view), persistent=False)
         rows, columns = torch.meshgrid(
             torch.arange(config.height // STRIDE), torch.arange(config.width // STRIDE), indexing="ij"
         )  # pixel centre of each cell
@@ -110,7 +109,7 @@ class Compact(nn.Module):
         inside, visible = (p.unsqueeze(3) * votes[:, :, :, 4:]).sum(-1).unbind(-1)
         pooled = torch.cat((deep.mean((2, 3)), deep.amax((2, 3))), dim=1)
         joints, earlier = torch.stack((u, v, z), dim=-1), []
-        for look in self.looks:  # each learns to mend what the one before has left, and not to change it
+        for look in self.looks:  # detached: each learns to correct its input, and does not change what came before
             earlier.append(joints)
             start = joints.detach()
             more = look(depth.unsqueeze(1), fine, features, start, inside.detach(), visible.detach())
@@ -138,7 +137,7 @@ class Block(nn.Module):
 
 
 class Attention(nn.Module):
-    """Self-attention over all cells: what one arm does tells of the other."""
+    """Self-attention over all cells: far parts of a body, and other bodies, inform each cell."""
 
     def __init__(self, channels: int, heads: int = 4) -> None:
         super().__init__()

@@ -1,8 +1,8 @@
-"""A look again: around the place where a joint was found, at twice the resolution of the votes, and at that of the depth image.
+"""Refinement of a joint from what lies around it, at twice the resolution of the votes, and at that of the depth image.
 
 A joint's token is what lies around its place (fine features and the depths there, relative to the joint's own), the coarse
 features at it, and where it is. The tokens of all joints of all places attend to one another, so that a wrist knows its
-elbow; each then says by how much its joint has to move. Cascaded regression of this kind follows Toshev and Szegedy
+elbow; from each its joint's correction is regressed. Cascaded regression of this kind follows Toshev and Szegedy
 ("DeepPose", CVPR 2014) and, for the sampled features, Sun et al. ("Integral human pose regression", ECCV 2018).
 """
 
@@ -18,9 +18,9 @@ _SIDE = 5  # samples a side of the patch around a joint
 _FINE = 16  # channels of a sample
 _HIDDEN = 64
 _HEADS = 4
-_NEAR_M = 0.1  # depths around a joint are told in this unit, up to _FAR of it
+_NEAR_M = 0.1  # unit of the depths around a joint, which are clipped at _FAR of it
 _FAR = 3.0
-_SAID = 5  # per joint: move in u and v, in depth, and what to add to the logits of inside and visible
+_SAID = 5  # outputs a joint: shift in u, v and depth, and what to add to the logits of inside and visible
 
 
 class Correction(NamedTuple):
@@ -32,7 +32,11 @@ class Correction(NamedTuple):
 
 
 class Refine(nn.Module):
-    """Corrections of S x J joints; none, as long as nothing has been learnt."""
+    """Corrections of S x J joints; zero before training, since the output layer `say` begins with zeros.
+
+    The names of the layers are those of released checkpoints: `place` is the embedding of slot and joint, `think` the
+    feed-forward layer of the attention block, `say` the output layer.
+    """
 
     offsets: Tensor
     size: Tensor

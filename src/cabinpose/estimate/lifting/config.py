@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.skeleton import JOINTS, UPPER_BODY
 from cabinpose.estimate.inputs import InputView
+from cabinpose.estimate.settings import Settings
 
 ROOT = "neck"  # in a car the joint that is hidden least; the hip is under the belt, the wheel, or outside the image
 
 
-class LiftingConfig(BaseModel):
-    """Lifting: the joints, the size of the network, and what its 2D joints suffer in training."""
+class LiftingConfig(Settings):
+    """Lifting: the joints, the size of the network, and how its 2D joints are disturbed in training."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+    skeleton: ClassVar = "cabinpose"
+    view: ClassVar = InputView(352, 288, 160.0)  # of the training joints' pixels; the network reads directions, of any camera
     body: Annotated[Literal["upper", "full"], Field(description="Joints: the upper body's 14, or all 20.")] = "upper"
     slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places whose people it learns from.")] = OCCUPANT_SLOTS
     width: Annotated[int, Field(ge=4, description="Neurons in a layer.")] = 1024
@@ -26,17 +27,7 @@ class LiftingConfig(BaseModel):
     noise: Annotated[float, Field(ge=0, description="Greatest noise of 2D joints in training, in focal lengths.")] = 0.015
     drop: Annotated[float, Field(ge=0, lt=1, description="Greatest share of joints that are dropped in training.")] = 0.3
     min_joints: Annotated[int, Field(ge=1, description="People of fewer 2D joints are not lifted.")] = 3
-    presence: Annotated[float, Field(ge=0, le=1, description="Least presence of a 2D joint that is believed.")] = 0.5
-
-    @property
-    def view(self) -> InputView:
-        """The view whose pixels training joints come in; the network sees directions, whatever the camera."""
-        return InputView(352, 288, 160.0)
-
-    @property
-    def skeleton(self) -> str:
-        """Which of the dataset's skeletons the joints are of."""
-        return "cabinpose"
+    presence: Annotated[float, Field(ge=0, le=1, description="2D joints of a lower presence are ignored.")] = 0.5
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from cabinpose.estimate.lifting.config import ROOT, LiftingConfig
 
 
 class Lifted(NamedTuple):
-    """What the network says of N people: relative (N, J, 3) joints from the root, m · root (N, 3) x/z, y/z and z (m)."""
+    """The network's answers for N people: relative (N, J, 3) joints from the root, m · root (N, 3) x/z, y/z and z (m)."""
 
     relative: Tensor
     root: Tensor

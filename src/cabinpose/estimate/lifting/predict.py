@@ -18,11 +18,6 @@ class OnnxLifting(OnnxModel):
 
     task = "lift"
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints."""
-        return tuple(self.config.joints)
-
     def lift(self, directions: NDArray[np.floating]) -> NDArray[np.float64]:
         """Joints (N, J, 3) in the camera frame (m) of N people from directions (N, J, 2): x/z and y/z, NaN where unknown.
 
@@ -43,26 +38,12 @@ class LiftedPredictor:
     def __init__(self, base: Predictor, lifting: OnnxLifting) -> None:
         """Raises ConfigError where base and lifting have no joint in common."""
         self._base, self._lifting = base, lifting
+        self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
         self._columns = [(base.joints.index(name), j) for j, name in enumerate(lifting.joints) if name in base.joints]
         if not self._columns:
             raise ConfigError(
                 f"{base.name} finds none of the joints that {lifting.name} lifts", hint=f"it lifts {', '.join(lifting.joints)}"
             )
-
-    @property
-    def name(self) -> str:
-        """What reports call it."""
-        return f"{self._base.name}+{self._lifting.name}"
-
-    @property
-    def persons(self) -> tuple[str, ...]:
-        """(P,) names of the slots that it fills."""
-        return self._base.persons
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that it finds."""
-        return self._base.joints
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames; 3D joints where the base has 2D ones of people with enough of them."""

@@ -1,7 +1,7 @@
 """Peaks of heat maps, and people from peaks along part affinity fields.
 
 After Cao et al. 2017, section 2.3 and 2.4: the line integral of a limb's field between two peaks says how well they belong
-together; for each limb the pairs are taken greedily, best first, and what shares a joint is one person.
+together; for each limb the pairs are taken greedily, best first, and pairs that share a joint are one person.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def assemble(peaks: Sequence[Peaks], fields: F64, limbs: Sequence[tuple[int, int
     """People (P, J): for each joint the row of its peak, or -1. fields: (2C, h, w), x and y of limb c at 2c and 2c + 1.
 
     A pair of peaks is a limb where the mean of the field is above `least` and most of the line agrees; each peak takes part
-    in one pair of a limb. Peaks that no limb ties to another are nobody's.
+    in one pair of a limb. Peaks that no limb connects to another are dropped.
     """
     people: list[NDArray[np.int64]] = []
     for (a, b), pairs in zip(limbs, _pairs(peaks, fields, limbs, least), strict=True):

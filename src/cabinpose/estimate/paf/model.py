@@ -12,6 +12,7 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.paf.config import PafConfig
 
 STRIDE = 8
@@ -20,7 +21,7 @@ _AMPLITUDE = 500.0  # the amplitude that is mapped to 255
 
 
 class Maps(NamedTuple):
-    """What the network says of N frames, J joints and C limbs, maps at stride 8.
+    """The network's answers for N frames, J joints and C limbs, maps at stride 8.
 
     fields: (N, 2C, h, w) x and y of limb c at 2c and 2c + 1 · heat: (N, J + 1, h, w), the background last · presence:
     (N, J, 2) logits of absent and present · stages: fields and heat of every stage, the last one's among them.
@@ -76,9 +77,7 @@ class Paf(nn.Module):
         more = range(config.stages - 1)
         self.refined_fields = nn.ModuleList(refine(2 * limbs) for _ in more)
         self.refined_heat = nn.ModuleList(refine(joints + 1) for _ in more)
-        self.register_buffer(
-            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
-        )
+        self.register_buffer("rays", ray_tensor(config.view), persistent=False)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

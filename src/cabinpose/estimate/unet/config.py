@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.settings import ViewSettings
 from cabinpose.estimate.unet.parts import ALL, MERGED, Part
 
@@ -14,6 +13,7 @@ from cabinpose.estimate.unet.parts import ALL, MERGED, Part
 class UnetConfig(ViewSettings):
     """The two networks of the segmentation and the parts that they tell apart."""
 
+    skeleton: ClassVar = "cabinpose"
     classes: Annotated[Literal["merged", "all"], Field(description="8 merged parts, or all parts of the dataset.")] = "merged"
     levels: Annotated[int, Field(ge=1, le=5, description="Times that the image is halved.")] = 4
     channels: Annotated[int, Field(ge=2, le=128, description="Channels at full resolution, doubled at each level.")] = 16
@@ -30,18 +30,3 @@ class UnetConfig(ViewSettings):
     def parts(self) -> tuple[Part, ...]:
         """The parts, of which the first has the number 1 in label images."""
         return ALL if self.classes == "all" else MERGED
-
-    @property
-    def skeleton(self) -> str:
-        """Which of the dataset's skeletons its frames have."""
-        return "cabinpose"
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that come with its training frames."""
-        return JOINTS
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of the network's inputs."""
-        return ("depth",)

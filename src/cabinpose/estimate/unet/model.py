@@ -1,4 +1,4 @@
-"""Two U-Nets in a row (thesis, figure 5.17): the first finds people in the point cloud, the second their parts in what is left.
+"""Two U-Nets in a row (thesis, figure 5.17): people in the point cloud, then their parts in the cloud weighted by the first.
 
 O. Ronneberger, P. Fischer, T. Brox, "U-Net: convolutional networks for biomedical image segmentation", MICCAI 2015; with padded
 convolutions, so that the output has the size of the input, and batch normalisation.
@@ -11,13 +11,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.unet.config import UnetConfig
 
 _CLOUD_M = 1.5  # half width of the cloud that is mapped to 0..1
 
 
 class Segments(NamedTuple):
-    """What the networks say of N frames: person (N, h, w) logit, parts (N, P, h, w) logits for pixels of people."""
+    """The networks' answers for N frames: person (N, h, w) logit, parts (N, P, h, w) logits for pixels of people."""
 
     person: Tensor
     parts: Tensor
@@ -33,9 +34,7 @@ class Unet(nn.Module):
         self.config = config
         self.person = Stage(3, 1, config.channels, config.levels)
         self.parts = Stage(3, len(config.parts), config.channels, config.levels)
-        self.register_buffer(
-            "rays", torch.tensor(config.view.camera.rays.transpose(2, 0, 1), dtype=torch.float32), persistent=False
-        )
+        self.register_buffer("rays", ray_tensor(config.view), persistent=False)
 
     def cloud(self, depth: Tensor) -> Tensor:
         """The normalised cloud (N, 3, h, w) of depths (N, h, w), m; 0 where invalid."""

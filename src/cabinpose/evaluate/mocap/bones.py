@@ -1,4 +1,4 @@
-"""How constant the lengths of a recording are: what a rigid bone, or two markers on one, say of a system without a second one."""
+"""How constant distances within a body are over a recording: a bone is rigid, so a changing length is an error of the system."""
 
 from __future__ import annotations
 

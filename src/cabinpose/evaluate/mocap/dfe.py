@@ -1,13 +1,13 @@
 """DFE, the dynamic evaluation of the full body: joints' positions, suit against optical system (thesis, 3.1.2.2).
 
-Both bodies lie in worlds of their own and are brought together in stages, whose errors stand side by side: `raw`, as they come;
-`pelvis`, both relative to their pelvis (eq. 3.3); `pelvis + ICP`, the optical body laid on the suit's frame by frame by iterative
-closest points (algorithm 3.1.7), which spreads the pelvis' error over the body; and `pelvis + Kabsch`, the same with the pairs
-that are known anyway, in closed form: no rigid motion leaves a smaller sum of squares. ICP pairs what is nearest, which
-need not be the same joint: the share that it paired wrongly is told.
+Each body is in its system's world. They are aligned in stages, and the errors of every stage are reported: `raw`, unaligned;
+`pelvis`, both relative to their pelvis (eq. 3.3); `pelvis + ICP`, the optical body fitted to the suit's, frame by frame, by
+iterative closest points (algorithm 3.1.7), which spreads the pelvis' error over the body; `pelvis + Kabsch`, the same fit with
+the known pairs, in closed form, which no rigid motion betters in the sum of squares. ICP pairs nearest points, which need not
+be the same joint: the share of wrong pairs is reported.
 
 Errors are Euclidean (eq. 3.2). The thesis' eq. 3.8 compares displacements since the first frame, κ_t − κ_0, in which every
-constant difference between the two models drops out: it stands beside the error of position.
+constant difference between the two models drops out; it is reported beside the error of position.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply
 from cabinpose.core.register import icp, kabsch
 from cabinpose.evaluate.mocap.pairs import PELVIS
-from cabinpose.evaluate.mocap.result import Errors, Judgement, summarise
+from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 
 F64 = NDArray[np.float64]
 RAW, PELVIS_STAGE, ICP, KABSCH = "raw", "pelvis", "pelvis + ICP", "pelvis + Kabsch"
 STAGES = (RAW, PELVIS_STAGE, ICP, KABSCH)
 POSITION, DISPLACEMENT = "position", "displacement"
-_SWAPPED_M = 0.03  # median; standing in an N-pose, exchanged sides lie nearly where they were
+_SWAPPED_M = 0.03  # median distance; below it a body is too symmetrical (an N-pose) to tell its sides apart
 
 
 @dataclass(frozen=True)
 class DfeRun:
     """One run of T frames and N joints.
 
-    suit_m, optical_m (T, N, 3) by stage: both bodies as that stage lays them · wrong (T,): share of the joints that ICP paired
+    suit_m, optical_m (T, N, 3) by stage: both bodies as that stage aligns them · wrong (T,): share of the joints that ICP paired
     with another one, NaN where a frame had too few joints.
     """
 
@@ -58,7 +58,7 @@ class DfeRun:
         return np.linalg.norm(difference - np.take_along_axis(difference, first[None, :, None], axis=0), axis=-1)
 
     def errors(self) -> tuple[Errors, ...]:
-        """Of every stage, errors of position; then, of every stage, of displacement."""
+        """Errors of position at every stage, then errors of displacement at every stage."""
         found = []
         for what, error in ((POSITION, self.position_error_m), (DISPLACEMENT, self.displacement_error_m)):
             found += [Errors(f"{what}, {s}", "m", self.condition, self.names, self.time_s, error(s)) for s in STAGES]
@@ -138,15 +138,12 @@ def dfe_run(
 
 def dfe(runs: Sequence[DfeRun], *, rng: np.random.Generator, resamples: int = 1000, block_s: float | None = None) -> Judgement:
     """The joints' errors by stage, by condition and over all conditions."""
-    errors = tuple(e for run in runs for e in run.errors())
-    order = {f"{what}, {stage}": i for i, (what, stage) in enumerate((w, s) for w in (POSITION, DISPLACEMENT) for s in STAGES)}
-    rows = summarise(sorted(errors, key=lambda e: order[e.measure]), rng=rng, resamples=resamples, block_s=block_s)
     notes = []
     for run in runs:
         fitted = np.isfinite(run.wrong)
         share = f"ICP pairs {100 * run.wrong[fitted].mean():.1f} % of the joints with another one" if fitted.any() else "no fit"
         notes.append(f"{run.condition}: {fitted.sum()} of {len(fitted)} frames laid on each other; {share}")
-    return Judgement("dfe", errors, rows, {"resamples": resamples}, tuple(notes))
+    return judgement("dfe", runs, notes, rng=rng, resamples=resamples, block_s=block_s)
 
 
 def _pelvis(position: F64, names: Sequence[str], given: ArrayLike | None) -> F64:

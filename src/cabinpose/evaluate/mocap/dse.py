@@ -1,9 +1,9 @@
 """DSE, the dynamic evaluation of sensors: segments' turns since the first frame, suit against optical system (thesis, 3.1.2.1).
 
-θ_t = 2 arccos(Re(q_t · q_0*)) of both systems (eq. 3.4), ξ_t = |θ_1,t − θ_2,t| (eq. 3.6). That asks for no common world and no
-known mounting of sensors, and hides what it does not ask: two turns of one angle about different axes count as equal. Beside it
-stands the whole angle between the two turns, once the suit's world is turned about the vertical to fit the other's; it is
-never less (the triangle inequality of rotations).
+θ_t = 2 arccos(Re(q_t · q_0*)) of both systems (eq. 3.4), ξ_t = |θ_1,t − θ_2,t| (eq. 3.6). This needs neither a common world nor
+the mounting of the sensors, but two turns by one angle about different axes count as equal. So the geodesic angle between the two
+turns is reported as well, after the suit's world is turned about the vertical to fit the other's; it is never smaller (triangle
+inequality of rotations).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.rotations import angle, angle_between, conjugate, product, rotation_vectors, since_first
-from cabinpose.evaluate.mocap.result import Errors, Judgement, summarise
+from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 
 F64 = NDArray[np.float64]
 DIFFERENCE, GEODESIC = "difference of the angles", "angle between the turns"
-_LEAST_TURN = np.radians(5.0)  # of some segment, for a heading between the worlds to be told
+_LEAST_TURN = np.radians(5.0)  # of some segment, needed to find the heading between the worlds
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def dse_run(
 
     The first frame of a segment is the first in which both systems know it. heading_rad: of optical_from_suit about the vertical;
     None: the one that brings the turns of all segments closest. Raises AlignmentError where no segment is known by both in two
-    frames or more; single ones that are not, stay NaN.
+    frames or more; the errors of a segment that only one system knows are NaN.
     """
     time = np.asarray(time_s, np.float64)
     suit, optical = np.array(suit_wxyz, np.float64), np.array(optical_wxyz, np.float64)
@@ -87,8 +87,8 @@ def dse_run(
 def common_heading(suit_turns_wxyz: F64, optical_turns_wxyz: F64) -> float:
     """rad, of optical_from_suit about the vertical: the turn that brings the rotation vectors of (..., 4) turns closest.
 
-    In closed form, the horizontal Procrustes problem. NaN where no turn by a horizontal axis exceeds 5°: then there is nothing to
-    tell it from.
+    The horizontal Procrustes problem, in closed form. NaN where no turn about a horizontal axis exceeds 5°: a turn about the
+    vertical looks the same in every heading.
     """
     a, b = (rotation_vectors(q).reshape(-1, 3)[:, :2] for q in (suit_turns_wxyz, optical_turns_wxyz))
     known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
@@ -100,8 +100,6 @@ def common_heading(suit_turns_wxyz: F64, optical_turns_wxyz: F64) -> float:
 
 def dse(runs: Sequence[DseRun], *, rng: np.random.Generator, resamples: int = 1000, block_s: float | None = None) -> Judgement:
     """The segments' errors by plane of motion (the runs' conditions) and over all of them."""
-    errors = tuple(e for run in runs for e in run.errors())
-    rows = summarise(errors, rng=rng, resamples=resamples, block_s=block_s)
     notes = []
     for run in runs:
         unseen = [name for name, column in zip(run.names, run.difference_rad.T, strict=True) if not np.isfinite(column).any()]
@@ -109,4 +107,4 @@ def dse(runs: Sequence[DseRun], *, rng: np.random.Generator, resamples: int = 10
             notes.append(f"{run.condition}: never known by both systems: {', '.join(unseen)}")
         if not np.isfinite(run.heading_rad):
             notes.append(f"{run.condition}: nobody turned about a horizontal axis, so that the worlds' heading is not known")
-    return Judgement("dse", errors, rows, {"resamples": resamples}, tuple(notes))
+    return judgement("dse", runs, notes, rng=rng, resamples=resamples, block_s=block_s)

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from cabinpose.core.errors import AlignmentError, unknown_name
-from cabinpose.core.skeleton import JOINTS, PARENT, RIGS
+from cabinpose.core.skeleton import JOINTS, RIGS
 
 
 class Pair(NamedTuple):
@@ -30,20 +30,27 @@ SEGMENT_PAIRS: tuple[Pair, ...] = (
     Pair("pelvis", "Pelvis", "Root"),
 )  # fmt: skip
 
-# The joints that both systems stream, by our skeleton. The thesis' Table 3.2 has as many, and differs in three places: it has the
-# hands' ends, which MVN's stream of segments does not, where we have the shoulders; names the arms' joints by the segment before
-# them, not after; and takes R_Collar for the chest.
-JOINT_PAIRS: tuple[Pair, ...] = tuple(
-    Pair(joint, RIGS["mvn"][joint], RIGS["vicon_kinematic_fit"][joint])
-    for joint in JOINTS
-    if joint in RIGS["mvn"] and joint in RIGS["vicon_kinematic_fit"]
+# By our skeleton: the joints that both systems stream, and the ends of the hands. These are the pairs of the thesis' Table 3.2,
+# and the shoulders. It names the arms' joints by the segment before them, not after, and takes R_Collar for the chest.
+HAND_ENDS = MappingProxyType({"lhand": "pLeftTopOfHand", "rhand": "pRightTopOfHand"})  # landmarks of MVN's hand segments
+_SUIT, _OPTICAL = {**RIGS["mvn"], **HAND_ENDS}, RIGS["vicon_kinematic_fit"]
+JOINT_PAIRS: tuple[Pair, ...] = (
+    *(Pair(joint, _SUIT[joint], _OPTICAL[joint]) for joint in JOINTS if joint in _SUIT and joint in _OPTICAL),
+    Pair("chest", "T8", "R_Collar"),
 )
 PELVIS = MappingProxyType({"left": "lpelvis", "right": "rpelvis", "hip": "hip"})  # the joints that span the pelvis' frame
 
 
 def present(pairs: Sequence[Pair], suit: Sequence[str], optical: Sequence[str], *, least: int = 1) -> tuple[Pair, ...]:
-    """The pairs that both recordings have. Raises AlignmentError where fewer than `least` are left, saying what is missing."""
-    found = tuple(p for p in pairs if p.suit in suit and p.optical in optical)
+    """The pairs that both recordings have, of several of one name the first.
+
+    Raises AlignmentError where fewer than `least` are left, saying what is missing and what is there.
+    """
+    both: dict[str, Pair] = {}
+    for pair in pairs:
+        if pair.suit in suit and pair.optical in optical:
+            both.setdefault(pair.name, pair)
+    found = tuple(both.values())
     if len(found) >= least:
         return found
     absent = [f"{p.suit} (suit)" for p in pairs if p.suit not in suit]
@@ -56,17 +63,17 @@ def present(pairs: Sequence[Pair], suit: Sequence[str], optical: Sequence[str], 
 
 def missing(pairs: Sequence[Pair], found: Sequence[Pair]) -> str:
     """A note on the pairs that were not recorded; empty where all were."""
-    absent = [p.name for p in pairs if p not in found]
+    absent = dict.fromkeys(p.name for p in pairs if p.name not in {other.name for other in found})
     return f"not recorded by both systems: {', '.join(absent)}" if absent else ""
 
 
-def joint_limbs(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Lines of a stick figure between joints of ours (indices into `names`), over joints that are not there."""
+def limbs(names: Sequence[str], parents: Mapping[str, str]) -> list[tuple[int, int]]:
+    """Lines of a stick figure between joints or segments (indices into `names`), over those that are not there."""
     lines = []
     for child in names:
-        parent = PARENT.get(child)
+        parent = parents.get(child)
         while parent is not None and parent not in names:
-            parent = PARENT.get(parent)
+            parent = parents.get(parent)
         if parent is not None:
             lines.append((names.index(parent), names.index(child)))
     return lines

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,22 @@ class Judgement:
         """Plain data, without the errors over time."""
         rows = [asdict(row) for row in self.summaries]
         return {"evaluation": self.kind, "settings": dict(self.settings), "notes": list(self.notes), "summaries": rows}
+
+
+class Run(Protocol):
+    """One run of an evaluation."""
+
+    def errors(self) -> tuple[Errors, ...]:
+        """What it compared, measure by measure."""
+
+
+def judgement(
+    kind: str, runs: Sequence[Run], notes: Iterable[str], *, rng: np.random.Generator, resamples: int, block_s: float | None
+) -> Judgement:
+    """The errors of runs, and the numbers about them; see `summarise`."""
+    errors = tuple(e for run in runs for e in run.errors())
+    rows = summarise(errors, rng=rng, resamples=resamples, block_s=block_s)
+    return Judgement(kind, errors, rows, {"resamples": resamples}, tuple(notes))
 
 
 def correlation_time(values: F64, step_s: float) -> float:

@@ -1,8 +1,8 @@
 """SFE, the static evaluation of the full body: the first N-pose against the last, before and after a drive (thesis, 3.1.1.2).
 
-Joints are taken relative to the pelvis, T_j^pelvis = T_pelvis^-1 T_j (eq. 3.3), since the person does not stand the same way
-twice; then ξ_j is the Euclidean distance of each joint to where it was (eq. 3.2). That is drift and distortion, and also how well
-the person repeats the pose. Where there is no pelvis (optical markers), the whole body is fitted instead.
+Joints are taken relative to the pelvis, T_j^pelvis = T_pelvis^-1 T_j (eq. 3.3), since the person stands elsewhere the second
+time; ξ_j is the distance of each joint from where it was (eq. 3.2). It contains the suit's drift and distortion, and how well the
+person repeats the pose. Where there is no pelvis (optical markers), the whole body is fitted instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply
 from cabinpose.core.register import kabsch
 from cabinpose.core.rotations import conjugate, product
-from cabinpose.evaluate.mocap.result import Errors, Judgement, summarise
+from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 from cabinpose.evaluate.mocap.stillness import Window, moving_speed, still_windows
 
 F64 = NDArray[np.float64]
@@ -152,14 +152,12 @@ def sfe_run(
 
 def sfe(runs: Sequence[SfeRun], *, rng: np.random.Generator, resamples: int = 1000, block_s: float | None = None) -> Judgement:
     """The joints' errors by drive and over all of them."""
-    errors = tuple(e for run in runs for e in run.errors())
-    rows = summarise(errors, rng=rng, resamples=resamples, block_s=block_s)
-    notes = tuple(
+    notes = [
         f"{run.condition}: {run.drive_s:.1f} s between the poses; first {run.first.start_s:.2f} to {run.first.end_s:.2f} s, "
         f"last {run.last.start_s:.2f} to {run.last.end_s:.2f} s"
         for run in runs
-    )
-    return Judgement("sfe", errors, rows, {"resamples": resamples}, notes)
+    ]
+    return judgement("sfe", runs, notes, rng=rng, resamples=resamples, block_s=block_s)
 
 
 def _relative(position: F64, pelvis: F64, turn: F64) -> F64:

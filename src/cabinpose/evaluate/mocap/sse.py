@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cabinpose.core.errors import AlignmentError, unknown_name
 from cabinpose.core.rotations import conjugate, mean_orientation, product, turn_about
-from cabinpose.evaluate.mocap.result import Errors, Judgement, summarise
+from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 from cabinpose.evaluate.mocap.stillness import still_windows, turning_speed
 
 F64 = NDArray[np.float64]
@@ -30,7 +30,7 @@ ON, OFF = "error about the axis", "tilt off the axis"
 class SseRun:
     """One axis' run, T samples at standstill: which step (T,), reference_rad and turn_rad (T,) since the first step.
 
-    tilt_rad (T,): by how much the orientation leaves the turn about the axis; it is 0 where the sensor sits true on its motor.
+    tilt_rad (T,): the rotation that is left when the turn about the axis is taken out; 0 for a sensor whose axis is the motor's.
     """
 
     axis: str
@@ -61,9 +61,9 @@ def find_steps(
 ) -> NDArray[np.int64]:
     """(T,) the step that each sample belongs to, from 0, -1 while the motor turns; from the sensor's stillness alone.
 
-    Still is what turns by less than `limit_rad_s`, as measured over `over_s`, for `least_s`; `margin_s` is left out at both ends,
-    where the motor may still settle. Raises AlignmentError unless there are `count` of them: steps are numbered in their order,
-    not by the angle that the sensor claims, so that one that is missed must not pass.
+    The sensor is still where it turns more slowly than `limit_rad_s`, measured over `over_s`, for `least_s` or more.
+    `margin_s` is left out at both ends, where the motor may still settle. Raises AlignmentError unless there are `count`
+    standstills: they are numbered in order, so a missed one would shift all that follow.
     """
     time, q = np.asarray(time_s, np.float64), np.asarray(orientation_wxyz, np.float64)
     still = turning_speed(time, q, over_s=over_s) < limit_rad_s
@@ -91,9 +91,24 @@ def sse_run(
 ) -> SseRun:
     """One axis' run: orientations (T, 4) of the sensor in its world, turned about its axis "roll" (x), "pitch" (y), "yaw" (z).
 
-    step (T,): which step each sample belongs to, -1 = between steps · reference_rad (T,): the motor's angle, in place of
-    step · step_rad · samples: taken of each step, those in its middle; None: all. The motor may turn either way: the reference
-    takes the direction of the turn. Raises AlignmentError without two steps, and where the steps are no turn about that axis.
+    Parameters
+    ----------
+    time_s, orientation_wxyz
+        Samples.
+    axis
+        Of `AXES`.
+    step
+        (T,) the step that each sample belongs to, -1 = between steps.
+    reference_rad
+        (T,) the motor's angle, NaN where it is not known; None: step times `step_rad`. Its sign is chosen to fit the turn, since
+        the motor may turn either way.
+    samples
+        How many are taken of each step, from its middle; None: all.
+
+    Raises
+    ------
+    AlignmentError
+        Where there are fewer than two steps, or the sensor did not turn about that axis.
     """
     if axis not in AXES:
         raise unknown_name("axis", axis, list(AXES))
@@ -103,6 +118,8 @@ def sse_run(
         raise AlignmentError("neither steps nor a reference are given", hint="give `step` (see find_steps) or `reference_rad`")
     if reference_rad is not None:
         reference = np.asarray(reference_rad, np.float64)
+        if step is None:
+            marks = np.unique(reference.round(9), return_inverse=True)[1]
         marks = np.where(np.isfinite(reference), marks, -1)
     else:
         reference = marks.astype(np.float64) * step_rad
@@ -112,7 +129,7 @@ def sse_run(
     reference = reference[used] - (reference[used[0]] if len(used) else 0.0)
     if not len(used) or np.ptp(reference) == 0:
         raise AlignmentError("the sensor was not turned: there is but one step", hint="a run needs two steps or more")
-    turned = product(conjugate(mean_orientation(q[used][np.abs(reference) < 1e-9])), q[used])
+    turned = product(conjugate(mean_orientation(q[used][marks[used] == marks[used[0]]])), q[used])
     about = turn_about(turned, AXES[axis])
     direction = 1.0 if np.cos(about - reference).sum() >= np.cos(about + reference).sum() else -1.0
     # The turn nearest to the reference: right up to half a turn of error, also where steps are large or samples were left out.
@@ -128,10 +145,8 @@ def sse_run(
 
 def sse(runs: Sequence[SseRun], *, rng: np.random.Generator, resamples: int = 1000, block_s: float | None = None) -> Judgement:
     """Mean and σ of the error by axis, over any number of runs."""
-    errors = tuple(e for run in runs for e in run.errors())
-    notes = tuple(f"{run.axis}: {len(np.unique(run.step))} steps, {len(run.time_s)} samples" for run in runs)
-    rows = summarise(errors, rng=rng, resamples=resamples, block_s=block_s)
-    return Judgement("sse", errors, rows, {"resamples": resamples}, notes)
+    notes = [f"{run.axis}: {len(np.unique(run.step))} steps, {len(run.time_s)} samples" for run in runs]
+    return judgement("sse", runs, notes, rng=rng, resamples=resamples, block_s=block_s)
 
 
 def _middle(of: NDArray[np.intp], count: int) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""When a body or a sensor stands still: windows of time that the evaluations of standstill compare."""
+"""When a body or a sensor stands still: the windows of time that SSE and SFE compare."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Window:
-    """From `start_s` to `end_s`, both within, under a name (a plane of motion, "first", "last")."""
+    """A named span of time from `start_s` to `end_s`, both included (a plane of motion, "first", "last")."""
 
     name: str
     start_s: float

@@ -7,26 +7,24 @@ first two need no socket. What became of every datagram is told (`Sent`), so tha
 from __future__ import annotations
 
 import contextlib
-import json
 import socket
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
+from cabinpose.record.emulate.base import Emulator
 from cabinpose.record.emulate.mvn_motion import Motion
 from cabinpose.record.emulate.mvn_streamer import Datagram, MvnEmulatorSettings, Streamer
 
 _TCP_TIMEOUT_S = 5.0
 
 
-@dataclass(frozen=True)
-class Sent:
+class Sent(NamedTuple):
     """One datagram that was sent, of `pieces` of its sample, and its fate: `copies` of it arrived (0 = lost), perhaps `late`.
 
     sampled_ns and sent_ns: host clock, when the sample was taken and when the datagram left · time_ms: what it says of its time.
@@ -42,10 +40,6 @@ class Sent:
     sent_ns: int
     copies: int
     late: bool
-
-    def line(self) -> str:
-        """As a line of JSON."""
-        return json.dumps(asdict(self))
 
 
 @dataclass
@@ -85,10 +79,11 @@ class Network:
             yield held.datagram, 0 if lost else held.copies, True
 
 
-class MvnEmulator:
+class MvnEmulator(Emulator):
     """Sends a motion. `run` does so in this thread; `start` and `stop` in another.
 
-    `log` is called with every datagram in the order in which its fate is known, from the thread that sends.
+    samples: how many are sent; None: until `stop` · log: called with every datagram in the order in which its fate is known,
+    from the thread that sends.
     """
 
     def __init__(
@@ -96,16 +91,14 @@ class MvnEmulator:
         settings: MvnEmulatorSettings,
         motion: Motion,
         *,
-        log: Callable[[Sent], None] | None = None,
+        samples: int | None = None,
+        log: Callable[[Sent], None] = lambda _: None,
         clock: HostClock | None = None,
     ) -> None:
-        self.settings = settings
+        super().__init__(clock)
+        self.settings, self._most = settings, samples
         self._streamer, self._network = Streamer(settings, motion), Network(settings)
-        self._log = log or (lambda _: None)
-        self._clock = clock or HostClock()
-        self._stop = threading.Event()
-        self._dies = False
-        self._thread: threading.Thread | None = None
+        self._log = log
         self._socket: socket.socket | None = None
         self._listener: socket.socket | None = None
         self.samples = 0
@@ -144,63 +137,41 @@ class MvnEmulator:
                 each.close()
         self._socket = self._listener = None
 
-    def run(self, samples: int | None = None) -> None:
-        """Send so many samples, or until `stop`; over tcp, a receiver that goes away raises RecordingError."""
-        if self._socket is None and self._listener is None:
-            self.open()
+    def run(self) -> None:
+        """Send all samples, or until `stop`; over tcp, a receiver that goes away raises RecordingError."""
         try:
             if self._accepted():
-                self._send_all(samples)
+                self._send_all()
         finally:
             self.close()
 
-    def start(self, samples: int | None = None) -> None:
-        """Send in a thread."""
-        self.open()
-        self._thread = threading.Thread(target=self._run_quietly, args=(samples,), name="emulate-mvn", daemon=True)
-        self._thread.start()
-
-    def join(self, timeout_s: float | None = None) -> None:
-        """Wait until all samples are sent."""
-        if self._thread is not None:
-            self._thread.join(timeout_s)
-
-    def stop(self, *, dies: bool = False) -> None:
-        """Stop sending; with `dies`, what is under way is lost with the network."""
-        self._dies = dies
-        self._stop.set()
-        self.join(10.0)
-
-    def _run_quietly(self, samples: int | None) -> None:
-        with contextlib.suppress(RecordingError):  # a receiver that left; the thread has nobody to tell
-            self.run(samples)
+    def _run(self) -> None:
+        with contextlib.suppress(RecordingError):  # the receiver left; there is no caller to raise to
+            self.run()
 
     def _accepted(self) -> bool:
         """Wait for a receiver to connect, where it has to."""
-        while self._socket is None and not self._stop.is_set():
+        while self._socket is None and not self._stopping.is_set():
             assert self._listener is not None
             with contextlib.suppress(TimeoutError):
                 self._socket, _ = self._listener.accept()
                 self._socket.settimeout(_TCP_TIMEOUT_S)
         return self._socket is not None
 
-    def _send_all(self, samples: int | None) -> None:
+    def _send_all(self) -> None:
         period_ns = 1e9 / self.settings.rate_hz
-        latency_ns = round(self.settings.latency_s * 1e9)
-        began_ns = time.monotonic_ns()
-        number = 0
-        while (samples is None or number < samples) and not self._stop.is_set():
-            sampled_ns = began_ns + round(number * period_ns)
-            wait_ns = sampled_ns + latency_ns - time.monotonic_ns()
-            if wait_ns > 0 and self._stop.wait(wait_ns * 1e-9):
+        sampled_ns = began_ns = self._clock.now_ns()
+        while (self._most is None or self.samples < self._most) and not self._stopping.is_set():
+            sampled_ns = began_ns + round(self.samples * period_ns)
+            wait_s = (sampled_ns - self._clock.now_ns()) / 1e9 + self.settings.latency_s
+            if wait_s > 0 and self._clock.wait(self._stopping, wait_s):
                 break
-            for datagram in self._streamer.sample(number):
+            for datagram in self._streamer.sample(self.samples):
                 for each in self._network.carry(datagram):
                     self._send(*each, sampled_ns)
-            number += 1
-            self.samples = number
-        for each in self._network.rest(lost=self._dies):
-            self._send(*each, began_ns + round(number * period_ns))
+            self.samples += 1
+        for each in self._network.rest():
+            self._send(*each, sampled_ns)
 
     def _send(self, datagram: Datagram, copies: int, late: bool, sampled_ns: int) -> None:
         assert self._socket is not None
@@ -208,10 +179,9 @@ class MvnEmulator:
         for _ in range(copies):
             try:
                 self._socket.sendall(datagram.data)
-            except ConnectionRefusedError:  # udp on loopback: nobody listens, and that is the receiver's affair
+            except ConnectionRefusedError:  # udp on loopback, without a receiver
                 continue
             except OSError as error:
                 raise RecordingError(f"the receiver went away ({error.strerror or error})", hint="start it again") from error
-        at = self._clock.from_monotonic_ns(sampled_ns)
         d = datagram
-        self._log(Sent(d.kind, d.character, d.counter, d.piece, d.pieces, d.time_ms, at, sent_ns, copies, late))
+        self._log(Sent(d.kind, d.character, d.counter, d.piece, d.pieces, d.time_ms, sampled_ns, sent_ns, copies, late))

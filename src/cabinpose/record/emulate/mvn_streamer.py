@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core.recorded import F64
+from cabinpose.core.rotations import conjugate, product
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.record.emulate.mvn_motion import Motion, offset_m
 from cabinpose.record.sources import mvn_protocol as mvn
@@ -21,7 +22,6 @@ from cabinpose.record.sources.mvn_messages import (
     UNITY_SEGMENTS,
     Z_UP_FROM_UNITY,
     Z_UP_FROM_Y_UP,
-    multiply_wxyz,
     rotate_wxyz,
     rotated_frame_wxyz,
     wxyz_to_euler,
@@ -33,7 +33,7 @@ _INDEX = {name: i for i, name in enumerate(MVN_SEGMENTS)}
 _PARENT = {child: parent for _, parent, child in MVN_JOINTS}
 # The suit's 17 trackers, and how the emulator mounts each: turned about x, so that sensor and segment differ.
 _TRACKED = tuple(n for n in MVN_SEGMENTS if n not in ("L5", "L3", "T12", "Neck", "RightToe", "LeftToe"))
-_MOUNT_WXYZ: F64 = np.array([[np.cos(0.4), np.sin(0.4), 0.0, 0.0]])
+_MOUNT_WXYZ: F64 = np.array([np.cos(0.4), np.sin(0.4), 0.0, 0.0])
 _NORTH: F64 = np.array([0.4, 0.0, -0.9])  # the magnetic field in the world, of about unit length
 _SIDE_BY_SIDE_M = 1.0  # between characters
 
@@ -186,7 +186,7 @@ class Streamer:
             if name in _PARENT:
                 up = slice(_INDEX[_PARENT[name]], _INDEX[_PARENT[name]] + 1)
                 p = rotate_wxyz(orientation[up], p - position[up], inverse=True)
-                q = multiply_wxyz(orientation[up] * (1, -1, -1, -1), q)
+                q = product(conjugate(orientation[up]), q)
             at.append(p)
             turn.append(q)
         positions = np.concatenate(at) @ Z_UP_FROM_UNITY
@@ -216,7 +216,7 @@ class Streamer:
 
     def _trackers(self, frame: int, _: int) -> dict[str, Any]:
         tracked = [_INDEX[name] for name in _TRACKED]
-        orientation = multiply_wxyz(self.motion.orientation_wxyz[frame][tracked], np.repeat(_MOUNT_WXYZ, len(tracked), axis=0))
+        orientation = product(self.motion.orientation_wxyz[frame][tracked], _MOUNT_WXYZ)
         free = self.motion.acceleration[frame][tracked]
         return {
             "id": np.array(tracked) + 1,

@@ -7,16 +7,14 @@ against.
 
 from __future__ import annotations
 
-import json
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.clock import HostClock
+from cabinpose.record.emulate.base import Emulator
 
 Frame = Mapping[str, Any]
 Fate = Literal["sent", "lost", "stalled"]
@@ -37,8 +35,7 @@ class TofFaults(BaseModel):
     seed: int = Field(0, ge=0, description="of the faults")
 
 
-@dataclass(frozen=True)
-class Sent:
+class Sent(NamedTuple):
     """One line of the ground truth: the camera's count, its time stamp, when it was taken (host), and what became of it."""
 
     counter: int
@@ -46,71 +43,56 @@ class Sent:
     taken_ns: int
     fate: Fate
 
-    def line(self) -> str:
-        """As a line of JSON."""
-        return json.dumps(asdict(self))
 
-
-@dataclass
-class EmulatedCamera:
+class EmulatedCamera(Emulator):
     """Takes a frame every period and hands it to `listener(counter, device_ns, frame)` on a thread of its own.
 
     A source of frames that is slower than the camera slows it down; `late` counts the periods that it missed.
     """
 
-    frames: Callable[[], Iterable[Frame]]
-    faults: TofFaults
-    clock: HostClock
-    listener: Callable[[int, int, Frame], None]
-    loop: bool = True
-    log: list[Sent] = field(default_factory=list)
-    late: int = 0
-    ended: bool = False
-    error: Exception | None = None
-    _stop: threading.Event = field(default_factory=threading.Event)
-    _thread: threading.Thread | None = None
-
-    def start(self) -> None:
-        """Let frames come."""
-        self._stop.clear()
-        self._thread = threading.Thread(target=self._guarded, name="emulated-tof", daemon=True)
-        self._thread.start()
-
-    def stop(self, timeout_s: float = 5.0) -> None:
-        """End the frames; harmless if none come."""
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join(timeout_s)
-            self._thread = None
+    def __init__(
+        self,
+        frames: Callable[[], Iterable[Frame]],
+        faults: TofFaults,
+        clock: HostClock,
+        listener: Callable[[int, int, Frame], None],
+        loop: bool = True,
+    ) -> None:
+        super().__init__(clock)
+        self.frames, self.faults, self.listener, self.loop = frames, faults, listener, loop
+        self.log: list[Sent] = []
+        self.late = 0
+        self.ended = False
+        self.error: Exception | None = None
 
     def device_ns(self, taken_ns: int, origin_ns: int) -> int:
         """What the camera's clock says at a moment of the host's; it began to drift at `origin_ns`."""
         elapsed = taken_ns - origin_ns
         return origin_ns + elapsed + round(elapsed * self.faults.clock_drift_ppm * 1e-6 + self.faults.clock_offset_s * 1e9)
 
-    def _guarded(self) -> None:
+    def _run(self) -> None:
         try:
-            self._run()
+            self._take_frames()
         except Exception as error:  # noqa: BLE001 - a source of frames may fail in any way; the reader is told
             self.error = error
         self.ended = True
 
-    def _run(self) -> None:
+    def _take_frames(self) -> None:
         faults = self.faults
         rng = np.random.Generator(np.random.Philox(key=faults.seed))
         period_ns = round(1e9 / faults.rate_hz)
-        origin_ns = started_ns = self.clock.now_ns()
+        origin_ns = started_ns = self._clock.now_ns()
         slack_ns = period_ns + round((faults.latency_s + 4 * faults.jitter_s) * 1e9)
         for counter, frame in enumerate(self._endless()):
             taken_ns = started_ns + counter * period_ns
-            now_ns = self.clock.now_ns()
+            now_ns = self._clock.now_ns()
             if now_ns > taken_ns + slack_ns:  # the frame was not there in time
                 missed = (now_ns - taken_ns) // period_ns
                 self.late += missed
                 started_ns += missed * period_ns
                 taken_ns = started_ns + counter * period_ns
             delay_s = faults.latency_s + max(rng.normal(0.0, faults.jitter_s), 0.0) if faults.jitter_s else faults.latency_s
-            if self._stop.wait(max((taken_ns - self.clock.now_ns()) / 1e9 + delay_s, 0.0)):
+            if self._clock.wait(self._stopping, (taken_ns - self._clock.now_ns()) / 1e9 + delay_s):
                 return
             fate = self._fate(taken_ns - origin_ns, rng.random())
             device_ns = self.device_ns(taken_ns, origin_ns)
@@ -130,7 +112,7 @@ class EmulatedCamera:
             for frame in self.frames():
                 empty = False
                 yield frame
-                if self._stop.is_set():
+                if self._stopping.is_set():
                     return
             if empty or not self.loop:
                 return

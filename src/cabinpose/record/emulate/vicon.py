@@ -1,30 +1,27 @@
-"""A DataStream server that plays a motion, on loopback unless told otherwise, and keeps account of what it sent.
+"""A DataStream server that plays a motion, on loopback unless told otherwise, and logs what it sent.
 
 It greets, answers and numbers as the vendor's server does by the facts in `vicon_protocol`, so that the vendor's SDK client
 should be satisfied too; that client is not at hand, and has not been tried.
 
 What can go wrong with a real one can be asked for: latency, a clock that is off or drifts, occluded markers and segments, frames
-that never come, a server that dies and returns with its count going on or beginning anew. The content of a frame follows from
+that never come, a server that dies and returns with its count going on or restarting. The content of a frame follows from
 the motion, the seed and its number alone: `frame` says what was in it.
 """
 
 from __future__ import annotations
 
-import json
 import selectors
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from typing import Annotated, Literal, NamedTuple
-
-from pydantic import BaseModel, ConfigDict, Field
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
-from cabinpose.record.emulate.vicon_content import OFFERED, ViconContent
+from cabinpose.record.emulate.base import Emulator
+from cabinpose.record.emulate.vicon_content import OFFERED, ViconContent, ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import Motion
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter
@@ -34,47 +31,7 @@ _IDLE_S = 0.05
 _FLUSH_S = 2.0
 
 
-class Outage(NamedTuple):
-    """The server is dead from `after_s` after its start, for `for_s`; `anew`: it then counts frames from the first again."""
-
-    after_s: float
-    for_s: float
-    anew: bool = False
-
-
-class ViconEmulatorSettings(BaseModel):
-    """How the emulated server behaves."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    host: str = "127.0.0.1"
-    """Address to listen on; loopback, unless others shall connect."""
-    port: Annotated[int, Field(ge=0, le=65535)] = 0
-    """Port to listen on; 0 takes a free one. The vendor's is 801, which most systems keep for the administrator."""
-    rate_hz: Annotated[float | None, Field(gt=0, le=20_000)] = None
-    """Frames a second; None: the motion's."""
-    first_frame: Annotated[int, Field(ge=1, lt=vicon.FRAME_COUNTER)] = 1
-    """Number of the first frame, as the SDK tells it: how far the server's frame clock was when we came."""
-    drift_ppm: Annotated[float, Field(ge=-100_000, le=100_000)] = 0.0
-    """By how much the server's clock runs fast, in millionths."""
-    latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """From a frame's capture to its sending, as the server reports it too."""
-    drop: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of frames that are never sent."""
-    occlude_markers: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of markers not seen, each frame anew."""
-    occlude_segments: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of segments not solved, each frame anew."""
-    up: Literal["z", "y"] = "z"
-    """The server's vertical axis."""
-    outages: tuple[Outage, ...] = ()
-    """When it dies and returns."""
-    seed: Annotated[int, Field(ge=0)] = 0
-    """Seed of what is dropped and occluded."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sent:
+class Sent(NamedTuple):
     """What became of a frame for one client: sent, dropped (on purpose), or refused (the client read too slowly).
 
     captured_ns, sent_ns: the emulator's `HostClock`.
@@ -85,10 +42,6 @@ class Sent:
     fate: Literal["sent", "dropped", "refused"]
     captured_ns: int
     sent_ns: int
-
-    def line(self) -> str:
-        """As a line of JSON."""
-        return json.dumps(asdict(self))
 
 
 @dataclass
@@ -105,8 +58,8 @@ class _Client:
     last: int | None = None
 
 
-class ViconEmulator:
-    """One server, in a thread of its own between `start` and `stop`; a context manager."""
+class ViconEmulator(Emulator):
+    """One server. tell: called with each entry of `log` as it is made, from the thread that sends."""
 
     def __init__(
         self,
@@ -114,63 +67,29 @@ class ViconEmulator:
         settings: ViconEmulatorSettings | None = None,
         clock: HostClock | None = None,
         *,
-        tell: Callable[[Sent], None] | None = None,
+        tell: Callable[[Sent], None] = lambda _: None,
     ) -> None:
-        """tell: called with each entry of `log` as it is made, from the thread that sends."""
-        self.motion = motion
+        super().__init__(clock)
         self.settings = settings or ViconEmulatorSettings()
         self.rate_hz = self.settings.rate_hz or motion.rate_hz
         self.log: list[Sent] = []
-        self._tell = tell or (lambda _: None)
         self.malformed = 0
-        self._clock = clock or HostClock()
-        self._content = ViconContent(
-            motion,
-            rate_hz=self.rate_hz,
-            latency_s=self.settings.latency_s,
-            drop=self.settings.drop,
-            occlude_markers=self.settings.occlude_markers,
-            occlude_segments=self.settings.occlude_segments,
-            y_up=self.settings.up == "y",
-            seed=self.settings.seed,
-        )
+        self._tell = tell
+        self._content = ViconContent(motion, self.settings)
         self._clients: dict[socket.socket, _Client] = {}
         self._accepted = 0
         self._selector = selectors.DefaultSelector()
         self._listener: socket.socket | None = None
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
         self._dead = threading.Event()
         self._anew = False
         self._port = self.settings.port
-        self._first, self._began = self.settings.first_frame, 0.0
+        self._began = 0.0
         self._newest: tuple[int, int] | None = None  # number and capture of the newest frame
-
-    # ------------------------------------------------------------------------------------------------------- life
 
     @property
     def address(self) -> tuple[str, int]:
         """Where it listens; the port stays the same when it dies and returns."""
         return (self.settings.host, self._port)
-
-    @property
-    def clients(self) -> int:
-        """How many are connected."""
-        return len(self._clients)
-
-    def start(self) -> None:
-        """Listen and count frames. Raises RecordingError where the address is taken or not ours."""
-        self._listen()
-        self._stopping.clear()
-        self._thread = threading.Thread(target=self._run, name="vicon-emulator", daemon=True)
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Send what was due, and close."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(timeout=2 * _FLUSH_S)
-            self._thread = None
 
     def die(self) -> None:
         """Cut all connections, as a process does that is killed; frames are counted on."""
@@ -181,26 +100,14 @@ class ViconEmulator:
         self._anew = anew
         self._dead.clear()
 
-    def __enter__(self) -> ViconEmulator:
-        """Start."""
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop."""
-        self.stop()
-
-    def _listen(self) -> None:
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    def open(self) -> None:
+        """Listen. Raises RecordingError where the address is taken or not ours."""
         try:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind((self.settings.host, self._port))
-            listener.listen(8)
-            listener.setblocking(False)
+            listener = socket.create_server((self.settings.host, self._port), backlog=8)
         except OSError as error:
-            listener.close()
             hint = "give another port or address, or 0 for a free port; ports below 1024 need rights"
             raise RecordingError(f"cannot listen on {self.settings.host}:{self._port}: {error}", hint=hint) from error
+        listener.setblocking(False)
         self._listener, self._port = listener, listener.getsockname()[1]
         self._selector.register(listener, selectors.EVENT_READ)
 
@@ -217,13 +124,13 @@ class ViconEmulator:
     # ------------------------------------------------------------------------------------------------------- loop
 
     def _run(self) -> None:
-        started = self._began = time.monotonic()
+        started = self._began = self._clock.now_s()
         outages = sorted(self.settings.outages)
         back_at: tuple[float, bool] | None = None
         count = 0
         try:
             while not self._stopping.is_set():
-                now = time.monotonic()
+                now = self._clock.now_s()
                 if outages and now >= started + outages[0].after_s:
                     outage = outages.pop(0)
                     back_at = (started + outage.after_s + outage.for_s, outage.anew)
@@ -232,7 +139,7 @@ class ViconEmulator:
                     self.revive(anew=back_at[1])
                     back_at = None
                 count = self._live_or_die(count)
-                wait = self._captured(count) + self.settings.latency_s - time.monotonic()
+                wait = self._captured(count) + self.settings.latency_s - self._clock.now_s()
                 if wait <= 0:
                     self._tick(count)
                     count += 1
@@ -243,27 +150,27 @@ class ViconEmulator:
             self._selector.close()
 
     def _live_or_die(self, count: int) -> int:
-        """Follow `die` and `revive`; the count of frames, which may begin anew."""
+        """Follow `die` and `revive`; the count of frames, which may restart."""
         listening = self._listener is not None
         if self._dead.is_set() and listening:
             self._cut()
         if self._dead.is_set() or listening:
             return count
         try:
-            self._listen()
+            self.open()
         except RecordingError:  # the port is still held: the next turn tries again
             return count
         if not self._anew:
             return count
-        self._began, self._anew, self._newest = time.monotonic(), False, None
+        self._began, self._anew, self._newest = self._clock.now_s(), False, None
         return 0
 
     def _captured(self, count: int) -> float:
-        """The monotonic time at which the frame `count` is captured."""
+        """The time at which the frame `count` is captured, s."""
         return self._began + count / (self.rate_hz * (1 + self.settings.drift_ppm * 1e-6))
 
     def _serve(self, wait_s: float) -> None:
-        for key, events in self._selector.select(wait_s):
+        for key, events in self._clock.select(self._selector, wait_s):
             if key.fileobj is self._listener:
                 self._accept()
                 continue
@@ -321,8 +228,8 @@ class ViconEmulator:
 
     def _tick(self, count: int) -> None:
         """The frame `count` is due: give it to those who want it."""
-        number = (self._first + count) % vicon.FRAME_COUNTER
-        captured_ns = self._clock.from_monotonic_ns(round(self._captured(count) * 1e9))
+        number = (self.settings.first_frame + count) % vicon.FRAME_COUNTER
+        captured_ns = round(self._captured(count) * 1e9)
         if self._content.dropped(number):
             now_ns = self._clock.now_ns()
             streaming = [each.number for each in self._clients.values() if each.streaming and each.wanted is not None]
@@ -370,8 +277,8 @@ class ViconEmulator:
             self._selector.modify(client.connection, selectors.EVENT_READ | waiting)
 
     def _flush(self) -> None:
-        limit = time.monotonic() + _FLUSH_S
-        while any(client.outbox for client in self._clients.values()) and time.monotonic() < limit:
+        limit = self._clock.now_s() + _FLUSH_S
+        while any(client.outbox for client in self._clients.values()) and self._clock.now_s() < limit:
             self._serve(_IDLE_S)
         for client in list(self._clients.values()):
             if not client.outbox:  # an orderly end, after which the client has all

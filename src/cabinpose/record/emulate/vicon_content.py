@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.frames import ZUP_FROM_YUP
 from cabinpose.core.recorded import F64
@@ -13,44 +14,72 @@ from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon_protocol import STATIC, Contents, Packet, Rows, SegmentInfo, SubjectInfo, Type
 
 OFFERED = frozenset(Type) - {Type.OBJECT_ENUMS, Type.REQUEST_FRAME, Type.REQUEST_NEXT_FRAME}
+_ANSWERS = frozenset({Type.PING, Type.CONTENTS})  # of no frame
 _LATENCY_PARTS = (("Camera", 0.5), ("Reconstruct", 0.3), ("Label", 0.2))  # what a latency consists of
 _MARKER_RADIUS_MM = 7.0
 
 
-class ViconContent:
-    """Frames of a motion, as `emulate.vicon.ViconEmulatorSettings` says."""
+class Outage(NamedTuple):
+    """The server is dead from `after_s` after its start, for `for_s`; `anew`: it then counts frames from the first again."""
 
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        rate_hz: float,
-        latency_s: float = 0.0,
-        drop: float = 0.0,
-        occlude_markers: float = 0.0,
-        occlude_segments: float = 0.0,
-        y_up: bool = False,
-        seed: int = 0,
-    ) -> None:
-        self.motion = motion
+    after_s: float
+    for_s: float
+    anew: bool = False
+
+
+class ViconEmulatorSettings(BaseModel):
+    """How the emulated server behaves."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = "127.0.0.1"
+    """Address to listen on; loopback, unless others shall connect."""
+    port: Annotated[int, Field(ge=0, le=65535)] = 0
+    """Port to listen on; 0 takes a free one. The vendor's is 801, which most systems keep for the administrator."""
+    rate_hz: Annotated[float | None, Field(gt=0, le=20_000)] = None
+    """Frames a second; None: the motion's."""
+    first_frame: Annotated[int, Field(ge=1, lt=vicon.FRAME_COUNTER)] = 1
+    """Number of the first frame, as the SDK tells it: how far the server's frame clock was when we came."""
+    drift_ppm: Annotated[float, Field(ge=-100_000, le=100_000)] = 0.0
+    """By how much the server's clock runs fast, in millionths."""
+    latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """From a frame's capture to its sending, as the server reports it too."""
+    drop: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of frames that are never sent."""
+    occlude_markers: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of markers not seen, drawn for each frame."""
+    occlude_segments: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of segments not solved, drawn for each frame."""
+    up: Literal["z", "y"] = "z"
+    """The server's vertical axis."""
+    outages: tuple[Outage, ...] = ()
+    """When it dies and returns."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of what is dropped and occluded."""
+
+
+class ViconContent:
+    """Frames of a motion, as the settings say."""
+
+    def __init__(self, motion: Motion, settings: ViconEmulatorSettings) -> None:
+        self.motion, self._settings = motion, settings
         self._subjects = [_Subject(i + 1, subject) for i, subject in enumerate(motion.subjects)]
-        self._rate_hz, self._drop, self._seed = rate_hz, drop, seed
-        self._occlude_markers, self._occlude_segments = occlude_markers, occlude_segments
-        self._latency = tuple((name, share * latency_s) for name, share in _LATENCY_PARTS)
-        self._y_up, self._server = y_up, ZUP_FROM_YUP.T if y_up else np.eye(3)
+        self._rate_hz = settings.rate_hz or motion.rate_hz
+        self._latency = tuple((name, share * settings.latency_s) for name, share in _LATENCY_PARTS)
+        self._server = ZUP_FROM_YUP.T if settings.up == "y" else np.eye(3)
 
     def frame(self, number: int) -> Packet:
         """Everything but the statics; number: the SDK's, which begins with 1."""
-        rng = np.random.Generator(np.random.Philox(key=(self._seed, number)))
+        rng = np.random.Generator(np.random.Philox(key=(self._settings.seed, number)))
         index = (number - 1) % self.motion.frames
         packet = Packet(frame=number, hardware_frame=number, rates={"Camera": self._rate_hz}, latency=self._latency)
         labeled = [np.empty(0, vicon.LABELED)]
         for subject in self._subjects:
-            solved = rng.random(len(subject.motion.segments)) >= self._occlude_segments
+            solved = rng.random(len(subject.motion.segments)) >= self._settings.occlude_segments
             packet.global_segments[subject.identity] = subject.global_rows(index, self._server, solved)
             packet.local_segments[subject.identity] = subject.local_rows(index, self._server, solved)
             draw = rng.random(len(subject.motion.markers))
-            labeled.append(subject.marker_rows(index, self._server, draw, self._occlude_markers))
+            labeled.append(subject.marker_rows(index, self._server, draw, self._settings.occlude_markers))
         packet.labeled = np.concatenate(labeled)
         packet.unlabeled = _loose_rows(self.motion.loose_m[index] @ self._server.T)
         return packet
@@ -60,7 +89,7 @@ class ViconContent:
         packet = self.frame(number)
         if statics:
             packet.period = round(vicon.TICKS_PER_SECOND / self._rate_hz)
-            packet.y_up = self._y_up
+            packet.y_up = self._settings.up == "y"
             packet.subjects = [subject.info for subject in self._subjects]
             for subject in self._subjects:
                 every = np.ones(len(subject.motion.segments), bool)
@@ -69,8 +98,8 @@ class ViconContent:
 
     def dropped(self, number: int) -> bool:
         """Whether the frame is never sent."""
-        rng = np.random.Generator(np.random.Philox(key=(self._seed + 1, number)))
-        return bool(rng.random() < self._drop)
+        rng = np.random.Generator(np.random.Philox(key=(self._settings.seed + 1, number)))
+        return bool(rng.random() < self._settings.drop)
 
 
 class _Subject:
@@ -125,22 +154,14 @@ def _loose_rows(points_m: F64) -> Rows:
     return rows
 
 
-_FIELDS: Sequence[tuple[Type, str]] = (
-    (Type.STREAM_INFO, "period"), (Type.SUBJECT_INFO, "subjects"), (Type.SUBJECT_TOPOLOGY, "neutral"),
-    (Type.APPLICATION_INFO, "y_up"), (Type.FRAME_INFO, "frame"), (Type.HARDWARE_FRAME_INFO, "hardware_frame"),
-    (Type.FRAME_RATE_INFO, "rates"), (Type.LATENCY_INFO, "latency"), (Type.LABELED_RECONS, "labeled"),
-    (Type.UNLABELED_RECONS, "unlabeled"), (Type.GLOBAL_SEGMENTS, "global_segments"), (Type.LOCAL_SEGMENTS, "local_segments"),
-)  # fmt: skip
-
-
 def _selected(packet: Packet, wanted: frozenset[int], unchanged: frozenset[int]) -> Packet:
     """Of a packet, what a client wants; with the table of contents, if it wants that."""
     chosen, counts = Packet(), {}
-    for kind, name in _FIELDS:
-        if kind in wanted:
-            value = getattr(packet, name)
-            setattr(chosen, name, value)
-            counts[int(kind)] = len(value) if isinstance(value, (list, dict)) and name != "rates" else int(value is not None)
+    for kind, block in vicon.BLOCKS.items():
+        if kind in wanted & OFFERED - _ANSWERS:
+            value = getattr(packet, block.field)
+            setattr(chosen, block.field, value)
+            counts[int(kind)] = len(value) if block.each else int(value is not None)
     if Type.CONTENTS in wanted:
         chosen.contents = Contents(counts, frozenset(int(kind) for kind in unchanged))
     return chosen

@@ -33,7 +33,7 @@ class SubjectMotion:
 
 @dataclass(frozen=True)
 class Motion:
-    """F frames at `rate_hz`, which repeat: subjects, and markers that nobody labelled, loose_m (F, U, 3), NaN = not seen."""
+    """F frames at `rate_hz`, which repeat: subjects, and markers without a label, loose_m (F, U, 3), NaN = not seen."""
 
     rate_hz: float
     subjects: tuple[SubjectMotion, ...]

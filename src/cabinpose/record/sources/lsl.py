@@ -7,18 +7,18 @@ broke off and came back counts as a restart.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, RecordingError
+from cabinpose.core.errors import RecordingError
 from cabinpose.core.optional import optional_module
-from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Channels, Facts, Message
+from cabinpose.record.sources.base import DeviceSource
 
 _MOST_CHANNELS = 4096
 _LONGEST_DESCRIPTION = 1 << 20
@@ -44,84 +44,59 @@ class LslSettings(BaseModel):
         return self
 
 
-class LslSource:
-    """A `FrameSource` of one stream."""
+class LslSource(DeviceSource[LslSettings]):
+    """A `FrameSource` of one stream; LSL does not tell what was lost."""
 
-    Settings = LslSettings
+    Settings: ClassVar = LslSettings
 
     def __init__(self, name: str, settings: LslSettings, clock: HostClock) -> None:
-        self._name = name
-        self._settings = settings
-        self._clock = clock
-        self._counts = Counts()
-        self._pylsl: Any = None
+        super().__init__(name, settings, clock)
         self._inlet: Any = None
-        self._opened = False
         self._labels: tuple[str, ...] = ()
         self._text = False
         self._about = ""
         self._sequence = 0
         self._pending: list[Facts] = []
         self._next_correction_s = 0.0
-        self._next_attempt_s = 0.0
+        self._look_s = settings.resolve_s  # for how long the stream is looked for
 
-    @property
-    def name(self) -> str:
-        """What the rig's configuration calls it."""
-        return self._name
-
-    @property
-    def counts(self) -> Counts:
-        """What became of the samples; LSL does not tell what was lost."""
-        return self._counts
-
-    def check(self) -> Sequence[str]:
-        """What keeps the stream from being read; looks for it."""
-        try:
-            self._find(_load(), self._settings.resolve_s)
-        except CabinposeError as error:
-            return [error.in_one_line()]
+    def _missing(self) -> Sequence[str]:
+        self._find(_load(), self.settings.resolve_s)
         return []
 
-    def open(self) -> None:
-        """Find the stream and subscribe to it."""
-        if not self._opened:
-            self._pylsl = _load()
-            self._subscribe(self._settings.resolve_s)
-            self._opened = True
+    def _connect(self) -> None:
+        self._subscribe(self._look_s)
 
-    def read(self, timeout_s: float) -> Sequence[Sample]:
+    def _disconnect(self) -> None:
+        inlet, self._inlet = self._inlet, None
+        if inlet is not None:
+            inlet.close_stream()
+
+    def _read(self, timeout_s: float) -> Sequence[Sample]:
         """The samples since the last call; looks for a stream that went away."""
-        if not self._opened:
-            raise RecordingError(f"{self._name} is not open", hint="call open() first")
-        end_s = time.monotonic() + timeout_s
-        if self._inlet is None:
-            self._reconnect(timeout_s)
+        until = self._clock.now_s() + timeout_s
+        if self._inlet is None and self._attempt(self.settings.reconnect_s):
+            self._look_s = max(min(timeout_s, self.settings.resolve_s), 0.1)
+            self._reconnect()
         rows: Sequence[Any] = ()
         stamps: Sequence[float] = ()
-        if self._inlet is not None:
-            wait_s = 0.0 if self._pending else max(end_s - time.monotonic(), 0.0)
+        if self._inlet is None:
+            self._clock.sleep(until - self._clock.now_s())
+        else:
+            wait_s = 0.0 if self._pending else max(until - self._clock.now_s(), 0.0)
             try:
                 rows, stamps = self._inlet.pull_chunk(timeout=wait_s, max_samples=1024)
                 self._correct()
             except RuntimeError:  # pylsl's LostError is one
-                self._drop()
-        else:
-            time.sleep(max(end_s - time.monotonic(), 0.0))
+                self._disconnect()
         host_ns = self._clock.now_ns()
         samples = [Sample(None, host_ns, None, b"", (facts,)) for facts in self._pending]
         self._pending.clear()
-        samples += [self._sample(row, stamp, host_ns) for row, stamp in zip(rows or (), stamps or (), strict=True)]
-        return samples
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._opened = False
-        self._drop()
+        return samples + [self._sample(row, stamp, host_ns) for row, stamp in zip(rows or (), stamps or (), strict=True)]
 
     def _find(self, pylsl: Any, timeout_s: float) -> Any:
         """The stream's announcement; RecordingError where there is none in the time."""
-        settings = self._settings
+        settings = self.settings
         wanted = {"name": settings.stream, "type": settings.type, "source_id": settings.source_id}
         given = {key: value for key, value in wanted.items() if value is not None}
         if any("'" in value for value in given.values()):
@@ -134,9 +109,9 @@ class LslSource:
         return found[0]
 
     def _subscribe(self, timeout_s: float) -> None:
-        pylsl = self._pylsl
+        self._pylsl = pylsl = _load()
         announced = self._find(pylsl, timeout_s)
-        inlet = pylsl.StreamInlet(announced, max_buflen=self._settings.buffer_s, recover=False)
+        inlet = pylsl.StreamInlet(announced, max_buflen=self.settings.buffer_s, recover=False)
         try:
             info = inlet.info(timeout=timeout_s)
             inlet.open_stream(timeout=timeout_s)
@@ -148,28 +123,18 @@ class LslSource:
             raise RecordingError(f"the LSL stream {info.name()} has {count} channels", hint=f"1 to {_MOST_CHANNELS} can be read")
         self._labels = _labels(info, count)
         self._text = info.channel_format() == pylsl.cf_string
-        self._about = info.name() or self._name
+        self._about = info.name() or self.name
         self._inlet = inlet
         self._next_correction_s = 0.0
+        about: dict[str, object] = {"name": info.name(), "type": info.type(), "source_id": info.source_id()}
+        about |= {"rate_hz": float(info.nominal_srate()), "format": "string" if self._text else "number"}
         description = info.as_xml()
-        self._pending.append(
-            Facts(
-                "stream",
-                {
-                    "name": info.name(),
-                    "type": info.type(),
-                    "source_id": info.source_id(),
-                    "rate_hz": float(info.nominal_srate()),
-                    "format": "string" if self._text else "number",
-                    "channels": list(self._labels),
-                    "description": description if len(description) <= _LONGEST_DESCRIPTION else "",
-                },
-            )
-        )
+        about |= {"channels": list(self._labels), "description": description if len(description) <= _LONGEST_DESCRIPTION else ""}
+        self._pending.append(Facts("stream", about))
 
     def _correct(self) -> None:
         """Measure the sender's clock, if it is time."""
-        now = time.monotonic()
+        now = self._clock.now_s()
         if now < self._next_correction_s:
             return
         self._next_correction_s = now + _RETRY_S
@@ -177,40 +142,24 @@ class LslSource:
             offset_s = float(self._inlet.time_correction(timeout=_ANSWER_S))
         except RuntimeError:  # no answer in time; a lost stream is told by the next pull
             return
-        self._next_correction_s = now + self._settings.correct_every_s
+        self._next_correction_s = now + self.settings.correct_every_s
         host_minus_lsl_s = self._clock.now_ns() / 1e9 - float(self._pylsl.local_clock())
         self._pending.append(
             Facts("time_correction", {"sender_to_lsl_clock_s": offset_s, "lsl_clock_to_host_ns": round(host_minus_lsl_s * 1e9)})
         )
 
     def _sample(self, row: Sequence[Any], stamp: float, host_ns: int) -> Sample:
-        self._counts.received += 1
+        self.counts.received += 1
         sequence, self._sequence = self._sequence, self._sequence + 1
         messages: tuple[Message, ...] = ()
         if len(row) != len(self._labels) or not np.isfinite(stamp):
-            self._counts.malformed += 1
+            self.counts.malformed += 1
         elif self._text:
             messages = (Facts(self._about, dict(zip(self._labels, (str(v) for v in row), strict=True))),)
         else:
             messages = (Channels(self._labels, np.array(row, dtype=np.float64)),)
         device_ns = round(stamp * 1e9) if np.isfinite(stamp) else None
         return Sample(sequence, host_ns, device_ns, b"", messages)
-
-    def _reconnect(self, timeout_s: float) -> None:
-        now = time.monotonic()
-        if now < self._next_attempt_s:
-            return
-        self._next_attempt_s = now + self._settings.reconnect_s
-        try:
-            self._subscribe(max(min(timeout_s, self._settings.resolve_s), 0.1))
-        except RecordingError:
-            return
-        self._counts.restarts += 1
-
-    def _drop(self) -> None:
-        inlet, self._inlet = self._inlet, None
-        if inlet is not None:
-            inlet.close_stream()
 
 
 def _load() -> Any:

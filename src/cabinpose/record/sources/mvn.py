@@ -11,7 +11,6 @@ because its buffer was full, is `kernel_drops`; the part of which some pieces ca
 from __future__ import annotations
 
 import contextlib
-import select
 import socket
 import struct
 import sys
@@ -24,8 +23,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.clock import HostClock, Unwrapper
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.ports import Sample
 from cabinpose.record.sources import mvn_protocol as mvn
+from cabinpose.record.sources.base import DeviceSource
 from cabinpose.record.sources.mvn_messages import Decoder, PositionUnit
 from cabinpose.record.sources.mvn_protocol import Header, MalformedError
 from cabinpose.record.sources.mvn_sequence import SequenceTracker
@@ -33,7 +33,7 @@ from cabinpose.record.sources.mvn_sequence import SequenceTracker
 _BATCH = 512  # datagrams of one read: what waits longer is read by the next
 _DATAGRAM = 1 << 16
 _STREAM_LIMIT = 1 << 18  # bytes of a stream that may wait for the rest of a datagram
-_CLOCK_BACK_MS = 1000  # a device clock that falls by more has begun anew
+_CLOCK_BACK_MS = 1000  # a device clock that falls by more has restarted
 _CLOCKS = 1024  # of characters of senders, more than a rig has
 _RETRY_S = 0.5
 _LINUX = sys.platform.startswith("linux")
@@ -67,38 +67,27 @@ class MvnSettings(BaseModel):
     """Subject codes of characters by their ids; the others are character0, character1, and so on."""
 
 
-class MvnSource:
-    """A `core.ports.FrameSource` that listens to MVN."""
+class MvnSource(DeviceSource[MvnSettings]):
+    """A `core.ports.FrameSource` that listens to MVN.
+
+    `counts`: samples received and lost, datagrams reordered, duplicate and malformed.
+    """
 
     Settings: ClassVar = MvnSettings
 
-    def __init__(self, name: str, settings: MvnSettings | None = None, *, clock: HostClock | None = None) -> None:
-        self._name = name
-        self.settings = settings or MvnSettings()
-        self._clock = clock or HostClock()
-        self._counts = Counts()
-        self._tracker = SequenceTracker(self._counts, step=self.settings.counter_step, window_s=self.settings.reorder_window_s)
+    def __init__(self, name: str, settings: MvnSettings | None = None, clock: HostClock | None = None) -> None:
+        super().__init__(name, settings, clock)
+        self._tracker = SequenceTracker(self.counts, step=self.settings.counter_step, window_s=self.settings.reorder_window_s)
         self._decoder = Decoder(position_unit=self.settings.position_unit, subjects=self.settings.subjects)
         self._clocks: dict[tuple[Hashable, int], Unwrapper] = {}
         self._socket: socket.socket | None = None  # UDP, or what listens for TCP
         self._stream: socket.socket | None = None  # the connection of TCP
         self._waiting = b""
         self._connected_before = False
-        self._retry_at = 0.0
         self._buffer = memoryview(bytearray(_DATAGRAM))
         self._drops_seen = 0
         self.kernel_drops = 0
         self.buffer_granted = 0
-
-    @property
-    def name(self) -> str:
-        """What the rig's configuration calls it."""
-        return self._name
-
-    @property
-    def counts(self) -> Counts:
-        """What became of what was sent: samples received and lost, datagrams reordered, duplicate and malformed."""
-        return self._counts
 
     @property
     def incomplete(self) -> int:
@@ -113,53 +102,54 @@ class MvnSource:
         host, port = self._socket.getsockname()[:2]
         return (host, port)
 
-    def check(self) -> Sequence[str]:
-        """What keeps it from working; listens for a second where it is not open."""
-        if self._socket is not None or self._stream is not None:
-            heard = self._counts.received + self._counts.malformed
-            return [*self._buffer_complaint(), *([] if heard else [self._silence()])]
-        probe = MvnSource(self._name, self.settings, clock=self._clock)
-        try:
-            probe.open()
-        except RecordingError as error:
-            return [f"{error}; {error.hint}"]
-        try:
-            limit = time.monotonic() + 1.0
-            while not (heard := bool(probe.read(0.1))) and time.monotonic() < limit:
-                continue
-            return [*probe._buffer_complaint(), *([] if heard else [self._silence()])]
-        finally:
-            probe.close()
+    def _missing(self) -> Sequence[str]:
+        return self._listened(1.0)
 
-    def open(self) -> None:
-        """Listen, or connect. Raises RecordingError where the address is taken, not ours, or refuses."""
-        self.close()
-        settings = self.settings
-        where = f"{settings.host}:{settings.port}"
-        try:
+    def _complaints(self) -> list[str]:
+        settings, where = self.settings, f"{self.settings.host}:{self.settings.port}"
+        complaints = []
+        if self.buffer_granted < (asked := settings.receive_buffer):
+            remedy = f"raise its limit (Linux: sysctl -w net.core.rmem_max={asked})"
+            complaints.append(f"{self.name}: the system grants {self.buffer_granted} of {asked} bytes of buffer; {remedy}")
+        if not self.counts.received + self.counts.malformed:
             if settings.transport == "connect":
-                self._connect()
-                return
-            kind = socket.SOCK_DGRAM if settings.transport == "udp" else socket.SOCK_STREAM
-            self._socket = socket.socket(_family(settings.host), kind)
-            if kind == socket.SOCK_STREAM:
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._tune(self._socket)
-            self._socket.bind((settings.host, settings.port))
-            if kind == socket.SOCK_STREAM:
-                self._socket.listen(1)
-            self._socket.setblocking(False)
+                complaints.append(f"{self.name}: {where} says nothing; start the streamer in MVN")
+            else:
+                complaints.append(
+                    f"{self.name}: nothing arrives on {where}; in MVN, Options > Network Streamer, add this computer's address "
+                    f"and port ({settings.transport.upper()}), and listen on an address that MVN can reach"
+                )
+        return complaints
+
+    def _connect(self) -> None:
+        """Listen, or connect. Raises RecordingError where the address is taken, not ours, or refuses."""
+        doing, hint = "connect to", "start MVN's streamer, or check its address"
+        if self.settings.transport != "connect":
+            doing = "listen on"
+            hint = "another program may use the port (MVN's own network monitor does), or the address is not this computer's"
+        try:
+            if self.settings.transport == "connect":
+                self._dial(3.0)
+            else:
+                self._listen()
         except OSError as error:
-            self.close()
-            doing = "connect to" if settings.transport == "connect" else "listen on"
-            hint = (
-                "start MVN's streamer, or check its address"
-                if settings.transport == "connect"
-                else "another program may use the port (MVN's own network monitor does), or the address is not this computer's"
-            )
+            self._disconnect()
+            where = f"{self.settings.host}:{self.settings.port}"
             raise RecordingError(f"cannot {doing} {where} ({error.strerror or error})", hint=hint) from error
 
-    def close(self) -> None:
+    def _listen(self) -> None:
+        family = socket.AF_INET6 if ":" in self.settings.host else socket.AF_INET
+        stream = self.settings.transport == "tcp"
+        self._socket = socket.socket(family, socket.SOCK_STREAM if stream else socket.SOCK_DGRAM)
+        if stream:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._tune(self._socket)
+        self._socket.bind((self.settings.host, self.settings.port))
+        if stream:
+            self._socket.listen(1)
+        self._socket.setblocking(False)
+
+    def _disconnect(self) -> None:
         """Stop listening; samples that lack pieces are lost now."""
         self._drop_stream()
         if self._socket is not None:
@@ -167,16 +157,14 @@ class MvnSource:
             self._socket = None
         self._tracker.settle()
 
-    def read(self, timeout_s: float) -> Sequence[Sample]:
-        """What has arrived; waits at most `timeout_s` for the first."""
-        with np.errstate(invalid="ignore", over="ignore"):  # a sender's infinities are no fault of ours to warn of
+    def _read(self, timeout_s: float) -> Sequence[Sample]:
+        with np.errstate(invalid="ignore", over="ignore"):  # a sender's infinities and NaN need no warning
             return self._read_datagrams(timeout_s) if self.settings.transport == "udp" else self._read_stream(timeout_s)
 
     # ---------------------------------------------------------------------------------------------------------- UDP
     def _read_datagrams(self, timeout_s: float) -> list[Sample]:
-        if self._socket is None:
-            raise RecordingError(f"{self._name} is not open", hint="call open first")
-        if not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
+        assert self._socket is not None
+        if not self._clock.readable(self._socket, timeout_s):
             return []
         samples = []
         for _ in range(_BATCH):
@@ -193,13 +181,13 @@ class MvnSource:
         return samples
 
     def _kernel_notes(self, ancillary: Sequence[tuple[int, int, bytes]]) -> int:
-        """How long ago the kernel took the datagram, ns; keeps account of those that it dropped."""
+        """How long ago the kernel took the datagram, ns; counts those that it dropped."""
         age_ns = 0
         for level, kind, data in ancillary:
             if level != socket.SOL_SOCKET:
                 continue
             if kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
-                seconds, nanoseconds = _TIMESPEC.unpack_from(data)
+                seconds, nanoseconds = _TIMESPEC.unpack_from(data)  # of the system's clock, whatever clock we were given
                 age_ns = time.time_ns() - seconds * 1_000_000_000 - nanoseconds
             elif kind == _SO_RXQ_OVFL and len(data) >= _DROPS.size:
                 (drops,) = _DROPS.unpack_from(data)
@@ -209,12 +197,11 @@ class MvnSource:
 
     # ---------------------------------------------------------------------------------------------------------- TCP
     def _read_stream(self, timeout_s: float) -> list[Sample]:
-        limit = time.monotonic() + max(0.0, timeout_s)
-        if self._stream is None and not self._reach(limit):
+        until = self._clock.now_s() + timeout_s
+        if self._stream is None and not self._reach(until):
             return []
         assert self._stream is not None
-        left = max(0.0, limit - time.monotonic())
-        if not select.select([self._stream], [], [], left)[0]:
+        if not self._clock.readable(self._stream, until - self._clock.now_s()):
             return []
         try:
             data = self._stream.recv(_DATAGRAM)
@@ -228,46 +215,38 @@ class MvnSource:
         host_ns = self._clock.now_ns()
         return [self.take(datagram, host_ns) for datagram in self._cut(data)]
 
-    def _reach(self, limit: float) -> bool:
-        """Wait for MVN to connect, or connect to it, until `limit` of the monotonic clock."""
-        if self.settings.transport == "tcp":
-            if self._socket is None:
-                raise RecordingError(f"{self._name} is not open", hint="call open first")
-            if not select.select([self._socket], [], [], max(0.0, limit - time.monotonic()))[0]:
-                return False
-            try:
-                self._stream, _ = self._socket.accept()
-            except OSError:
-                return False
-            self._greet(self._stream)
-            return True
-        wait = min(max(self._retry_at, time.monotonic()), limit) - time.monotonic()
-        if wait > 0:
-            time.sleep(wait)
-        if time.monotonic() < self._retry_at:
-            return False
+    def _reach(self, until: float) -> bool:
+        """Wait for MVN to connect, or connect to it, until then."""
+        left = until - self._clock.now_s()
         try:
-            self._connect(max(0.05, limit - time.monotonic()))
+            if self._socket is not None:
+                if not self._clock.readable(self._socket, left):
+                    return False
+                self._stream, _ = self._socket.accept()
+                self._greet(self._stream)
+            elif self._attempt(_RETRY_S):
+                self._dial(max(0.05, left))
+            else:
+                self._clock.sleep(min(left, _RETRY_S))
+                return False
         except OSError:
-            self._retry_at = time.monotonic() + _RETRY_S
             return False
         return True
 
-    def _connect(self, timeout_s: float = 3.0) -> None:
-        stream = socket.create_connection((self.settings.host, self.settings.port), timeout=timeout_s)
-        self._tune(stream)
-        self._stream = stream
-        self._greet(stream)
+    def _dial(self, timeout_s: float) -> None:
+        self._stream = socket.create_connection((self.settings.host, self.settings.port), timeout=timeout_s)
+        self._tune(self._stream)
+        self._greet(self._stream)
 
     def _greet(self, stream: socket.socket) -> None:
         stream.setblocking(False)
         if self._connected_before:
             self._tracker.reconnected(self._clock.now_ns())
-            self._began_anew()
+            self._restart()
         self._connected_before = True
 
     def _cut(self, data: bytes) -> list[bytes]:
-        """The whole datagrams of the stream so far; what is none is skipped up to the next that begins like one."""
+        """The whole datagrams of the stream so far; bytes that are none are skipped up to the next magic."""
         waiting = self._waiting + data
         cut, at = [], 0
         while len(waiting) - at >= mvn.HEADER.size:
@@ -306,7 +285,7 @@ class MvnSource:
                 return Sample(None, host_ns, self._device_ns(header, host_ns, sender), data, self._decoder(header, payload))
             arrival = self._tracker.arrive(header, payload, hash(data), host_ns, sender)
             if arrival.restarted:
-                self._began_anew()
+                self._restart()
             device_ns = self._device_ns(header, host_ns, sender)
             if arrival.payload is None:
                 return Sample(None, host_ns, device_ns, data)
@@ -314,10 +293,10 @@ class MvnSource:
                 header = header._replace(items=arrival.items)
             return Sample(arrival.sequence, host_ns, device_ns, data, self._decoder(header, arrival.payload))
         except MalformedError:
-            self._counts.malformed += 1
+            self.counts.malformed += 1
             return Sample(None, host_ns, None, data)
 
-    def _began_anew(self) -> None:
+    def _restart(self) -> None:
         self._clocks.clear()
         self._decoder.restart()
 
@@ -345,23 +324,3 @@ class MvnSource:
             for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
                 with contextlib.suppress(OSError):
                     sock.setsockopt(socket.SOL_SOCKET, option, 1)
-
-    def _buffer_complaint(self) -> list[str]:
-        if self.buffer_granted >= self.settings.receive_buffer:
-            return []
-        asked = self.settings.receive_buffer
-        remedy = f"raise its limit (Linux: sysctl -w net.core.rmem_max={asked})"
-        return [f"{self._name}: the system grants {self.buffer_granted} of {asked} bytes of buffer; {remedy}"]
-
-    def _silence(self) -> str:
-        host, port = self.settings.host, self.settings.port
-        if self.settings.transport == "connect":
-            return f"{self._name}: {host}:{port} says nothing; start the streamer in MVN"
-        return (
-            f"{self._name}: nothing arrives on {host}:{port}; in MVN, Options > Network Streamer, add this computer's address "
-            f"and port ({self.settings.transport.upper()}), and listen on an address that MVN can reach"
-        )
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET

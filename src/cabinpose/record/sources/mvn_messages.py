@@ -11,7 +11,7 @@ reader metres: metres are taken, unless a body turns out to be of the size of on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -28,11 +28,14 @@ from cabinpose.core.recorded import (
     SegmentPoses,
     SensorReadings,
 )
+from cabinpose.core.rotations import product
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.record.sources import mvn_protocol as mvn
 from cabinpose.record.sources.mvn_protocol import Header
 
 PositionUnit: TypeAlias = Literal["auto", "m", "cm"]
+Ids: TypeAlias = NDArray[np.integer]
+Fields: TypeAlias = Mapping[str, F64]
 
 Z_UP_FROM_Y_UP: F64 = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 Z_UP_FROM_UNITY: F64 = np.array([[0.0, 0, 1], [-1, 0, 0], [0, 1, 0]])  # a mirror: its determinant is -1
@@ -91,12 +94,7 @@ def euler_to_wxyz(euler_deg: F64) -> F64:
     half = np.radians(euler_deg) / 2
     (sx, sy, sz), (cx, cy, cz) = np.sin(half).T, np.cos(half).T
     return np.stack(
-        [
-            cx * cy * cz + sx * sy * sz,
-            sx * cy * cz - cx * sy * sz,
-            cx * sy * cz + sx * cy * sz,
-            cx * cy * sz - sx * sy * cz,
-        ],
+        [cx * cy * cz + sx * sy * sz, sx * cy * cz - cx * sy * sz, cx * sy * cz + sx * cy * sz, cx * cy * sz - sx * sy * cz],
         axis=1,
     )
 
@@ -108,13 +106,6 @@ def wxyz_to_euler(orientation_wxyz: F64) -> F64:
     about_y = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
     about_z = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return np.degrees(np.stack([about_x, about_y, about_z], axis=1))
-
-
-def multiply_wxyz(a: F64, b: F64) -> F64:
-    """Products (N, 4) of quaternions: first the turn b, then a."""
-    w = a[:, :1] * b[:, :1] - (a[:, 1:] * b[:, 1:]).sum(axis=1, keepdims=True)
-    vector = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
-    return np.concatenate([w, vector], axis=1)
 
 
 def rotate_wxyz(orientation_wxyz: F64, vectors: F64, *, inverse: bool = False) -> F64:
@@ -133,7 +124,7 @@ def composed(names: tuple[str, ...], position: F64, orientation_wxyz: F64) -> tu
         if parent is not None and parent < i:
             one, up = slice(i, i + 1), slice(parent, parent + 1)
             at[one] = at[up] + rotate_wxyz(turn[up], position[one])
-            turn[one] = multiply_wxyz(turn[up], orientation_wxyz[one])
+            turn[one] = product(turn[up], orientation_wxyz[one])
     return at, turn
 
 
@@ -156,7 +147,7 @@ class Decoder:
         return self._subjects.get(character) or self._subjects.setdefault(character, f"character{character}")
 
     def restart(self) -> None:
-        """The sender has begun anew: it may have another unit, other people and other points."""
+        """The sender has restarted: it may have another unit, other people and other points."""
         self._scale_m.clear()
         self._points.clear()
 
@@ -165,83 +156,64 @@ class Decoder:
 
         A sender's infinities and NaN stay what they are; `np.errstate` tells whether numpy warns of them.
         """
-        return _DECODERS[header.kind](self, header, payload)
+        decode = _DECODERS[header.kind]
+        if header.kind not in mvn.ITEMS:
+            return decode(self, header, payload)
+        items = mvn.read_items(header.kind, header.items, payload)
+        return decode(self, header, items["id"], {name: items[name].astype(np.float64) for name in items.dtype.names or ()})
 
-    def _quaternion(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.QUATERNION, header.items, payload)
-        names = self._named(header, items["id"])
-        position = items["position"].astype(np.float64)
-        facts: tuple[Message, ...] = ()
-        if header.character not in self._scale_m:
-            facts = self._decide_unit(header.character, names, position)
-        scale = self._scale_m.get(header.character, 1.0)
-        if scale != 1.0:
-            position *= scale
-        orientation = items["orientation_wxyz"].astype(np.float64)
-        return (*facts, SegmentPoses(self.subject(header.character), names, position, orientation))
+    def _quaternion(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        return self._poses(header, self._named(header, ids), of["position"], of["orientation_wxyz"])
 
-    def _euler(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.EULER, header.items, payload)
-        position = items["position"].astype(np.float64) @ Z_UP_FROM_Y_UP.T * CM
-        orientation = rotated_frame_wxyz(euler_to_wxyz(items["euler_deg"].astype(np.float64)), Z_UP_FROM_Y_UP)
-        return (SegmentPoses(self.subject(header.character), self._named(header, items["id"]), position, orientation),)
+    def _euler(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        orientation = rotated_frame_wxyz(euler_to_wxyz(of["euler_deg"]), Z_UP_FROM_Y_UP)
+        position = of["position"] @ Z_UP_FROM_Y_UP.T * CM
+        return (SegmentPoses(self.subject(header.character), self._named(header, ids), position, orientation),)
 
-    def _unity(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.UNITY, header.items, payload)
-        ids = items["id"]
+    def _unity(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
         body = len(UNITY_SEGMENTS)
-        names = tuple(
-            UNITY_SEGMENTS[number - 1] if 1 <= number <= body else f"Prop{number - body - 1}" for number in map(int, ids)
-        )
-        position = items["position"].astype(np.float64) @ Z_UP_FROM_UNITY.T
-        orientation = rotated_frame_wxyz(items["orientation_wxyz"].astype(np.float64), Z_UP_FROM_UNITY)
-        position, orientation = composed(names, position, orientation)
+        names = tuple(UNITY_SEGMENTS[n - 1] if 1 <= n <= body else f"Prop{n - body - 1}" for n in ids.tolist())
+        orientation = rotated_frame_wxyz(of["orientation_wxyz"], Z_UP_FROM_UNITY)
+        return self._poses(header, names, *composed(names, of["position"] @ Z_UP_FROM_UNITY.T, orientation))
+
+    def _poses(self, header: Header, names: tuple[str, ...], position: F64, orientation: F64) -> tuple[Message, ...]:
+        """Poses in the world, of a unit that has to be settled with the first of them."""
         facts = () if header.character in self._scale_m else self._decide_unit(header.character, names, position)
-        position *= self._scale_m.get(header.character, 1.0)
+        position = position * self._scale_m.get(header.character, 1.0)
         return (*facts, SegmentPoses(self.subject(header.character), names, position, orientation))
 
-    def _points_of(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.POINTS, header.items, payload)
-        names = tuple(self._point_name(header.character, int(number)) for number in items["id"])
-        position = items["position"].astype(np.float64) @ Z_UP_FROM_Y_UP.T * CM
+    def _points_of(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        names = tuple(self._point_name(header.character, number) for number in ids.tolist())
+        position = of["position"] @ Z_UP_FROM_Y_UP.T * CM
         return (Markers(self.subject(header.character), names, position, np.full(len(names), np.nan)),)
 
-    def _joint_angles(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.JOINT_ANGLES, header.items, payload)
-        parents, children = items["id"] // mvn.SEGMENT_STRIDE, items["child"] // mvn.SEGMENT_STRIDE
-        pairs = [(segment_name(int(a)), segment_name(int(b))) for a, b in zip(parents, children, strict=True)]
+    def _joint_angles(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        ends = (ids // mvn.SEGMENT_STRIDE, of["child"].astype(np.int64) // mvn.SEGMENT_STRIDE)
+        pairs = [(segment_name(a), segment_name(b)) for a, b in zip(*(end.tolist() for end in ends), strict=True)]
         names = tuple(_JOINT_NAMES.get(pair, "_".join(pair)) for pair in pairs)  # MVNX calls its ergonomic angles so: T8_Head
-        return (JointAngles(self.subject(header.character), names, np.radians(items["angles_deg"].astype(np.float64))),)
+        return (JointAngles(self.subject(header.character), names, np.radians(of["angles_deg"])),)
 
-    def _linear(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.LINEAR, header.items, payload)
-        scale = self._scale_m.get(header.character, 1.0)
-        velocity, acceleration = (items[name].astype(np.float64) * scale for name in ("velocity", "acceleration"))
-        names = self._named(header, items["id"])
+    def _linear(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        scale, names = self._scale_m.get(header.character, 1.0), self._named(header, ids)
+        velocity, acceleration = of["velocity"] * scale, of["acceleration"] * scale
         return (SegmentKinematics(self.subject(header.character), names, velocity, acceleration, _NONE3, _NONE3),)
 
-    def _angular(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.ANGULAR, header.items, payload)
-        speed, acceleration = (items[name].astype(np.float64) for name in ("angular_velocity", "angular_acceleration"))
-        names = self._named(header, items["id"])
-        return (SegmentKinematics(self.subject(header.character), names, _NONE3, _NONE3, speed, acceleration),)
+    def _angular(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        speed, change = of["angular_velocity"], of["angular_acceleration"]
+        return (SegmentKinematics(self.subject(header.character), self._named(header, ids), _NONE3, _NONE3, speed, change),)
 
-    def _trackers(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        items = mvn.read_items(mvn.TRACKERS, header.items, payload)
-        given = items.dtype.names or ()
-        orientation = items["orientation_wxyz"].astype(np.float64)
-        if "acceleration" in given:
-            acceleration = items["acceleration"].astype(np.float64)
-        else:
-            acceleration = specific_force(orientation, items["free_acceleration"].astype(np.float64))
-        gyro = items["angular_velocity"].astype(np.float64) if "angular_velocity" in given else _NONE3
-        names = tuple(segment_name(int(number)) for number in items["id"])
-        field = items["magnetic_field"].astype(np.float64)
-        return (SensorReadings(self.subject(header.character), names, orientation, acceleration, gyro, field),)
+    def _trackers(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
+        orientation, gyro = of["orientation_wxyz"], of.get("angular_velocity", _NONE3)
+        acceleration = of.get("acceleration")
+        if acceleration is None:  # what accelerometers show, from their acceleration in the world without gravity
+            acceleration = rotate_wxyz(orientation, of["free_acceleration"] + GRAVITY, inverse=True)
+        names = tuple(map(segment_name, ids.tolist()))
+        return (SensorReadings(self.subject(header.character), names, orientation, acceleration, gyro, of["magnetic_field"]),)
 
     def _centre_of_mass(self, header: Header, payload: bytes) -> tuple[Message, ...]:
         position = mvn.read_centre_of_mass(payload)[:3] * self._scale_m.get(header.character, 1.0)
-        return (Channels(centre_of_mass_names(self.subject(header.character)), position),)
+        names = tuple(f"{self.subject(header.character)}.centre_of_mass.{axis}" for axis in "xyz")
+        return (Channels(names, position),)
 
     def _time_code(self, header: Header, payload: bytes) -> tuple[Message, ...]:
         return (Facts(self.subject(header.character), {"time_code": mvn.read_time_code(payload)}),)
@@ -295,17 +267,8 @@ class Decoder:
         return (Facts(self.subject(character), {"position_unit": unit, "position_unit_from": why}),)
 
 
-def specific_force(orientation_wxyz: F64, free_acceleration: F64) -> F64:
-    """What accelerometers (N, 3) show in their own frames, from their acceleration in the world without gravity, m/s²."""
-    return rotate_wxyz(orientation_wxyz, free_acceleration + GRAVITY, inverse=True)
-
-
-def centre_of_mass_names(subject: str) -> tuple[str, str, str]:
-    """Channels of a subject's centre of mass, m."""
-    return (f"{subject}.centre_of_mass.x", f"{subject}.centre_of_mass.y", f"{subject}.centre_of_mass.z")
-
-
-_DECODERS = {
+# Decoders of `mvn.ITEMS` take header, ids (N,) and the fields of the items by name, in float64; the others header and payload.
+_DECODERS: Mapping[int, Callable[..., tuple[Message, ...]]] = {
     mvn.EULER: Decoder._euler,
     mvn.QUATERNION: Decoder._quaternion,
     mvn.POINTS: Decoder._points_of,

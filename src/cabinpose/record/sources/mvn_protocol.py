@@ -10,6 +10,7 @@ and what contradicts them raises `MalformedError`.
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,10 +53,7 @@ ITEMS: Mapping[int, Mapping[int, np.dtype[Any]]] = MappingProxyType(
             JOINT_ANGLES: [np.dtype([("id", "=i4"), ("child", "=i4"), ("angles_deg", "=f4", (3,))])],
             LINEAR: [_item(("position", 3), ("velocity", 3), ("acceleration", 3))],
             ANGULAR: [_item(("orientation_wxyz", 4), ("angular_velocity", 3), ("angular_acceleration", 3))],
-            TRACKERS: [
-                _item(("orientation_wxyz", 4), ("free_acceleration", 3), ("magnetic_field", 3)),
-                _TRACKER_LONG,
-            ],
+            TRACKERS: [_item(("orientation_wxyz", 4), ("free_acceleration", 3), ("magnetic_field", 3)), _TRACKER_LONG],
         }.items()
     }
 )
@@ -144,12 +142,13 @@ def read_centre_of_mass(payload: bytes) -> NDArray[np.float64]:
     return np.frombuffer(payload, ">f4").astype(np.float64)
 
 
+_TIME_CODE = re.compile(r"[0-9]{2}:[0-9]{2}:[0-9]{2}.[0-9]{3}")
+
+
 def read_time_code(payload: bytes) -> str:
     """`HH:MM:SS.mmm`, with the length before it that MVN sends, or without it, as the specification has it."""
     text = _Reader(payload).text() if len(payload) == 16 else _utf8(payload)
-    if len(text) != 12 or text[2] != ":" or text[5] != ":" or not (text[:2] + text[3:5] + text[6:8]).isascii():
-        raise MalformedError("no time code")
-    if not (text[:2] + text[3:5] + text[6:8] + text[9:]).isdigit():
+    if not _TIME_CODE.fullmatch(text):
         raise MalformedError("no time code")
     return text
 

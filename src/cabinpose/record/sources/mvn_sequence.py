@@ -1,4 +1,4 @@
-"""What became of each sample that MVN senders sent: received, lost, late, twice, or in pieces; and whether one began anew.
+"""What became of each sample that MVN senders sent: received, lost, late, twice, or in pieces; and whether one restarted.
 
 MVN counts samples; every type of every character of a sender is a stream of its own that carries the count. `received` and
 `lost` count whole samples of a stream (one that came in pieces is lost while a piece is missing); `reordered` and `duplicate`
@@ -22,7 +22,7 @@ _LEARN = 16  # rises of the counter that settle its step
 _SHARPEN = 8  # steps: a longer rise says more of what was lost than of the step
 # Bounds that no rig comes near: what a sender of nonsense may make us remember.
 _STREAMS = 256
-_EARLY = 64  # samples by which one may precede the first that came: earlier ones are of a sender that began anew
+_EARLY = 64  # samples by which one may precede the first that came: earlier ones are of a sender that restarted
 _OPEN = 64  # samples of a stream that lack pieces
 
 
@@ -42,7 +42,7 @@ class _Sample:
 class Arrival(NamedTuple):
     """What a datagram did: it made the sample `sequence` whole, whose `payload` of `items` is complete, or not (None).
 
-    A sample that precedes the first has no sequence. `restarted`: the sender began anew with it.
+    A sample that precedes the first has no sequence. `restarted`: the sender restarted with it.
     """
 
     sequence: int | None = None
@@ -52,11 +52,11 @@ class Arrival(NamedTuple):
 
 
 class SequenceTracker:
-    """Keeps the account of what comes to one address in `counts`. `incomplete` is the part of `lost` of which some pieces came.
+    """Counts what comes to one address in `counts`. `incomplete` is the part of `lost` of which some pieces came.
 
     `step`: by how much the sample counter rises from one sample sent to the next, more than 1 where MVN streams at a lower
     rate than it captures (it may be a fraction); None: 1, until 16 rises show that it is at least 2. `window_s`: what
-    is older when it comes belongs to a sender that began anew; pieces are waited for as long. `restart_gap`: a larger leap of
+    is older when it comes belongs to a sender that restarted; pieces are waited for as long. `restart_gap`: a larger leap of
     the counter is a new beginning, not a loss.
     """
 
@@ -85,14 +85,14 @@ class SequenceTracker:
         if arrival is not None:
             return arrival
         stream.settle()
-        restarted = self.restarted(host_ns)  # the other streams of the sender begin anew with it: one restart
+        restarted = self.restarted(host_ns)  # the other streams of the sender restart with it: one restart
         self._streams[key] = stream = _Stream(self, header.sample, host_ns)
         again = stream.arrive(header, payload, digest, host_ns)
         assert again is not None  # nothing precedes it
         return again._replace(restarted=restarted)
 
     def _moved(self, key: tuple[Hashable, int, int], host_ns: int) -> _Stream | None:
-        """The stream of a sender that has fallen silent: one that begins anew mostly has another port."""
+        """The stream of a sender that has fallen silent: one that restarts mostly has another port."""
         for other, stream in self._streams.items():
             if other[1:] == key[1:] and host_ns - stream.arrived_ns > self.window_ns:
                 self._streams[key] = self._streams.pop(other)
@@ -100,7 +100,7 @@ class SequenceTracker:
         return None
 
     def restarted(self, host_ns: int) -> bool:
-        """Count a restart, noticed by whatever means, unless it is one that was noticed within the window before."""
+        """Count a restart, unless one was counted within the window before: it is the same one."""
         new = self._restarted_ns is None or host_ns - self._restarted_ns > self.window_ns
         if new:
             self.counts.restarts += 1
@@ -148,7 +148,7 @@ class _Stream:
         self._missing: OrderedDict[int, tuple[int | None, int]] = OrderedDict()  # counter -> (sequence, when it was missed)
 
     def arrive(self, header: Header, payload: bytes, digest: int, host_ns: int) -> Arrival | None:
-        """None: the sender began anew."""
+        """As `arrive` of the tracker; None: the sender restarted."""
         self.arrived_ns = host_ns
         self._forget(host_ns)
         highest = self._highest
@@ -197,7 +197,7 @@ class _Stream:
         self._missing.clear()
 
     def _place(self, counter: int, host_ns: int) -> int | None:
-        """The sequence of a sample that had not come before, and the account of the gap that it opens or fills."""
+        """The sequence of a sample that had not come before, and counts of the gap that it opens or fills."""
         if self._highest is None:
             self._highest = counter
             return self._tracker.take(1)

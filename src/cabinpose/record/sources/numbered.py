@@ -5,7 +5,6 @@ It can lose samples, die and return, deliver in bursts; and since it says what i
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -14,8 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Channels, ToFFrame
+from cabinpose.record.sources.base import DeviceSource
 
 _MOST_AT_ONCE = 1000
 
@@ -39,73 +39,54 @@ class NumberedSettings(BaseModel):
     burst: int = Field(1, ge=1, le=_MOST_AT_ONCE, description="samples that are delivered together")
 
 
-class NumberedSource:
+class NumberedSource(DeviceSource[NumberedSettings]):
     """A `FrameSource` whose samples are numbered; `sent` is how many numbers the device has used so far."""
 
     Settings: ClassVar = NumberedSettings
 
     def __init__(self, name: str, settings: NumberedSettings, clock: HostClock) -> None:
-        self._name, self.settings, self._clock = name, settings, clock
-        self._counts = Counts()
+        super().__init__(name, settings, clock)
         self._began_ns: int | None = None
-        self._dead_until = 0.0
+        self._dead_until_s = 0.0
         self._until_death = settings.die_every
-        self._open = False
         self.sent = 0
         rng = np.random.Generator(np.random.Philox(key=(1, 0)))
-        shape = (settings.height, settings.width)
+        height, width = shape = settings.height, settings.width
         self._depth = rng.integers(5000, 15000, shape, dtype=np.uint16)
         self._amplitude = rng.integers(0, 4000, shape, dtype=np.uint16)
         self._confidence = rng.integers(0, 255, shape, dtype=np.uint8)
         self._raw = rng.bytes(settings.raw_bytes - 8)
-        self._k = np.array([[max(shape[1], 1), 0, shape[1] / 2], [0, max(shape[1], 1), shape[0] / 2], [0, 0, 1.0]])
+        focal = max(width, 1)
+        self._k = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
 
-    @property
-    def name(self) -> str:
-        """What the rig's configuration calls it."""
-        return self._name
-
-    @property
-    def counts(self) -> Counts:
-        """What became of what was sent."""
-        return self._counts
-
-    def check(self) -> Sequence[str]:
-        """It is always ready."""
-        return []
-
-    def open(self) -> None:
-        """Connect. Raises RecordingError while the device is away."""
-        if time.monotonic() < self._dead_until:
-            raise RecordingError(f"{self._name} does not answer", hint="wait: it comes back")
+    def _connect(self) -> None:
+        """Raises RecordingError while the device is away; what it counted meanwhile is lost."""
+        if self._clock.now_s() < self._dead_until_s:
+            raise RecordingError(f"{self.name} does not answer", hint="wait: it comes back")
         if self._began_ns is None:
             self._began_ns = self._clock.now_ns()
-        elif not self._open:
-            self._lose(self._due())
-        self._open = True
+        self._lose(self._due())
 
-    def read(self, timeout_s: float) -> Sequence[Sample]:
-        """The samples that are due."""
-        settings, until = self.settings, time.monotonic() + timeout_s
+    def _read(self, timeout_s: float) -> Sequence[Sample]:
+        settings, until = self.settings, self._clock.now_s() + timeout_s
         while True:
             if settings.samples is not None and self.sent >= settings.samples:
-                raise SourceEndedError(f"{self._name} has sent its {settings.samples} samples")
+                raise SourceEndedError(f"{self.name} has sent its {settings.samples} samples")
             if settings.die_every and self._until_death <= 0:
                 self._until_death = settings.die_every
-                self._dead_until = time.monotonic() + settings.dead_s
-                raise RecordingError(f"{self._name} went away", hint="it comes back")
+                self._dead_until_s = self._clock.now_s() + settings.dead_s
+                raise RecordingError(f"{self.name} went away", hint="it comes back")
             due = self._due()
-            whole = due == settings.samples or due - self.sent >= settings.burst
-            if whole and due > self.sent:
+            if due > self.sent and (due == settings.samples or due - self.sent >= settings.burst):
                 return self._samples(min(due, self.sent + _MOST_AT_ONCE))
-            wait = min((self.sent + settings.burst) / settings.rate_hz - self._elapsed_s(), until - time.monotonic())
-            if until <= time.monotonic():
+            left = until - self._clock.now_s()
+            if left <= 0:
                 return []
-            time.sleep(max(min(wait, 0.05), 0.001))
+            wait = (self.sent + settings.burst) / settings.rate_hz - self._elapsed_s()
+            self._clock.sleep(max(min(wait, left, 0.05), 0.001))
 
-    def close(self) -> None:
-        """Disconnect."""
-        self._open = False
+    def _disconnect(self) -> None:
+        """The device counts on."""
 
     def _elapsed_s(self) -> float:
         return 0.0 if self._began_ns is None else (self._clock.now_ns() - self._began_ns) / 1e9
@@ -117,7 +98,7 @@ class NumberedSource:
         return min([due, *(limit for limit in limits if limit is not None)])
 
     def _lose(self, until: int) -> None:
-        self._counts.lost += until - self.sent
+        self.counts.lost += until - self.sent
         self.sent = until
 
     def _samples(self, until: int) -> list[Sample]:
@@ -132,7 +113,7 @@ class NumberedSource:
             samples.append(Sample(number, self._clock.now_ns(), device_ns, raw, (self._message(number),)))
             self.sent += 1
             self._until_death -= 1
-        self._counts.received += len(samples)
+        self.counts.received += len(samples)
         return samples
 
     def _message(self, number: int) -> ToFFrame | Channels:

@@ -8,32 +8,28 @@ captured at `host_ns − (latency_s + network_s)`, and alignment subtracts them.
 
 Loss. The server counts its frames: a gap in the numbers is what was lost, on the way, while the connection was away, or
 since this computer read too slowly. In pull mode a frame that is never asked for is lost as well. A packet with a malformed
-block counts as malformed, not as received; its frame, if it can still be read, is not lost. A counter that begins anew is
+block counts as malformed, not as received; its frame, if it can still be read, is not lost. A counter that restarts is
 a restart, as is a connection made again; a fact `restart` in the stream says which, and how much was lost.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
-import os
-import select
 import socket
 import statistics
-import time
 from collections import deque
-from collections.abc import Sequence
-from enum import Enum
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Facts, Message
 from cabinpose.record.sources import vicon_protocol as vicon
+from cabinpose.record.sources.base import DeviceSource
 from cabinpose.record.sources.vicon_messages import FrameAccount, PacketDecoder, latency
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter, Type
 
@@ -49,6 +45,22 @@ _BASE = frozenset(
         Type.FRAME_RATE_INFO, Type.CONTENTS, Type.PING,
     }
 )  # fmt: skip
+
+
+class _Part(NamedTuple):
+    """What a client may ask for: the setting, the type of block, how it is decoded, what users call it."""
+
+    setting: str
+    kind: Type
+    decode: Callable[[PacketDecoder, Packet], list[Message]]
+    name: str
+
+
+_PARTS = (
+    _Part("segments", Type.GLOBAL_SEGMENTS, PacketDecoder.poses, "segments"),
+    _Part("labeled_markers", Type.LABELED_RECONS, PacketDecoder.labeled, "labelled markers"),
+    _Part("unlabeled_markers", Type.UNLABELED_RECONS, PacketDecoder.unlabeled, "unlabelled markers"),
+)
 
 
 class ViconSettings(BaseModel):
@@ -78,32 +90,25 @@ class ViconSettings(BaseModel):
     """A connection on which nothing came for so long, not even an answer to a ping, is taken for dead and made again."""
 
 
-class _State(Enum):
-    CLOSED = 0
-    CONNECTING = 1
-    GREETING = 2  # connected; the server speaks first
-    STREAMING = 3
+class ViconSource(DeviceSource[ViconSettings]):
+    """A `core.ports.FrameSource` that asks a DataStream server.
 
-
-class ViconSource:
-    """A `core.ports.FrameSource` that asks a DataStream server."""
+    `counts` are of the server's frames; `duplicate`: answers in pull mode that were no new frame.
+    """
 
     Settings: ClassVar = ViconSettings
 
     def __init__(self, name: str, settings: ViconSettings | None = None, clock: HostClock | None = None) -> None:
-        self._name = name
-        self.settings = settings or ViconSettings()
-        self._clock = clock or HostClock()
-        self._counts = Counts()
+        super().__init__(name, settings, clock)
+        self._parts = [part for part in _PARTS if getattr(self.settings, part.setting)]
         self._reset()
 
     def _reset(self) -> None:
         self._decoder = PacketDecoder(up=None if self.settings.up == "server" else self.settings.up, codes=self.settings.subjects)
-        self._account = FrameAccount(self._counts)
+        self._account = FrameAccount(self.counts)
         self._socket: socket.socket | None = None
-        self._state = _State.CLOSED
+        self._greeted = False  # the server speaks first
         self._splitter = PacketSplitter()
-        self._endpoint: tuple[socket.AddressFamily, tuple[object, ...]] | None = None
         self._failure = ""
         self._began = self._heard = self._retry_at = self._ping_at = self._ask_at = 0.0
         self._offered: frozenset[int] = frozenset()
@@ -114,157 +119,87 @@ class ViconSource:
         self._waiting: list[Sample] = []
 
     @property
-    def name(self) -> str:
-        """What the rig's configuration calls it."""
-        return self._name
-
-    @property
-    def counts(self) -> Counts:
-        """What became of the server's frames. `duplicate`: answers in pull mode that were no new frame."""
-        return self._counts
-
-    @property
     def network_s(self) -> float:
         """Half of a ping's round trip, median of the last ones; NaN before the first."""
         return statistics.median(self._trips_s) / 2 if self._trips_s else math.nan
 
-    def check(self) -> Sequence[str]:
-        """What keeps it from working; where it is not open, connects and waits up to two seconds for frames."""
-        probe = self if self._state is not _State.CLOSED else ViconSource(self._name, self.settings, self._clock)
-        if probe is self:
-            return probe._complaints()
-        try:
-            probe.open()
-        except RecordingError as error:
-            return [f"{error}; {error.hint}"]
-        try:
-            limit = time.monotonic() + 2.0
-            while probe._counts.received == 0 and time.monotonic() < limit:
-                probe.read(0.1)
-            return probe._complaints()
-        finally:
-            probe.close()
+    def _missing(self) -> Sequence[str]:
+        return self._listened(2.0)
 
     def _complaints(self) -> list[str]:
-        settings, where = self.settings, f"{self.settings.host}:{self.settings.port}"
-        if self._state is not _State.STREAMING:
-            return [f"no connection to {where}: {self._failure or 'not made yet'}"]
-        if self._counts.received == 0:
+        where = f"{self.settings.host}:{self.settings.port}"
+        if not self._greeted:
+            return [f"no connection to {where}: {self._failure}"]
+        if self.counts.received == 0:
             return [f"{where} sends no frames: in Vicon's software go live, or play a trial"]
         complaints = []
-        if not self._decoder.subjects and (settings.segments or settings.labeled_markers):
+        if not self._decoder.subjects and (self.settings.segments or self.settings.labeled_markers):
             complaints.append(f"{where} tracks no subject: tick the subjects in Vicon's software")
-        for wanted, kind, what in (
-            (settings.segments, Type.GLOBAL_SEGMENTS, "segments"),
-            (settings.labeled_markers, Type.LABELED_RECONS, "labelled markers"),
-            (settings.unlabeled_markers, Type.UNLABELED_RECONS, "unlabelled markers"),
-        ):
-            if wanted and kind not in self._offered:
-                complaints.append(f"{where} has no {what}: do not ask for them, or enable them in Vicon's software")
-        return complaints
+        return complaints + [
+            f"{where} has no {part.name}: do not ask for them, or enable them in Vicon's software"
+            for part in self._parts
+            if part.kind not in self._offered
+        ]
 
-    def open(self) -> None:
+    def _connect(self) -> None:
         """Connect, and wait for the greeting. Raises RecordingError where nobody answers, or not as a DataStream server."""
-        self.close()
-        settings = self.settings
-        where = f"{settings.host}:{settings.port}"
-        hint = "start Vicon's software there, and check address and port (801 unless changed) and the firewall"
-        try:
-            family, _, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
-        except (OSError, UnicodeError) as error:
-            raise RecordingError(f"{self._name}: there is no host {settings.host}: {error}", hint="check host") from error
-        self._endpoint = (family, address)
-        limit = time.monotonic() + settings.connect_timeout_s
-        while self._state is not _State.STREAMING:
-            wait = limit - time.monotonic()
-            if wait <= 0 and not self._failure:
-                greeted = self._state is _State.GREETING
-                self._failure = "it does not greet as a DataStream server" if greeted else "no answer"
-            if self._failure:
-                failure = self._failure
-                self.close()
-                raise RecordingError(f"{self._name}: cannot connect to {where}: {failure}", hint=hint)
-            self._waiting += self._step(wait)
-
-    def read(self, timeout_s: float) -> Sequence[Sample]:
-        """Packets that have arrived: those of frames have a sequence, greetings, facts and pings have none."""
-        if self._endpoint is None:
-            raise RecordingError(f"{self._name} is not open", hint="open it before reading")
-        if self._waiting:
-            samples, self._waiting = self._waiting, []
-            return samples
-        limit = time.monotonic() + timeout_s
-        while True:
-            wait = max(0.0, limit - time.monotonic())
-            samples = self._step(wait)
-            if samples or wait == 0.0:
-                return samples
-
-    def close(self) -> None:
-        """Disconnect. The counts stay."""
-        if self._socket is not None:
-            self._socket.close()
         self._reset()
+        self._dial(self.settings.connect_timeout_s)
+        while not self._greeted:
+            if self._socket is None:
+                raise RecordingError(
+                    f"{self.name}: cannot connect to {self.settings.host}:{self.settings.port}: {self._failure}",
+                    hint="start Vicon's software there, and check address and port (801 unless changed) and the firewall",
+                )
+            self._waiting += self._step(_SLICE_S)
+
+    def _read(self, timeout_s: float) -> Sequence[Sample]:
+        """Packets that have arrived: those of frames have a sequence, greetings, facts and pings have none."""
+        samples, self._waiting = self._waiting, []
+        until = self._clock.now_s() + timeout_s
+        while not samples:
+            left = until - self._clock.now_s()
+            samples = self._step(max(left, 0.0))
+            if left <= 0:
+                break
+        return samples
+
+    def _disconnect(self) -> None:
+        self._lose("closed")
 
     # ------------------------------------------------------------------------------------------------- connection
 
     def _step(self, wait_s: float) -> list[Sample]:
         """One wait for one event, of at most `wait_s` s, and what it brought."""
-        now = time.monotonic()
+        now = self._clock.now_s()
         wait_s = min(wait_s, _SLICE_S)
-        if self._state is _State.CLOSED:
+        if self._socket is None:
             if now < self._retry_at:
-                time.sleep(min(wait_s, self._retry_at - now))
-                return []
-            self._begin()
-        if self._state is _State.CONNECTING:
-            self._connect(wait_s)
+                self._clock.sleep(min(wait_s, self._retry_at - now))
+            else:
+                self._dial(max(wait_s, _SLICE_S))
             return []
-        if self._state is _State.CLOSED or self._socket is None:
-            return []
-        if self._state is _State.STREAMING and self.settings.mode == "pull":
-            wait_s = min(wait_s, max(0.0, self._ask_at - now))
-        samples = []
-        if select.select([self._socket], [], [], wait_s)[0]:
-            samples = self._receive(self._socket)
+        if self._greeted and self.settings.mode == "pull":
+            wait_s = min(wait_s, self._ask_at - now)
+        samples = self._receive(self._socket) if self._clock.readable(self._socket, wait_s) else []
         self._timers()
         return samples
 
-    def _begin(self) -> None:
-        assert self._endpoint is not None
-        family, address = self._endpoint
-        self._began = time.monotonic()
-        self._failure = ""
+    def _dial(self, timeout_s: float) -> None:
+        self._failure, self._splitter = "", PacketSplitter()
+        self._began = self._heard = self._clock.now_s()
         try:
-            self._socket = socket.socket(family, socket.SOCK_STREAM)
+            self._socket = socket.create_connection((self.settings.host, self.settings.port), timeout_s)
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             if hasattr(socket, "TCP_KEEPIDLE"):  # else a pulled cable is noticed after two hours, where there are no pings
                 for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
                     self._socket.setsockopt(socket.IPPROTO_TCP, option, max(1, int(self.settings.silence_s)))
-            code = self._socket.connect_ex(address)
-        except OSError as error:
+        except TimeoutError:
+            self._lose("no answer")
+        except (OSError, UnicodeError) as error:
             self._lose(str(error))
-            return
-        if code not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):
-            self._lose(os.strerror(code))
-            return
-        self._state = _State.CONNECTING
-
-    def _connect(self, wait_s: float) -> None:
-        assert self._socket is not None
-        if not select.select([], [self._socket], [], wait_s)[1]:
-            if time.monotonic() - self._began > self.settings.connect_timeout_s:
-                self._lose("no answer")
-            return
-        code = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if code:
-            self._lose(os.strerror(code))
-            return
-        self._state = _State.GREETING
-        self._splitter = PacketSplitter()
-        self._heard = time.monotonic()
 
     def _receive(self, connection: socket.socket) -> list[Sample]:
         try:
@@ -278,18 +213,18 @@ class ViconSource:
         if not data:
             self._lose("the server closed the connection")
             return []
-        self._heard = time.monotonic()
+        self._heard = self._clock.now_s()
         malformed = self._splitter.malformed
         packets = self._splitter.feed(data)
-        self._counts.malformed += self._splitter.malformed - malformed
+        self.counts.malformed += self._splitter.malformed - malformed
         return [self._sample(packet, host_ns) for packet in packets]
 
     def _timers(self) -> None:
         """What is due: pings, requests, the end of patience."""
         if self._socket is None:
             return
-        now = time.monotonic()
-        if self._state is _State.GREETING:
+        now = self._clock.now_s()
+        if not self._greeted:
             if now - self._began > self.settings.connect_timeout_s:
                 self._lose("it does not greet as a DataStream server")
             return
@@ -300,7 +235,7 @@ class ViconSource:
             if now >= self._ping_at:
                 self._ping_at = now + _PING_S
                 self._ping += 1
-                self._pings[self._ping] = time.monotonic_ns()
+                self._pings[self._ping] = self._clock.now_ns()
                 self._pings.pop(self._ping - _PINGS_KEPT, None)
                 self._send(Packet(ping=self._ping))
         if self.settings.mode == "pull" and now >= self._ask_at:
@@ -321,8 +256,8 @@ class ViconSource:
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.close()
-        self._socket, self._state = None, _State.CLOSED
-        self._retry_at = time.monotonic() + _RETRY_S
+        self._socket, self._greeted = None, False
+        self._retry_at = self._clock.now_s() + _RETRY_S
         self._pings.clear()
 
     # --------------------------------------------------------------------------------------------------- packets
@@ -335,60 +270,45 @@ class ViconSource:
             messages.append(Facts("server", {"types": sorted(packet.enums)}))
         sent_ns = self._pings.pop(packet.ping, None) if packet.ping is not None else None
         if sent_ns is not None:
-            self._trips_s.append((time.monotonic_ns() - sent_ns) * 1e-9)
+            self._trips_s.append((self._clock.now_ns() - sent_ns) * 1e-9)
         messages += self._decoder.statics(packet)
         if packet.faults:
-            self._counts.malformed += 1
+            self.counts.malformed += 1
         if packet.frame is None:
             return Sample(None, host_ns, None, raw, tuple(messages))
         arrival = self._account.arrive(packet.frame, host_ns, self._decoder.rate_hz)
-        now = time.monotonic()
+        now = self._clock.now_s()
         if arrival.sequence is None:
             self._ask_at = now + 0.25 / (self._decoder.rate_hz or 100.0)
             return Sample(None, host_ns, None, raw, tuple(messages))
         self._ask_at = now
         if arrival.anew and not self._reconnected:
-            self._counts.restarts += 1
+            self.counts.restarts += 1
         if arrival.anew or self._reconnected:
             numbers = "anew" if arrival.anew else "continued"
             restart = {"reconnected": self._reconnected, "numbers": numbers, "frame": arrival.frame, "lost": arrival.lost}
             messages.append(Facts("restart", restart))
             self._reconnected = False
         if not packet.faults:
-            self._counts.received += 1
+            self.counts.received += 1
             messages += self._frame(packet)
         return Sample(arrival.sequence, host_ns, self._decoder.device_ns(arrival.frame), raw, tuple(messages))
 
     def _frame(self, packet: Packet) -> list[Message]:
-        settings = self.settings
-        messages: list[Message] = []
-        if settings.segments:
-            messages += self._decoder.poses(packet)
-        if settings.labeled_markers:
-            messages += self._decoder.labeled(packet)
-        if settings.unlabeled_markers:
-            messages += self._decoder.unlabeled(packet)
+        messages = [message for part in self._parts for message in part.decode(self._decoder, packet)]
         return messages + latency(packet, self.network_s)
 
     def _answer(self, offered: frozenset[int]) -> None:
         """The server greets, with what it has: ask for what we want of it."""
-        settings = self.settings
-        wanted = set(_BASE)
-        if settings.segments:
-            wanted.add(Type.GLOBAL_SEGMENTS)
-        if settings.labeled_markers:
-            wanted.add(Type.LABELED_RECONS)
-        if settings.unlabeled_markers:
-            wanted.add(Type.UNLABELED_RECONS)
         self._offered = offered
-        self._send(Packet(enums=offered & wanted))
-        self._send(Packet(streaming=settings.mode == "push"))
-        if self._state is not _State.GREETING:
+        self._send(Packet(enums=offered & _BASE.union(part.kind for part in self._parts)))
+        self._send(Packet(streaming=self.settings.mode == "push"))
+        if self._greeted or self._socket is None:
             return
-        self._state = _State.STREAMING
-        now = time.monotonic()
+        self._greeted = True
+        now = self._clock.now_s()
         self._heard, self._ping_at, self._ask_at = now, now, now + _ASK_AGAIN_S
         if self._streamed_before:
-            self._counts.restarts += 1
+            self.counts.restarts += 1
             self._reconnected = True
         self._streamed_before = True

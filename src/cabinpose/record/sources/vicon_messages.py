@@ -162,7 +162,7 @@ class PacketDecoder:
         return self._y_up if self._up is None else self._up == "y"
 
     def _points(self, position_mm: F64) -> F64:
-        with np.errstate(all="ignore"):  # numbers that are none become NaN
+        with np.errstate(all="ignore"):  # what is not finite becomes NaN
             points = position_mm * _MM
             if self._turn:
                 points = points @ ZUP_FROM_YUP.T
@@ -250,7 +250,7 @@ def _markers(subject: str, names: tuple[str, ...], position_m: F64) -> Markers:
 
 class FrameArrival(NamedTuple):
     """What a frame number says: its sequence (None: it came before) and itself continuous over wraps; whether frames were lost
-    just before it, and whether the numbers began anew with it.
+    just before it, and whether the numbers restarted with it.
     """
 
     sequence: int | None
@@ -262,7 +262,7 @@ class FrameArrival(NamedTuple):
 class FrameAccount:
     """Keeps `lost` and `duplicate` in `counts` by the numbers of the frames.
 
-    TCP keeps the order, so a number that falls begins anew, and so does one that leaps by more than the time that went by
+    TCP keeps the order, so a number that falls is a restart, and so is one that leaps by more than the time that went by
     explains; what was sent before such a beginning and never came cannot be known.
     """
 

@@ -18,7 +18,7 @@ block that does not hold what its type needs is left out and counted; the packet
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
@@ -34,7 +34,7 @@ TICKS_PER_SECOND = 135_000_000  # of the clock that frame periods are given in
 MAX_PACKET = 4 << 20  # bytes; a frame of 100 segments and 1000 markers has 0.2 MB
 _HEADER = struct.Struct("<II")
 _MAGIC_BYTES = MAGIC.to_bytes(4, "little")
-_U32, _I64, _U64, _F64 = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<Q"), struct.Struct("<d")
+_BYTE, _U32, _I64, _U64, _F64 = (struct.Struct(layout) for layout in ("<B", "<I", "<q", "<Q", "<d"))
 
 
 class Type(IntEnum):
@@ -173,121 +173,73 @@ def decode(payload: bytes | memoryview) -> Packet:
         if size > len(view) - at:
             packet.faults += 1
             break
-        read = _READ.get(kind)
-        if read is not None:
+        block = BLOCKS.get(kind)
+        if block is not None:
             try:
-                read(packet, _Reader(view[at : at + size]))
+                value = block.read(_Reader(view[at : at + size]))
             except _MalformedError:
                 packet.faults += 1
+            else:
+                _put(packet, block, value)
         at += size
     return packet
 
 
-def _read_subject(packet: Packet, data: _Reader) -> None:
+def _put(packet: Packet, block: Block, value: Any) -> None:
+    if not block.each:
+        setattr(packet, block.field, value)
+    elif isinstance(held := getattr(packet, block.field), dict):
+        held.update([value])
+    else:
+        held.append(value)
+
+
+def encode(packet: Packet) -> bytes:
+    """The bytes of a packet, magic and length first; the blocks in the order of `BLOCKS`."""
+    body = b""
+    for kind, block in BLOCKS.items():
+        value = getattr(packet, block.field)
+        values = [] if value is None else [value]
+        if block.each:
+            values = list(value.items()) if isinstance(value, dict) else value
+        for each in values:
+            data = block.write(each)
+            body += _HEADER.pack(kind, len(data)) + data
+    return _HEADER.pack(MAGIC, len(body)) + body
+
+
+def _read_subject(data: _Reader) -> SubjectInfo:
     subject, name = data.number(), data.text()
     segments = []
     for _ in range(data.number()):
         parent, segment, bounds = data.number(), data.number(), data.floats(6)
         segments.append(SegmentInfo(parent, segment, data.text(), bounds))
     markers = tuple((data.number(), data.text()) for _ in range(data.number()))
-    attachments = tuple(data.rows(_ATTACHMENT).tolist())
-    packet.subjects.append(SubjectInfo(subject, name, tuple(segments), markers, attachments))
+    return SubjectInfo(subject, name, tuple(segments), markers, tuple(data.rows(_ATTACHMENT).tolist()))
 
 
-def _read_segments(into: Callable[[Packet], dict[int, Rows]]) -> Callable[[Packet, _Reader], None]:
-    def read(packet: Packet, data: _Reader) -> None:
-        subject = data.number()
-        into(packet)[subject] = data.rows(SEGMENT)
-
-    return read
-
-
-def _read_contents(packet: Packet, data: _Reader) -> None:
-    counts = {data.number(): data.number() for _ in range(data.number())}
-    packet.contents = Contents(counts, data.enums())
-
-
-def _read(name: str, value: Callable[[_Reader], Any]) -> Callable[[Packet, _Reader], None]:
-    def read(packet: Packet, data: _Reader) -> None:
-        setattr(packet, name, value(data))
-
-    return read
-
-
-_BYTE = struct.Struct("<B")
-_READ: Mapping[int, Callable[[Packet, _Reader], None]] = MappingProxyType(
-    {
-        Type.OBJECT_ENUMS: _read("enums", _Reader.enums),
-        Type.REQUEST_FRAME: _read("streaming", lambda data: bool(data.number(_BYTE))),
-        Type.REQUEST_NEXT_FRAME: _read("next_frames", _Reader.number),
-        Type.PING: _read("ping", lambda data: data.number(_U64)),
-        Type.CONTENTS: _read_contents,
-        Type.FRAME_INFO: _read("frame", lambda data: (data.number() + 1) % FRAME_COUNTER),
-        Type.HARDWARE_FRAME_INFO: _read("hardware_frame", _Reader.number),
-        Type.STREAM_INFO: _read("period", lambda data: data.number(_I64)),
-        Type.APPLICATION_INFO: _read("y_up", lambda data: data.number(_BYTE) == 1),
-        Type.FRAME_RATE_INFO: _read("rates", lambda data: {data.text(): data.number(_F64) for _ in range(data.number())}),
-        Type.LATENCY_INFO: _read("latency", lambda data: tuple((data.text(), data.number(_F64)) for _ in range(data.number()))),
-        Type.SUBJECT_INFO: _read_subject,
-        Type.SUBJECT_TOPOLOGY: _read_segments(lambda packet: packet.neutral),
-        Type.LABELED_RECONS: _read("labeled", lambda data: data.rows(LABELED)),
-        Type.UNLABELED_RECONS: _read("unlabeled", lambda data: data.rows(UNLABELED)),
-        Type.GLOBAL_SEGMENTS: _read_segments(lambda packet: packet.global_segments),
-        Type.LOCAL_SEGMENTS: _read_segments(lambda packet: packet.local_segments),
-    }
-)
-
-
-def encode(packet: Packet) -> bytes:
-    """The bytes of a packet, magic and length first; the blocks in the order of the fields of `Packet`."""
-    blocks = [_HEADER.pack(kind, len(data)) + data for kind, data in _blocks(packet)]
-    body = b"".join(blocks)
-    return _HEADER.pack(MAGIC, len(body)) + body
-
-
-def _blocks(packet: Packet) -> Iterator[tuple[int, bytes]]:
-    if packet.enums is not None:
-        yield Type.OBJECT_ENUMS, _set(packet.enums)
-    if packet.streaming is not None:
-        yield Type.REQUEST_FRAME, bytes([packet.streaming])
-    if packet.next_frames is not None:
-        yield Type.REQUEST_NEXT_FRAME, _U32.pack(packet.next_frames)
-    if packet.ping is not None:
-        yield Type.PING, _U64.pack(packet.ping)
-    if packet.contents is not None:
-        counts = sorted(packet.contents.counts.items())
-        yield Type.CONTENTS, _vector([_HEADER.pack(*pair) for pair in counts]) + _set(packet.contents.unchanged)
-    if packet.frame is not None:
-        yield Type.FRAME_INFO, _U32.pack((packet.frame - 1) % FRAME_COUNTER)
-    if packet.hardware_frame is not None:
-        yield Type.HARDWARE_FRAME_INFO, _U32.pack(packet.hardware_frame)
-    if packet.period is not None:
-        yield Type.STREAM_INFO, _I64.pack(packet.period)
-    if packet.y_up is not None:
-        yield Type.APPLICATION_INFO, bytes([packet.y_up])
-    if packet.rates is not None:
-        yield Type.FRAME_RATE_INFO, _vector([_text(name) + _F64.pack(rate) for name, rate in sorted(packet.rates.items())])
-    if packet.latency is not None:
-        yield Type.LATENCY_INFO, _vector([_text(name) + _F64.pack(seconds) for name, seconds in packet.latency])
-    for subject in packet.subjects:
-        yield Type.SUBJECT_INFO, _subject(subject)
-    for identity, rows in packet.neutral.items():
-        yield Type.SUBJECT_TOPOLOGY, _U32.pack(identity) + _rows(rows, SEGMENT)
-    if packet.labeled is not None:
-        yield Type.LABELED_RECONS, _rows(packet.labeled, LABELED)
-    if packet.unlabeled is not None:
-        yield Type.UNLABELED_RECONS, _rows(packet.unlabeled, UNLABELED)
-    for identity, rows in packet.global_segments.items():
-        yield Type.GLOBAL_SEGMENTS, _U32.pack(identity) + _rows(rows, SEGMENT)
-    for identity, rows in packet.local_segments.items():
-        yield Type.LOCAL_SEGMENTS, _U32.pack(identity) + _rows(rows, SEGMENT)
-
-
-def _subject(info: SubjectInfo) -> bytes:
+def _write_subject(info: SubjectInfo) -> bytes:
     segments = [struct.pack("<II6f", s.parent, s.segment, *s.bounds) + _text(s.name) for s in info.segments]
     markers = [_U32.pack(identity) + _text(name) for identity, name in info.markers]
     attachments = _rows(np.array(list(info.attachments), _ATTACHMENT), _ATTACHMENT)
     return _U32.pack(info.subject) + _text(info.name) + _vector(segments) + _vector(markers) + attachments
+
+
+def _read_contents(data: _Reader) -> Contents:
+    counts = {data.number(): data.number() for _ in range(data.number())}
+    return Contents(counts, data.enums())
+
+
+def _write_contents(contents: Contents) -> bytes:
+    return _vector([_HEADER.pack(*pair) for pair in sorted(contents.counts.items())]) + _set(contents.unchanged)
+
+
+def _read_named(data: _Reader) -> tuple[tuple[str, float], ...]:
+    return tuple((data.text(), data.number(_F64)) for _ in range(data.number()))
+
+
+def _write_named(values: Iterable[tuple[str, float]]) -> bytes:
+    return _vector([_text(name) + _F64.pack(value) for name, value in values])
 
 
 def _vector(items: Sequence[bytes]) -> bytes:
@@ -307,6 +259,57 @@ def _rows(rows: Rows, dtype: np.dtype[Any]) -> bytes:
     if rows.dtype != dtype:
         raise ValueError(f"rows of {rows.dtype}, not {dtype}")
     return _U32.pack(len(rows)) + rows.tobytes()
+
+
+class Block(NamedTuple):
+    """How a type of block becomes a field of `Packet` and back; each: every entry of the field has a block of its own."""
+
+    field: str
+    read: Callable[[_Reader], Any]
+    write: Callable[[Any], bytes]
+    each: bool = False
+
+
+def _number(field: str, layout: struct.Struct) -> Block:
+    return Block(field, lambda data: data.number(layout), layout.pack)
+
+
+def _markers(field: str, dtype: np.dtype[Any]) -> Block:
+    return Block(field, lambda data: data.rows(dtype), lambda rows: _rows(rows, dtype))
+
+
+def _segments(field: str) -> Block:
+    """Of each subject: its id, and rows of `SEGMENT`."""
+    return Block(
+        field, lambda data: (data.number(), data.rows(SEGMENT)), lambda item: _U32.pack(item[0]) + _rows(item[1], SEGMENT), True
+    )
+
+
+BLOCKS: Mapping[int, Block] = MappingProxyType(
+    {
+        Type.OBJECT_ENUMS: Block("enums", _Reader.enums, _set),
+        Type.REQUEST_FRAME: Block("streaming", lambda data: bool(data.number(_BYTE)), _BYTE.pack),
+        Type.REQUEST_NEXT_FRAME: _number("next_frames", _U32),
+        Type.PING: _number("ping", _U64),
+        Type.CONTENTS: Block("contents", _read_contents, _write_contents),
+        Type.FRAME_INFO: Block(
+            "frame", lambda data: (data.number() + 1) % FRAME_COUNTER, lambda frame: _U32.pack((frame - 1) % FRAME_COUNTER)
+        ),
+        Type.HARDWARE_FRAME_INFO: _number("hardware_frame", _U32),
+        Type.STREAM_INFO: _number("period", _I64),
+        Type.APPLICATION_INFO: Block("y_up", lambda data: data.number(_BYTE) == 1, _BYTE.pack),
+        Type.FRAME_RATE_INFO: Block(
+            "rates", lambda data: dict(_read_named(data)), lambda rates: _write_named(sorted(rates.items()))
+        ),
+        Type.LATENCY_INFO: Block("latency", _read_named, _write_named),
+        Type.SUBJECT_INFO: Block("subjects", _read_subject, _write_subject, True),
+        Type.SUBJECT_TOPOLOGY: _segments("neutral"),
+        Type.LABELED_RECONS: _markers("labeled", LABELED),
+        Type.UNLABELED_RECONS: _markers("unlabeled", UNLABELED),
+        Type.GLOBAL_SEGMENTS: _segments("global_segments"),
+        Type.LOCAL_SEGMENTS: _segments("local_segments"),
+    }
+)
 
 
 class PacketSplitter:

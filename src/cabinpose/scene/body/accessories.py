@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bools, Bytes, Floats, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.kinematics import RestArrays
@@ -18,8 +18,6 @@ from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
 
-Array = NDArray[np.float64]
-Faces = NDArray[np.int32]
 SOLE_M = {"none": 0.0, "trainers": 0.025, "leather": 0.020}
 HEEL_BACK_M = 0.008  # how far a shoe reaches behind the heel
 
@@ -28,15 +26,15 @@ HEEL_BACK_M = 0.008  # how far a shoe reaches behind the heel
 class Accessory:
     """A mesh at rest (N, 3) m in root axes with faces (F, 3), bound to `bones` with weights (N, len(bones))."""
 
-    vertices: Array
-    faces: Faces
+    vertices: Floats
+    faces: Ints32
     bones: tuple[str, ...]
-    weights: Array
-    label: NDArray[np.uint8]
-    material: NDArray[np.uint8]
+    weights: Floats
+    label: Bytes
+    material: Bytes
 
 
-def _rigid(vertices: Array, faces: Faces, bone: str, label: str, material: str) -> Accessory:
+def _rigid(vertices: Floats, faces: Ints32, bone: str, label: str, material: str) -> Accessory:
     count = len(faces)
     return Accessory(
         vertices, faces, (bone,), np.ones((len(vertices), 1)), np.full(count, labels.ID[label], np.uint8),
@@ -45,14 +43,14 @@ def _rigid(vertices: Array, faces: Faces, bone: str, label: str, material: str) 
 
 
 @cache
-def _grid_faces(rows: int, columns: int, *, closed: bool) -> Faces:
+def _grid_faces(rows: int, columns: int, *, closed: bool) -> Ints32:
     """Triangles of a grid of vertices in row order; `closed`: the last column joins the first."""
     i, j = np.mgrid[: rows - 1, : columns if closed else columns - 1].reshape(2, -1)
     a, b = i * columns + j, i * columns + (j + 1) % columns
     return np.stack([a, b, b + columns, a, b + columns, a + columns], axis=1).reshape(-1, 3).astype(np.int32)
 
 
-def _closing_faces(rows: int, columns: int) -> Faces:
+def _closing_faces(rows: int, columns: int) -> Ints32:
     """Triangles between the last row of a closed grid and its first, which make it a ring."""
     j = np.arange(columns)
     last, first, step = (rows - 1) * columns + j, j, (j + 1) % columns
@@ -62,7 +60,7 @@ def _closing_faces(rows: int, columns: int) -> Faces:
 
 
 @cache
-def _tube_faces(n: int, m: int) -> Faces:
+def _tube_faces(n: int, m: int) -> Ints32:
     """Triangles of a closed grid (n, m), and of lids about two vertices after it."""
     j = np.arange(m)
     first = np.stack([(j + 1) % m, j, np.full(m, n * m)], axis=1)
@@ -70,13 +68,13 @@ def _tube_faces(n: int, m: int) -> Faces:
     return np.concatenate([_grid_faces(n, m, closed=True), first, last]).astype(np.int32)
 
 
-def _tube(sections: Array) -> tuple[Array, Faces]:
+def _tube(sections: Floats) -> tuple[Floats, Ints32]:
     """Closed surface through sections (n, m, 3), with a lid at both ends."""
     n, m, _ = sections.shape
     return np.concatenate([sections.reshape(-1, 3), sections[[0, -1]].mean(axis=1)]), _tube_faces(n, m)
 
 
-def _sheet(outer: Array, inner: Array) -> tuple[Array, Faces]:
+def _sheet(outer: Floats, inner: Floats) -> tuple[Floats, Ints32]:
     """Closed thin surface between two grids (n, m, 3), with strips along the four borders."""
     n, m, _ = outer.shape
     faces = _grid_faces(n, m, closed=False)
@@ -89,14 +87,14 @@ def _sheet(outer: Array, inner: Array) -> tuple[Array, Faces]:
     return vertices, np.concatenate([faces[:, ::-1], faces + n * m, strips]).astype(np.int32)
 
 
-def _outward(vertices: Array, faces: Faces) -> Faces:
+def _outward(vertices: Floats, faces: Ints32) -> Ints32:
     """The faces of a closed mesh, turned so that its volume is positive."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return faces if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else np.ascontiguousarray(faces[:, ::-1])
 
 
 @cache
-def foot_faces_hidden() -> NDArray[np.bool_]:
+def foot_faces_hidden() -> Bools:
     """(F,) faces of the skin that lie inside a shoe."""
     c = load_chart()
     inside = (c.leg > 0.5) & (c.rest[:, 2] < c.heads["lfoot"][2] - 0.040)
@@ -104,12 +102,12 @@ def foot_faces_hidden() -> NDArray[np.bool_]:
 
 
 @cache
-def _leg() -> NDArray[np.intp]:
+def _leg() -> Ints:
     """The vertices of both legs."""
     return np.flatnonzero(load_chart().leg > 0.5)
 
 
-def shoe(skin: Array, rest: RestArrays, side: str, kind: str) -> Accessory:
+def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     """A shoe about the foot: rounded sections from heel to toe, each as wide and high as the foot there."""
     s = 1 if side == "l" else -1
     bone = BONE_INDEX[side + "foot"]
@@ -156,14 +154,14 @@ def shoe(skin: Array, rest: RestArrays, side: str, kind: str) -> Accessory:
     )  # fmt: skip
 
 
-def _head_box(skin: Array, eyes: Array) -> tuple[float, float, float, float]:
+def _head_box(skin: Floats, eyes: Floats) -> tuple[float, float, float, float]:
     """Half width, front, back and top of the head relative to the point between the eyes, m."""
     head = skin[load_chart().head > 0.9] - eyes
     above = head[head[:, 2] > 0.035]
     return float(above[:, 1].max()), float(above[:, 0].max()), float(above[:, 0].min()), float(above[:, 2].max())
 
 
-def bun(skin: Array, eyes: Array) -> Accessory:
+def bun(skin: Floats, eyes: Floats) -> Accessory:
     """A knot of hair at the back of the head."""
     _, _, back, top = _head_box(skin, eyes)
     radius = 0.038 * top / 0.116
@@ -173,7 +171,7 @@ def bun(skin: Array, eyes: Array) -> Accessory:
     return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "hair", "hair")
 
 
-def hanging_hair(skin: Array, eyes: Array, neck: Array) -> Accessory:
+def hanging_hair(skin: Floats, eyes: Floats, neck: Floats) -> Accessory:
     """Long hair: a thick sheet round the back of the head from temple to temple, down to below the shoulders."""
     half, _, back, top = _head_box(skin, eyes)
     middle_x = back * 0.5
@@ -198,7 +196,7 @@ def hanging_hair(skin: Array, eyes: Array, neck: Array) -> Accessory:
     )  # fmt: skip
 
 
-def visor(skin: Array, eyes: Array) -> Accessory:
+def visor(skin: Floats, eyes: Floats) -> Accessory:
     """The visor of a cap: a bent plate over the brow."""
     half, front, _, top = _head_box(skin, eyes)
     size = top / 0.116
@@ -214,7 +212,7 @@ def visor(skin: Array, eyes: Array) -> Accessory:
     return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "headwear", "cotton")
 
 
-def glasses(skin: Array, eyes: Array) -> list[Accessory]:
+def glasses(skin: Floats, eyes: Floats) -> list[Accessory]:
     """Two framed lenses before the eyes and their temples: lenses let infrared through, frames do not."""
     half, _, _, top = _head_box(skin, eyes)
     size = top / 0.116
@@ -248,12 +246,12 @@ def glasses(skin: Array, eyes: Array) -> list[Accessory]:
     return parts
 
 
-def _ring(rim: Array, middle: Array, grow: float, shift: float) -> Array:
+def _ring(rim: Floats, middle: Floats, grow: float, shift: float) -> Floats:
     away = rim - middle
     return np.asarray(rim + away / np.linalg.norm(away, axis=1)[:, None] * grow + (shift, 0, 0))
 
 
-def _bar(a: Array, b: Array, radius: float) -> Accessory:
+def _bar(a: Floats, b: Floats, radius: float) -> Accessory:
     """A square bar from a to b."""
     along = (b - a) / np.linalg.norm(b - a)
     side = np.cross(along, (0.0, 0.0, 1.0))
@@ -264,7 +262,7 @@ def _bar(a: Array, b: Array, radius: float) -> Accessory:
     return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "glasses", "hard_plastic")
 
 
-def accessories(skin: Array, rest: RestArrays, eyes: Array, outfit: Outfit) -> list[Accessory]:
+def accessories(skin: Floats, rest: RestArrays, eyes: Floats, outfit: Outfit) -> list[Accessory]:
     """All of an outfit, for the bare skin (V, 3) at rest, m, root axes."""
     made: list[Accessory] = []
     if outfit.shoes != "none":

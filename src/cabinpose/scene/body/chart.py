@@ -11,14 +11,13 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bytes, Floats
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, SEGMENTS
 from cabinpose.scene.body.shape import load_shape_space
 from cabinpose.scene.body.skeleton import rest_arrays
 
-Array = NDArray[np.float64]
 _ARM = ("shoulder_half", "upperarm", "elbow", "forearm", "wrist", "hand", "finger")
 _LEG = ("hip_half", "thigh", "knee", "shank", "ankle", "foot")
 
@@ -32,19 +31,19 @@ class Chart:
     up: 0 hip joints, 1 C7, beyond on the neck and head · rest: (V, 3) the average adult at rest, root origin, m.
     """
 
-    rest: Array
-    side: Array
-    arm: Array
-    leg: Array
-    neck: Array
-    head: Array
-    along_arm: Array
-    along_leg: Array
-    up: Array
-    heads: MappingProxyType[str, Array]
+    rest: Floats
+    side: Floats
+    arm: Floats
+    leg: Floats
+    neck: Floats
+    head: Floats
+    along_arm: Floats
+    along_leg: Floats
+    up: Floats
+    heads: MappingProxyType[str, Floats]
 
 
-def _along(points: Array, chain: list[Array]) -> Array:
+def _along(points: Floats, chain: list[Floats]) -> Floats:
     """Position along a polyline, 1 per piece, by the nearest piece; beyond its ends in lengths of the end pieces."""
     best = np.full(len(points), np.inf)
     result = np.zeros(len(points))
@@ -71,7 +70,7 @@ def load_chart() -> Chart:
     for k in range(space.bone_index.shape[1]):
         np.add.at(dense, (np.arange(len(points)), space.bone_index[:, k]), space.bone_weight[:, k])
 
-    def share(*stems: str) -> Array:
+    def share(*stems: str) -> Floats:
         columns = [i for i, b in enumerate(BONES) if any(b == t or (b[0] in "lr" and b[1:].startswith(t)) for t in stems)]
         return np.asarray(dense[:, columns].sum(axis=1))
 
@@ -92,7 +91,7 @@ def load_chart() -> Chart:
 
 
 @cache
-def vertex_segments() -> NDArray[np.uint8]:
+def vertex_segments() -> Bytes:
     """(V,) index into `rig.SEGMENTS`."""
     c = load_chart()
     names = np.full(len(c.up), "thorax", dtype="<U12")

@@ -11,11 +11,10 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.body.chart import load_chart
 
-Array = NDArray[np.float64]
 ARM_M, LEG_M, UP_M, NECK_M = 0.26, 0.42, 0.50, 0.08  # of a unit of the chart's coordinates, and of the neck's share
 
 # Ends of the garments in the chart's units: the sleeve along the arm, the hem up the trunk, the collar as the share of the
@@ -31,54 +30,54 @@ HEM_M = 0.006  # width of the strip beyond a garment's border over which it ends
 _WAIST, _SOCK = 0.27, 1.72
 
 
-def step(x: Array, edge: float, width: float) -> Array:
+def step(x: Floats, edge: float, width: float) -> Floats:
     """Smooth step from 0 to 1 about `edge`."""
     t = np.clip((x - edge) / width + 0.5, 0.0, 1.0)
     return np.asarray(t * t * (3 - 2 * t))
 
 
-def bump(x: Array, centre: float, width: float) -> Array:
+def bump(x: Floats, centre: float, width: float) -> Floats:
     """Bell curve of height 1."""
     return np.asarray(np.exp(-(((x - centre) / width) ** 2)))
 
 
-def _top(name: str) -> Array:
+def _top(name: str) -> Floats:
     c, (sleeve, hem, collar) = load_chart(), TOP_ENDS[name]
     trunk = np.minimum((c.up - hem) * UP_M, (collar - c.neck - c.head) * NECK_M)
     return np.where(c.arm > 0.5, (sleeve - c.along_arm) * ARM_M, trunk)
 
 
-def _bottom(name: str) -> Array:
+def _bottom(name: str) -> Floats:
     c = load_chart()
     trunk = np.where(c.arm < 0.3, (_WAIST - c.up) * UP_M, -0.1)
     return np.where(c.leg > 0.5, np.minimum(trunk, (BOTTOM_ENDS[name] - c.along_leg) * LEG_M), trunk)
 
 
-def _socks() -> Array:
+def _socks() -> Floats:
     c = load_chart()
     return np.where(c.leg > 0.5, (c.along_leg - _SOCK) * LEG_M, -0.1)
 
 
-def _face() -> tuple[Array, Array, Array]:
+def _face() -> tuple[Floats, Floats, Floats]:
     """(V,) forward and up from the point between the eyes of the average adult, and sideways, m."""
     c = load_chart()
     p = c.rest - (c.heads["leye"] + c.heads["reye"]) / 2
     return p[:, 0], p[:, 2], np.abs(p[:, 1])
 
 
-def _ears() -> Array:
+def _ears() -> Floats:
     x, z, y = _face()
     box = np.minimum(np.minimum(0.034 - np.abs(x + 0.085), y - 0.066), 0.041 - np.abs(z + 0.019))
     return np.minimum(box, (load_chart().head - 0.5) * NECK_M)
 
 
-def _waver(scale: float) -> Array:
+def _waver(scale: float) -> Floats:
     """A hairline is not a drawn line: smooth wavering, a few millimetres."""
     x, z, y = _face()
     return np.asarray(scale * (np.sin(310 * y + 170 * z) + np.sin(240 * z - 190 * x + 1.0) + np.sin(150 * x + 260 * y + 2.0)))
 
 
-def _scalp(*, over_ears: bool) -> Array:
+def _scalp(*, over_ears: bool) -> Floats:
     """Behind a hairline from the forehead over the temples, round the ears, to the nape."""
     c = load_chart()
     x, z, _ = _face()
@@ -87,12 +86,12 @@ def _scalp(*, over_ears: bool) -> Array:
     return np.maximum(hair, _ears()) if over_ears else np.minimum(hair, -_ears())
 
 
-def _cap() -> Array:
+def _cap() -> Floats:
     x, z, _ = _face()
     return np.minimum(z - np.interp(x, (-0.16, -0.06, 0.02), (0.0, 0.03, 0.040)), (load_chart().head - 0.5) * NECK_M)
 
 
-def _beard() -> Array:
+def _beard() -> Floats:
     """Jaw, chin and sideburns, without the mouth; lower on the cheek than before the ear."""
     x, z, y = _face()
     cheek = np.interp(x, (-0.075, -0.05, 0.0, 0.03), (-0.030, -0.055, -0.062, -0.050))
@@ -105,7 +104,7 @@ def _beard() -> Array:
 
 
 @cache
-def borders() -> Mapping[str, Array]:
+def borders() -> Mapping[str, Floats]:
     """Field (V,) of everything that can lie on the skin, by name.
 
     Each garment, "socks", "scalp", "scalp_and_ears", "cap", "beard"; and "ears".

@@ -7,8 +7,8 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
 from cabinpose.scene.body.garments import layer
@@ -18,8 +18,6 @@ from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import ShapeSpace
 
-Array32 = NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class Dressed:
@@ -28,22 +26,22 @@ class Dressed:
     bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8.
     """
 
-    rest: Array32
-    bone_index: NDArray[np.uint8]
-    bone_weight: Array32
-    faces: NDArray[np.int32]
-    label: NDArray[np.uint8]
-    material: NDArray[np.uint8]
+    rest: Floats32
+    bone_index: Bytes
+    bone_weight: Floats32
+    faces: Ints32
+    label: Bytes
+    material: Bytes
 
 
 class _Seen(NamedTuple):
     """What is seen of the cut skin: its faces, the vertices that they use, with bones, and the faces in numbers of these."""
 
-    face: NDArray[np.intp]
-    vertex: NDArray[np.intp]
-    faces: NDArray[np.int32]
-    bone_index: NDArray[np.uint8]
-    bone_weight: Array32
+    face: Ints
+    vertex: Ints
+    faces: Ints32
+    bone_index: Bytes
+    bone_weight: Floats32
 
 
 @cache
@@ -57,7 +55,7 @@ def _seen(*, shod: bool) -> _Seen:
     )  # fmt: skip
 
 
-def dress(space: ShapeSpace, skin: Array32, rest: RestArrays, eyes: NDArray[np.float64], outfit: Outfit, size: float) -> Dressed:
+def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, outfit: Outfit, size: float) -> Dressed:
     """The outfit on a person's skin (V, 3) at rest, root axes; size: stature over the average adult's."""
     worn = layer(skin, rest, outfit, size)
     cut = cut_skin()

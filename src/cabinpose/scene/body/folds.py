@@ -9,19 +9,18 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import body
+from cabinpose.core.arrays import Bools, Floats, Floats32, Ints, Ints32
 from cabinpose.scene.body.chart import Chart, load_chart
 from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
 from cabinpose.scene.body.parts import cut_skin
 
-Array = NDArray[np.float64]
 _SWAY_M, _PATCH_M = 0.16, 0.20  # wavelengths of the noise that bends a train, and of that which lets it come and go
 
 
 @cache
-def blend_rows() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+def blend_rows() -> tuple[Ints32, Ints32, Floats32]:
     """`CutSkin.blend` as rows: (N + 1,) starts, parents, weights."""
     blend = cut_skin().blend
     needed = blend.weights != 0
@@ -29,7 +28,7 @@ def blend_rows() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float
     return starts.astype(np.int32), blend.parents[needed], blend.weights[needed].astype(np.float32)
 
 
-def smooth_noise(wavelengths: Array, where: NDArray[np.bool_], size: float, *, rng: np.random.Generator) -> Array:
+def smooth_noise(wavelengths: Floats, where: Bools, size: float, *, rng: np.random.Generator) -> Floats:
     """Band-limited noise (V + N, F), about -1 .. 1: one field for each of `wavelengths` (F,) m, at every seen vertex.
 
     It is worked out on the skin's vertices `where` (V,), 0 elsewhere, and linear between: for wavelengths of several of
@@ -50,7 +49,7 @@ def seen_chart() -> Chart:
     """The chart at every vertex that is seen (V + N,)."""
     c, blend = load_chart(), cut_skin().blend
 
-    def extended(values: Array) -> Array:
+    def extended(values: Floats) -> Floats:
         return np.concatenate([values, blend @ values])
 
     return Chart(
@@ -59,7 +58,7 @@ def seen_chart() -> Chart:
     )  # fmt: skip
 
 
-def around(points: Array, axis: Array) -> Array:
+def around(points: Floats, axis: Floats) -> Floats:
     """Angle (N,) rad of points (N, 3) about an axis (direction (3,)) through the origin, 0 at the front."""
     axis = axis / np.linalg.norm(axis)
     front = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
@@ -68,7 +67,7 @@ def around(points: Array, axis: Array) -> Array:
 
 
 @cache
-def _mirrored() -> tuple[Array, Array, Array]:
+def _mirrored() -> tuple[Floats, Floats, Floats]:
     """Points (N, 3) with all limbs on the left, and angles about the arm and the leg."""
     c = seen_chart()
     p = c.rest * np.where(c.rest[:, 1:2] < 0, (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))
@@ -80,7 +79,7 @@ def _mirrored() -> tuple[Array, Array, Array]:
 
 
 @cache
-def _trains(*, top: bool) -> tuple[Array, Array]:
+def _trains(*, top: bool) -> tuple[Floats, Floats]:
     """Phase (T, N) rad and strength (T, N), 0 .. 1, of a top's or a bottom's trains."""
     c, turn = seen_chart(), 2 * np.pi
     p, about_arm, about_leg = _mirrored()
@@ -118,7 +117,7 @@ def _trains(*, top: bool) -> tuple[Array, Array]:
     return np.array([phase for phase, _ in made]), np.array([strength for _, strength in made])
 
 
-def folds(where: NDArray[np.intp], worn: NDArray[np.bool_], seed: int, *, top: bool, size: float) -> Array:
+def folds(where: Ints, worn: Bools, seed: int, *, top: bool, size: float) -> Floats:
     """Height of the folds, 0 .. 0.8 about 0.4, of a top or a bottom at the seen vertices `where` (N,), fixed by the seed.
 
     worn: (V,) the skin's vertices under it and next to it · size: stature over that of the average adult, for folds as

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import body
+from cabinpose.core.arrays import Bools, Floats, Floats32, Ints32
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
 from cabinpose.scene.body.folds import around, blend_rows, folds, seen_chart, smooth_noise
@@ -23,13 +23,11 @@ from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 _SWEEPS, _EVENING = 50, 8  # of the membrane; of the skin, for directions that its hollows do not turn
 _LEAST_GAP_M = 0.002  # of cloth off the skin
 _SECTORS = 48  # of the turn about what cloth hangs from
-_CLEAR_M = 0.002  # what evening takes from what stands out, about
-_INWARDS_M = 0.006  # at most, of evening
+_CLEAR_M = 0.002  # about how much smoothing flattens a bump of the body
+_INWARDS_M = 0.006  # smoothing moves a vertex inwards by no more than this
 _LIFT_M = 0.005  # of a top off the trousers' folds: its hem shows
 
 
@@ -67,13 +65,13 @@ class Layer:
     part's own stays).
     """
 
-    vertices: Array32
-    bare: Array32
-    regions: tuple[tuple[NDArray[np.bool_], str, str | None], ...]
+    vertices: Floats32
+    bare: Floats32
+    regions: tuple[tuple[Bools, str, str | None], ...]
 
 
 @cache
-def _neighbours() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _neighbours() -> tuple[Ints32, Ints32]:
     """Rows of the skin's vertex graph: (V + 1,) starts and the neighbours."""
     space = load_shape_space()
     corner, following = space.faces.astype(np.int64), np.roll(space.faces, -1, axis=1).astype(np.int64)
@@ -83,19 +81,19 @@ def _neighbours() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 @cache
-def _seen_field(name: str) -> Array:
+def _seen_field(name: str) -> Floats:
     """A border's field at every seen vertex."""
     return np.concatenate([borders()[name], cut_skin().blend @ borders()[name]])
 
 
 @cache
-def _mask(name: str, width: float = HEM_M) -> Array:
+def _mask(name: str, width: float = HEM_M) -> Floats:
     """(V + N,) 1 inside to the very border, falling off outside."""
     return step(_seen_field(name), -0.5 * width, width)
 
 
 @cache
-def _looseness(*, top: bool) -> Array:
+def _looseness(*, top: bool) -> Floats:
     """(V + N,) share of a garment's looseness: none where it hangs from, most where it hangs free."""
     c = seen_chart()
     trunk = 0.10 + 0.90 * step(-c.up, -0.70, 0.40)
@@ -105,14 +103,14 @@ def _looseness(*, top: bool) -> Array:
     return np.asarray((c.arm * arm + c.leg * leg + (1 - c.arm - c.leg).clip(0) * trunk) * waist)
 
 
-def _relaxed(points: Array32, share: Array32, sweeps: int) -> Array32:
+def _relaxed(points: Floats32, share: Floats32, sweeps: int) -> Floats32:
     """The skin's vertices (V, 3), evened; share: (V,) of each step that is taken."""
     out = np.empty_like(points)
     body.relax(points, _neighbours(), share, sweeps, out)
     return out
 
 
-def _refined(points: Array32) -> tuple[Array32, Array32]:
+def _refined(points: Floats32) -> tuple[Floats32, Floats32]:
     """The skin's vertices (V, 3), moved, on the seen mesh (V + N, 3), and normals: the new ones bulge as the surface does."""
     blend = blend_rows()
     shape = (len(points) + len(blend[0]) - 1, 3)
@@ -121,7 +119,7 @@ def _refined(points: Array32) -> tuple[Array32, Array32]:
     return vertices, normals
 
 
-def _stretched(under: Array32, name: str, gap: float) -> Array32:
+def _stretched(under: Floats32, name: str, gap: float) -> Floats32:
     """A garment stretched over the skin's vertices (V, 3) m."""
     mask = _mask(name)[: len(under)].astype(np.float32)
     out = np.empty_like(under)
@@ -129,12 +127,12 @@ def _stretched(under: Array32, name: str, gap: float) -> Array32:
     return out
 
 
-def _sectors() -> Array:
+def _sectors() -> Floats:
     """(_SECTORS,) angle of each sector, rad from -pi."""
     return (np.arange(_SECTORS) / _SECTORS - 0.5) * 2 * np.pi
 
 
-def _hanging(down: Array, radius: Array, angle: Array, narrowing: Array) -> Array:
+def _hanging(down: Floats, radius: Floats, angle: Floats, narrowing: Floats) -> Floats:
     """Radius (N,) m of cloth hanging about an axis, for points at `down` (N,) m along it, `radius` off it at `angle` rad.
 
     Going down, the radius shrinks by no more than `narrowing` (_SECTORS,) m/m from what stands out above.
@@ -144,7 +142,7 @@ def _hanging(down: Array, radius: Array, angle: Array, narrowing: Array) -> Arra
     return out
 
 
-def _hung(points: Array32, name: str, rest: RestArrays, narrowing: float, *, top: bool) -> Array32:
+def _hung(points: Floats32, name: str, rest: RestArrays, narrowing: float, *, top: bool) -> Floats32:
     """The garment (V, 3) m, wider where it hangs from the chest, or about each limb."""
     c = load_chart()
     mask = _mask(name)[: len(points)]
@@ -180,11 +178,11 @@ def _hung(points: Array32, name: str, rest: RestArrays, narrowing: float, *, top
     return out.astype(np.float32)
 
 
-def layer(skin: Array32, rest: RestArrays, outfit: Outfit, size: float) -> Layer:
+def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Layer:
     """The skin (V, 3) at rest, dressed. size: stature over that of the average adult."""
     cut = cut_skin()
     bare, _ = _refined(skin)
-    regions: list[tuple[NDArray[np.bool_], str, str | None]] = []
+    regions: list[tuple[Bools, str, str | None]] = []
     if outfit.shoes != "none":
         regions.append((cut.inside["socks"], "cotton", None))
     draped, depth = skin, np.zeros(len(bare))
@@ -226,7 +224,7 @@ def layer(skin: Array32, rest: RestArrays, outfit: Outfit, size: float) -> Layer
     return Layer(moved.astype(np.float32), bare, tuple(regions))
 
 
-def _hair(outfit: Outfit, regions: list[tuple[NDArray[np.bool_], str, str | None]]) -> Array:
+def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Floats:
     """Depth (V + N,) m of hair, beard and cap; their regions are appended."""
     inside = cut_skin().inside
     depth = np.zeros(len(_seen_field("scalp")))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import body as native
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
@@ -20,15 +21,12 @@ from cabinpose.scene.body.dress import Dressed, dress
 from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
-from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
-from cabinpose.scene.body.skeleton import RIM_RADIUS_M, rest_arrays
+from cabinpose.scene.body.skeleton import rest_arrays
 from cabinpose.scene.surface import Surface
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 BODY_DENSITY = 985.0  # kg/m3, whole body at mid breath (Durnin & Womersley 1974 give 1.02 to 1.07 without lung air)
-FLESH_M = 0.003  # by which a finger's flesh gives way around a rim
 
 
 class Person:
@@ -44,17 +42,17 @@ class Person:
             skin, heads = skin * np.float32(scale), heads * scale
         self.rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
         self.rest.soles[:, :3, 3] -= (HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0)
-        self.rest_skin: Array32 = (skin - origin).astype(np.float32)
-        self.eyes_rest: Array = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
+        self.rest_skin: Floats32 = (skin - origin).astype(np.float32)
+        self.eyes_rest: Floats = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
         self.stature_m = float(np.ptp(skin[:, 2]))
 
     @property
-    def skin_faces(self) -> NDArray[np.int32]:
+    def skin_faces(self) -> Ints32:
         """(Fs, 3): the closed bare skin, counter-clockwise seen from outside."""
         return self._space.faces
 
     @property
-    def skin_segment(self) -> NDArray[np.uint8]:
+    def skin_segment(self) -> Bytes:
         """(Vs,) index into `SEGMENTS`."""
         return vertex_segments()
 
@@ -84,38 +82,19 @@ class Person:
         size = self.stature_m / float(np.ptp(load_chart().rest[:, 2]))
         return dress(self._space, self.rest_skin, self.rest, self.eyes_rest, self.outfit, size)
 
-    @cached_property
-    def rim_grip(self) -> float:
-        """`hand.grip` at which the fingers touch a rim of 30 mm on the palm frame's y axis (bisection, to 1/256)."""
-        frames = main_frames(np.zeros(len(DOFS)), self.rest, np.eye(4))
-        palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
-        native.end_frames(self.rest, *frames, palms, soles)
-        curls = np.isin(self._space.bone_index[:, 0], [BONE_INDEX[f"lfinger{f}_{k}"] for f in range(2, 6) for k in (1, 2, 3)])
-        index, weight, rest = self._space.bone_index[curls], self._space.bone_weight[curls], self.rest_skin[None, curls]
-        low, high, out, transforms = 0.0, 1.0, np.empty_like(rest), np.empty((len(BONES), 3, 4))
-        for _ in range(8):
-            q = np.zeros(len(DOFS))
-            q[DOF_INDEX["lhand.grip"]] = grip = (low + high) / 2
-            native.skin_transforms(q, self.rest, *frames, transforms)
-            native.skin_layers(transforms, index, weight, rest, out)
-            local = (out[0] - palms[0, :3, 3]) @ palms[0, :3, :3]
-            free = np.hypot(local[:, 0], local[:, 2]).min() > RIM_RADIUS_M - FLESH_M
-            low, high = (grip, high) if free else (low, grip)
-        return low
-
-    def joints(self, q: Array, vehicle_from_root: Matrix) -> Array:
+    def joints(self, q: Floats, vehicle_from_root: Matrix) -> Floats:
         """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""
         rotation, position = main_frames(checked(q), self.rest, vehicle_from_root)
         out = np.empty((20, 3))
         native.joint_positions(self.rest, rotation, position, out)
         return out
 
-    def skin_part(self, rows: NDArray[np.integer]) -> Callable[[Array, Matrix], Array]:
+    def skin_part(self, rows: NDArray[np.integer]) -> Callable[[Floats, Matrix], Floats]:
         """What gives (q, vehicle_from_root) -> (R, 3) m, `pose(...).skin[rows]`, without the rest of the skin."""
         index, weight = self._space.bone_index[rows], self._space.bone_weight[rows]
         rest = self.rest_skin[None, rows]
 
-        def posed(q: Array, vehicle_from_root: Matrix) -> Array:
+        def posed(q: Floats, vehicle_from_root: Matrix) -> Floats:
             transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(rest)
             native.skin_transforms(checked(q), self.rest, *main_frames(q, self.rest, vehicle_from_root), transforms)
             native.skin_layers(transforms, index, weight, rest, out)
@@ -123,12 +102,12 @@ class Person:
 
         return posed
 
-    def pose(self, q: Array, vehicle_from_root: Matrix) -> PosedBody:
+    def pose(self, q: Floats, vehicle_from_root: Matrix) -> PosedBody:
         """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point."""
         return PosedBody(self, checked(q), np.ascontiguousarray(vehicle_from_root, np.float64))
 
 
-def checked(q: Array) -> Array:
+def checked(q: Floats) -> Floats:
     """q as (D,) float64; ValueError for another shape."""
     result = np.ascontiguousarray(q, np.float64)
     if result.shape != (len(DOFS),):
@@ -139,7 +118,7 @@ def checked(q: Array) -> Array:
 class PosedBody:
     """A person in a pose, vehicle frame. Skin, clothes and frames are computed here, once."""
 
-    def __init__(self, person: Person, q: Array, vehicle_from_root: Matrix) -> None:
+    def __init__(self, person: Person, q: Floats, vehicle_from_root: Matrix) -> None:
         self.person = person
         self.q = q
         self.vehicle_from_root = vehicle_from_root
@@ -151,15 +130,15 @@ class PosedBody:
         )
         self.palms = {"l": palms[0], "r": palms[1]}
         self.soles = {"l": soles[0], "r": soles[1]}
-        self.skin: Array32 = self._skinned(person.rest_skin, person._space.bone_index, person._space.bone_weight)
+        self.skin: Floats32 = self._skinned(person.rest_skin, person._space.bone_index, person._space.bone_weight)
 
-    def _skinned(self, rest: Array32, index: NDArray[np.uint8], weight: Array32) -> Array32:
+    def _skinned(self, rest: Floats32, index: Bytes, weight: Floats32) -> Floats32:
         out = np.empty((1, len(rest), 3), np.float32)
         native.skin_layers(self._vehicle_from_mesh, index, weight, rest[None], out)
         return out[0]
 
     @cached_property
-    def bones(self) -> Array:
+    def bones(self) -> Floats:
         """(73, 4, 4) vehicle_from_bone of `rig.BONES`; helpers and fingers have the axes of the mesh at rest."""
         result = np.tile(np.eye(4), (len(self._vehicle_from_mesh), 1, 1))
         result[:N_MAIN, :3, :3] = self._rotation
@@ -169,7 +148,7 @@ class PosedBody:
         return result
 
     @property
-    def eyes_m(self) -> Array:
+    def eyes_m(self) -> Floats:
         """(3,) the point between the eyes."""
         head = self._vehicle_from_mesh[BONE_INDEX["head"]]
         return np.asarray(head[:, :3] @ self.person.eyes_rest + head[:, 3])

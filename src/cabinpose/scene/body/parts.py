@@ -13,12 +13,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import BOTTOM_ENDS, HEM_M, TOP_ENDS, borders
 from cabinpose.scene.body.shape import load_shape_space
 
-Array = NDArray[np.float64]
 _SNAP = 0.15  # a border that passes this near to a vertex (share of an edge) goes through it: no slivers
 
 # Borders, in the units of the chart: along the arm and the leg, up the trunk, and shares.
@@ -35,22 +35,22 @@ class Blend:
     `blend @ values` are the values (M, ...) there of what has values (V, ...) at the vertices.
     """
 
-    parents: NDArray[np.int32]
+    parents: Ints32
     weights: NDArray[np.floating]
 
-    def __matmul__(self, values: Array) -> Array:
+    def __matmul__(self, values: Floats) -> Floats:
         first, second, third = (
             self.weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) * values[self.parents[:, k]] for k in range(3)
         )
         return np.asarray(first + second + third)
 
-    def __getitem__(self, rows: slice | NDArray[np.int64]) -> Blend:
+    def __getitem__(self, rows: slice | Ints) -> Blend:
         return Blend(self.parents[rows], self.weights[rows])
 
     def __len__(self) -> int:
         return len(self.parents)
 
-    def and_between(self, a: NDArray[np.int64], b: NDArray[np.int64], share: Array) -> Blend:
+    def and_between(self, a: Ints, b: Ints, share: Floats) -> Blend:
         """These points, and those `share` (N,) of the way from points a (N,) to points b (N,) of the same face."""
         parents = np.concatenate([self.parents[a], self.parents[b]], axis=1)
         weights = np.concatenate([(1 - share)[:, None] * self.weights[a], share[:, None] * self.weights[b]], axis=1)
@@ -75,24 +75,24 @@ class CutSkin:
     by the name of what can be worn (`coverage.borders`).
     """
 
-    faces: NDArray[np.int32]
-    source: NDArray[np.int64]
+    faces: Ints32
+    source: Ints
     blend: Blend
-    bone_index: NDArray[np.uint8]
-    bone_weight: NDArray[np.float32]
-    label: NDArray[np.uint8]
-    inside: Mapping[str, NDArray[np.bool_]]
+    bone_index: Bytes
+    bone_weight: Floats32
+    label: Bytes
+    inside: Mapping[str, Bools]
 
 
 class _Cutter:
     """Faces while they are being cut; `every` blends the skin's vertices into all so far."""
 
-    def __init__(self, faces: NDArray[np.int32], count: int) -> None:
+    def __init__(self, faces: Ints32, count: int) -> None:
         self.faces = faces.astype(np.int64)
         self.source = np.arange(len(faces))
         self.every = Blend(np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
 
-    def refine(self, rest: Array, longest: float, where: NDArray[np.bool_]) -> None:
+    def refine(self, rest: Floats, longest: float, where: Bools) -> None:
         """Halve the edges that are longer than `longest` on rest (V, 3) and have both ends in `where` (V,)."""
         points = self.every @ rest
         inside = (self.every @ where.astype(np.float64)) > 0.99
@@ -117,7 +117,7 @@ class _Cutter:
         self.faces = np.concatenate([faces[chosen] for chosen, faces in made])
         self.source = np.concatenate([self.source[chosen] for chosen, _ in made])
 
-    def cut(self, field: Array, where: NDArray[np.bool_]) -> None:
+    def cut(self, field: Floats, where: Bools) -> None:
         """Cut along field = 0 (field (V,) on the skin's vertices), in faces whose corners are all in `where` (V,)."""
         value = self.every @ field
         near = np.flatnonzero(~_all((value >= 0)[self.faces]) & ~_all((value <= 0)[self.faces]))  # faces on both sides
@@ -161,12 +161,12 @@ class _Cutter:
         self.source = np.concatenate([self.source[whole], np.repeat(self.source[near[crossed]], 3)[valid]])
 
 
-def _all(each: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _all(each: Bools) -> Bools:
     """Whether all three (F, 3) hold; numpy is slow along short axes."""
     return np.asarray(each[:, 0] & each[:, 1] & each[:, 2])
 
 
-def _snapped(value: Array, faces: NDArray[np.int64]) -> Array:
+def _snapped(value: Floats, faces: Ints) -> Floats:
     """Values set to 0 at vertices that a border passes by closely."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     a, b = value[edges[:, 0]], value[edges[:, 1]]
@@ -178,7 +178,7 @@ def _snapped(value: Array, faces: NDArray[np.int64]) -> Array:
     return result
 
 
-def _fields() -> tuple[dict[str, Array], float]:
+def _fields() -> tuple[dict[str, Floats], float]:
     """Chart values (V,) by name, and half the distance between the hip joints (m)."""
     c = load_chart()
     shoulder = c.heads["lupperarm01"]
@@ -192,12 +192,12 @@ def _fields() -> tuple[dict[str, Array], float]:
     return fields, float(c.heads["lupperleg01"][1])
 
 
-def _labels(value: dict[str, Array], hip: float) -> NDArray[np.uint8]:
+def _labels(value: dict[str, Floats], hip: float) -> Bytes:
     """Part of each point, by its chart values."""
     left = value["y"] > 0
     result = np.zeros(len(left), np.uint8)
 
-    def put(mask: NDArray[np.bool_], name: str) -> None:
+    def put(mask: Bools, name: str) -> None:
         for side, own in (("left", left), ("right", ~left)):
             result[mask & own] = labels.ID[f"{name}_{side}"]
 

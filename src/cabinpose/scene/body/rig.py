@@ -21,8 +21,9 @@ s = +1 left, -1 right:
 
 The ISB's humerus uses a Y-X-Y sequence, which is singular with the arm at the side; this Y-X-Z one is singular only with
 the arm straight out at 90 deg of abduction. Shoulder angles are thoracohumeral: moving the clavicle carries the arm
-along, it does not turn it. Raising the arm by beta lifts the clavicle by `SCAPULOHUMERAL` (1 - cos beta) of its own accord.
-Lumbar, thorax and neck angles are spread over several vertebrae in shares of one rotation (`SPINE_SHARES`), so that
+along, it does not turn it. Raising the arm by beta lifts the clavicle as well, by
+0.2 rad (1 - cos beta): 11 deg at 90 deg, after Inman 1944.
+Lumbar, thorax and neck angles are spread over several vertebrae in shares of one rotation, so that
 their sum is exactly the given angle.
 """
 
@@ -47,7 +48,7 @@ HELPER_BONES: tuple[str, ...] = tuple(s + b for s in SIDES for b in _HELPERS)
 FINGER_BONES: tuple[str, ...] = tuple(s + b for s in SIDES for b in _FINGERS)
 BONES: tuple[str, ...] = MAIN_BONES + HELPER_BONES + FINGER_BONES
 BONE_INDEX = MappingProxyType({name: i for i, name in enumerate(BONES)})
-N_MAIN, N_HELPERS, N_LIMB = len(MAIN_BONES), len(_HELPERS), len(_LIMBS)
+N_MAIN = len(MAIN_BONES)
 
 PARENT = MappingProxyType(
     {
@@ -63,16 +64,6 @@ PARENT = MappingProxyType(
         )
     }
 )  # fmt: skip
-
-SPINE_SHARES = MappingProxyType(
-    {
-        "lumbar": (("spine04", 0.4), ("spine03", 0.4), ("spine02", 0.2)),
-        "thorax": (("spine02", 0.4), ("spine01", 0.6)),
-        "neck": (("neck01", 0.4), ("neck02", 0.3), ("neck03", 0.3)),
-        "head": (("head", 1.0),),
-    }
-)
-SCAPULOHUMERAL = 0.2  # rad of clavicle elevation per unit of 1 - cos(arm elevation): 11 deg at 90 deg, after Inman 1944
 
 # Skin segments of the contact tests.
 SEGMENTS: tuple[str, ...] = (
@@ -123,13 +114,6 @@ DOFS: tuple[Dof, ...] = tuple(_dof(*row) for row in _CENTRAL) + tuple(
     _dof(s + name, lower, upper, source) for s in SIDES for name, lower, upper, source in _SIDED
 )
 DOF_INDEX = MappingProxyType({dof.name: i for i, dof in enumerate(DOFS)})
-N_CENTRAL_DOFS, N_SIDED_DOFS = len(_CENTRAL), len(_SIDED)
 LOWER = np.array([dof.lower for dof in DOFS])
 UPPER = np.array([dof.upper for dof in DOFS])
 LOWER.flags.writeable = UPPER.flags.writeable = False
-MIRROR_DOFS: tuple[int, ...] = tuple(
-    DOF_INDEX[{"l": "r", "r": "l"}[dof.name[0]] + dof.name[1:]] if i >= N_CENTRAL_DOFS else i for i, dof in enumerate(DOFS)
-)  # q[list(MIRROR_DOFS)] * MIRROR_SIGN is the mirrored pose
-MIRROR_SIGN = np.array(
-    [-1.0 if dof.name.endswith((".lateral", ".rotation")) and i < N_CENTRAL_DOFS else 1.0 for i, dof in enumerate(DOFS)]
-)

@@ -9,16 +9,14 @@ from importlib.resources import files
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import body as native
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.errors import AssetError
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONES
 
 ASSET = "body.npz"
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -30,18 +28,18 @@ class ShapeSpace:
     bone_weight: (V, 8), strongest first · mirror: (V,) each vertex's image on the other side.
     """
 
-    mean: Array32
-    basis: Array32
-    coefficients: Array
-    faces: NDArray[np.int32]
+    mean: Floats32
+    basis: Floats32
+    coefficients: Floats
+    faces: Ints32
     vertex_count: int
-    bone_index: NDArray[np.uint8]
-    bone_weight: Array32
-    mirror: NDArray[np.int32]
+    bone_index: Bytes
+    bone_weight: Floats32
+    mirror: Ints32
     heads: MappingProxyType[str, int]
     provenance: str
 
-    def shape(self, phenotype: Phenotype) -> tuple[Array32, Array]:
+    def shape(self, phenotype: Phenotype) -> tuple[Floats32, Floats]:
         """Skin (V, 3) float32 and bone heads (H, 3) float64 at rest, m, Anny's origin, x forward, y left, z up."""
         weights = np.ones(1)
         p = phenotype
@@ -52,7 +50,7 @@ class ShapeSpace:
         return points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
 
 
-def _hat(value: float, anchors: int) -> Array:
+def _hat(value: float, anchors: int) -> Floats:
     """Linear interpolation weights of `value` on anchors evenly spaced from 0 to 1."""
     return np.maximum(0.0, 1.0 - np.abs(value * (anchors - 1) - np.arange(anchors)))
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
 
-Array = NDArray[np.float64]
 RIM_RADIUS_M = 0.015  # of the steering wheel rim that the palm frame is made for
 
 # Where a bone of ours begins: head of one of Anny's bones. Names without a side take the side of the bone.
@@ -38,18 +37,18 @@ _RIM_BELOW, _PALM_DEPTH = 0.84, 0.21
 _CURL_DEG = ((60.0, 40.0, 60.0), (90.0, 100.0, 70.0))
 
 
-def _unit(v: Array) -> Array:
+def _unit(v: Floats) -> Floats:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _frame(z: Array, y: Array) -> Array:
+def _frame(z: Floats, y: Floats) -> Floats:
     """Right-handed axes (columns) with this z and the y nearest to the given one."""
     z = _unit(z)
     x = _unit(cross(y, z))
     return np.stack([x, cross(z, x), z], axis=1)
 
 
-def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[RestArrays, Array]:
+def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[RestArrays, Floats]:
     """The packed skeleton of a mesh at rest and the origin (3,) of its root in the mesh's coordinates.
 
     skin (V, 3) and heads (H, 3) at rest, m; `named`: index of each of Anny's bone heads.
@@ -58,7 +57,7 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
     heads = heads - origin
     skin = skin - origin
 
-    def head(side: str, bone: str) -> Array:
+    def head(side: str, bone: str) -> Floats:
         name = side + bone if side + bone in named else bone
         return np.asarray(heads[named[name]])
 
@@ -116,7 +115,7 @@ def rest_arrays(skin: Array, heads: Array, named: Mapping[str, int]) -> tuple[Re
     return RestArrays(offsets, frames, bone_heads, joint_bone, joint_offset, palms, soles, pronation, axes, curl), origin
 
 
-def _palm(hand: Array, wrist: Array, knuckles: list[Array], s: float) -> Array:
+def _palm(hand: Floats, wrist: Floats, knuckles: list[Floats], s: float) -> Floats:
     """hand_from_palm: origin on the axis (y) of a rim of 30 mm that lies in the palm, along and below the knuckles."""
     middle = np.mean(knuckles, axis=0) - wrist
     size = np.linalg.norm(middle)
@@ -129,7 +128,7 @@ def _palm(hand: Array, wrist: Array, knuckles: list[Array], s: float) -> Array:
     return result
 
 
-def _sole(foot: Array, ankle: Array, skin: Array) -> Array:
+def _sole(foot: Floats, ankle: Floats, skin: Floats) -> Floats:
     """foot_from_sole: origin on the ground under the back of the heel, below the ankle's line."""
     local = (skin - ankle) @ foot
     lowest = local[local[:, 2] < local[:, 2].min() + 0.03]

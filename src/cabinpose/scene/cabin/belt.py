@@ -8,13 +8,14 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import cabin as native
+from cabinpose.core.arrays import Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.cabin.model import Cabin, Seat, SeatSetting, Vector
+from cabinpose.scene.cabin.shapes import slab_faces
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
@@ -44,14 +45,7 @@ _GIRTH = np.array([girth for *_, girth in _TRUNK + _OTHER])
 
 
 def belt_surface(
-    skin: NDArray[np.float32],
-    skin_faces: NDArray[np.int32],
-    joints: NDArray[np.float64],
-    seat: Seat,
-    setting: SeatSetting,
-    cabin: Cabin,
-    *,
-    gap_m: float = 0.004,
+    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004
 ) -> Surface:
     """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
 
@@ -88,7 +82,7 @@ def belt_surface(
 
 
 def _ribbon(
-    skin: NDArray[np.float32], faces: NDArray[np.int32], bones: NDArray[np.float64],
+    skin: Floats32, faces: Ints32, bones: Floats,
     start: Vector, through: Vector, end: Vector, front: Vector, gap: float,
 ) -> Surface:  # fmt: skip
     """One ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body that `front` points to."""
@@ -107,12 +101,7 @@ def _ribbon(
 
 
 @lru_cache(maxsize=2)
-def _ribbon_faces(flip: bool) -> NDArray[np.int32]:
+def _ribbon_faces(flip: bool) -> Ints32:
     """Triangles of a closed ribbon whose outer grid (STEPS, 3) comes before its inner one."""
-    index = np.arange(STEPS * 3).reshape(STEPS, 3)
-    quads = np.stack((index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]), axis=-1).reshape(-1, 4)
-    rim = np.concatenate((index[0, :], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
-    side = np.stack((rim, np.roll(rim, -1), np.roll(rim, -1) + STEPS * 3, rim + STEPS * 3), axis=-1)
-    quads = np.concatenate((quads, quads[:, ::-1] + STEPS * 3, side))
-    faces = np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])).astype(np.int32)
+    faces = slab_faces(STEPS, 3)
     return np.ascontiguousarray(faces[:, ::-1] if flip else faces)

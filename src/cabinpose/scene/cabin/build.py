@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
@@ -28,7 +29,6 @@ from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
 from cabinpose.scene.cabin.seats import STYLES, SeatShape, seat_parts
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, join, tube
-from cabinpose.scene.surface import Surface
 
 DriveSide = Literal["left", "right"]
 _FRONT, _REAR = ("driver", "front_passenger"), ("rear_left", "rear_center", "rear_right")
@@ -71,7 +71,7 @@ def _build(d: CabinDimensions, drive_side: DriveSide) -> Cabin:
 
     if drive_side == "right":
         parts = [_mirrored_part(p) for p in parts]
-        seats = {_mirrored_slot(s.slot): _mirrored_seat(s) for s in seats.values()}
+        seats = {_mirrored_name(s.slot): _mirrored_seat(s) for s in seats.values()}
         targets = {_mirrored_name(k): _mirror(v) for k, v in targets.items()}
         views = {k: ViewAnchor(_mirror(v.eye), _mirror(v.target)) for k, v in views.items()}
         if wheel is not None:
@@ -107,7 +107,6 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         )  # fmt: skip
         parts.extend(made)
         h = layout.h_front * (1.0, side, 1.0)
-        room = float(layout.half_width(h[0], layout.belt_z)) - d.w20_mm / 1000
         upper = _shoulder_exit(h, shape, default.torso_angle, side, True) if fixed else _d_ring(layout, h, side)
         belt = BeltAnchors(
             upper,
@@ -118,7 +117,7 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         heel = np.array([0.0, h[1], 0.0])
         seats[slot] = Seat(
             slot, h, np.pi if fixed else 0.0, default, (low, high), float(layout.cushion), heel,
-            "pedals" if slot == "driver" and not fixed else "floor", belt, 2 * min(room, d.w20_mm / 1000),
+            "pedals" if slot == "driver" and not fixed else "floor", belt,
             shape.cushion_below_h, shape.back_behind_h,
         )  # fmt: skip
     return seats
@@ -200,11 +199,9 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
             upper,
             h + (-0.11, -side * reach, -0.09), h + (-0.13, side * reach, -0.12), rides_seat=False,
         )  # fmt: skip
-        room = float(layout.half_width(h[0], layout.belt_z)) - abs(y)
-        lateral = 2 * min(room, w20 / 2 if three else w20) if abs(y) > 0.1 else w20
         seats[slot] = Seat(
             slot, h, 0.0, default, (default, default), float(layout.cushion_2), np.array([h[0] + heel_ahead, y, 0.0]), "floor",
-            belt, lateral, shape.cushion_below_h, shape.back_behind_h,
+            belt, shape.cushion_below_h, shape.back_behind_h,
         )  # fmt: skip
     return seats
 
@@ -269,31 +266,19 @@ def _mirror(p: Vector) -> Vector:
     return np.asarray(p * (1.0, -1.0, 1.0))
 
 
-def _mirrored_slot(slot: str) -> str:
-    return {"rear_left": "rear_right", "rear_right": "rear_left"}.get(slot, slot)
-
-
 def _mirrored_name(name: str) -> str:
-    for left, right in (("left", "right"), ("right", "left")):
-        if name.endswith(left):
-            return name.removesuffix(left) + right
-    return name
-
-
-def _mirrored_surface(surface: Surface) -> Surface:
-    flip = np.array([1, -1, 1], np.float32)
-    faces = np.ascontiguousarray(surface.faces[:, ::-1])
-    return replace(surface, vertices=surface.vertices * flip, normals=surface.normals * flip, faces=faces)
+    """The name of a seat, of something of it, or of a reach target on the other side of the car."""
+    return re.sub("left|right", lambda side: {"left": "right", "right": "left"}[side[0]], name)
 
 
 def _mirrored_part(part: Part) -> Part:
     """The mirror image in y = 0 of a part in its group's frame; its seat, if any, changes sides with it."""
-    group, name = part.group, part.name
-    for left, right in (("rear_left", "rear_right"), ("rear_right", "rear_left")):
-        if left in part.group:
-            group, name = group.replace(left, right), name.replace(left, right)
-            break
-    return replace(part, name=name, group=group, surface=_mirrored_surface(part.surface))
+    flip, surface = np.array([1, -1, 1], np.float32), part.surface
+    turned = replace(
+        surface, vertices=surface.vertices * flip, normals=surface.normals * flip,
+        faces=np.ascontiguousarray(surface.faces[:, ::-1]),
+    )  # fmt: skip
+    return replace(part, name=_mirrored_name(part.name), group=_mirrored_name(part.group), surface=turned)
 
 
 def _mirrored_seat(seat: Seat) -> Seat:
@@ -301,5 +286,5 @@ def _mirrored_seat(seat: Seat) -> Seat:
     if belt is not None:
         belt = BeltAnchors(_mirror(belt.upper), _mirror(belt.buckle), _mirror(belt.outer_lap), belt.rides_seat)
     return replace(
-        seat, slot=_mirrored_slot(seat.slot), design_h_point=_mirror(seat.design_h_point), heel_m=_mirror(seat.heel_m), belt=belt
+        seat, slot=_mirrored_name(seat.slot), design_h_point=_mirror(seat.design_h_point), heel_m=_mirror(seat.heel_m), belt=belt
     )

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import MeshError
 from cabinpose.core.frames import Matrix, apply
 from cabinpose.core.pose import OCCUPANT_SLOTS
@@ -18,7 +18,6 @@ from cabinpose.scene.cabin.find_wheel import FoundWheel, find_wheel
 from cabinpose.scene.cabin.meshfile import UNITS, MeshFile, NamedMesh, read_mesh
 from cabinpose.scene.cabin.seats import BACK_BOX, BACK_GIVE, CUSHION_BOX, CUSHION_GIVE
 
-Floats = NDArray[np.float64]
 _ROW_M = 0.35  # seats whose H-points are nearer along the car stand in one row
 _REAR_HEEL_M = 0.44  # a rear sitter's heels ahead of the H-point
 
@@ -40,7 +39,7 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
     mesh
         The mesh file, of whatever axes and unit.
     out
-        Where the YAML shall be; the mesh's path in it counts from there. Nothing is written.
+        Path of the YAML, to which the mesh's path in it is relative. Nothing is written.
     up_axis, front_axis, unit
         As in the YAML, where they are known.
 
@@ -100,7 +99,8 @@ def _turned_to_front(mesh: Path, up: str, front: str, unit: str) -> tuple[MeshFi
         return _with_seats(mesh, file, found, [])
     up_name, first = _axis_name(file.vehicle_from_mesh[2, :3]), _axis_name(file.vehicle_from_mesh[0, :3])
     best = (_forward(found), file, found, list[str]())
-    turned = [_opposite(first)] if found else [a for a in _axes_beside(up_name) if a.strip("-") != first.strip("-")]
+    # With seats only the opposite front is tried, without any the two across.
+    turned = [a for a in _axes_beside(up_name) if a != first and (a.strip("-") == first.strip("-")) == bool(found)]
     if best[0] <= 0:
         for axis in turned:
             other = read_mesh(mesh, up_axis=up_name, front_axis=axis, unit=unit)
@@ -134,10 +134,6 @@ def _forward(seats: Sequence[FoundSeat]) -> int:
 def _axis_name(direction: Floats) -> str:
     axis = int(np.argmax(np.abs(direction)))
     return f"{'-' if direction[axis] < 0 else ''}{'xyz'[axis]}"
-
-
-def _opposite(axis: str) -> str:
-    return axis.strip("-") if axis.startswith("-") else f"-{axis}"
 
 
 def _axes_beside(up: str) -> list[str]:
@@ -245,10 +241,7 @@ def _rule_lines(slots: Mapping[str, FoundSeat], wheel: FoundWheel | None) -> Ite
     for slot, seat in slots.items():
         turn = np.array((-1.0, 1.0, 1.0)) if seat.backward else np.ones(3)
         narrow = np.array((1.0, min(1.0, seat.width_m / np.ptp(CUSHION_BOX[:, 1])), 1.0))
-        for part, group, box, give in (
-            ("cushion", "base", CUSHION_BOX, CUSHION_GIVE),
-            ("backrest", "back", BACK_BOX, BACK_GIVE),
-        ):
+        for part, group, box, give in (("cushion", "base", CUSHION_BOX, CUSHION_GIVE), ("backrest", "back", BACK_BOX, BACK_GIVE)):
             corners = seat.h_point + box * narrow * turn
             low = np.maximum(corners.min(axis=0), (-np.inf, -np.inf, seat.floor_z + 0.03))
             yield _rule(

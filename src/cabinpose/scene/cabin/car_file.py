@@ -35,8 +35,7 @@ class Rule(_Strict):
     material: str = Field("hard_plastic", description="What it is made of, for the sensor; a wrong name lists all.")
     give_mm: float = Field(0.0, ge=0, le=120, description="Depth to which its foam may be pressed in.")
     group: str = Field(
-        STATIC_GROUP,
-        description="What it moves with: body, wheel, seat:SLOT/base, seat:SLOT/back or seat:SLOT/headrest.",
+        STATIC_GROUP, description="What it moves with: body, wheel, seat:SLOT/base, seat:SLOT/back or seat:SLOT/headrest."
     )
     hide: bool = Field(False, description="Leave these meshes out, such as the car's outer skin.")
 
@@ -74,7 +73,7 @@ class SeatSpec(_Strict):
     feet: Literal["pedals", "floor"] | None = Field(
         None, description="What the feet rest on; default: pedals for the driver where pedals are given, else floor."
     )
-    width_mm: float = Field(620.0, ge=350, le=1200, description="Room for the shoulders.")
+    width_mm: float = Field(620.0, ge=350, le=1200, description="Not used; kept for files that give it.")
     cushion_below_h_mm: float = Field(
         1000 * PAN_BELOW_H - 40, ge=0, le=200, description="Free surface of the cushion below the H-point."
     )

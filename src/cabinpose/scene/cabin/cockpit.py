@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.cabin.layout import PEDAL_LENGTH, Layout
 from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import Points, block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
+from cabinpose.scene.cabin.shapes import block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
         spokes.append(sweep(line, ellipse(0.0085 + 0 * s, wide, 10, 2.6), up=(0, 0, 1)))
     hub = rounded_box((0.155, 0.165, 0.055), (0.060, 0.070, 0.022), (2, 2, 1), corner=2)
 
-    def dome(p: Points) -> Points:
+    def dome(p: Floats) -> Floats:
         x, y, z = p.T
         rise = 0.016 * np.clip(1 - (x / 0.08) ** 2 - (y / 0.085) ** 2, 0, 1) * (z > 0)
         return np.stack((x - 0.006, y * (1 + 1.2 * np.minimum(x, 0)), z - 0.047 + rise), axis=-1)

@@ -1,4 +1,4 @@
-"""Camera places of an own car that names none: before and above its seats, where there is free space inside the car."""
+"""Camera views for a user's own car without any in its file: in front of and above the seats, in free space inside the car."""
 
 from __future__ import annotations
 

@@ -13,12 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from cabinpose.core.errors import ConfigError
 
-J1100 = "SAE J1100"
 
-
-def _dimension(code: str, default: float, low: float, high: float, meaning: str, source: str = J1100) -> Any:
+def _dimension(code: str, default: float, low: float, high: float, meaning: str) -> Any:
     """A field with its code, its limits and the standard that defines it."""
-    return Field(default, ge=low, le=high, description=f"{code}: {meaning} [{source}]", json_schema_extra={"code": code})
+    return Field(default, ge=low, le=high, description=f"{code}: {meaning} [SAE J1100]", json_schema_extra={"code": code})
 
 
 SeatStyle = Literal["compact", "comfort", "sport", "captain", "plus2", "bench"]

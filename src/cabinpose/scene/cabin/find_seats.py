@@ -13,14 +13,13 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 from scipy.signal import fftconvolve
 
+from cabinpose.core.arrays import Bools, Floats, Ints
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
 from cabinpose.scene.contact import sampled_surface
 
-Floats = NDArray[np.float64]
 VOXEL = 0.03  # m
 CUSHION_BELOW_H, BACK_BEHIND_H = PAN_BELOW_H - 0.04, PAN_BEHIND_H - 0.04
 _RECLINES, _CUSHIONS = np.deg2rad((10.0, 17.0, 24.0, 31.0)), np.deg2rad((8.0, 16.0))
@@ -111,14 +110,14 @@ def _places(width: float) -> tuple[float, ...]:
     return (outer, 0.0, -outer) if width >= _THREE else (outer, -outer)
 
 
-def _run(good: NDArray[np.bool_], at: int) -> tuple[int, int]:
+def _run(good: Bools, at: int) -> tuple[int, int]:
     """First and last index of the unbroken run of `good` about `at`."""
     bad = np.flatnonzero(~good)
     before, after = bad[bad < at], bad[bad > at]
     return (int(before[-1]) + 1 if len(before) else 0), (int(after[0]) - 1 if len(after) else len(good) - 1)
 
 
-def _scores(taken: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.int64]]:
+def _scores(taken: Bools) -> tuple[Floats, Ints]:
     """The best score of a seat with its H-point in each voxel, and the number of its pair of angles."""
     near = binary_dilation(taken)
     score, which = np.zeros(taken.shape), np.zeros(taken.shape, np.int64)
@@ -130,7 +129,7 @@ def _scores(taken: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.int64]]:
     return score, which
 
 
-def _template(recline: float, rise: float) -> tuple[NDArray[np.int64], ...]:
+def _template(recline: float, rise: float) -> tuple[Ints, ...]:
     """Voxels (n, 3) from the H-point's: of the cushion, of the backrest, of the sitter's room."""
     across = np.arange(-_HALF_WIDTH + VOXEL / 2, _HALF_WIDTH, VOXEL)
     up, ahead = np.array((-np.sin(recline), np.cos(recline))), np.array((np.cos(recline), np.sin(recline)))
@@ -150,7 +149,7 @@ def _template(recline: float, rise: float) -> tuple[NDArray[np.int64], ...]:
     return tuple(parts)
 
 
-def _share(taken: NDArray[np.bool_], cells: NDArray[np.int64]) -> Floats:
+def _share(taken: Bools, cells: Ints) -> Floats:
     """For every voxel the share of the cells (n, 3) from it that are taken; beyond the grid nothing is."""
     low = cells.min(axis=0)
     kernel = np.zeros(cells.max(axis=0) - low + 1, np.float32)
@@ -196,9 +195,9 @@ def _outermost(along: Floats, off: Floats, span: tuple[float, float], reach: flo
 
 
 def _floor_before(points: Floats, h: Floats) -> float | None:
-    """Height of the floor under the heels of somebody with his H-point at `h`, m: None: there is none.
+    """Height (m) of the floor under the heels of a person with the H-point `h` (3,); None where there is no surface.
 
-    Of the highest points of each column below the knees the lowest tenth: a seat in front or a toe board may be there too.
+    The 10 % quantile of the highest points of each column below the knees, since a seat in front or a toe board may be there too.
     """
     from_h = points - h
     ahead = (from_h[:, 0] > 0.40) & (from_h[:, 0] < 0.75) & (np.abs(from_h[:, 1]) < 0.15) & (from_h[:, 2] < -0.05)

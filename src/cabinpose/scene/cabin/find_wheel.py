@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.cabin.find_seats import FoundSeat
 from cabinpose.scene.cabin.mesh_parts import piece_of_face
 from cabinpose.scene.cabin.meshfile import NamedMesh
 
-Floats = NDArray[np.float64]
 _DIAMETER = (0.30, 0.50)  # m, from a sports car's to a bus's
 _ROUND, _FLAT = 0.80, 0.45  # of a ring: its smaller diameter, and its thickness, as a share of the larger one
 _TILT = np.deg2rad((5.0, 80.0))  # the axis above the horizontal

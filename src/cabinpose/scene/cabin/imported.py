@@ -159,7 +159,7 @@ def _seat(slot: str, s: SeatSpec, place: _Placer, spec: CabinFile) -> Seat:
             place.point(s.belt.upper), place.point(s.belt.buckle), place.point(s.belt.outer_lap), s.belt.rides_seat
         )
     return Seat(
-        slot, h, yaw, default, ranges, float(np.deg2rad(s.cushion_angle_deg)), heel, feet, belt, s.width_mm / 1000,
+        slot, h, yaw, default, ranges, float(np.deg2rad(s.cushion_angle_deg)), heel, feet, belt,
         s.cushion_below_h_mm / 1000, s.backrest_behind_h_mm / 1000,
     )  # fmt: skip
 

@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.cabin.dimensions import CabinDimensions
-from cabinpose.scene.cabin.shapes import Points, smoothstep
+from cabinpose.scene.cabin.shapes import smoothstep
 
 HEAD_ROOM_OFFSET = 0.102  # SAE J1100 H61 counts from 102 mm below and behind the H-point, the manikin's seat contact
 HEAD_ROOM_SLOPE = np.deg2rad(8.0)
@@ -26,7 +27,7 @@ def pedal_plane_angle(seat_height: float) -> float:
     return float(np.deg2rad(78.96 - 0.15 * z - 0.0173 * z * z))
 
 
-def monotone_cubic(x: Points, y: Points) -> Points:
+def monotone_cubic(x: Floats, y: Floats) -> Floats:
     """Coefficients (4, n - 1), the cubic's first, of a curve through n >= 3 points that never overshoots them (x rising).
 
     On [x_k, x_k+1] they count from x_k. The slope at a point is the weighted harmonic mean of those beside it, or 0 at an
@@ -83,7 +84,7 @@ class Layout:
         self.b_pillar_x = self.h_front[0] - d.b_pillar_mm / 1000
 
     @staticmethod
-    def _headlining(h_point: Points, head_room: float, rearward: float) -> tuple[float, float]:
+    def _headlining(h_point: Floats, head_room: float, rearward: float) -> tuple[float, float]:
         reach = head_room - HEAD_ROOM_OFFSET
         return (
             float(h_point[0] - rearward * np.sin(HEAD_ROOM_SLOPE) * reach),
@@ -91,7 +92,7 @@ class Layout:
         )
 
     @cached_property
-    def _roof_line(self) -> tuple[Points, Points]:
+    def _roof_line(self) -> tuple[Floats, Floats]:
         """Where the pieces of the roof line begin and end, and their cubics."""
         points = sorted(
             {
@@ -104,7 +105,7 @@ class Layout:
         x, z = np.array(points).T
         return x, monotone_cubic(x, z)
 
-    def roof_line(self, x: ArrayLike) -> Points:
+    def roof_line(self, x: ArrayLike) -> Floats:
         """Height of the headlining on the centre line, m."""
         knots, cubics = self._roof_line
         along = np.clip(x, self.roof_end_x, self.header_x)
@@ -113,20 +114,20 @@ class Layout:
         s = along - knots[piece]
         return np.asarray(d + c * s + b * (s * s) + a * (s * s * s))
 
-    def roof(self, x: ArrayLike, y: ArrayLike) -> Points:
+    def roof(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height of the headlining with its crown: it falls towards the sides."""
         return np.asarray(self.roof_line(x) - 0.075 * (np.abs(y) / 0.70) ** 3.2)
 
-    def rail_z(self, x: ArrayLike) -> Points:
+    def rail_z(self, x: ArrayLike) -> Floats:
         """Height of the upper edge of the side windows, m."""
         return np.asarray(self.roof_line(x) - (0.10 if not self.facing else 0.13))
 
-    def belt_line(self, x: ArrayLike) -> Points:
+    def belt_line(self, x: ArrayLike) -> Floats:
         """Height of the lower edge of the side glass, m: it climbs rearward, most in a coupe."""
         climb = {"sport": 0.075, "sweep": 0.035, "pocket": 0.045, "plain": 0.02, "upright": -0.02, "wall": 0.0}[self.d.door_style]
         return np.asarray(self.belt_z + climb * np.clip(self.h_front[0] + 0.25 - np.asarray(x), -0.6, 1.2))
 
-    def half_width(self, x: ArrayLike, z: ArrayLike) -> Points:
+    def half_width(self, x: ArrayLike, z: ArrayLike) -> Floats:
         """Clear half width at the side trim or glass, m: W3 at the belt line, tumblehome above it, tucked in at the sill."""
         d = self.d
         x_, z_ = np.asarray(x, dtype=np.float64), np.asarray(z, dtype=np.float64)
@@ -140,24 +141,24 @@ class Layout:
         lower = smoothstep(0.25 - z_, 0.0, 0.25)
         return np.asarray(width - above * self.tumblehome - 0.6 * above**2 * self.tumblehome - 0.03 * lower)
 
-    def screen_x(self, z: ArrayLike) -> Points:
+    def screen_x(self, z: ArrayLike) -> Floats:
         """The windscreen's line on the centre line, side view."""
         return np.asarray(self.header_x + (self.header_z - np.asarray(z)) * self.screen_slope)
 
-    def backlight_x(self, z: ArrayLike) -> Points:
+    def backlight_x(self, z: ArrayLike) -> Floats:
         """The backlight's line, side view."""
         return np.asarray(self.roof_end_x - (self.roof_end_z - np.asarray(z)) * self.backlight_slope)
 
-    def a_pillar_x(self, z: ArrayLike) -> Points:
+    def a_pillar_x(self, z: ArrayLike) -> Floats:
         """Rear edge of the A-pillar: the windscreen's line, set back at the side."""
         back = 0.15 if not self.facing else 0.10
         return np.asarray(np.minimum(self.screen_x(z), self.cowl_x + 0.05) - back)
 
-    def b_line(self, z: ArrayLike) -> Points:
+    def b_line(self, z: ArrayLike) -> Floats:
         """Centre of the B-pillar: it leans rearward above the belt."""
         return np.asarray(self.b_pillar_x - 0.10 * (np.asarray(z) - self.belt_z))
 
-    def c_pillar_x(self, z: ArrayLike) -> Points:
+    def c_pillar_x(self, z: ArrayLike) -> Floats:
         """Front edge of the C-pillar, side view."""
         z_ = np.asarray(z, dtype=np.float64)
         if self.facing:
@@ -165,7 +166,7 @@ class Layout:
         lean = np.minimum(self.backlight_slope, 1.1)
         return np.asarray(self.roof_end_x + 0.16 - (self.roof_end_z - z_) * lean * 0.55)
 
-    def floor_z(self, x: ArrayLike, y: ArrayLike) -> Points:
+    def floor_z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height of the floor carpet: flat, with the tunnel along the centre line."""
         tunnel = self.d.tunnel_mm / 1000
         fade = smoothstep(np.asarray(x), self.h_rear[0] - 0.1, self.h_rear[0] + 0.2)

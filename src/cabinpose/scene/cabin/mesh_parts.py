@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bools, Floats, Ints, Ints32
 from cabinpose.core.errors import MeshError
 from cabinpose.core.frames import Matrix, invert
 from cabinpose.scene.cabin.car_file import COMMON_RULES, Rule
@@ -18,7 +19,6 @@ from cabinpose.scene.cabin.model import STATIC_GROUP, Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import Solid
 
-Floats = NDArray[np.float64]
 _WELD_M = 1e-5  # vertices closer than this are one
 _MOST, _ENOUGH = 0.5, 0.25  # of a piece, to lie in a box; of what is in the box, for such pieces to be all that it means
 _MANY_HOLES = 0.03  # holes a triangle: the windows of a car are far fewer, a mesh with every tenth triangle gone has more
@@ -85,10 +85,32 @@ def mesh_parts(
     h_points: Floats,
     shell_m: float,
 ) -> tuple[list[Part], list[str], list[str]]:
-    """Parts, notes and warnings.
+    """Sort the meshes of a file into the parts of a cabin.
 
-    rules: the user's, with the box (low, high: (3,) m, vehicle frame) of those that have `within` ·
-    groups: vehicle_from_group by name · h_points: (S, 3) m, vehicle frame.
+    Parameters
+    ----------
+    path
+        The mesh file, for messages.
+    meshes
+        In the vehicle frame.
+    rules
+        The user's, each with its box (low, high: (3,) m, vehicle frame) where it has `within`.
+    groups
+        `vehicle_from_group` by name, at the design position.
+    h_points
+        (S, 3) m, vehicle frame.
+    shell_m
+        Thickness on both sides of open surfaces.
+
+    Returns
+    -------
+    parts, notes, warnings
+        Parts in the frames of their groups, what was done to the meshes, and what is wrong with them.
+
+    Raises
+    ------
+    MeshError
+        Where the rules hide every mesh.
     """
     parts, notes, warnings = [], [], []
     for mesh, rule, share in _shares(meshes, (*rules, *((rule, None) for rule in COMMON_RULES))):
@@ -108,7 +130,7 @@ def mesh_parts(
     return parts, notes, list(dict.fromkeys(filter(None, warnings)))
 
 
-def _open_share(mesh: NamedMesh, rule: Rule, share: NDArray[np.intp], name: str) -> str:
+def _open_share(mesh: NamedMesh, rule: Rule, share: Ints, name: str) -> str:
     """`open_warning` of the faces of a mesh that a rule takes; of the whole mesh where they are cut out of a piece of it."""
     piece = piece_of_face(mesh.vertices, mesh.faces)
     others = np.delete(piece, share)
@@ -120,10 +142,10 @@ def _open_share(mesh: NamedMesh, rule: Rule, share: NDArray[np.intp], name: str)
 
 def _shares(
     meshes: Sequence[NamedMesh], rules: Sequence[tuple[Rule, tuple[Floats, Floats] | None]]
-) -> Iterator[tuple[NamedMesh, Rule, NDArray[np.intp]]]:
+) -> Iterator[tuple[NamedMesh, Rule, Ints]]:
     """Each mesh with the rules that it falls under, and the numbers of its faces of each."""
     left = [np.arange(len(mesh.faces)) for mesh in meshes]
-    shares: list[list[tuple[Rule, NDArray[np.intp]]]] = [[] for _ in meshes]
+    shares: list[list[tuple[Rule, Ints]]] = [[] for _ in meshes]
     for rule, box in rules:
         named = [i for i, mesh in enumerate(meshes) if len(left[i]) and rule.names(mesh.name)]
         taken = (
@@ -139,7 +161,7 @@ def _shares(
         yield from ((mesh, rule, share) for rule, share in several)
 
 
-def faces_within(meshes: Sequence[tuple[Floats, NDArray[np.int32]]], low: Floats, high: Floats) -> list[NDArray[np.bool_]]:
+def faces_within(meshes: Sequence[tuple[Floats, Ints32]], low: Floats, high: Floats) -> list[Bools]:
     """Which faces of meshes (vertices (V, 3) m, faces (F, 3)) a box means; low, high: its corners (3,) m, the same frame.
 
     Connected pieces of which most lies in it, so that they stay closed; where these are little of what is in the box, as with
@@ -164,7 +186,7 @@ def faces_within(meshes: Sequence[tuple[Floats, NDArray[np.int32]]], low: Floats
     return pieces if in_pieces >= _ENOUGH * in_box else cuts
 
 
-def piece_of_face(vertices: Floats, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+def piece_of_face(vertices: Floats, faces: Ints32) -> Ints:
     """(F,) number of the connected piece that each face (F, 3) of vertices (V, 3) m belongs to, doubled vertices merged."""
     _, merged = np.unique(np.round(vertices / _WELD_M), axis=0, return_inverse=True)
     welded = merged.reshape(-1)[faces]
@@ -172,7 +194,7 @@ def piece_of_face(vertices: Floats, faces: NDArray[np.int32]) -> NDArray[np.int6
     return np.asarray(trimesh.graph.connected_component_labels(ends, merged.max() + 1)[welded[:, 0]], np.int64)
 
 
-def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tuple[list[tuple[Solid, bool]], str]:
+def _cleaned(vertices: Floats, faces: Ints32, h_points: Floats) -> tuple[list[tuple[Solid, bool]], str]:
     """The mesh without doubled and degenerate triangles: what of it is solid and what is not, and what was done to it.
 
     Connected pieces are judged one by one: a car in one mesh is mostly many closed pieces and some that are open.
@@ -202,13 +224,13 @@ def _cleaned(vertices: Floats, faces: NDArray[np.int32], h_points: Floats) -> tu
     return [(_piece(v, f[of]), is_solid) for of, is_solid in ((solid, True), (~solid, False)) if of.any()], "; ".join(remarks)
 
 
-def _piece(vertices: Floats, faces: NDArray[np.int32]) -> Solid:
+def _piece(vertices: Floats, faces: Ints32) -> Solid:
     """Some faces with the vertices that they use."""
     used, local = np.unique(faces, return_inverse=True)
     return Solid(vertices[used], np.ascontiguousarray(local.reshape(faces.shape), dtype=np.int32))
 
 
-def _open_sides(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+def _open_sides(faces: Ints32) -> Ints:
     """(F,) how many sides of each face have no neighbour, or more than one, or one that looks the other way round."""
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2)
     _, edge, uses = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)

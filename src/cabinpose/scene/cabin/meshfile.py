@@ -1,25 +1,21 @@
 """Reads a car's mesh file (glTF, GLB, OBJ, STL, PLY) into named triangle meshes in metres, vehicle axes.
 
-Up axis, front and unit are as given, or found with a reason; what cannot be read as it was meant is refused.
+Up axis, front axis and unit are as given, or detected with a note that says why; a file that could be misread is refused.
 """
 
 from __future__ import annotations
 
-import base64
-import io
-import itertools
 import json
-import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats, Ints32
 from cabinpose.core.errors import DependencyError, MeshError
+from cabinpose.core.optional import optional_module
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 AXES = {f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i] for i, axis in enumerate("xyz") for sign in ("", "-")}
@@ -27,8 +23,6 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply")
 MAX_TRIANGLES = 1_000_000
 _LENGTH = (1.2, 8.0)  # longest side of an interior or a whole car, m
 _HEIGHT = (0.9, 2.2)  # shortest side; the range is narrower than inch / cm, so that only one unit fits
-_GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
-_DRACO = "KHR_draco_mesh_compression"
 _UNREADABLE = {
     "EXT_meshopt_compression": "its vertices are compressed with meshopt",
     "KHR_meshopt_compression": "its vertices are compressed with meshopt",
@@ -41,8 +35,8 @@ class NamedMesh:
     """vertices (V, 3) float64 m, vehicle axes; faces (F, 3) int32; name "node/geometry/material", for patterns."""
 
     name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    vertices: Floats
+    faces: Ints32
 
 
 @dataclass(frozen=True)
@@ -50,7 +44,7 @@ class MeshFile:
     """The meshes of a file, `vehicle_from_mesh` (4x4 with scale), and how unit and axes were found."""
 
     meshes: tuple[NamedMesh, ...]
-    vehicle_from_mesh: NDArray[np.float64]
+    vehicle_from_mesh: Floats
     notes: tuple[str, ...]
 
 
@@ -60,9 +54,25 @@ def read_mesh(
 ) -> MeshFile:  # fmt: skip
     """The file's meshes in the vehicle frame.
 
-    up_axis, front_axis: 'x', '-x', 'y' ... or 'auto' · unit: m, cm, mm, inch or 'auto' · scale: applied on top of the
-    unit · origin: the vehicle's origin in the file's own coordinates. Raises MeshError for a file that is missing,
-    broken, empty, not finite or of nonsensical size, DependencyError where Draco needs DracoPy.
+    Parameters
+    ----------
+    path
+        The mesh file.
+    up_axis, front_axis
+        'x', '-x', 'y' ... or 'auto'.
+    unit
+        m, cm, mm, inch or 'auto'.
+    scale
+        Factor on top of the unit.
+    origin
+        The vehicle's origin in the file's own coordinates.
+
+    Raises
+    ------
+    MeshError
+        For a file that is missing, broken, empty, flat, not finite, or not of the size of a car.
+    DependencyError
+        For Draco compression without DracoPy.
     """
     raw = _read(path)
     points = np.concatenate([m.vertices for m in raw])
@@ -84,7 +94,7 @@ def read_mesh(
     return MeshFile(meshes, matrix, tuple(notes))
 
 
-def _up_axis(path: Path, given: str, extent: NDArray[np.float64], is_gltf: bool, notes: list[str]) -> str:
+def _up_axis(path: Path, given: str, extent: Floats, is_gltf: bool, notes: list[str]) -> str:
     if given != "auto":
         return _known_axis(path, given)
     if is_gltf:
@@ -102,9 +112,7 @@ def _up_axis(path: Path, given: str, extent: NDArray[np.float64], is_gltf: bool,
     return axis
 
 
-def _front_axis(
-    path: Path, given: str, up: NDArray[np.float64], extent: NDArray[np.float64], is_gltf: bool, notes: list[str]
-) -> str:
+def _front_axis(path: Path, given: str, up: Floats, extent: Floats, is_gltf: bool, notes: list[str]) -> str:
     if given != "auto":
         return _known_axis(path, given)
     if is_gltf and abs(up[1]) > 0.5:
@@ -122,7 +130,7 @@ def _known_axis(path: Path, name: str) -> str:
     return name
 
 
-def _unit(path: Path, given: str, extent: NDArray[np.float64], scale: float, notes: list[str]) -> float:
+def _unit(path: Path, given: str, extent: Floats, scale: float, notes: list[str]) -> float:
     """Metres per unit of the file."""
     low, high = float(extent.min()), float(extent.max())
     fitting = [
@@ -146,7 +154,7 @@ def _unit(path: Path, given: str, extent: NDArray[np.float64], scale: float, not
     return factor
 
 
-def _sizes(extent: NDArray[np.float64]) -> str:
+def _sizes(extent: Floats) -> str:
     return " x ".join(f"{e:.4g}" for e in extent)
 
 
@@ -156,12 +164,8 @@ def _read(path: Path) -> list[NamedMesh]:
     if not path.is_file():
         raise MeshError(f"there is no mesh file {path}", hint="the path in the YAML counts from the YAML's folder")
     try:
-        if path.suffix.lower() in (".glb", ".gltf"):
-            document, buffers = _gltf(path)
-            _refuse_unreadable(path, document)
-            scene = trimesh.load_scene(_without_draco(path, document, buffers), file_type="glb")
-        else:
-            scene = trimesh.load_scene(path, process=False)
+        is_gltf = path.suffix.lower() in (".glb", ".gltf")
+        scene = _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False)
     except (MeshError, DependencyError):
         raise
     except Exception as error:  # readers of foreign files fail in every way there is
@@ -181,6 +185,8 @@ def _read(path: Path) -> list[NamedMesh]:
         if not np.isfinite(vertices).all():
             bad = int((~np.isfinite(vertices)).any(axis=1).sum())
             raise MeshError(f"{path}: mesh '{name}' has {bad} vertices that are not numbers", hint="repair the export")
+        if not np.asarray(geometry.vertices).any():  # what trimesh leaves where it cannot decompress
+            raise MeshError(f"{path}: the vertices of mesh '{name}' cannot be decoded", hint="export it without compression")
         meshes.append(NamedMesh(name, vertices, faces))
     count = sum(len(m.faces) for m in meshes)
     if count == 0:
@@ -193,110 +199,33 @@ def _read(path: Path) -> list[NamedMesh]:
     return meshes
 
 
-def _gltf(path: Path) -> tuple[dict[str, Any], list[bytes]]:
-    """The JSON of a glTF or GLB file, and its buffers."""
+def _gltf_scene(path: Path) -> trimesh.Scene:
+    """The scene of a glTF or GLB file; of the files that it names only its buffers are read."""
     data = path.read_bytes()
-    chunk = b""
     if path.suffix.lower() == ".glb":
-        if len(data) < 20 or struct.unpack_from("<I", data)[0] != _GLB_MAGIC:
+        if data[:4] != b"glTF":
             raise MeshError(f"{path} is not a GLB file", hint="its first four bytes should be 'glTF'")
-        position, text = 12, b""
-        while position + 8 <= len(data):
-            length, kind = struct.unpack_from("<II", data, position)
-            body = data[position + 8 : position + 8 + length]
-            if len(body) < length:
-                raise MeshError(f"{path} ends in the middle of a chunk", hint="copy or export it again")
-            if kind == _JSON_CHUNK:
-                text = body
-            elif kind == _BIN_CHUNK:
-                chunk = body
-            position += 8 + length
-        data = text
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]  # the first chunk; after its length comes its type
     document = json.loads(data)
-    buffers = []
-    for buffer in document.get("buffers", []):
-        uri = buffer.get("uri")
-        if uri is None:
-            buffers.append(chunk)
-        elif uri.startswith("data:"):
-            buffers.append(base64.b64decode(uri.partition(",")[2]))
-        else:
-            buffers.append(_beside(path, uri).read_bytes())
-    return document, buffers
+    used = set(document.get("extensionsUsed", [])) | set(document.get("extensionsRequired", []))
+    for extension, why in _UNREADABLE.items():
+        if extension in used:
+            raise MeshError(f"{path} uses {extension}: {why}, which is not read", hint="export it without, or with Draco")
+    if "KHR_draco_mesh_compression" in used:  # trimesh would read zeros without the decoder
+        optional_module("DracoPy", purpose=f"{path}, which is Draco-compressed,", hint="pip install 'cabinpose[draco]'")
+    named = [b["uri"] for b in document.get("buffers", []) if not b.get("uri", "data:").startswith("data:")]
+    with path.open("rb") as file:
+        beside = {uri: _beside(path, uri).read_bytes() for uri in named}
+        return trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=beside)
 
 
 def _beside(path: Path, uri: str) -> Path:
-    """The file that a mesh names; a mesh of a stranger must not make us read any other file, or a device without an end."""
+    """The file that a mesh names, refused outside of the mesh's folder: a downloaded mesh must not make us read private files
+    or an endless device.
+    """
     folder, found = path.parent.resolve(), (path.parent / unquote(uri)).resolve()
     if not found.is_relative_to(folder):
         raise MeshError(f"{path} names the file '{uri}', which is outside its folder", hint="copy it there, or export a .glb")
     if not found.is_file():
         raise MeshError(f"{path} names the file '{uri}', which is not there", hint="copy all files of the export into one folder")
     return found
-
-
-def _refuse_unreadable(path: Path, document: dict[str, Any]) -> None:
-    used = set(document.get("extensionsUsed", [])) | set(document.get("extensionsRequired", []))
-    for extension, why in _UNREADABLE.items():
-        if extension in used:
-            raise MeshError(f"{path} uses {extension}: {why}, which is not read", hint="export it without, or with Draco")
-
-
-def _without_draco(path: Path, document: dict[str, Any], buffers: list[bytes]) -> io.BytesIO:
-    """The file as one GLB in memory, with Draco's primitives decoded to plain positions and indices."""
-    blob = bytearray()
-    views = document.setdefault("bufferViews", [])
-
-    def append(data: bytes) -> int:
-        while len(blob) % 4:
-            blob.append(0)
-        start = len(blob)
-        blob.extend(data)
-        return start
-
-    starts = [append(b) for b in buffers]
-    for view in views:
-        view["byteOffset"] = starts[view.get("buffer", 0)] + view.get("byteOffset", 0)
-        view["buffer"] = 0
-
-    primitives = list(itertools.chain.from_iterable(mesh.get("primitives", []) for mesh in document.get("meshes", [])))
-    for primitive in primitives:
-        draco = primitive.get("extensions", {}).pop(_DRACO, None)
-        if draco is None:
-            continue
-        view = views[draco["bufferView"]]
-        points, faces = _decode_draco(path, bytes(blob[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]))
-        for accessor, array, component in (
-            (primitive["attributes"]["POSITION"], points, 5126),
-            (primitive.get("indices"), faces.reshape(-1), 5125),
-        ):
-            entry = document["accessors"][accessor]
-            raw = array.tobytes()
-            views.append({"buffer": 0, "byteOffset": append(raw), "byteLength": len(raw)})
-            entry.update(bufferView=len(views) - 1, byteOffset=0, componentType=component, count=len(array))
-        primitive["attributes"] = {"POSITION": primitive["attributes"]["POSITION"]}
-    for key in ("extensionsUsed", "extensionsRequired"):
-        if key in document:
-            document[key] = [e for e in document[key] if e != _DRACO]
-    while len(blob) % 4:
-        blob.append(0)
-    document["buffers"] = [{"byteLength": len(blob)}]
-    for key in ("images", "textures", "samplers", "animations", "skins"):  # what is seen has no texture, and stands still
-        document.pop(key, None)
-    document["materials"] = [{"name": m.get("name", "")} for m in document.get("materials", [])]
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + len(blob)
-    header = struct.pack("<III", _GLB_MAGIC, 2, total) + struct.pack("<II", len(text), _JSON_CHUNK)
-    return io.BytesIO(header + text + struct.pack("<II", len(blob), _BIN_CHUNK) + bytes(blob))
-
-
-def _decode_draco(path: Path, data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    try:
-        import DracoPy  # noqa: PLC0415 - only such files need it
-    except ImportError:
-        raise DependencyError(
-            f"{path} is Draco-compressed, and DracoPy, which decodes it, is not installed", hint="pip install 'cabinpose[draco]'"
-        ) from None
-    mesh = DracoPy.decode(data)
-    return np.ascontiguousarray(mesh.points, dtype="<f4"), np.ascontiguousarray(mesh.faces, dtype="<u4")

@@ -8,14 +8,14 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats, Floats32
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.frames import Matrix, axis_rotation
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.surface import Surface, merge
 
-Vector = NDArray[np.float64]  # (3,)
+Vector = Floats  # (3,)
 STATIC_GROUP, WHEEL_GROUP = "body", "wheel"
 
 
@@ -67,9 +67,9 @@ class Seat:
     """A place to sit: where its H-point may be, how its parts follow, what its occupant's feet rest on.
 
     design_h_point: (3,) vehicle, m, at the default setting's zero · facing_yaw: 0 looks forward, pi backward ·
-    cushion_angle: A27, rad · heel_m: (3,) vehicle, the heel point · lateral_width_m: room for the occupant's
-    shoulders · cushion_below_h_m, backrest_behind_h_m: free foam surface from the H-point, down and along the normal
-    of the torso line (SAE J826: the manikin's pans are 98 mm below and 135 mm behind, foam pressed in).
+    cushion_angle: A27, rad · heel_m: (3,) vehicle, the heel point · cushion_below_h_m, backrest_behind_h_m: free foam surface
+    from the H-point, down and along the normal of the torso line (SAE J826: the manikin's pans are 98 mm below and 135 mm
+    behind, foam pressed in).
     """
 
     slot: str
@@ -81,7 +81,6 @@ class Seat:
     heel_m: Vector
     foot_support: str
     belt: BeltAnchors | None
-    lateral_width_m: float
     cushion_below_h_m: float
     backrest_behind_h_m: float
 
@@ -178,8 +177,8 @@ class ViewAnchor:
 @dataclass(frozen=True)
 class _Group:
     name: str
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.float32]
+    vertices: Floats32
+    normals: Floats32
     span: slice
 
 
@@ -197,7 +196,7 @@ class Cabin:
     views: Mapping[str, ViewAnchor]
     notes: tuple[str, ...] = ()  # what was found in a user's mesh, and how
     warnings: tuple[str, ...] = ()  # what is wrong with its meshes
-    bounds: NDArray[np.float64] = field(init=False)
+    bounds: Floats = field(init=False)
     _template: Surface = field(init=False, repr=False)
     _groups: tuple[_Group, ...] = field(init=False, repr=False)
 

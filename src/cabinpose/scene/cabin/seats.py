@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import Points, Solid, block, join, prism, rounded_box, smoothstep, tube
+from cabinpose.scene.cabin.shapes import Solid, block, join, prism, rounded_box, smoothstep, tube
 
 PAN_BELOW_H = 0.098  # SAE J826: H-point to the seat pan's lowest line
 PAN_BEHIND_H = 0.135  # SAE J826: H-point to the back pan, normal to the torso line
@@ -69,7 +70,7 @@ STYLES = {
 }  # fmt: skip
 
 
-def _towards_edges(y: Points, half: float) -> Points:
+def _towards_edges(y: Floats, half: float) -> Floats:
     """Moves grid lines outwards, where the bolsters bend; the edges stay."""
     return np.asarray(np.sign(y) * half * (np.abs(y) / half) ** 0.72)
 
@@ -82,7 +83,7 @@ def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float], fine: b
         (length, shape.width, shape.cushion_depth), (0.050, 0.040, 0.046), (7, 8, 1) if fine else (6, 5, 1), corner=1
     )
 
-    def bend(p: Points) -> Points:
+    def bend(p: Floats) -> Floats:
         x, y, z = p.T
         y = _towards_edges(y, shape.width / 2)
         s = (x + length / 2) / length  # 0 rear .. 1 front
@@ -107,7 +108,7 @@ def _back(shape: SeatShape, sides: tuple[float, float], fine: bool) -> Solid:
     height, mid = high - low, (high + low) / 2
     box = rounded_box((shape.back_depth, shape.width, height), (0.042, 0.042, 0.060), (1, 8, 10) if fine else (1, 5, 8), corner=1)
 
-    def bend(p: Points) -> Points:
+    def bend(p: Floats) -> Floats:
         x, y, z = p.T
         y = _towards_edges(y, shape.width / 2)
         z_ = z + mid
@@ -135,7 +136,7 @@ def _headrest(shape: SeatShape) -> tuple[Solid, Solid | None]:
     box = rounded_box(size, (0.036, 0.060, 0.062), (1, 4, 3), corner=1)
     centre_z, centre_x = shape.back_height + 0.045 + size[2] / 2, -0.050 - size[0] / 2
 
-    def bend(p: Points) -> Points:
+    def bend(p: Floats) -> Floats:
         x, y, z = p.T
         side = (2 * y / size[1]) ** 2
         x_ = x + (0.030 if wing else -0.012) * side - 0.010 * (2 * z / size[2]) ** 2 + 0.10 * z
@@ -156,7 +157,7 @@ def _back_shell(shape: SeatShape) -> Solid:
     height = shape.back_height - 0.02
     box = rounded_box((0.022, shape.width * 0.90, height), (0.010, 0.05, 0.05), (1, 3, 4), corner=1)
 
-    def bend(p: Points) -> Points:
+    def bend(p: Floats) -> Floats:
         x, y, z = p.T
         z_ = z + height / 2 - 0.06
         taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, shape.back_height - 0.01)
@@ -183,7 +184,7 @@ def _under(shape: SeatShape, angle: float, height: float, half_travel: float) ->
         y = side * (shape.width / 2 - 0.012)
         shield = rounded_box((0.46, 0.028, 0.085), (0.03, 0.012, 0.03), (3, 1, 1), corner=1)
 
-        def bend(p: Points, y: float = y) -> Points:
+        def bend(p: Floats, y: float = y) -> Floats:
             x, side_y, z = p.T
             return np.stack((x, side_y + y, np.maximum(z + top + 0.025 + np.tan(angle) * x, floor + 0.1 * z)), axis=-1)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.scene.cabin.shapes import Points, Solid
+from cabinpose.core.arrays import Floats
+from cabinpose.scene.cabin.shapes import Solid
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface
@@ -12,7 +13,7 @@ from cabinpose.scene.surface import Surface
 CREASE = np.deg2rad(50.0)  # two faces that meet at more than this are an edge, not a curve
 
 
-def face_normals(vertices: Points, faces: np.ndarray) -> tuple[Points, Points]:
+def face_normals(vertices: Floats, faces: np.ndarray) -> tuple[Floats, Floats]:
     """Unit normals (F, 3) and areas (F,) in m^2; the normal of a face without area is zero."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     cross = np.cross(b - a, c - a)

@@ -10,20 +10,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cabinpose.core.arrays import Floats, Ints, Ints32
 from cabinpose.core.frames import axis_rotation
-
-Points = NDArray[np.float64]
-Faces = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
 class Solid:
     """A closed triangle mesh: vertices (V, 3) float64 m, faces (F, 3) int32."""
 
-    vertices: Points
-    faces: Faces
+    vertices: Floats
+    faces: Ints32
 
     def volume(self) -> float:
         """The enclosed volume in m^3; negative where the faces look inwards."""
@@ -49,7 +47,7 @@ class Solid:
         """The solid turned about a coordinate axis through the origin, right-handed, radians."""
         return Solid(self.vertices @ axis_rotation(axis, angle).T, self.faces)
 
-    def deformed(self, bend: Callable[[Points], Points]) -> Solid:
+    def deformed(self, bend: Callable[[Floats], Floats]) -> Solid:
         """The solid with its vertices (V, 3) moved by `bend`."""
         return Solid(bend(self.vertices), self.faces).outward()
 
@@ -58,7 +56,7 @@ class Solid:
         return Solid(self.vertices * (1.0, -1.0, 1.0), self.faces).flipped()
 
 
-def smoothstep(x: ArrayLike, low: float, high: float) -> Points:
+def smoothstep(x: ArrayLike, low: float, high: float) -> Floats:
     """0 below `low`, 1 above `high`, and a cubic without corners between."""
     t = np.clip((np.asarray(x, dtype=np.float64) - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3 - 2 * t))
@@ -71,7 +69,7 @@ def join(solids: Sequence[Solid]) -> Solid:
     return Solid(np.concatenate([s.vertices for s in solids]), np.concatenate(faces).astype(np.int32))
 
 
-def _axis_lattice(length: float, radius: float, cells: int, corner: int) -> Points:
+def _axis_lattice(length: float, radius: float, cells: int, corner: int) -> Floats:
     """Coordinates along one edge of a rounded box: `corner` steps of even angle at each end, `cells` between."""
     half = length / 2
     arc = radius * np.tan(np.linspace(-np.pi / 4, 0, corner + 1))  # on the face of the box; even in angle once projected
@@ -121,13 +119,13 @@ def block(size: Sequence[float]) -> Solid:
     return slab(high, low)
 
 
-def _triangles(quads: NDArray[np.int64]) -> Faces:
+def _triangles(quads: Ints) -> Ints32:
     return np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])).astype(np.int32)
 
 
-def _grid_quads(rows: int, columns: int, wrap: bool, start: int = 0) -> NDArray[np.int64]:
+def _grid_quads(rows: int, columns: int, wrap: bool) -> Ints:
     """Quads of a (rows, columns) grid of vertices numbered row by row; `wrap` closes the columns."""
-    index = start + np.arange(rows * columns).reshape(rows, columns)
+    index = np.arange(rows * columns).reshape(rows, columns)
     if wrap:
         index = np.concatenate((index, index[:, :1]), axis=1)
     return np.stack((index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]), axis=-1).reshape(-1, 4)
@@ -151,7 +149,7 @@ def loft(rings: ArrayLike, closed: bool = False) -> Solid:
     return Solid(np.concatenate((r.reshape(-1, 3), centres)), np.concatenate(faces)).outward()
 
 
-def path_frames(path: Points, closed: bool, up: ArrayLike | None = None) -> tuple[Points, Points, Points]:
+def path_frames(path: Floats, closed: bool, up: ArrayLike | None = None) -> tuple[Floats, Floats, Floats]:
     """Tangent, normal and binormal (P, 3) along a path, carried without twist; `up` fixes the first normal."""
     if closed:
         tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
@@ -175,7 +173,7 @@ def sweep(path: ArrayLike, sections: ArrayLike, *, closed: bool = False, up: Arr
     return loft(p[:, None] + section[..., :1] * normal[:, None] + section[..., 1:] * binormal[:, None], closed)
 
 
-def ellipse(a: ArrayLike, b: ArrayLike, sides: int, power: float = 2.0) -> Points:
+def ellipse(a: ArrayLike, b: ArrayLike, sides: int, power: float = 2.0) -> Floats:
     """Superellipses (..., sides, 2) with half axes a, b (m); power 2 is an ellipse, more is squarer."""
     t = 2 * np.pi * np.arange(sides) / sides
     c, s = np.cos(t), np.sin(t)
@@ -196,33 +194,31 @@ def tube(path: ArrayLike, radius: float | Sequence[float], sides: int = 8, *, ro
     return sweep(p, ellipse(r, r, sides))
 
 
-def slab(inner: ArrayLike, outer: ArrayLike) -> Solid:
-    """The solid between two grids (M, N, 3) of facing points."""
-    a, b = np.asarray(inner, dtype=np.float64), np.asarray(outer, dtype=np.float64)
-    rows, columns = a.shape[:2]
+def slab_faces(rows: int, columns: int) -> Ints32:
+    """Triangles (F, 3) of the solid between two grids of vertices, numbered row by row, the second after the first."""
     count = rows * columns
     index = np.arange(count).reshape(rows, columns)
     rim = np.concatenate((index[0, :], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
-    nxt = np.roll(rim, -1)
-    quads = np.concatenate(
-        (
-            _grid_quads(rows, columns, wrap=False),
-            _grid_quads(rows, columns, wrap=False, start=count)[:, ::-1],
-            np.stack((rim, nxt, nxt + count, rim + count), axis=-1),
-        )
-    )
-    return Solid(np.concatenate((a.reshape(-1, 3), b.reshape(-1, 3))), _triangles(quads)).outward()
+    following = np.roll(rim, -1)
+    sheet = _grid_quads(rows, columns, wrap=False)
+    side = np.stack((rim, following, following + count, rim + count), axis=-1)
+    return _triangles(np.concatenate((sheet, sheet[:, ::-1] + count, side)))
 
 
-def prism(profile: ArrayLike, y_low: ArrayLike, y_high: ArrayLike, cells: int = 1) -> Solid:
+def slab(inner: ArrayLike, outer: ArrayLike) -> Solid:
+    """The solid between two grids (M, N, 3) of facing points."""
+    a, b = np.asarray(inner, dtype=np.float64), np.asarray(outer, dtype=np.float64)
+    return Solid(np.concatenate((a.reshape(-1, 3), b.reshape(-1, 3))), slab_faces(*a.shape[:2])).outward()
+
+
+def prism(profile: ArrayLike, y_low: ArrayLike, y_high: ArrayLike) -> Solid:
     """A closed outline (N, 2) in x, z, pulled from `y_low` to `y_high` (m, one value or one per point)."""
     outline = np.asarray(profile, dtype=np.float64)
-    low, high = (np.broadcast_to(np.asarray(y, dtype=np.float64), len(outline)) for y in (y_low, y_high))
-    steps = np.linspace(0, 1, cells + 1)
-    return loft(np.stack([np.stack((outline[:, 0], low + s * (high - low), outline[:, 1]), axis=-1) for s in steps]))
+    ends = (np.broadcast_to(np.asarray(y, dtype=np.float64), len(outline)) for y in (y_low, y_high))
+    return loft(np.stack([np.stack((outline[:, 0], y, outline[:, 1]), axis=-1) for y in ends]))
 
 
-def smooth_curve(points: ArrayLike, count: int, *, closed: bool = False) -> Points:
+def smooth_curve(points: ArrayLike, count: int, *, closed: bool = False) -> Floats:
     """`count` points of a centripetal Catmull-Rom spline through points (P, D)."""
     p = np.asarray(points, dtype=np.float64)
     ring = np.concatenate((p[-1:], p, p[:2])) if closed else np.concatenate((2 * p[:1] - p[1:2], p, 2 * p[-1:] - p[-2:-1]))

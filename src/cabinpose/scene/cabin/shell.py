@@ -6,44 +6,33 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.cabin.layout import WALL, Layout
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import (
-    Points,
-    Solid,
-    block,
-    ellipse,
-    join,
-    loft,
-    rounded_box,
-    slab,
-    smooth_curve,
-    smoothstep,
-    sweep,
-)
+from cabinpose.scene.cabin.shapes import Solid, block, ellipse, join, loft, rounded_box, slab, smooth_curve, smoothstep, sweep
 
-Line = Callable[[Points], Points]
+Line = Callable[[Floats], Floats]
 
 
 def _both_sides(solid: Solid) -> Solid:
     return join([solid, solid.mirrored()])
 
 
-def _side_patch(layout: Layout, x: Points, z: Points, inset: Points | float, thickness: float = WALL) -> Solid:
+def _side_patch(layout: Layout, x: Floats, z: Floats, inset: Floats | float, thickness: float = WALL) -> Solid:
     """The left-hand slab over grids x, z (M, N): its inner face lies `inset` inside the half width, its outer is smooth."""
     y = layout.half_width(x, z)
     return slab(np.stack((x, y - inset, z), axis=-1), np.stack((x, y + thickness, z), axis=-1))
 
 
-def _lower_grid(layout: Layout, x_front: float, x_rear: float, cells: tuple[int, int]) -> tuple[Points, Points, Points, Points]:
+def _lower_grid(layout: Layout, x_front: float, x_rear: float, cells: tuple[int, int]) -> tuple[Floats, Floats, Floats, Floats]:
     """Grids (x, z, s, t) below the belt line: s 0 front .. 1 rear, t 0 sill .. 1 belt."""
     s, t = np.meshgrid(np.linspace(0, 1, cells[0] + 1), np.linspace(0, 1, cells[1] + 1), indexing="ij")
     x = x_front + s * (x_rear - x_front)
     return x, -0.02 + t * (layout.belt_line(x) + 0.02), s, t
 
 
-def _upper_grid(layout: Layout, front: Line, rear: Line, cells: tuple[int, int]) -> tuple[Points, Points, Points, Points]:
+def _upper_grid(layout: Layout, front: Line, rear: Line, cells: tuple[int, int]) -> tuple[Floats, Floats, Floats, Floats]:
     """Grids (x, z, s, t) from the belt line to the roof rail, between two lines in side view."""
     s, t = np.meshgrid(np.linspace(0, 1, cells[0] + 1), np.linspace(0, 1, cells[1] + 1), indexing="ij")
     nominal = layout.belt_z + t * (layout.head_front[1] - 0.10 - layout.belt_z)
@@ -52,7 +41,7 @@ def _upper_grid(layout: Layout, front: Line, rear: Line, cells: tuple[int, int])
     return x, z, s, t
 
 
-def _door_trim(style: str, s: Points, t: Points) -> Points:
+def _door_trim(style: str, s: Floats, t: Floats) -> Floats:
     """Depth (m) of the door trim inside the clear half width: what tells one door from another."""
     shoulder = 0.012 * smoothstep(t, 0.80, 0.90)
     edge = smoothstep(s, 0.0, 0.06) * smoothstep(1 - s, 0.0, 0.06)
@@ -82,7 +71,7 @@ def _armrest(layout: Layout, h_x: float, seat_z: float, length: float) -> Solid:
     box = rounded_box((length, 2 * depth, height), (0.07, 0.026, 0.024), (5, 1, 1), corner=1)
     top = seat_z + 0.19
 
-    def bend(p: Points) -> Points:
+    def bend(p: Floats) -> Floats:
         x, y, z = p.T
         x_ = x + h_x + 0.10
         s = x / length + 0.5  # rises towards the front, where the pull handle is
@@ -95,7 +84,7 @@ def _armrest(layout: Layout, h_x: float, seat_z: float, length: float) -> Solid:
 def _on_door(layout: Layout, solid: Solid, x: float, z: float) -> Solid:
     """A solid around the origin, set on the left door's trim at (x, z) with its middle in the clear half width."""
 
-    def bend(p: Points) -> Points:
+    def bend(p: Floats) -> Floats:
         x_, z_ = p[:, 0] + x, p[:, 2] + z
         return np.stack((x_, p[:, 1] + layout.half_width(x_, z_), z_), axis=-1)
 
@@ -173,7 +162,7 @@ def doors(layout: Layout) -> list[Part]:
     path = np.stack((x, layout.half_width(x, z) + 0.006, z), axis=-1)
     add("A-pillar", sweep(path, ellipse(0.062, 0.040, 12, 2.4), up=(1, 0, 0)), material="hard_plastic")
 
-    def backlight(z: Points) -> Points:
+    def backlight(z: Floats) -> Floats:
         return np.minimum(layout.backlight_x(z), layout.c_pillar_x(z) - 0.06)
 
     x, z, s, _ = _upper_grid(layout, layout.c_pillar_x, backlight, (6, 6))
@@ -286,7 +275,7 @@ def roof_fittings(layout: Layout) -> list[Part]:
             y0, x0 = side * layout.h_front[1] * 0.98, layout.header_x - 0.10
             box = rounded_box((0.155, 0.38, 0.020), (0.03, 0.05, 0.009), (1, 5, 1), corner=1)
 
-            def bend(p: Points, x0: float = x0, y0: float = y0) -> Points:
+            def bend(p: Floats, x0: float = x0, y0: float = y0) -> Floats:
                 x, y = p[:, 0] + x0, p[:, 1] + y0
                 return np.stack((x, y, p[:, 2] + layout.roof(x, y) - 0.018), axis=-1)
 

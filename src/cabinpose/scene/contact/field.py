@@ -4,9 +4,9 @@ A group's field holds, at the nodes of a regular grid in the group's own frame, 
 distance + give": how far a point may still move before a part gives way no more. Negative means too deep. A seat
 that slides or reclines takes its field along; only the transform changes.
 
-Nodes hold one byte (clearance cut at ±95 mm), interpolation is trilinear. Distances are exact as far as a verdict can
-depend on them and approximate beyond. The field sorts points into "clear" and "look closer": `PlacedField.deepest`
-measures the few points that the interpolation bound leaves open on the triangles themselves.
+Nodes hold one byte (clearance cut at ±95 mm), interpolation is trilinear. Distances are exact in the range that can decide a
+verdict and approximate beyond it. By the field a point is surely clear, or it has to be measured: `PlacedField.deepest` measures
+the few points within the interpolation bound on the triangles themselves.
 """
 
 from __future__ import annotations
@@ -16,18 +16,21 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
+from cabinpose.core.arrays import Bools, Floats, Floats32, Ints, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
 from cabinpose.scene.contact.triangles import TriangleMesh, edge_keys, sampled_surface, triangle_mesh
-from cabinpose.scene.surface import Surface
+
+if TYPE_CHECKING:  # a cabin places its cameras by contact
+    from cabinpose.scene.cabin.model import Part
 
 STEP_M = 0.010  # grid step of static parts and seats
 FINE_STEP_M = 0.005  # grid step of the wheel, whose rim is 30 mm thick
@@ -44,26 +47,11 @@ STATIC_GROUP = "body"
 WHEEL_GROUP = "wheel"
 
 
-class ContactPart(Protocol):
-    """What contact needs to know of a part of the cabin; lengths in m."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def surface(self) -> Surface: ...
-    @property
-    def group(self) -> str: ...
-    @property
-    def give_m(self) -> float: ...
-    @property
-    def solid(self) -> bool: ...
-
-
 class ContactScene(Protocol):
     """Parts in groups, and where the groups are: a cabin, or a room."""
 
     @property
-    def parts(self) -> Sequence[Any]: ...
+    def parts(self) -> Sequence[Part]: ...
     @property
     def seats(self) -> Mapping[str, Any]: ...
     def group_transforms(self, settings: Mapping[str, Any], *, wheel_angle: float = 0.0) -> Mapping[str, Matrix]: ...
@@ -96,13 +84,13 @@ class GroupField:
     name: str
     parts: tuple[GroupPart, ...]
     values: NDArray[np.int8]
-    origin: NDArray[np.float64]
+    origin: Floats
     step: float
-    probes: NDArray[np.float64]
-    probe_part: NDArray[np.int32]
-    probe_give: NDArray[np.float64]
-    part_low: NDArray[np.float64]
-    part_high: NDArray[np.float64]
+    probes: Floats
+    probe_part: Ints32
+    probe_give: Floats
+    part_low: Floats
+    part_high: Floats
     interior: bool
     sealed: bool
 
@@ -117,12 +105,12 @@ class GroupField:
         return self.step * math.sqrt(3.0) / 2.0 + QUANTUM_M
 
     @cached_property
-    def probe_balls(self) -> NDArray[np.float64]:
+    def probe_balls(self) -> Floats:
         """`balls_of` the probes."""
         return balls_of(self.probes)
 
     @cached_property
-    def grid(self) -> tuple[NDArray[np.float64], float, float, float, NDArray[np.int8]]:
+    def grid(self) -> tuple[Floats, float, float, float, NDArray[np.int8]]:
         """The field for the kernels: origin, step, quantum, the clearance beyond the grid, values."""
         return self.origin, self.step, QUANTUM_M, self.outside_m, self.values
 
@@ -131,35 +119,15 @@ class GroupField:
         """The clearance that stands for every point beyond the grid, m."""
         return -BAND_M if self.sealed else BAND_M
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the grid and the triangles, bytes."""
-        meshes = sum(p.mesh.corners.nbytes + p.mesh.normals.nbytes + p.mesh.vertices.nbytes for p in self.parts)
-        return self.values.nbytes + self.probes.nbytes + meshes
 
-    def lower(self, points: NDArray[np.floating], group_from_vehicle: Matrix, clearance: NDArray[np.float64]) -> None:
-        """Lowers `clearance` (N,) m to this group's where it is less, at points (N, 3) m in the vehicle frame."""
-        native.sample(points, group_from_vehicle, self.grid, clearance)
-
-    def below(
-        self, points: NDArray[np.float32], balls: NDArray[np.float64], group_from_vehicle: Matrix, threshold_m: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Numbers and clearance (m) of the points (N, 3) m, vehicle frame, with less clearance than `threshold_m`.
-
-        balls: `balls_of(points)`.
-        """
-        index, clearance = native.points_below(points, balls, group_from_vehicle, self.grid, threshold_m, SEAL_M)
-        return index, clearance
-
-
-def balls_of(points: NDArray[np.floating]) -> NDArray[np.float64]:
+def balls_of(points: NDArray[np.floating]) -> Floats:
     """Centre and radius (ceil(N / 32), 4) of balls around every 32 consecutive points of (N, 3), m."""
     balls = np.empty((-(-len(points) // 32), 4))
     native.balls_of(points, balls)
     return balls
 
 
-def _probes(part: GroupPart) -> NDArray[np.float64]:
+def _probes(part: GroupPart) -> Floats:
     """Points of a part that may go into a body unseen by the skin's own points.
 
     Of hard parts the vertices, and points every `PROBE_M` along the edges that bend outwards sharply. Of soft parts the
@@ -186,9 +154,7 @@ def _probes(part: GroupPart) -> NDArray[np.float64]:
     return np.concatenate((mesh.vertices, a[edge] + t * (b[edge] - a[edge])))
 
 
-def _lower_to_part(
-    part: GroupPart, origin: NDArray[np.float64], step: float, values: NDArray[np.float32], exact: NDArray[np.bool_]
-) -> None:
+def _lower_to_part(part: GroupPart, origin: Floats, step: float, values: Floats32, exact: Bools) -> None:
     """Exact as far as a verdict can depend on it: to the part's give, flesh and the interpolation bound below the surface."""
     above = part.shell_m + 2.0 * step
     reach = part.give_m + above
@@ -204,7 +170,7 @@ def _lower_to_part(
     native.merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, above, values, exact)
 
 
-def bit_rows(values: NDArray[np.float32], level: float) -> NDArray[np.uint64]:
+def bit_rows(values: Floats32, level: float) -> NDArray[np.uint64]:
     """Which nodes of (ni, nj, nk) are at least `level`: (ni, nj, ceil(nk / 64)) words of 64 nodes along the last axis."""
     bits = np.empty((*values.shape[:2], -(-values.shape[2] // 64)), np.uint64)
     native.bit_rows(values, level, bits)
@@ -238,20 +204,32 @@ def _free_bytes() -> int:
     return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def group_field(
-    name: str, parts: Sequence[ContactPart], *, step: float = STEP_M, seeds: NDArray[np.float64] | None = None
-) -> GroupField:
-    """The field of the parts of one group.
+def group_field(name: str, parts: Sequence[Part], *, step: float = STEP_M, seeds: Floats | None = None) -> GroupField:
+    """The clearance field of the parts of one group.
 
-    `seeds` (S, 3) m, points that are inside the interior: where given, all that cannot be reached from them, such as
-    what is behind a window pane or a door panel, counts as too deep.
+    Parameters
+    ----------
+    name
+        Of the group.
+    parts
+        In the group's frame.
+    step
+        Of the grid, m.
+    seeds
+        (S, 3) m, points inside the interior. Where given, all that cannot be reached from them, such as the space behind a
+        window pane or a door panel, counts as too deep.
+
+    Raises
+    ------
+    ConfigError
+        Where the grid would not fit into the free memory.
     """
     vertices = np.concatenate([part.surface.vertices for part in parts])
     _check_memory(name, np.ptp(vertices, axis=0) / step)
     ready = []
     for part in parts:
         mesh = triangle_mesh(part.surface.vertices, part.surface.faces, closed=part.solid)
-        ready.append(GroupPart(part.name, mesh, float(part.give_m), float(getattr(part, "shell_m", 0.0))))
+        ready.append(GroupPart(part.name, mesh, float(part.give_m), float(part.shell_m)))
     pad = 2.0 * step if seeds is not None else BAND_M
     low = np.min([p.mesh.low for p in ready], axis=0) - pad
     high = np.max([p.mesh.high for p in ready], axis=0) + pad
@@ -299,7 +277,7 @@ class Contact:
     part: str
     depth_m: float
     excess_m: float
-    where: NDArray[np.float64]
+    where: Floats
     point: int
 
 
@@ -311,9 +289,9 @@ class ContactField:
 
     def __init__(self, cabin: ContactScene) -> None:
         """Builds the fields of the cabin's parts that take part in contact (`solid`, or open with a `shell_m`)."""
-        groups: dict[str, list[Any]] = {}
+        groups: dict[str, list[Part]] = {}
         for part in cabin.parts:
-            if part.solid or getattr(part, "shell_m", 0.0) > 0.0:
+            if part.solid or part.shell_m > 0.0:
                 groups.setdefault(part.group, []).append(part)
         chest = np.array((0.0, 0.0, 0.35))
         seeds = [np.asarray(seat.h_point(seat.default)) + chest for seat in cabin.seats.values()]
@@ -334,11 +312,6 @@ class ContactField:
         self._half = np.array([(np.array(g.values.shape) - 1) * g.step / 2.0 for g in fields])
         self._centre = np.array([g.origin for g in fields]) + self._half
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the fields, bytes."""
-        return sum(g.nbytes for g in {id(g.values): g for g in self.groups}.values())
-
     def at(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> PlacedField:
         """The fields where these seat settings and this wheel angle (rad) put them."""
         transforms = self._cabin.group_transforms(settings, wheel_angle=wheel_angle)
@@ -348,9 +321,7 @@ class ContactField:
         groups = tuple(zip(self.groups, vehicle_from_group, invert(vehicle_from_group), strict=True))
         return PlacedField(groups, centre - half, centre + half)
 
-    def clearance(
-        self, points: NDArray[np.floating], settings: Mapping[str, Any], wheel_angle: float = 0.0
-    ) -> NDArray[np.float64]:
+    def clearance(self, points: NDArray[np.floating], settings: Mapping[str, Any], wheel_angle: float = 0.0) -> Floats:
         """`PlacedField.clearance` for one call; who asks often keeps what `at` returns."""
         return self.at(settings, wheel_angle).clearance(points)
 
@@ -363,10 +334,10 @@ class PlacedField:
     """
 
     groups: tuple[tuple[GroupField, Matrix, Matrix], ...]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    low: Floats
+    high: Floats
 
-    def clearance(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def clearance(self, points: NDArray[np.floating]) -> Floats:
         """(N,) m that points (N, 3) m of the vehicle frame may still move before a part gives way no more.
 
         Signed distance to the nearest part plus that part's give, cut at ±`BAND_M` and good to a few millimetres:
@@ -374,10 +345,10 @@ class PlacedField:
         """
         result, there = np.full(len(points), BAND_M), np.ascontiguousarray(points)
         for group, _, group_from_vehicle in self.groups:
-            group.lower(there, group_from_vehicle, result)
+            native.sample(there, group_from_vehicle, group.grid, result)
         return result
 
-    def deepest(self, points: NDArray[np.float32], tolerance_m: float, *, give: bool = True) -> Contact | None:
+    def deepest(self, points: Floats32, tolerance_m: float, *, give: bool = True) -> Contact | None:
         """The point of (N, 3) m, vehicle frame, that goes farthest beyond give + `tolerance_m`; None where none does.
 
         Exact at the points: those within the interpolation bound of the tolerance are measured on the triangles.
@@ -391,7 +362,8 @@ class PlacedField:
             if not (near or group.interior):
                 continue
             yielding = 0.0 if give else group.give_m
-            index, clearance = group.below(points, balls, group_from_vehicle, group.bound_m - tolerance_m + yielding)
+            threshold = group.bound_m - tolerance_m + yielding
+            index, clearance = native.points_below(points, balls, group_from_vehicle, group.grid, threshold, SEAL_M)
             if len(index):
                 found = _measure(group, points, index, clearance, group_from_vehicle, tolerance_m, give)
                 if found is not None and (worst is None or found.excess_m > worst.excess_m):
@@ -424,13 +396,7 @@ class PlacedField:
 
 
 def _measure(
-    group: GroupField,
-    points: NDArray[np.float32],
-    index: NDArray[np.intp],
-    clearance: NDArray[np.float64],
-    group_from_vehicle: Matrix,
-    tolerance: float,
-    give: bool,
+    group: GroupField, points: Floats32, index: Ints, clearance: Floats, group_from_vehicle: Matrix, tolerance: float, give: bool
 ) -> Contact | None:
     """The worst of the points that the grid left open, measured on the triangles."""
     if clearance.min() < -tolerance - group.bound_m:

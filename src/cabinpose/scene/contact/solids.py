@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
+from cabinpose.core.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
 
@@ -33,26 +34,26 @@ class SolidTopology:
     leaf_rows: (S, 2) into the boxes around every `LEAF` faces of a solid
     """
 
-    faces: NDArray[np.int32]
-    skin_rows: NDArray[np.int64]
-    all_rows: NDArray[np.int64]
-    vertices: NDArray[np.int32]
-    vertex_rows: NDArray[np.int64]
-    own: NDArray[np.int32]
-    own_rows: NDArray[np.int64]
-    ring_vertices: NDArray[np.int32]
-    ring_rows: NDArray[np.int64]
-    edges: NDArray[np.int32]
-    order: NDArray[np.int32]
-    leaf_rows: NDArray[np.int64]
+    faces: Ints32
+    skin_rows: Ints
+    all_rows: Ints
+    vertices: Ints32
+    vertex_rows: Ints
+    own: Ints32
+    own_rows: Ints
+    ring_vertices: Ints32
+    ring_rows: Ints
+    edges: Ints32
+    order: Ints32
+    leaf_rows: Ints
 
 
-def _rows(parts: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+def _rows(parts: Sequence[NDArray[Any]]) -> Ints:
     ends = np.cumsum([len(p) for p in parts])
     return np.stack((ends - [len(p) for p in parts], ends), axis=1).astype(np.int64)
 
 
-def open_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def open_edges(faces: Ints32) -> Ints32:
     """(E, 2) directed edges (u, v) of faces (F, 3) whose opposite (v, u) is missing."""
     edges = np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2)
     count = int(faces.max()) + 1
@@ -61,14 +62,14 @@ def open_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.asarray(edges[~np.isin(forward, backward)])
 
 
-def _edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def _edges(faces: Ints32) -> Ints32:
     corner, following = faces.astype(np.int64), np.roll(faces, -1, axis=1)
     count = int(faces.max()) + 1
     keys = np.unique(np.minimum(corner, following) * count + np.maximum(corner, following))
     return np.stack(np.divmod(keys, count), axis=1).astype(np.int32)
 
 
-def _components(edges: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+def _components(edges: Ints32) -> list[Ints32]:
     """The edges of each connected ring."""
     label = {int(v): int(v) for v in np.unique(edges)}
 
@@ -84,16 +85,14 @@ def _components(edges: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     return [edges[roots == r] for r in np.unique(roots)]
 
 
-def _by_place(points: NDArray[np.floating]) -> NDArray[np.int64]:
+def _by_place(points: NDArray[np.floating]) -> Ints:
     """An order of points (N, 3) in which every `LEAF` of them are close together."""
     order = np.empty(len(points), np.int64)
     native.by_place(np.ascontiguousarray(points, np.float64), LEAF, order)
     return order
 
 
-def solid_topology(
-    faces: NDArray[np.int32], segment: NDArray[np.uint8], segments: Sequence[str], skin: NDArray[np.floating]
-) -> SolidTopology:
+def solid_topology(faces: Ints32, segment: Bytes, segments: Sequence[str], skin: NDArray[np.floating]) -> SolidTopology:
     """Cuts a skin (faces (F, 3), segment (V,) as index into `segments`) into `SOLIDS`, each closed by fans.
 
     skin: (V, 3) m, the vertices of any pose, to list triangles near each other together; results do not depend on it.
@@ -136,7 +135,7 @@ class SolidContact(NamedTuple):
     depth_m: float
     excess_m: float
     point: int
-    where: NDArray[np.float64]
+    where: Floats
 
 
 class SolidArrays(NamedTuple):
@@ -147,16 +146,16 @@ class SolidArrays(NamedTuple):
     for: ready (S,).
     """
 
-    vertices: NDArray[np.float32]
-    boxes: NDArray[np.float32]
-    faces: NDArray[np.int32]
-    all_rows: NDArray[np.int64]
-    skin_rows: NDArray[np.int64]
-    own: NDArray[np.int32]
-    own_rows: NDArray[np.int64]
-    leaf_rows: NDArray[np.int64]
-    leaves: NDArray[np.float64]
-    ready: NDArray[np.bool_]
+    vertices: Floats32
+    boxes: Floats32
+    faces: Ints32
+    all_rows: Ints
+    skin_rows: Ints
+    own: Ints32
+    own_rows: Ints
+    leaf_rows: Ints
+    leaves: Floats
+    ready: Bools
 
 
 _NOWHERE = np.zeros(3)
@@ -168,10 +167,10 @@ class PosedSolids:
 
     topology: SolidTopology
     arrays: SolidArrays
-    box: NDArray[np.float32]
+    box: Floats32
 
     @classmethod
-    def of(cls, topology: SolidTopology, skin: NDArray[np.float32]) -> PosedSolids:
+    def of(cls, topology: SolidTopology, skin: Floats32) -> PosedSolids:
         """The solids of a skin (V, 3) m."""
         t = topology
         vertices = np.empty((len(skin) + len(t.ring_rows), 3), np.float32)
@@ -184,13 +183,11 @@ class PosedSolids:
         return cls(topology, arrays, box)
 
     @property
-    def vertices(self) -> NDArray[np.float32]:
+    def vertices(self) -> Floats32:
         """(V + C, 3) m: the skin's vertices, then the centres of the rings."""
         return self.arrays.vertices
 
-    def deepest(
-        self, solid: int, points: NDArray[np.float32], index: NDArray[np.int32], limits: NDArray[np.float64]
-    ) -> SolidContact | None:
+    def deepest(self, solid: int, points: Floats32, index: Ints32, limits: Floats) -> SolidContact | None:
         """The indexed point of (N, 3) that goes farthest beyond its limit into a solid; None where none does."""
         excess, point, depth = native.deepest_in(points, index, solid, _NOWHERE, 0.0, limits, self.arrays)
         if point < 0:
@@ -203,18 +200,18 @@ class PosedSolids:
         at = int(np.flatnonzero(t.own == vertex)[0])
         return SOLIDS[int(np.searchsorted(t.own_rows[:, 1], at, side="right"))]
 
-    def skin_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    def skin_points(self) -> tuple[Floats32, Ints32]:
         """Points (N, 3) of the skin no farther apart than `SPACING_M` along its edges, and a vertex (N,) near each."""
         points, vertex = native.sampled_skin(self.vertices, self.topology.order, self.topology.edges, SPACING_M)
         return points, vertex
 
-    def own(self, solid: int) -> NDArray[np.int32]:
+    def own(self, solid: int) -> Ints32:
         """The skin vertices that belong to a solid."""
         start, end = self.topology.own_rows[solid]
         return self.topology.own[start:end]
 
 
-def self_contact(body: PosedSolids, joints: NDArray[np.float64]) -> tuple[Pair, SolidContact] | None:
+def self_contact(body: PosedSolids, joints: Floats) -> tuple[Pair, SolidContact] | None:
     """The first pair of `PAIRS` whose solids overlap beyond its tolerance, and where; None where none does.
 
     joints: (20, 3) m of the same body in the order of `core.skeleton.JOINTS`.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
+from cabinpose.core.arrays import Floats, Ints, Ints32
 
 WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex per face corner for hard shading
 CELL_M = 0.03  # cell of the search grid, about the size of a cabin triangle
@@ -25,27 +26,27 @@ class TriangleMesh:
     closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    corners: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    vertices: Floats
+    faces: Ints32
+    corners: Floats
+    normals: Floats
     closed: bool
-    _origin: NDArray[np.float64]
-    _dims: NDArray[np.int64]
-    _starts: NDArray[np.int32]
-    _entries: NDArray[np.int32]
+    _origin: Floats
+    _dims: Ints
+    _starts: Ints32
+    _entries: Ints32
 
     @property
-    def low(self) -> NDArray[np.float64]:
+    def low(self) -> Floats:
         """(3,) lower corner of the box around the triangles, m."""
         return np.asarray(self.vertices.min(axis=0))
 
     @property
-    def high(self) -> NDArray[np.float64]:
+    def high(self) -> Floats:
         """(3,) upper corner of the box around the triangles, m."""
         return np.asarray(self.vertices.max(axis=0))
 
-    def signed_distance(self, points: NDArray[np.float64], radius: float, enough: float = 0.0) -> NDArray[np.float64]:
+    def signed_distance(self, points: Floats, radius: float, enough: float = 0.0) -> Floats:
         """(N,) distance of points (N, 3) to the surface, m, negative inside where closed.
 
         Exact to rounding up to `radius`; `radius` stands for every point farther away than that, on either side. Where
@@ -78,13 +79,13 @@ def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *,
     return TriangleMesh(welded, triangles, corners, normals, closed, low, dims, starts, entries)
 
 
-def edge_keys(faces: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+def edge_keys(faces: Ints32, count: int) -> Ints:
     """(F, 3) one number for each undirected edge ab, bc, ca of faces (F, 3) over `count` vertices."""
     ends = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).astype(np.int64), axis=2)
     return np.asarray(ends[..., 0] * count + ends[..., 1])
 
 
-def _pseudo_normals(corners: NDArray[np.float64], faces: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+def _pseudo_normals(corners: Floats, faces: Ints32, count: int) -> Floats:
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-30)
     towards_next = np.roll(corners, -1, axis=1) - corners
@@ -100,7 +101,7 @@ def _pseudo_normals(corners: NDArray[np.float64], faces: NDArray[np.int32], coun
     return np.concatenate((face[:, None], vertex[faces], edge[edge_of]), axis=1)
 
 
-def sampled_surface(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+def sampled_surface(corners: Floats, spacing: float) -> Floats:
     """Points (N, 3) over triangles (F, 3, 3), no farther apart than `spacing` (all in m), those on shared edges once."""
     longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
     pieces = np.ceil(longest / spacing).astype(int)
@@ -116,9 +117,7 @@ def sampled_surface(corners: NDArray[np.float64], spacing: float) -> NDArray[np.
     return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]
 
 
-def first_crossings(
-    starts: NDArray[np.float64], ends: NDArray[np.float64], triangles: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def first_crossings(starts: Floats, ends: Floats, triangles: Floats) -> tuple[Floats, Ints]:
     """Where line segments first meet triangles.
 
     Parameters

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bytes, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 
 
@@ -40,13 +41,13 @@ class GeometryBuffers:
     """
 
     supersample: int
-    depth_m: NDArray[np.float32]
-    cos_incidence: NDArray[np.float32]
-    material: NDArray[np.uint8]
-    mixed: NDArray[np.int32]
-    parts_depth_m: NDArray[np.float32]
-    parts_cos_incidence: NDArray[np.float32]
-    parts_material: NDArray[np.uint8]
+    depth_m: Floats32
+    cos_incidence: Floats32
+    material: Bytes
+    mixed: Ints32
+    parts_depth_m: Floats32
+    parts_cos_incidence: Floats32
+    parts_material: Bytes
 
     def __post_init__(self) -> None:
         shape, parts = self.depth_m.shape, (len(self.mixed), self.supersample**2)
@@ -64,9 +65,7 @@ class GeometryBuffers:
             )
 
     @classmethod
-    def dense(
-        cls, supersample: int, depth_m: NDArray[np.float32], cos_incidence: NDArray[np.float32], material: NDArray[np.uint8]
-    ) -> GeometryBuffers:
+    def dense(cls, supersample: int, depth_m: Floats32, cos_incidence: Floats32, material: Bytes) -> GeometryBuffers:
         """The geometry (H * s, W * s) that `camera.scaled(s)` sees, all parts of all pixels."""
         shape, s = depth_m.shape, supersample
         if s < 1 or len(shape) != 2 or shape[0] % s or shape[1] % s:
@@ -99,7 +98,7 @@ class GeometryBuffers:
             self.mixed, self.parts_depth_m, self.parts_cos_incidence, self.parts_material,
         )  # fmt: skip
 
-    def slots(self) -> NDArray[np.int32]:
+    def slots(self) -> Ints32:
         """(H, W): where in `mixed` each pixel is; -1 where it is not."""
         slots = np.full(self.depth_m.size, -1, np.int32)
         slots[self.mixed] = np.arange(len(self.mixed), dtype=np.int32)
@@ -114,9 +113,9 @@ class SensorFrame(NamedTuple):
     255 c / (c + sigma) elsewhere, with sigma the noise that the sensor estimates from its own samples, c = 10 mm.
     """
 
-    depth_m: NDArray[np.float32]
+    depth_m: Floats32
     amplitude: NDArray[np.uint16]
-    confidence: NDArray[np.uint8]
+    confidence: Bytes
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> SensorFrame:

@@ -7,12 +7,12 @@ that stand before or behind their neighbours, without naming thresholds; the def
 
 from __future__ import annotations
 
+from collections import namedtuple
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose._native import sensor as native
@@ -44,23 +44,11 @@ class EmpiricalNoise(BaseModel):
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
-class _Empirical(NamedTuple):
-    """A sensor with its measured noise, as `sensor/empirical.hpp` describes it."""
-
-    range_over_depth: NDArray[np.float32]
-    amplitude_scale: NDArray[np.float32]
-    field: NDArray[np.bool_]
-    table: NDArray[np.float32]
-    a: float
-    b: float
-    c: float
-    edge_sigma: float
-    edge_threshold: float
-    reach: int
-    remove_spikes: bool
-    glass: bool
-    near: float
-    far: float
+# A sensor with its measured noise: the members of `Empirical` in sensor/empirical.hpp.
+_Empirical = namedtuple(
+    "_Empirical",
+    "range_over_depth amplitude_scale field table a b c edge_sigma edge_threshold reach remove_spikes glass near far",
+)
 
 
 @lru_cache(maxsize=8)

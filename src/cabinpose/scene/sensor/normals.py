@@ -14,16 +14,17 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from cabinpose._native import core as native
+from cabinpose.core.arrays import Floats32
 
 
 @cache
-def normal_quantiles() -> NDArray[np.float32]:
+def normal_quantiles() -> Floats32:
     """(65536,) float32: standard normal numbers by their 16-bit rank; mean 0, variance 1."""
     edges, density = np.empty((2, 65537))
     native.normal_quantile(np.arange(65537) / 65536, edges)
     native.exp(-(edges**2) / 2, density)
     means = -np.diff(density / np.sqrt(2 * np.pi)) * 65536
-    table: NDArray[np.float32] = (means / means.std()).astype(np.float32)
+    table: Floats32 = (means / means.std()).astype(np.float32)
     table.setflags(write=False)
     return table
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bools, Floats32
 from cabinpose.core.camera import Camera
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor.buffers import in_parts
@@ -24,7 +24,7 @@ _OUTSIDE_REFLECTANCE = 0.3
 
 
 @lru_cache(maxsize=8)
-def material_table(reflectance: bool, glass: bool, ambient: float, daylight: float) -> NDArray[np.float32]:
+def material_table(reflectance: bool, glass: bool, ambient: float, daylight: float) -> Floats32:
     """(256, 3) float32 by material id: diffuse reflectance, specular peak, ambient light returned.
 
     `reflectance` False: everything is white. `glass` False: transmissive materials are plain diffuse surfaces.
@@ -50,14 +50,14 @@ class LensMaps:
     field: (H, W) bool, inside the image circle. float32.
     """
 
-    range_over_depth: NDArray[np.float32]
-    parts_range_over_depth: NDArray[np.float32]
-    vignetting: NDArray[np.float32]
-    illumination: NDArray[np.float32]
-    field: NDArray[np.bool_]
+    range_over_depth: Floats32
+    parts_range_over_depth: Floats32
+    vignetting: Floats32
+    illumination: Floats32
+    field: Bools
 
 
-def _factor(camera: Camera) -> NDArray[np.float32]:
+def _factor(camera: Camera) -> Floats32:
     # A pixel outside the lens model has no ray; it stays NaN and so invalid.
     return np.ascontiguousarray(camera.range_over_depth, dtype=np.float32)
 
@@ -82,7 +82,7 @@ def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
 
 
 @lru_cache(maxsize=8)
-def amplitude_scale(sensor: Sensor) -> NDArray[np.float32]:
+def amplitude_scale(sensor: Sensor) -> Floats32:
     """(H, W): amplitude (electrons) of a white surface that faces the camera at 1 m; 0 outside the field."""
     maps = lens_maps(sensor, 1)
     scale = np.float32(sensor.signal_e * sensor.contrast) * maps.vignetting * maps.illumination

@@ -7,12 +7,12 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 
 from __future__ import annotations
 
+from collections import namedtuple
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose._native import sensor as native
@@ -79,32 +79,12 @@ NO_EFFECTS = PhysicalNoise(
 _PHASE_TOLERANCE = 0.25
 
 
-class _ContinuousWave(NamedTuple):
-    """A sensor with the effects asked for, as `sensor/continuous_wave.hpp` describes it."""
-
-    range_over_depth: NDArray[np.float32]
-    parts_range_over_depth: NDArray[np.float32]
-    gain: NDArray[np.float32]
-    ambient_gain: NDArray[np.float32]
-    table: NDArray[np.float32]
-    frequencies: NDArray[np.float64]
-    p: int
-    q: int
-    gloss_width: float
-    triangle: float
-    blur: float
-    stray_light: float
-    contrast: float
-    read_noise: float
-    full_well: float
-    min_amplitude: float
-    near: float
-    far: float
-    tolerance: float
-    parts: bool
-    lambert: bool
-    shot_noise: bool
-    wrapping: bool
+# A sensor with the effects asked for: the members of `ContinuousWave` in sensor/continuous_wave.hpp.
+_ContinuousWave = namedtuple(
+    "_ContinuousWave",
+    "range_over_depth parts_range_over_depth gain ambient_gain table frequencies p q gloss_width triangle blur stray_light"
+    " contrast read_noise full_well min_amplitude near far tolerance parts lambert shot_noise wrapping",
+)
 
 
 @lru_cache(maxsize=8)

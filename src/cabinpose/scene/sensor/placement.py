@@ -13,12 +13,7 @@ _STRAIGHT = 1e-3  # sine of the angle to the vertical below which "up" is the ve
 
 
 def place_camera(
-    eye: ArrayLike,
-    target: ArrayLike,
-    *,
-    translation_jitter: ArrayLike = 0.0,
-    rotation_jitter: ArrayLike = 0.0,
-    rng: Generator,
+    eye: ArrayLike, target: ArrayLike, *, translation_jitter: ArrayLike = 0.0, rotation_jitter: ArrayLike = 0.0, rng: Generator
 ) -> Matrix:
     """`vehicle_from_camera` of a camera at `eye` that looks at `target` (both (3,), m, vehicle frame), then jittered.
 

@@ -53,8 +53,7 @@ class Sensor(BaseModel):
     min_amplitude_e: float = Field(default=45.0, ge=0, description="Amplitude below which a pixel is invalid (electrons).")
     vignetting_exponent: float = Field(default=4.0, ge=0, description="The lens passes cos^n of the angle off axis.")
     illumination_exponent: float = Field(
-        default=0.0,
-        description="Radiant intensity of the light, cos^n of the angle off axis; negative: it fills the edge.",
+        default=0.0, description="Radiant intensity of the light, cos^n of the angle off axis; negative: it fills the edge."
     )
     field_radius_px: float | None = Field(
         default=None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."
@@ -93,16 +92,6 @@ class Sensor(BaseModel):
         return ratio.numerator, ratio.denominator
 
     @property
-    def unambiguous_range_m(self) -> float:
-        """Range at which the phase wraps, c / 2f; with two frequencies that of their greatest common divisor."""
-        if not self.frequencies_hz:
-            return float("inf")
-        frequency = self.frequencies_hz[0]
-        if len(self.frequencies_hz) == 2:
-            frequency /= self.frequency_ratio[0]
-        return SPEED_OF_LIGHT / (2 * frequency)
-
-    @property
     def phases(self) -> int:
         """Correlation samples in a frame."""
         return 4 * len(self.frequencies_hz)
@@ -128,65 +117,31 @@ _MONSTAR_USE_CASES = {
 def _monstar(use_case: int, name: str) -> Sensor:
     window, fps, integration_us, frequencies_mhz = _MONSTAR_USE_CASES[use_case]
     return Sensor(
-        name=name,
-        camera=_MONSTAR_LENS,
-        range_m=window,
-        fps=fps,
-        integration_s=integration_us * 1e-6,
-        frequencies_hz=tuple(f * 1e6 for f in frequencies_mhz),
-        signal_e_per_s=4.1e6,
-        illumination_exponent=-2.0,
-        field_radius_px=_MONSTAR_FIELD_PX,
-    )
+        name=name, camera=_MONSTAR_LENS, range_m=window, fps=fps, integration_s=integration_us * 1e-6,
+        frequencies_hz=tuple(f * 1e6 for f in frequencies_mhz), illumination_exponent=-2.0, field_radius_px=_MONSTAR_FIELD_PX,
+    )  # fmt: skip
 
 
-def _presets() -> Mapping[str, Sensor]:
-    sensors = {"pico_monstar_105": _monstar(3, "pico_monstar_105")}
-    for use_case in _MONSTAR_USE_CASES:
-        name = f"pico_monstar_105/{use_case}"
-        sensors[name] = _monstar(use_case, name)
+_ALL = (
+    _monstar(3, "pico_monstar_105"), *(_monstar(use_case, f"pico_monstar_105/{use_case}") for use_case in _MONSTAR_USE_CASES),
     # LED light: low frequency, much of it lost, so noisier. 90 degree lens.
-    sensors["evk75023"] = Sensor(
-        name="evk75023",
-        camera=Camera.from_fov(320, 240, radians(90.0)),
-        range_m=(0.3, 4.0),
-        fps=30,
-        integration_s=1.0e-3,
-        frequencies_hz=(20e6,),
-        contrast=0.6,
-        signal_e_per_s=12.0e6,
-        read_noise_e=20.0,
-        min_amplitude_e=150.0,
-    )
+    Sensor(
+        name="evk75023", camera=Camera.from_fov(320, 240, radians(90.0)), range_m=(0.3, 4.0), fps=30, integration_s=1.0e-3,
+        frequencies_hz=(20e6,), contrast=0.6, signal_e_per_s=12.0e6, read_noise_e=20.0, min_amplitude_e=150.0,
+    ),
     # 110 degrees of lens whose barrel distortion leaves 100 on the 320 columns.
-    sensors["evk75123"] = Sensor(
-        name="evk75123",
-        camera=Camera(320, 240, 160.800, 160.800, 159.5, 119.5, (-0.155, 0.0273, 0.0, 0.0, 0.0)),
-        range_m=(0.2, 3.0),
-        fps=30,
-        integration_s=1.0e-3,
-        frequencies_hz=(40e6,),
-        contrast=0.7,
-        signal_e_per_s=9.0e6,
-        read_noise_e=15.0,
-        min_amplitude_e=120.0,
-        illumination_exponent=-1.0,
-        field_radius_px=172.0,
-    )
+    Sensor(
+        name="evk75123", camera=Camera(320, 240, 160.800, 160.800, 159.5, 119.5, (-0.155, 0.0273, 0.0, 0.0, 0.0)),
+        range_m=(0.2, 3.0), fps=30, integration_s=1.0e-3, frequencies_hz=(40e6,), contrast=0.7, signal_e_per_s=9.0e6,
+        read_noise_e=15.0, min_amplitude_e=120.0, illumination_exponent=-1.0, field_radius_px=172.0,
+    ),
     # ITOP's intrinsics, 0.0035 = 1 / 285.714. The matcher works on 640 columns.
-    sensors["kinect_v1"] = Sensor(
-        name="kinect_v1",
-        principle="structured_light",
-        camera=Camera(320, 240, 285.714, 285.714, 160.0, 120.0),
-        range_m=(0.4, 8.0),
-        fps=30,
-        integration_s=1 / 30,
-        native_scale=2.0,
-    )
-    return MappingProxyType(sensors)
-
-
-SENSORS: Mapping[str, Sensor] = _presets()
+    Sensor(
+        name="kinect_v1", principle="structured_light", camera=Camera(320, 240, 285.714, 285.714, 160.0, 120.0),
+        range_m=(0.4, 8.0), fps=30, integration_s=1 / 30, native_scale=2.0,
+    ),
+)  # fmt: skip
+SENSORS: Mapping[str, Sensor] = MappingProxyType({sensor.name: sensor for sensor in _ALL})
 
 
 def sensor_by_name(name: str) -> Sensor:

@@ -21,10 +21,28 @@ NoiseModel = Annotated[PhysicalNoise | EmpiricalNoise | StructuredLightNoise, Fi
 def simulate(
     buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise, *, rng: Generator
 ) -> SensorFrame:
-    """The frame that `sensor` delivers of a rendered view: depth (m, NaN invalid), amplitude, confidence, (H, W) each.
+    """The frame that a camera delivers of a rendered view; equal bits of `rng` give equal bytes.
 
-    The same bits of `rng` give the same bytes. ConfigError where the geometry's size is not the sensor's, or a
-    structured-light sensor is asked for Time-of-Flight noise.
+    Parameters
+    ----------
+    buffers
+        Depth, incidence and material of the view.
+    sensor
+        The camera.
+    noise
+        Its noise model.
+    rng
+        Source of the noise.
+
+    Returns
+    -------
+    SensorFrame
+        depth (m, NaN invalid), amplitude and confidence, (H, W) each.
+
+    Raises
+    ------
+    ConfigError
+        Where the geometry's size is not the sensor's, or a structured-light sensor is asked for Time-of-Flight noise.
     """
     size = (sensor.camera.height, sensor.camera.width)
     if buffers.shape != size:

@@ -7,12 +7,12 @@ Sensors 12(2), 2012 (baseline 75 mm, disparity in eighths of a pixel). Shadows f
 
 from __future__ import annotations
 
+from collections import namedtuple
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose._native import sensor as native
@@ -47,23 +47,12 @@ class StructuredLightNoise(BaseModel):
     range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
 
 
-class _StructuredLight(NamedTuple):
-    """A sensor with the effects asked for, as `sensor/structured_light.hpp` describes it."""
-
-    range_over_depth: NDArray[np.float32]
-    amplitude_scale: NDArray[np.float32]
-    table: NDArray[np.float32]
-    supersample: int
-    axial: bool
-    lateral: float
-    focal_baseline: float
-    step: float
-    grazing_cosine: float
-    min_return: float
-    shadow: float
-    fill: int
-    near: float
-    far: float
+# A sensor with the effects asked for: the members of `StructuredLight` in sensor/structured_light.hpp.
+_StructuredLight = namedtuple(
+    "_StructuredLight",
+    "range_over_depth amplitude_scale table supersample axial lateral focal_baseline step grazing_cosine min_return shadow fill"
+    " near far",
+)
 
 
 @lru_cache(maxsize=8)

@@ -1,41 +1,73 @@
-"""Other formats: a module each. Of datasets, with `export(dataset, folder, report)`, `read(path, options)` for imports, or both
-(those of `IMAGE_KINDS` have `export(parts, folder, report, images)`, with the frames of each split by its name); of recordings,
-see `recordings`.
+"""Other formats, a module each, which is imported when it is asked for.
 
-A format's module is imported when it is asked for. A folder appears under its name when the export or import is whole.
+Of datasets, a module has `export(dataset, folder, report)`, `read(path, options)` for imports, or both; those of `IMAGE_KINDS`
+have `export(parts, folder, report, images)`, with the frames of each split by its name. Of recordings, `RECORDING_FORMATS` has
+the functions, which `recordings` calls. What is written appears under its name when it is whole.
 """
 
 from __future__ import annotations
 
 import re
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
-from cabinpose.store.dataset import create_dataset
-from cabinpose.store.part import PartWriter, disk_errors
 from cabinpose.store.schema import MANIFEST_NAME
+from cabinpose.store.source import Report, whole_folder
 from cabinpose.store.split import Splits, held_out, split_dataset
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cabinpose.store.convert.source import ImportOptions, Source
+    from cabinpose.store.convert.reading import ImportOptions
+    from cabinpose.store.source import Source
 
 FORMATS = MappingProxyType({"png-json": "png_json", "coco": "coco", "yolo": "yolo", "itop": "itop", "ntu": "ntu", "ply": "ply"})
 IMPORTS = MappingProxyType({"png-json": "png_json", "coco": "coco_import", "itop": "itop_import", "ntu": "ntu"})
 # What the images of a format can be (see `pictures`), its default first; the other formats have but one kind.
 IMAGE_KINDS = MappingProxyType({"coco": ("depth8", "amplitude8", "depth16"), "yolo": ("depth8", "amplitude8")})
-# Formats of recordings, which `recordings` reads and writes: names alone, since that module needs the extra `record`.
-RECORDING_EXPORTS = ("c3d", "bvh", "trc", "sto", "mvnx", "csv", "adtfdat", "xdf")
-RECORDING_IMPORTS = ("mvnx", "c3d", "bvh", "adtfdat", "xdf", "azure-mkv", "trc", "sto", "csv")
 
-Report = Callable[[int], None]  # called with the number of frames done
+
+class RecordingFormat(NamedTuple):
+    """A format of recordings: which of its functions, as "module.function", read and write it, and with which options.
+
+    reads: gives rows of one source, or entries of several; "" where the format is not read · source: name of the one source ·
+    read_options: fields of `RecordingOptions` · writes: takes rows of one source, or samples of several; "" where it is not
+    written · topics: one of these a source must have to be written; clocks of devices differ, so there may be only one such
+    source (none: any number of any) · write_options: fields of `Selection`.
+    """
+
+    reads: str = ""
+    source: str = ""
+    read_options: tuple[str, ...] = ()
+    writes: str = ""
+    topics: tuple[str, ...] = ()
+    write_options: tuple[str, ...] = ()
+
+
+RECORDING_FORMATS = MappingProxyType(
+    {
+        "mvnx": RecordingFormat("mvnx.read_mvnx", "suit", ("subjects", "name")),
+        "c3d": RecordingFormat(
+            "c3d.read_c3d", "optical", ("subjects", "name", "start_ns", "up", "whole_frames"),
+            "c3d_write.write_c3d", ("markers",), ("subject", "rate_hz"),
+        ),
+        "bvh": RecordingFormat(
+            "bvh.read_bvh_rows", "motion", ("subjects", "name", "start_ns", "unit_m", "up"),
+            "bvh_write.write_bvh", ("poses",), ("subject",),
+        ),
+        "adtfdat": RecordingFormat("adtfdat.read_adtfdat"),
+        "xdf": RecordingFormat("xdf.read_xdf"),
+        "azure-mkv": RecordingFormat("azure_mkv.read_azure_mkv", "tof", ("name",)),
+        "trc": RecordingFormat(writes="opensim.write_trc", topics=("markers",), write_options=("subject", "rate_hz")),
+        "sto": RecordingFormat(writes="opensim.write_sto", topics=("poses",), write_options=("subject", "rate_hz", "angles")),
+        "csv": RecordingFormat(writes="csv_.write_csv"),
+    }
+)  # fmt: skip
+RECORDING_IMPORTS = tuple(name for name, form in RECORDING_FORMATS.items() if form.reads)
+RECORDING_EXPORTS = tuple(name for name, form in RECORDING_FORMATS.items() if form.writes)
 
 
 def export_dataset(
@@ -82,18 +114,7 @@ def export_dataset(
     """
     check_export(name, images)
     parts = export_parts(dataset, name, splits or {})
-    folder = Path(out)
-    if (folder / MANIFEST_NAME).exists():
-        raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
-    module: Any = import_module(f"{__name__}.{FORMATS[name]}")
-    with _whole_folder(folder, "export", overwrite=overwrite) as temporary:
-        temporary.mkdir(parents=True)
-        tell = report or (lambda _: None)
-        if name in IMAGE_KINDS:
-            module.export(parts, temporary, tell, images or IMAGE_KINDS[name][0])
-        else:
-            module.export(parts[""], temporary, tell)
-    return folder
+    return write_parts(parts, name, out, images=images, overwrite=overwrite, report=report)
 
 
 def check_export(name: str, images: str | None) -> None:
@@ -123,11 +144,53 @@ def export_parts(dataset: xr.Dataset, name: str, splits: Splits) -> dict[str, xr
     return split_dataset(dataset, splits)
 
 
-def open_source(path: Path | str, name: str, options: ImportOptions) -> Source:
-    """What there is to import from `path`, a file or folder of the format `name`: its manifest, and its frames to come.
+def write_parts(
+    parts: dict[str, xr.Dataset],
+    name: str,
+    out: Path | str,
+    *,
+    images: str | None = None,
+    overwrite: bool = False,
+    report: Report | None = None,
+) -> Path:
+    """Write what `export_parts` gave in the format `name`; everything else as in `export_dataset`."""
+    folder = Path(out)
+    if (folder / MANIFEST_NAME).exists():
+        raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
+    module: Any = import_module(f"{__name__}.{FORMATS[name]}")
+    with whole_folder(folder, "export", overwrite=overwrite) as temporary:
+        temporary.mkdir(parents=True)
+        tell = report or (lambda _: None)
+        if name in IMAGE_KINDS:
+            module.export(parts, temporary, tell, images or IMAGE_KINDS[name][0])
+        else:
+            module.export(parts[""], temporary, tell)
+    return folder
 
-    Reads what the manifest needs, no image. Raises `ConfigError` for an unknown format, `DatasetError` for a source that
-    is not there, lacks what the format has, or contradicts itself.
+
+def open_source(path: Path | str, name: str, options: ImportOptions) -> Source:
+    """Open a dataset in another format; `store.source.import_source` writes it as one of the standard.
+
+    Parameters
+    ----------
+    path
+        The file or folder.
+    name
+        Its format, one of `IMPORTS`.
+    options
+        What the user says of it.
+
+    Returns
+    -------
+    Source
+        The manifest, and the frames to come: no image has been read yet.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown format.
+    DatasetError
+        For a source that is not there, lacks what the format has, or contradicts itself.
     """
     if name not in IMPORTS:
         raise unknown_name("format", name, list(IMPORTS))
@@ -137,55 +200,3 @@ def open_source(path: Path | str, name: str, options: ImportOptions) -> Source:
     module: Any = import_module(f"{__name__}.{IMPORTS[name]}")
     found: Source = module.read(source, options)
     return found
-
-
-def import_source(source: Source, out: Path | str, *, overwrite: bool = False, report: Report | None = None) -> Path:
-    """Write a source as a dataset into the folder `out`, one frame in memory at a time, and return that folder.
-
-    Raises `DatasetError` where `out` exists and is no dataset to overwrite, where a frame cannot be read, or where the
-    disk is full; then nothing is left behind, and what was in `out` stays.
-    """
-    folder = Path(out)
-    check_new_dataset(folder, overwrite=overwrite)
-    if source.path.resolve().is_relative_to(folder.resolve()):
-        raise DatasetError(f"{folder} holds the source, {source.path}", hint="give another folder with --out")
-    manifest, frames, done = source.manifest, source.frames(), 0
-    with _whole_folder(folder, "import", overwrite=overwrite) as temporary, create_dataset(temporary, manifest):
-        for plan in manifest.parts:
-            with PartWriter(temporary, plan, manifest) as part:
-                for _ in range(plan.frames):
-                    frame = next(frames, None)
-                    if frame is None:
-                        raise DatasetError(f"{source.path} ended after {done} frames", hint="it changed while it was read")
-                    part.append(frame)
-                    done += 1
-                    if report is not None:
-                        report(done)
-    return folder
-
-
-def check_new_dataset(folder: Path, *, overwrite: bool) -> None:
-    """Raise `DatasetError` unless a dataset may be written to `folder`: `overwrite` replaces a dataset and nothing else."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / MANIFEST_NAME).exists():
-        raise DatasetError(f"{folder} exists and is no dataset", hint="give a new or empty folder with --out")
-    if not overwrite:
-        raise DatasetError(f"{folder} already holds a dataset", hint="--overwrite replaces it, or give another folder with --out")
-
-
-@contextmanager
-def _whole_folder(folder: Path, what: str, *, overwrite: bool) -> Iterator[Path]:
-    """The name of a folder to make, which takes the place of `folder` when the block ends without an error, else is removed."""
-    if folder.exists() and not overwrite and (not folder.is_dir() or any(folder.iterdir())):
-        raise DatasetError(f"{folder} exists and is not empty", hint="--overwrite replaces it, or give another folder with --out")
-    temporary = folder.parent / f".{folder.name}.{what}.tmp"
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
-        with disk_errors(folder):
-            yield temporary
-            if folder.exists():
-                shutil.rmtree(folder)
-            temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

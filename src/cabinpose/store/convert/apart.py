@@ -1,7 +1,7 @@
-"""Libraries that may crash on a damaged file, at work in a process of their own.
+"""Running libraries that may crash on a damaged file in a process of their own.
 
 Compiled readers trust what a file says of itself: a wrong size can end the process, or take all memory. What they find is handed
-over piece by piece; their end is an error like others.
+over piece by piece, and a crash becomes an error like others.
 """
 
 from __future__ import annotations
@@ -27,16 +27,29 @@ _SLOWEST_BYTES_PER_S = 250_000  # with the making of messages
 
 
 class CrashedError(Exception):
-    """The process ended without a word, or hung; the message says how."""
+    """The process ended without a result, or hung; the message says how."""
 
 
 def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
-    """The items of `make(path)`, made in another process; all of them have to be picklable.
+    """The items of `make(path)`, made in another process.
 
-    What that may cost: 4 GB more than this process has, and processor time by the size of the file (Linux).
+    On Linux, that process may take 4 GB more than this one has, and processor time by the size of the file.
 
-    After the items before it: raises the CabinposeError that `make` raises, RuntimeError for any other, and CrashedError where
-    the process dies, takes too much, or finds nothing for ten minutes.
+    Parameters
+    ----------
+    make
+        What makes the items, which have to be picklable.
+    path
+        The file.
+
+    Raises
+    ------
+    CabinposeError
+        The one that `make` raises, after the items before it.
+    RuntimeError
+        For any other error of `make`.
+    CrashedError
+        Where the process dies, takes too much, or finds nothing for ten minutes.
     """
     alone = threading.active_count() == 1 and sys.platform.startswith("linux")
     context: Any = multiprocessing.get_context("fork" if alone else "spawn")  # forking is quick, and safe without threads
@@ -92,9 +105,6 @@ def _limit(path: Path) -> None:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     used = resource.getrusage(resource.RUSAGE_SELF)  # what importing took, in a process that did not begin as a copy
     seconds = int(used.ru_utime + used.ru_stime) + _PROCESSOR_S + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
-    for kind, wanted in (
-        (resource.RLIMIT_AS, pages * resource.getpagesize() + _ROOM_BYTES),
-        (resource.RLIMIT_CPU, seconds),
-    ):
+    for kind, wanted in ((resource.RLIMIT_AS, pages * resource.getpagesize() + _ROOM_BYTES), (resource.RLIMIT_CPU, seconds)):
         _, hard = resource.getrlimit(kind)
         resource.setrlimit(kind, (wanted if hard < 0 else min(wanted, hard), hard))

@@ -14,8 +14,8 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.intrinsics import CameraFit, fit_camera
 from cabinpose.core.optional import optional_module
 from cabinpose.core.recorded import Facts, Message, SensorReadings, ToFFrame
-from cabinpose.store.convert.rows import Row
+from cabinpose.store.convert.rows import Row, epoch_ns
 
 DEPTH_UNIT_M = 0.001
 _LARGEST_CALIBRATION = 1 << 20
@@ -61,7 +61,10 @@ _SENSOR = 1024
 
 @dataclass(frozen=True)
 class RationalLens:
-    """The factory's lens in pixels of a mode: fx fy cx cy, radial k1..k6, tangential p1 p2; `tangential` 2 for OpenCV's form."""
+    """The factory's lens in pixels of a mode: fx fy cx cy, radial k1 to k6, tangential p1 p2.
+
+    tangential: the factor of the mixed term x y, 2 in Brown and Conrady's model (OpenCV's), 1 in the SDK's Rational6KT.
+    """
 
     fx: float
     fy: float
@@ -84,7 +87,10 @@ class RationalLens:
         return np.stack((x * scale + dx, y * scale + dy), axis=-1)
 
     def rays(self, width: int, height: int, every: int = 1) -> NDArray[np.float64]:
-        """(height, width, 2) ideal normalised coordinates of each `every`-th pixel, NaN elsewhere and where there are none."""
+        """(height, width, 2) ideal normalised coordinates of each `every`-th pixel, NaN elsewhere and where there are none.
+
+        Newton's method on `distort`, with numerical derivatives; steps are bounded, so that none leaves the lens' field.
+        """
         u, v = np.meshgrid(np.arange(0, width, every, dtype=np.float64), np.arange(0, height, every, dtype=np.float64))
         target = np.stack(((u - self.cx) / self.fx, (v - self.cy) / self.fy), axis=-1)
         guess, eps = target.copy(), 1e-6
@@ -107,13 +113,16 @@ class RationalLens:
 
 
 class AzureFile:
-    """An open recording: its calibration, and its messages in the order of the file. `malformed` counts packets left out."""
+    """An open recording: its calibration, and its messages in the order of the file. `malformed` counts packets left out.
+
+    Raises DependencyError without PyAV, RecordingError where the file is no recording of depth or infrared.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Raises DependencyError without PyAV, RecordingError where the file is no recording of depth or infrared."""
         av = optional_module("av", purpose="an Azure Kinect recording", hint="pip install av")
         self.path = path
         self.malformed = 0
+        self._created_ns = 0  # where the file does not tell
         self._ffmpeg_error = av.FFmpegError
         try:
             self._container = av.open(str(path))
@@ -125,7 +134,8 @@ class AzureFile:
                 raise RecordingError(f"{path} has neither depth nor infrared", hint="record with a depth mode")
             self.tags = {str(k): str(v) for k, v in self._container.metadata.items()}
             self._start_ns = _whole(self.tags.get("K4A_START_OFFSET_NS"), 0)
-            self._created_ns = _created(self.tags.get("creation_time"))
+            with suppress(ValueError):
+                self._created_ns = epoch_ns(self.tags.get("creation_time", ""))
             mode = next((m for m in self._modes() if m in DEPTH_MODES), None)
             if mode is None:
                 raise RecordingError(f"{path}: unknown depth mode", hint=f"known: {', '.join(DEPTH_MODES)}")
@@ -298,12 +308,3 @@ def _whole(text: str | None, default: int) -> int:
         return default if text is None else int(text)
     except ValueError:
         return default
-
-
-def _created(text: str | None) -> int:
-    """Nanoseconds since the Unix epoch of a file's creation time; 0 where it has none."""
-    try:
-        moment = datetime.fromisoformat(text or "")
-    except ValueError:
-        return 0
-    return int((moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()) * 1_000_000_000

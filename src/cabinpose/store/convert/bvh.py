@@ -1,4 +1,4 @@
-"""Biovision Hierarchy (BVH) files: reading, forward kinematics, and a recording's messages. `bvh_write` is the way back.
+"""Biovision Hierarchy (BVH) files: reading, forward kinematics, and a recording's messages. `bvh_write` writes such files.
 
 A BVH file gives a hierarchy of joints with offsets, and for every frame the value of each channel. Rotations are
 intrinsic, in the order in which the channels are listed (Meredith and Maddock, "Motion Capture File Formats
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import MocapError
+from cabinpose.core.errors import ConfigError, MocapError
 from cabinpose.core.recorded import Facts, SegmentPoses
 from cabinpose.store.convert.rows import Row
 
@@ -121,9 +121,21 @@ class Bvh:
 
 
 def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") -> Bvh:
-    """Read a BVH file whose length unit is `unit_m` metres and whose vertical axis is `up`.
+    """Read a BVH file.
 
-    Raises MocapError where the file is missing, damaged, truncated or contradicts itself.
+    Parameters
+    ----------
+    path
+        The file.
+    unit_m
+        Metres of its unit of length.
+    up
+        Its vertical axis.
+
+    Raises
+    ------
+    MocapError
+        Where the file is missing, damaged, truncated or contradicts itself.
     """
     path = Path(path)
     try:
@@ -139,23 +151,39 @@ def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") 
         raise MocapError(f"{path.name}: no MOTION section", hint="the file is truncated or not BVH")
     joints = _Hierarchy(path.name, head, unit_m).parse()
     motion, frame_s = _read_motion(path.name, tail, sum(len(j.channels) for j in joints))
-    column = 0
-    for joint in joints:
-        for channel in joint.channels:
-            if channel.endswith("position"):
-                motion[:, column] *= unit_m
-            column += 1
+    motion *= [unit_m if channel.endswith("position") else 1.0 for joint in joints for channel in joint.channels]
     return Bvh(joints, motion, frame_s, up)
 
 
 def read_bvh_rows(
-    path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y", subject: str = "subject", start_ns: int = 0
+    path: str | Path, *, unit_m: float | None = None, up: str | None = None, subjects: Sequence[str] = (), start_ns: int = 0
 ) -> Iterator[Row]:
     """The messages of a file: its skeleton as facts, then the pose of every frame; end sites turn with their joint.
 
-    BVH has no clock: device_ns counts from the first frame, host_ns from `start_ns`. Raises MocapError as `read_bvh` does.
+    Parameters
+    ----------
+    path
+        The file.
+    unit_m
+        Metres of its unit of length; None: as in the CMU database.
+    up
+        Its vertical axis, y or z; None: y.
+    subjects
+        The code of its subject, "subject" where there is none.
+    start_ns
+        Host time of the first frame: BVH has no clock. device_ns counts from the first frame.
+
+    Raises
+    ------
+    ConfigError
+        For another axis.
+    MocapError
+        As `read_bvh` does.
     """
-    clip = read_bvh(path, unit_m=unit_m, up=up).clip()
+    if up not in (None, "y", "z"):
+        raise ConfigError(f"a BVH file has y or z up, not {up}", hint="give --up y or --up z")
+    subject = (*subjects, "subject")[0]
+    clip = read_bvh(path, unit_m=unit_m or CMU_UNIT_M, up="z" if up == "z" else "y").clip()
     segments = [
         {"name": name, "parent": clip.names[parent] if parent >= 0 else None, "rest_m": [float(x) for x in rest]}
         for name, parent, rest in zip(clip.names, clip.parents, clip.rest_positions, strict=True)

@@ -1,29 +1,30 @@
 """Poses of one subject as a Biovision Hierarchy (BVH) file, which `bvh.read_bvh` and animation programs read.
 
 BVH turns rigid bones at a constant rate. A segment whose place in its parent's frame moves gets position channels, as the root
-has them, so that nothing is lost; poses that did not come at a constant rate are interpolated (positions straight, rotations by
-SLERP).
+has them, so that nothing is lost; poses that did not come at a constant rate are interpolated (positions linearly, rotations by
+SLERP). Files are in centimetres, y up.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Facts, SegmentPoses
+from cabinpose.core.recorded import F64, Facts, SegmentPoses
+from cabinpose.core.resample import resample_positions, resample_rotations
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.store.convert.bvh import WORLD_FROM_FILE, UpAxis
+from cabinpose.store.convert.bvh import WORLD_FROM_FILE
 from cabinpose.store.convert.rows import Row, whole_file
 
-F64 = NDArray[np.float64]
-
+_UNIT_M = 0.01
+_UP = "y"
 _RIGID_M = 1e-4  # a bone's end that moves less in its parent's frame is an offset of the skeleton
 _STILL = 1e-6  # of a rotation matrix: an end site turns with its joint
 _EULER = "ZYX"  # intrinsic, the order in which most files list rotations
@@ -38,23 +39,29 @@ class _Skeleton:
     parents: tuple[int, ...]
 
 
-def write_bvh(
-    path: Path,
-    rows: Iterable[Row],
-    *,
-    subject: str | None = None,
-    parents: Mapping[str, str] | None = None,
-    unit_m: float = 0.01,
-    up: UpAxis = "y",
-    overwrite: bool = False,
-) -> Path:
-    """Write a subject's poses, in their order of time; the file appears when it is whole.
+def write_bvh(path: Path, rows: Iterable[Row], *, subject: str | None = None, overwrite: bool = False) -> Path:
+    """Write a subject's poses; the file appears when it is whole.
 
-    parents: of each segment but the root; otherwise those that facts on the subject state, or those of MVN's segments ·
-    unit_m: metres of the file's unit of length · up: its vertical axis.
+    Parameters
+    ----------
+    path
+        The file to write.
+    rows
+        The messages of one source. Parents of segments are those that facts on the subject state, or those of MVN's segments.
+    subject
+        Whose poses; None: those of the first.
+    overwrite
+        Replace the file.
 
-    Raises RecordingError where there are no poses, or of several subjects, where the hierarchy is not known or not one tree, and
-    where segments were not seen.
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    RecordingError
+        Where there are no poses, the hierarchy is not known or not one tree, segments were not seen, or the file exists.
     """
     stated: dict[str, Mapping[str, str]] = {}
     names: tuple[str, ...] = ()
@@ -68,8 +75,6 @@ def write_bvh(
             continue
         if not times:
             subject, names = message.subject, message.names
-        if message.subject != subject:
-            continue  # of the first one, where none was named
         if message.names != names:
             raise RecordingError(f"the segments of {subject} change", hint="cut the recording where they do")
         times.append(host_ns if device_ns is None else device_ns)
@@ -79,10 +84,10 @@ def write_bvh(
             raise RecordingError("the recording is too long for one BVH file", hint="cut it")
     if not times:
         raise RecordingError(f"no poses{'' if subject is None else f' of {subject}'} to write", hint="BVH needs segments' poses")
-    skeleton, order = _skeleton(names, parents or stated.get(subject or "") or _mvn_parents(names))
+    skeleton, order = _skeleton(names, stated.get(subject or "") or _mvn_parents(names))
     moved = _regular(times, np.array(positions)[:, order], np.array(orientations)[:, order])
     with whole_file(path, overwrite=overwrite) as file:
-        _write(file, skeleton, *moved, unit_m, WORLD_FROM_FILE[up])
+        _write(file, skeleton, *moved)
     return path
 
 
@@ -120,36 +125,33 @@ def _skeleton(names: tuple[str, ...], parents: Mapping[str, str]) -> tuple[_Skel
 
 def _regular(times_ns: Sequence[int], positions: F64, orientations: F64) -> tuple[F64, F64, float]:
     """Positions, rotation matrices and seconds a frame at a constant rate."""
-    if not (np.isfinite(positions).all() and np.isfinite(orientations).all()):
-        unseen = int((~np.isfinite(positions).all(axis=(1, 2))).sum())
+    unseen = int((~np.isfinite(positions).all(axis=(1, 2)) | ~np.isfinite(orientations).all(axis=(1, 2))).sum())
+    if unseen:
         raise RecordingError(
             f"{unseen} of {len(times_ns)} frames have segments that were not seen", hint="BVH cannot say that; cut"
         )
     time, first = np.unique(np.asarray(times_ns, dtype=np.int64), return_index=True)
     positions, orientations = positions[first], orientations[first]
-    frames, segments = positions.shape[:2]
-    rotations = Rotation.from_quat(orientations.reshape(-1, 4), scalar_first=True).as_matrix().reshape(frames, segments, 3, 3)
-    if frames < 2:
-        return positions, rotations, 1 / 60
-    step = float(np.median(np.diff(time)))
-    seconds = (time - time[0]) / 1e9
-    even = np.arange(round((time[-1] - time[0]) / step) + 1) * (step / 1e9)
-    if len(even) == frames and np.abs(even - seconds).max() < 0.01 * step / 1e9:
-        return positions, rotations, float(seconds[-1] / (frames - 1))
-    even = even[even <= seconds[-1]]
-    after = np.clip(np.searchsorted(seconds, even, side="right"), 1, frames - 1)
-    share = ((even - seconds[after - 1]) / (seconds[after] - seconds[after - 1]))[:, None, None]
-    moved = positions[after - 1] * (1 - share) + positions[after] * share
-    turned = [Slerp(seconds, Rotation.from_matrix(rotations[:, s]))(even).as_matrix() for s in range(segments)]
-    return moved, np.stack(turned, axis=1), step / 1e9
+    frame_s = 1 / 60
+    if len(time) > 1:
+        seconds = (time - time[0]) / 1e9
+        frame_s = float(np.median(np.diff(time))) / 1e9
+        even = np.arange(round(seconds[-1] / frame_s) + 1) * frame_s
+        if len(even) == len(time) and np.abs(even - seconds).max() < 0.01 * frame_s:
+            frame_s = float(seconds[-1] / (len(time) - 1))
+        else:
+            even = even[even <= seconds[-1]]
+            positions = resample_positions(seconds, positions, even, max_gap_s=math.inf)
+            orientations = resample_rotations(seconds, orientations, even, max_gap_s=math.inf)
+    rotations = Rotation.from_quat(orientations.reshape(-1, 4), scalar_first=True).as_matrix()
+    return positions, rotations.reshape(*orientations.shape[:2], 3, 3), frame_s
 
 
-def _write(
-    file: IO[str], skeleton: _Skeleton, positions: F64, rotations: F64, frame_s: float, unit_m: float, world_from_file: F64
-) -> None:
-    file_from_world = world_from_file.T
-    places = positions @ file_from_world.T / unit_m
-    turns = file_from_world @ rotations @ world_from_file
+def _write(file: IO[str], skeleton: _Skeleton, positions: F64, rotations: F64, frame_s: float) -> None:
+    """Write the hierarchy and the motion of segments whose poses in the world are given."""
+    world_from_file = WORLD_FROM_FILE[_UP]
+    places = positions @ world_from_file / _UNIT_M
+    turns = world_from_file.T @ rotations @ world_from_file
     columns: list[F64] = []
     offsets: list[F64] = []
     moving: list[bool] = []
@@ -160,7 +162,7 @@ def _write(
             back = turns[:, parent].transpose(0, 2, 1)
             local, turn = (back @ (local - places[:, parent])[:, :, None])[:, :, 0], back @ turn
         offset = np.median(local, axis=0) if parent >= 0 else np.zeros(3)
-        moves = parent < 0 or bool(np.linalg.norm(local - offset, axis=1).max() > _RIGID_M / unit_m)
+        moves = parent < 0 or bool(np.linalg.norm(local - offset, axis=1).max() > _RIGID_M / _UNIT_M)
         offsets.append(offset)
         moving.append(moves)
         if not moves and _is_end(skeleton, s) and np.abs(turn - np.eye(3)).max() < _STILL:
@@ -183,13 +185,7 @@ def _is_end(skeleton: _Skeleton, s: int) -> bool:
 
 
 def _joint(
-    file: IO[str],
-    skeleton: _Skeleton,
-    s: int,
-    offsets: Sequence[F64],
-    moving: Sequence[bool],
-    ends: Collection[int],
-    indent: str,
+    file: IO[str], skeleton: _Skeleton, s: int, offsets: Sequence[F64], moving: Sequence[bool], ends: Collection[int], indent: str
 ) -> None:
     """A segment and those below it. A leaf without an end site gets one of no length, which the format demands."""
     inner = indent + "\t"

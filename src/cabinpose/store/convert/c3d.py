@@ -1,9 +1,9 @@
-"""C3D (optical motion capture, through ezc3d): a file as messages with time stamps. `c3d_write` is the way back.
+"""C3D (optical motion capture, through ezc3d): a file as messages with time stamps. `c3d_write` writes such files.
 
 Points are markers of their subjects (`Subject:Marker`, or SUBJECTS:LABEL_PREFIXES), in metres by POINT:UNITS, turned upright as
-`c3d_up` finds. A point whose residual is negative is occluded: NaN. A
-residual of 0 says that the point was filled in, or that nobody knows. Points without a label (`*12`) have the subject "".
-What models add to the points is told apart by POINT:ANGLES (joint angles, rad) and POINT:FORCES, MOMENTS, POWERS, SCALARS
+`c3d_up` finds. A point whose residual is negative is occluded: NaN. A residual of 0 says that the point was filled in, or that
+its residual is not known. Points without a label (`*12`) have the subject "".
+What models add to the points is recognised by POINT:ANGLES (joint angles, rad) and POINT:FORCES, MOMENTS, POWERS, SCALARS
 (channels, in the file's units). Analog channels come at their own rate. All parameters of the file are facts.
 """
 
@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -36,12 +36,8 @@ def ezc3d() -> Any:
     return optional_module("ezc3d", purpose="C3D", hint="pip install 'cabinpose[record]'")
 
 
-@dataclass(frozen=True)
-class _Points:
-    """The points of one subject, or of one kind that a model added: their columns in the file and their names."""
-
-    columns: tuple[int, ...] = ()
-    names: tuple[str, ...] = ()
+_Points: TypeAlias = dict[int, str]
+"""The points of one subject, or of one kind that a model added: their names by their columns in the file."""
 
 
 def read_c3d(
@@ -82,9 +78,7 @@ def read_c3d(
     ezc3d()  # an error of its own where it is missing
     try:
         (content,) = items_apart(_load, path)
-        trial = _Trial(content, subjects, up, lost=claimed - there)
-    except _ContentError as error:
-        raise MocapError(f"{path} {error}", hint=error.hint) from None
+        trial = _Trial(path, content, subjects, up, lost=claimed - there)
     except (CrashedError, *_REFUSALS) as error:
         raise MocapError(f"{path} cannot be read: {error}", hint="export it again; it contradicts itself") from error
     for note in trial.notes:
@@ -118,43 +112,36 @@ class _Content:
     parameters: dict[str, dict[str, Any]]
 
 
-class _ContentError(MocapError):
-    """What is wrong with the content of a file, without its name."""
-
-
 class _Trial:
     """A file whose parameters have been understood."""
 
-    def __init__(self, content: _Content, codes: Sequence[str], up: Axis | None, *, lost: int) -> None:
+    def __init__(self, path: Path, content: _Content, codes: Sequence[str], up: Axis | None, *, lost: int) -> None:
         self.rate, self.first = content.rate, content.first
         self.notes: list[str] = []
         self.points, self.residual, self.analogs = content.points, content.residual, content.analogs
         if len(self.points) and not (np.isfinite(self.rate) and self.rate > 0):
-            raise _ContentError(f"has a frame rate of {self.rate}", hint="set POINT:RATE to the rate of the cameras")
+            raise MocapError(f"{path} has a frame rate of {self.rate}", hint="set POINT:RATE to the rate of the cameras")
         parameters = content.parameters
         point, analog = parameters.get("POINT", {}), parameters.get("ANALOG", {})
         if lost:
             self.notes.append(f"is cut off: {len(self.points)} of {len(self.points) + lost} frames are taken, {lost} are lost")
         else:
-            _check_frames(parameters.get("TRIAL", {}), len(self.points))
-        self.scale = _metres(point)
+            _check_frames(path, parameters.get("TRIAL", {}), len(self.points))
+        self.scale = _metres(path, point)
         self.degrees = str((point.get("ANGLE_UNITS") or ["deg"])[0]).strip().lower() != "rad"
         self.channels = _names(analog, "LABELS", self.analogs.shape[1], "analog")
-        self.markers, self.models = _groups(parameters, self.points.shape[1], codes)
-        self.up, because = self._upright(point, up)
+        self.markers, self.models = _groups(path, parameters, self.points.shape[1], codes)
+        self.up, because = (up, "given") if up is not None else self._upright(_screen_axis(path, point))
         about = {
             "rate_hz": self.rate, "frames": len(self.points), "first_frame": self.first, "frames_lost": lost,
             "up": self.up, "up_because": because,
         }  # fmt: skip
         self.facts = list(_facts(parameters, point, analog, about))
 
-    def _upright(self, point: Mapping[str, Any], given: Axis | None) -> tuple[Axis, str]:
-        """The axis that points up and what tells it, with a note where the file says something else, or nothing."""
-        if given is not None:
-            return given, "given"
-        hint = _screen_axis(point)
-        columns = sorted(column for part in self.markers.values() for column in part.columns)
-        subjects = (dict(zip(part.names, part.columns, strict=True)) for part in self.markers.values())
+    def _upright(self, hint: Axis | None) -> tuple[Axis, str]:
+        """The axis that points up and what tells it, with a note where the file's hint says something else, or nothing."""
+        columns = sorted(column for part in self.markers.values() for column in part)
+        subjects = ({name: column for column, name in part.items()} for part in self.markers.values())
         position = np.full(self.points.shape, np.nan)  # angles and forces stay out
         position[:, columns] = self.points[:, columns] * self.scale
         up, because = vertical_axis(hint, position, subjects)
@@ -185,21 +172,22 @@ class _Trial:
         for k in range(len(points)):
             frame_ns = self.time_ns(self.first + k)
             for subject, part in self.markers.items():
-                columns = part.columns
-                yield start_ns + frame_ns, frame_ns, Markers(subject, part.names, position[k, columns], residual_m[k, columns])
+                columns, names = list(part), tuple(part.values())
+                yield start_ns + frame_ns, frame_ns, Markers(subject, names, position[k, columns], residual_m[k, columns])
             for (kind, subject), part in self.models.items():
-                message = _modelled(kind, subject, part, points[k, part.columns], degrees=self.degrees)
+                message = _modelled(kind, subject, tuple(part.values()), points[k, list(part)], degrees=self.degrees)
                 yield start_ns + frame_ns, frame_ns, message
             for i in range(ratio):
                 analog_ns = self.time_ns(self.first + k + i / ratio)
                 yield start_ns + analog_ns, analog_ns, Channels(self.channels, self.analogs[k * ratio + i].copy())
 
 
-def _modelled(kind: str, subject: str, part: _Points, values: F64, *, degrees: bool) -> JointAngles | Channels:
+def _modelled(kind: str, subject: str, names: tuple[str, ...], values: F64, *, degrees: bool) -> JointAngles | Channels:
+    """The message of what a model added, (names, 3)."""
     if kind == ANGLES:
-        return JointAngles(subject, part.names, np.radians(values) if degrees else values)
+        return JointAngles(subject, names, np.radians(values) if degrees else values)
     prefix = f"{subject}:" if subject else ""
-    return Channels(tuple(f"{prefix}{name}.{axis}" for name in part.names for axis in "xyz"), values.ravel())
+    return Channels(tuple(f"{prefix}{name}.{axis}" for name in names for axis in "xyz"), values.ravel())
 
 
 def check_size(path: Path) -> None:
@@ -236,13 +224,13 @@ def _frames(path: Path) -> tuple[int, int]:
     return claimed, min(claimed, room // frame_bytes) if frame_bytes else claimed
 
 
-def _check_frames(trial: Mapping[str, Any], frames: int) -> None:
+def _check_frames(path: Path, trial: Mapping[str, Any], frames: int) -> None:
     """Vicon's 32-bit numbers of the first and the last frame, where 16 bits do not hold them."""
     start, end = ([int(word) & 0xFFFF for word in trial.get(f"ACTUAL_{which}_FIELD") or []] for which in ("START", "END"))
     if len(start) == len(end) == 2:
         claimed = end[0] - start[0] + 1 + ((end[1] - start[1]) << 16)
         if claimed > frames:
-            raise _ContentError(f"has {claimed} frames, of which {frames} can be read", hint="export it in shorter parts")
+            raise MocapError(f"{path} has {claimed} frames, of which {frames} can be read", hint="export it in shorter parts")
 
 
 def _plain_parameters(groups: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -268,17 +256,19 @@ def _word(text: str) -> str:
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
-def _metres(point: Mapping[str, Any]) -> float:
+def _metres(path: Path, point: Mapping[str, Any]) -> float:
+    """Metres of the file's unit of length."""
     unit = str((point.get("UNITS") or ["mm"])[0]).strip().lower()
     if unit not in METRES:
-        raise _ContentError(f"has points in '{unit}'", hint=f"set POINT:UNITS to one of {', '.join(METRES)}")
+        raise MocapError(f"{path} has points in '{unit}'", hint=f"set POINT:UNITS to one of {', '.join(METRES)}")
     return METRES[unit]
 
 
-def _screen_axis(point: Mapping[str, Any]) -> Axis | None:
+def _screen_axis(path: Path, point: Mapping[str, Any]) -> Axis | None:
+    """What POINT:Y_SCREEN says."""
     word = str((point.get("Y_SCREEN") or [""])[0]).strip().lower().removeprefix("+")
     if word and word not in WORLD_FROM_UP:
-        raise _ContentError(f"has the vertical axis '{word}'", hint=f"give it with --up: {', '.join(WORLD_FROM_UP)}")
+        raise MocapError(f"{path} has the vertical axis '{word}'", hint=f"give it with --up: {', '.join(WORLD_FROM_UP)}")
     return word or None  # type: ignore[return-value]  # a key of the table
 
 
@@ -291,7 +281,7 @@ def _names(group: Mapping[str, Any], parameter: str, count: int, fallback: str) 
 
 
 def _groups(
-    parameters: Mapping[str, Mapping[str, Any]], count: int, codes: Sequence[str]
+    path: Path, parameters: Mapping[str, Mapping[str, Any]], count: int, codes: Sequence[str]
 ) -> tuple[dict[str, _Points], dict[tuple[str, str], _Points]]:
     """The points of each subject, and those that models added by (parameter, subject)."""
     point, about = parameters.get("POINT", {}), parameters.get("SUBJECTS", {})
@@ -302,11 +292,11 @@ def _groups(
     only = people[0] if len(people) == 1 else ""
     if codes and not (only or of_prefix or any(":" in label for label in labels if not label.startswith("*"))):
         if len(codes) > 1:
-            raise _ContentError(f"does not say whose its markers are, and {len(codes)} subjects are given", hint="give one")
+            raise MocapError(f"{path} does not say whose its markers are, and {len(codes)} subjects are given", hint="give one")
         only = codes[0]
     kinds = {str(label).strip(): kind for kind in (ANGLES, *OTHERS) for label in point.get(kind) or []}
-    markers: dict[str, dict[int, str]] = {}
-    models: dict[tuple[str, str], dict[int, str]] = {}
+    markers: dict[str, _Points] = {}
+    models: dict[tuple[str, str], _Points] = {}
     for column, label in enumerate(labels):
         prefix = next((prefix for prefix in of_prefix if label.startswith(prefix)), None)
         if prefix is not None:
@@ -318,19 +308,12 @@ def _groups(
             subject = subject or only
         kind = kinds.get(label) or kinds.get(name)
         (markers.setdefault(subject, {}) if kind is None else models.setdefault((kind, subject), {}))[column] = name
-    code = _coded([*markers, *(subject for _, subject in models)], codes)
+    subjects = dict.fromkeys(filter(None, [*markers, *(subject for _, subject in models)]))
+    code = dict(zip(subjects, codes, strict=False))
     return (
-        {code.get(subject, subject): _Points(tuple(names), tuple(names.values())) for subject, names in markers.items()},
-        {
-            (kind, code.get(subject, subject)): _Points(tuple(names), tuple(names.values()))
-            for (kind, subject), names in models.items()
-        },
+        {code.get(subject, subject): part for subject, part in markers.items()},
+        {(kind, code.get(subject, subject)): part for (kind, subject), part in models.items()},
     )
-
-
-def _coded(subjects: Sequence[str], codes: Sequence[str]) -> dict[str, str]:
-    """Codes by the names of subjects, in their order."""
-    return dict(zip(dict.fromkeys(filter(None, subjects)), codes, strict=False))
 
 
 def _facts(

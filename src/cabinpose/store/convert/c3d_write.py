@@ -1,8 +1,8 @@
-"""Messages as a C3D file (through ezc3d), which knows one rate of frames, one of analog values, and no gaps.
+"""Messages as a C3D file (through ezc3d), which has one rate of frames, one rate of analog values, and no gaps.
 
 Markers are written as `Subject:Marker` in millimetres, z up, in 32-bit floats; those without a label as `*12`. C3D has 8 bits
-for a residual: steps of 0.01 mm, or of a 255th of the largest. It has none for a residual that nobody knows: 0 is written,
-which C3D calls filled in or unknown.
+for a residual: steps of 0.01 mm, or of a 255th of the largest. A residual that is not known is written
+as 0, which C3D calls filled in or unknown.
 """
 
 from __future__ import annotations
@@ -44,23 +44,47 @@ def write_c3d(
     *,
     subject: str | None = None,
     rate_hz: float | None = None,
-    with_channels: bool = True,
     overwrite: bool = False,
 ) -> Path:
     """Write the markers, joint angles and channels of a recording; the file appears when it is whole.
 
-    Of one `subject`, its own markers and angles, and all channels; of None everybody's.
-
-    A frame's time is its device time (host time where there is none). The rate is that of the markers: given, told by facts
-    (of C3D or Vicon), or the median of the differences. A frame that is missing is one in which all markers are occluded.
-    Channels must come at a multiple of it; those that come more slowly than others are repeated. Events are taken from facts
-    named `events`, as `read_c3d` gives them. The number of the first frame is kept if it fits into C3D's 16 bits, else it is 1.
-    Segments, single sensors and images have no place here and are left out.
+    A frame's time is its device time (host time where there is none). A frame that is missing is one in which all markers are
+    occluded. Channels must come at a multiple of the rate of frames; those that come more slowly than others are repeated. Events
+    are taken from facts named `events`, as `read_c3d` gives them. The number of the first frame is kept if it fits into C3D's 16
+    bits, else it is 1. Segments, single sensors and images have no place here and are left out.
 
     Of the parameters of an imported C3D file, which are facts, those of manufacturer, processing, trial and force platforms are
-    written again: of platforms if lengths are millimetres and the analog channels the same. A warning names the groups left out.
+    written again: of platforms if lengths are millimetres and the analog channels the same.
 
-    Raises MocapError where there are no markers, or more frames than C3D counts, or rates and times that do not fit each other.
+    Parameters
+    ----------
+    path
+        The file to write.
+    rows
+        The messages of one source.
+    subject
+        Whose markers and angles, beside all channels; None: everybody's.
+    rate_hz
+        The rate of the markers; None: as facts (of C3D or Vicon) say, or from the median of the differences of the times.
+    overwrite
+        Replace the file.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Warns
+    -----
+    UserWarning
+        Names the groups of parameters that are left out.
+
+    Raises
+    ------
+    MocapError
+        Where there are no markers, or more frames than C3D counts, or rates and times that do not fit each other.
+    RecordingError
+        Where the file exists or cannot be written.
     """
     module = ezc3d()
     points, angles = Table(3), Table(3)
@@ -80,7 +104,7 @@ def write_c3d(
             residuals.add(time_ns, names, message.residual_m)
         elif isinstance(message, JointAngles):
             angles.add(time_ns, [_label(message.subject, name) for name in message.names], message.angles)
-        elif isinstance(message, Channels) and with_channels:
+        elif isinstance(message, Channels):
             channels.setdefault(message.names, Table(1)).add(time_ns, message.names, message.values)
         elif isinstance(message, Facts):
             facts[message.about] = message.values

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import LIMBS, oks_sigma
-from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import PersonInFrame, file_stem, people, require_variables
 from cabinpose.store.convert.pictures import PICTURES, pictured
+from cabinpose.store.frames import PersonInFrame, file_stem, people, require_variables
+from cabinpose.store.source import Report
 
 _FLAG = np.zeros(256, np.int64)
 _FLAG[[Visibility.OCCLUDED, Visibility.SELF_OCCLUDED]] = 1

@@ -5,9 +5,10 @@ v = 0 is absent, 1 occluded, 2 visible. Keypoints are taken as pixels of ours (a
 COCO's 17 that the skeleton has; nose, eyes and ears are left out. Crowds (`iscrowd`), boxes without keypoints and people
 without a labelled joint are no people here; an image without anybody is a frame with nobody.
 
-Our own exports with images of 8 bits come back without images: a depth in steps of 16 mm is none that a dataset can vouch for.
+Our own exports with images of 8 bits come back without images: steps of 16 mm of depth are too coarse for a dataset.
 
-The file is read element by element. What is kept of a person are keypoints and run lengths, about 1 kB.
+The file may be larger than memory: it is read element by element. What is kept of a person are keypoints and run lengths,
+about 1 kB.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import ijson
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,18 +27,9 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, RIGS
-from cabinpose.store.convert.json_stream import read_elements
-from cabinpose.store.convert.source import (
-    UNKNOWN,
-    BlankFrame,
-    ImportOptions,
-    Source,
-    depth_ticks_of_mm,
-    make_manifest,
-    put_camera,
-    read_image,
-)
+from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_image
 from cabinpose.store.schema import Manifest
+from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 _STATES = np.array([Visibility.ABSENT, Visibility.OCCLUDED, Visibility.VISIBLE], np.uint8)  # by COCO's v
 _OURS = {name: name for name in INDEX} | {theirs: ours for ours, theirs in RIGS["coco"].items()}
@@ -131,28 +124,41 @@ def _images_beside(annotations: Path) -> Path | None:
 
 def _read_file(path: Path) -> _File:
     file = _File(path)
-    annotations = 0
-    for key, element in read_elements(path):
+    for key, element in _elements(path):
         try:
-            if key == "images":
+            if key == "images.item":
                 _add_image(file, element)
-            elif key == "annotations":
-                annotations += 1
+            elif key == "annotations.item":
                 _add_person(file, element)
-            elif key == "categories" and element.get("keypoints"):
+            elif key == "categories.item" and element.get("keypoints"):
                 file.names[int(element["id"])] = [str(name) for name in element["keypoints"]]
-            elif key == "licenses":
+            elif key == "licenses.item":
                 file.licences.append(str(element["name"]))
             elif key == "info" and isinstance(element, dict):
                 file.slots = tuple(map(str, element.get("slots", ())))
                 file.images_kind = str(element.get("images", {}).get("kind", ""))
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             what = element.get("id") if isinstance(element, dict) else element
-            raise DatasetError(f"{path}: {key} {what} is not COCO's ({error!r})", hint=_HINT) from error
+            raise DatasetError(f"{path}: {key.removesuffix('.item')} {what} is not COCO's ({error!r})", hint=_HINT) from error
     if not file.names:
         raise DatasetError(f"{path} has no category with keypoints", hint="give a file of keypoints, not of boxes or captions")
     _check_people(file)
     return file
+
+
+def _elements(path: Path) -> Iterator[tuple[str, Any]]:
+    """The elements of the lists of a COCO file, one in memory at a time, with what `ijson` calls their prefix."""
+    try:
+        with path.open("rb") as file:
+            for key in ("info", "licenses.item", "categories.item", "images.item", "annotations.item"):
+                file.seek(0)
+                for element in ijson.items(file, key, use_float=True):
+                    yield key, element
+    except (OSError, ijson.JSONError) as error:
+        raise DatasetError(
+            f"{path} is no whole JSON object ({str(error).splitlines()[0].strip()})",
+            hint="it may be cut short; copy it again, or give another file",
+        ) from error
 
 
 def _add_image(file: _File, element: Mapping[str, Any]) -> None:
@@ -218,7 +224,6 @@ def _check_people(file: _File) -> None:
 
 
 def _frames(file: _File, folder: Path | None, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
-    blank = BlankFrame(manifest)
     columns = {
         category: np.array([(i, INDEX[_OURS[name]]) for i, name in enumerate(names) if name in _OURS]).T
         for category, names in file.names.items()
@@ -226,7 +231,7 @@ def _frames(file: _File, folder: Path | None, manifest: Manifest, options: Impor
     }
     by_slot, masks = manifest.persons == file.slots, "instance" in manifest.variables
     for number, image in file.images.items():
-        frame = blank.new()
+        frame = blank_frame(manifest)
         frame["car"], frame["pov"] = str(image.get("car", UNKNOWN)), str(image.get("pov", UNKNOWN))
         _put_camera(frame, image, manifest, options, file.path)
         if folder is not None:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
-from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import frames, label_table, people, require_variables
+from cabinpose.store.frames import frames, label_table, people, require_variables
 from cabinpose.store.itop import hdf5
 from cabinpose.store.lazy import camera_of
+from cabinpose.store.source import Report
 
 # Joint of ours whose visibility stands for one of ITOP's, and whose position does where the dataset has no
 # `itop_joints_3d`: ITOP's hand is the palm and its foot the front of the foot.

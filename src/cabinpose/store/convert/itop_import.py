@@ -22,16 +22,16 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
-from cabinpose.store.convert.source import UNKNOWN, BlankFrame, ImportOptions, Source, make_manifest, put_camera, put_person
+from cabinpose.store.convert.reading import ImportOptions, check_projection, make_manifest, put_camera, put_person
 from cabinpose.store.itop import K, hdf5
 from cabinpose.store.schema import LabelRow, Manifest
+from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 PERSON = "standing"  # the place of the person in a room, as `synth` calls it
 _SIZE = (320, 240)
 _BLOCK = 16  # frames read at a time
 _NEEDED = ("id", "is_valid", "visible_joints", "real_world_coordinates")
 _ID = re.compile(rb"(\d+)_(\d+)")
-_MOST_PX = 20.0  # between labels in the image and the projection of those in the room, in the median
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
 # Ours -> ITOP's, where both mean the same point. Its head is the middle of the head and its neck lies between the shoulders; its
 # torso is no joint, and its foot lies somewhere between our ankle and foot. All 15 are kept as `itop_joints_3d`.
@@ -184,12 +184,8 @@ def _check_axes(
     projected = np.stack(
         [_camera(depth, i, size, options).project(joints) for i, joints in zip(some.tolist(), world, strict=True)]
     )
-    apart = np.linalg.norm(projected - given, axis=-1)
-    if np.isfinite(apart).any() and np.nanmedian(apart) > _MOST_PX:
-        raise DatasetError(
-            f"{path}: image_coordinates lie {np.nanmedian(apart):.0f} px from the projection of real_world_coordinates",
-            hint="ITOP's are in metres with y up, x = (u - 160) z 0.0035; for another camera give --intrinsics",
-        )
+    hint = "ITOP's are in metres with y up, x = (u - 160) z 0.0035; for another camera give --intrinsics"
+    check_projection(path, ("image_coordinates", "real_world_coordinates"), projected, given, hint=hint)
 
 
 def _camera(depth: Any, index: int, size: tuple[int, int], options: ImportOptions) -> Camera:
@@ -203,7 +199,6 @@ def _camera(depth: Any, index: int, size: tuple[int, int], options: ImportOption
 
 
 def _frames(pair: _Pair, sequence: int, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
-    blank = BlankFrame(manifest)
     with _h5(pair.depth) as depth, _h5(pair.labels) as labels:
         small = {name: labels[name][...] for name in _NEEDED}
         for start in range(0, len(small["id"]), _BLOCK):
@@ -213,7 +208,7 @@ def _frames(pair: _Pair, sequence: int, manifest: Manifest, options: ImportOptio
             images = depth["data"][start : start + _BLOCK]
             parts = labels["segmentation"][start : start + _BLOCK] if "labels" in manifest.variables else None
             for index in mine.tolist():
-                frame = blank.new()
+                frame = blank_frame(manifest)
                 frame["sequence"], frame["pov"], frame["car"] = np.int64(sequence), pair.pov, "room"
                 frame["depth"] = images[index - start].astype(np.float32)
                 if parts is not None:
@@ -235,9 +230,7 @@ def _put_labels(frame: dict[str, Any], labels: dict[str, Any], camera: Camera, p
     # Nothing but the person stands in front of an ITOP camera: what is hidden is hidden by the body itself.
     states = np.where(labels["visible_joints"] > 0, Visibility.VISIBLE, Visibility.SELF_OCCLUDED)
     frame["itop_joints_3d"][0] = world
-    joints, visibility = np.full((len(INDEX), 3), np.nan), np.zeros(len(INDEX), np.uint8)
-    joints[_OURS], visibility[_OURS] = world[_THEIRS], states[_THEIRS]
-    put_person(frame, 0, camera, joints, visibility)
+    put_person(frame, 0, camera, _OURS, world[_THEIRS], states[_THEIRS])
 
 
 def _classes(segmentation: NDArray[np.integer], index: int, path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

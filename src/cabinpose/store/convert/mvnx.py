@@ -1,7 +1,7 @@
-"""Xsens MVNX (XML, versions 3 and 4): a recording of MVN as messages with time stamps. `mvnx_write` is the way back.
+"""Xsens MVNX (XML, versions 3 and 4): a recording of MVN as messages with time stamps.
 
-Read as a stream, one frame at a time. A document type with entities is refused, so that a small file cannot grow large in memory,
-and what a single element may hold is bounded.
+The file is read as a stream, one frame at a time. A document that declares entities is refused, since a small file could grow
+large in memory by them, and the content of a single element is bounded.
 
 Units of the file: metres, degrees, m/s², rad/s, milliseconds. World: x forward, y left, z up, right-handed, as ours. Sensors:
 files of version 4 give the acceleration without gravity in the world, from which the acceleration that the sensor felt in its
@@ -31,7 +31,7 @@ _FRAME_LIMIT = 256  # elements of a frame
 _HEADER_LIMIT = 100_000  # elements of a subject before its frames
 _MS = 1_000_000  # ns
 
-# What a frame holds that messages carry; the rest is named in a Facts, not dropped in silence.
+# Elements of a frame that become messages; the others are named in a Facts (`not_read`).
 _READ = frozenset(
     {
         "orientation", "position", "velocity", "acceleration", "angularVelocity", "angularAcceleration", "footContacts",
@@ -42,7 +42,6 @@ _READ = frozenset(
 CENTRE = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")
 GRAVITY: F64 = np.array([0.0, 0.0, constants.g])  # what an accelerometer at rest shows in the world
 _OURS = {name.replace("Forearm", "ForeArm"): name for name in MVN_SEGMENTS}
-THEIRS = {ours: theirs for theirs, ours in _OURS.items()}
 
 
 @dataclass
@@ -63,7 +62,10 @@ class _Element:
 
 
 class _Parser:
-    """Cuts the file into what precedes a subject's frames ("subject", "mvn", "comment") and the frames."""
+    """Cuts the file into the header of each subject, its frames, and the element `mvn` on the program.
+
+    `ElementTree.iterparse` would do the same, but it expands entities and bounds nothing.
+    """
 
     def __init__(self) -> None:
         self._expat = expat.ParserCreate()
@@ -102,7 +104,7 @@ class _Parser:
 
     def _end(self, _: str) -> None:
         element = self._path.pop()
-        if element.name == "frame" or (len(self._path) == 1 and element.name in ("mvn", "comment")):
+        if element.name == "frame" or (len(self._path) == 1 and element.name == "mvn"):
             self.cut.append(element)
 
     def _characters(self, text: str) -> None:
@@ -124,11 +126,24 @@ class _NotMvnxError(Exception):
 def read_mvnx(path: Path, *, subjects: Sequence[str] = ()) -> Iterator[Row]:
     """The messages of an MVNX file in its order: facts on each subject, its calibration poses, then frame by frame.
 
-    `subjects` are the codes of the subjects in the file's order; without them they are character0, character1, and so on:
-    MVN's labels, which may be people's names, are in the facts alone. host_ns: the clock of the computer that recorded, since the
-    Unix epoch · device_ns: since the recording began. Facts carry the time of the first frame that follows them.
+    Parameters
+    ----------
+    path
+        The file.
+    subjects
+        Codes of the subjects in the file's order; without them they are character0, character1, and so on. MVN's labels, which
+        may be people's names, are in the facts alone.
 
-    Raises RecordingError where the file is no MVNX or is damaged, after the frames that precede the damage.
+    Yields
+    ------
+    Row
+        host_ns is the clock of the computer that recorded, since the Unix epoch; device_ns counts from the beginning of the
+        recording. Facts have the time of the first frame that follows them.
+
+    Raises
+    ------
+    RecordingError
+        Where the file is no MVNX or is damaged, after the frames that precede the damage.
     """
     parser = _Parser()
     reader: _SubjectReader | None = None
@@ -198,7 +213,7 @@ class _SubjectReader:
             yield host_ns, device_ns, message
 
     def _device_ns(self, attributes: Mapping[str, str]) -> int:
-        """The file's time, milliseconds; sharper by index and frame rate, of which MVN rounds it (seen: 1 ms off)."""
+        """The time of a frame by its index and the frame rate, of which the file's milliseconds are rounded (seen: 1 ms off)."""
         given_ns = round(_number(attributes.get("time"), 0.0) * _MS)
         index = attributes.get("index", "")
         if self.rate_hz > 0 and index.isascii() and index.isdigit():
@@ -227,15 +242,10 @@ class _SubjectReader:
         if any(map(len, moved)):
             yield SegmentKinematics(self.code, self.segments, *moved)
         yield from self._sensors(values)
-        angles = [
-            (names, _rows(values, key, len(names), 3))
-            for key, names in (
-                ("jointAngle", self.joints),
-                ("jointAngleXZY", tuple(f"{name}.xzy" for name in self.joints)),
-                ("jointAngleErgo", self.ergonomic),
-            )
-        ]
-        if given := [(names, rows) for names, rows in angles if len(rows)]:
+        xzy = tuple(f"{name}.xzy" for name in self.joints)
+        kinds = (("jointAngle", self.joints), ("jointAngleXZY", xzy), ("jointAngleErgo", self.ergonomic))
+        given = [(names, rows) for key, names in kinds if len(rows := _rows(values, key, len(names), 3))]
+        if given:
             names = tuple(name for some, _ in given for name in some)
             yield JointAngles(self.code, names, np.radians(np.concatenate([rows for _, rows in given])))
         yield from self._channels(values)

@@ -30,10 +30,10 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, NTU_JOINTS, RIGS
-from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import PersonInFrame, frames, people
-from cabinpose.store.convert.source import BlankFrame, ImportOptions, Source, make_manifest, put_camera, put_person
+from cabinpose.store.convert.reading import ImportOptions, check_projection, make_manifest, put_camera, put_person
+from cabinpose.store.frames import PersonInFrame, frames, people
 from cabinpose.store.schema import Manifest
+from cabinpose.store.source import Report, Source, blank_frame
 
 # Nominal intrinsics of Kinect v2's depth camera: one device's factory calibration, published with OpenKinect for Processing and
 # much used for others, whose differ by a few pixels. The files carry none. cx is counted in the unmirrored image.
@@ -46,7 +46,6 @@ _STATES = np.array([Visibility.ABSENT, Visibility.OCCLUDED, Visibility.VISIBLE],
 _TRACKING = {Visibility.ABSENT: 0, Visibility.VISIBLE: 2}  # by our state; 1 for the others: known, but not seen
 _NAME = re.compile(r"(S\d{3})(C\d{3})(P\d{3})R\d{3}(A\d{3})")
 _BODY_LINES = 2 + len(NTU_JOINTS)
-_MOST_PX = 20.0  # between depthX, depthY and the projection of x, y, z, in the median
 _HINT = "the file may be cut short, or be no skeleton file of NTU RGB+D; copy it again"
 
 
@@ -56,7 +55,7 @@ _HINT = "the file may be cut short, or be no skeleton file of NTU RGB+D; copy it
 def read(path: Path, options: ImportOptions) -> Source:
     """The frames of a `.skeleton` file, or of all in a folder by name: joints only, one `sequence` a file.
 
-    Somebody keeps a place for as long as his body is tracked. All bodies have the performer of the file's name as
+    A person keeps one place for as long as the body is tracked. All bodies have the performer of the file's name as
     `subject`: it does not say who the second one is. Raises `DatasetError` for a file that is damaged or named otherwise.
     """
     files = sorted(path.glob("*.skeleton")) if path.is_dir() else [path]
@@ -86,7 +85,7 @@ def read(path: Path, options: ImportOptions) -> Source:
 
 
 class _Lines:
-    """The lines of a file, and errors that name them."""
+    """Reads a file line by line; errors name the line."""
 
     def __init__(self, path: Path, file: TextIO) -> None:
         self._path, self._file, self._number = path, file, 0
@@ -169,7 +168,6 @@ def _body(lines: _Lines) -> _Body:
 
 
 def _frames(path: Path, sequence: int, camera: Camera, manifest: Manifest) -> Iterator[dict[str, Any]]:
-    blank = BlankFrame(manifest)
     match = _NAME.fullmatch(path.stem)
     setup, view, performer, action = match.groups() if match is not None else ("", "", "", "")
     places: dict[str, int] = {}
@@ -183,15 +181,13 @@ def _frames(path: Path, sequence: int, camera: Camera, manifest: Manifest) -> It
                 checked = True
             positions = _positions([body.who for body in bodies], places)
             places = {body.who: position for body, position in zip(bodies, positions, strict=True)}
-            frame = blank.new()
+            frame = blank_frame(manifest)
             frame["sequence"], frame["sync_ns"] = np.int64(sequence), np.int64(round(index * FRAME_NS))
             frame["car"], frame["pov"] = setup, view
             put_camera(frame, camera)
             for body, position in zip(bodies, positions, strict=True):
                 frame["subject"][position], frame["action"][position] = performer, action
-                joints, visibility = np.full((len(INDEX), 3), np.nan), np.zeros(len(INDEX), np.uint8)
-                joints[_OURS], visibility[_OURS] = body.xyz[_THEIRS] * _TURN, _STATES[body.tracking[_THEIRS]]
-                put_person(frame, position, camera, joints, visibility)
+                put_person(frame, position, camera, _OURS, body.xyz[_THEIRS] * _TURN, _STATES[body.tracking[_THEIRS]])
             yield frame
 
 
@@ -216,12 +212,8 @@ def _check_camera(bodies: list[_Body], camera: Camera, path: Path) -> None:
         return
     uv = camera.project(xyz * _TURN)
     mirrored = np.stack((camera.width - 1 - uv[:, 0], uv[:, 1]), axis=-1)
-    apart = np.linalg.norm(mirrored - given, axis=-1)
-    if np.isfinite(apart).any() and np.nanmedian(apart) > _MOST_PX:
-        raise DatasetError(
-            f"{path}: depthX and depthY lie {np.nanmedian(apart):.0f} px from the projection of x, y and z",
-            hint="x, y and z are metres in Kinect's camera space, y up; for another camera give --intrinsics",
-        )
+    hint = "x, y and z are metres in Kinect's camera space, y up; for another camera give --intrinsics"
+    check_projection(path, ("depthX and depthY", "x, y and z"), mirrored, given, hint=hint)
 
 
 # ---------------------------------------------------------------------------------------------------------- writing

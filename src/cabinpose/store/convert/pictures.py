@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.store.convert.frames import depth_mm, file_stem, frames, write_png
+from cabinpose.store.frames import depth_mm, file_stem, frames, write_png
 
 _FARTHEST_M = 4.0  # holds cars, vans and people in a room: one scale for all datasets, in steps of 16 mm
 _BRIGHTEST = 500.0

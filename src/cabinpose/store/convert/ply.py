@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import file_stem, frames, label_colours, require_variables
+from cabinpose.store.frames import file_stem, frames, label_colours, require_variables
 from cabinpose.store.lazy import points_m
+from cabinpose.store.source import Report
 
 _PLY_TYPE = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 

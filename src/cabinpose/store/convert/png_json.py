@@ -18,19 +18,10 @@ from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
-from cabinpose.store.convert import Report
-from cabinpose.store.convert.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
-from cabinpose.store.convert.source import (
-    BlankFrame,
-    ImportOptions,
-    Source,
-    depth_ticks_of_mm,
-    make_manifest,
-    put_camera,
-    read_image,
-    read_json,
-)
+from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_image, read_json
+from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
 from cabinpose.store.schema import VARIABLE, Manifest
+from cabinpose.store.source import Report, Source, blank_frame
 
 _IMAGES = ("depth", "depth_clean", "depth_styled", "amplitude", "labels", "instance", "rgb")
 _NUMBERS = ("sequence", "sync_ns", "seed")
@@ -200,12 +191,11 @@ def _classes(image: NDArray[Any], ids: dict[int, int], file: Path) -> NDArray[np
 
 
 def _frames(folder: _Folder, manifest: Manifest, stems: list[str], options: ImportOptions) -> Iterator[dict[str, Any]]:
-    blank = BlankFrame(manifest)
     ids = {row["rgb"]: row["id"] for row in folder.rows}
     camera = options.camera(manifest.width, manifest.height)
     for stem in stems:
         file = folder.path / "pose" / f"{stem}.json"
-        frame = blank.new()
+        frame = blank_frame(manifest)
         try:
             _fill(frame, read_json(file), manifest)
         except (KeyError, TypeError, ValueError, IndexError) as error:

@@ -1,43 +1,25 @@
-"""Recordings from the files of other tools, and back: which formats there are, and what each gives or needs.
-
-A recording gives its samples to the writers of the formats; readers give entries, which become samples. What is written gets
-its name when it is whole.
-"""
+"""Recordings from the files of other tools, and back: see `RECORDING_FORMATS`. What is written gets its name when it is whole."""
 
 from __future__ import annotations
 
-import heapq
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import groupby
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import chain, groupby
 from pathlib import Path
-from types import MappingProxyType
-from urllib.parse import unquote
+from typing import Any
 
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
 from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, Message
-from cabinpose.store.convert.adtfdat import read_adtfdat, write_adtfdat
-from cabinpose.store.convert.azure_mkv import read_azure_mkv
-from cabinpose.store.convert.bvh import CMU_UNIT_M, UpAxis, read_bvh_rows
-from cabinpose.store.convert.bvh_write import write_bvh
-from cabinpose.store.convert.c3d import read_c3d
+from cabinpose.store.convert import RECORDING_EXPORTS, RECORDING_FORMATS, RECORDING_IMPORTS
 from cabinpose.store.convert.c3d_up import Axis
-from cabinpose.store.convert.c3d_write import write_c3d
-from cabinpose.store.convert.csv_ import read_csv, write_csv
-from cabinpose.store.convert.mvnx import read_mvnx
-from cabinpose.store.convert.mvnx_write import of_one_subject, write_mvnx
-from cabinpose.store.convert.rows import Row
-from cabinpose.store.convert.sto import read_sto, write_sto
-from cabinpose.store.convert.trc import read_trc, write_trc
-from cabinpose.store.convert.xdf import read_xdf, streams_of_samples, write_xdf
+from cabinpose.store.convert.rows import Entry, Row
 from cabinpose.store.recording import Recording, RecordingWriter, Take
 
-Entry = tuple[str, int, int | None, int | None, Message]  # source, host_ns, device_ns, sequence, message
 _NO_NAME = re.compile(r"[^a-z0-9_-]+")
 _NAME_LENGTH = 32
 
@@ -82,6 +64,13 @@ class Selection:
     angles: bool = False
 
 
+_FLAGS = {
+    "name": "--name", "start_ns": "--begun", "unit_m": "--unit-m", "up": "--up", "whole_frames": "--keep-whole-frames",
+    "subject": "--subject", "rate_hz": "--rate", "angles": "--angles",
+}  # fmt: skip
+"""Options that some formats have no use for, and their flags."""
+
+
 def import_recording(
     path: Path,
     name: str,
@@ -91,22 +80,42 @@ def import_recording(
     options: RecordingOptions | None = None,
     overwrite: bool = False,
 ) -> Imported:
-    """Make the recording `out` of a file (CSV: of the tables in a folder) in the format `name`. Same file, same bytes.
+    """Make a recording of a file. Same file, same bytes.
 
-    Raises ConfigError for an unknown format, RecordingError or MocapError where the file cannot be read to its end or `out`
-    exists, DependencyError where a package is missing; then nothing is left behind, and what was in `out` stays.
+    Parameters
+    ----------
+    path
+        The file.
+    name
+        Its format, one of `RECORDING_IMPORTS`.
+    out
+        The recording to make; it appears when it is whole.
+    take
+        Who did what, where.
+    options
+        How the file is read.
+    overwrite
+        Replace `out`.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown format, or an option that it has no use for.
+    RecordingError, MocapError
+        Where the file cannot be read to its end or `out` exists; then nothing is left behind, and what was in `out` stays.
+    DependencyError
+        Where a package is missing.
     """
-    if name not in READERS:
-        raise unknown_name("format", name, list(READERS))
-    if not path.exists():
-        raise RecordingError(f"{path} does not exist", hint="give the file to import")
+    if name not in RECORDING_IMPORTS:
+        raise unknown_name("format", name, RECORDING_IMPORTS)
+    found = read_entries(path, name, options or RecordingOptions())
     if out.exists() and not overwrite:
         raise RecordingError(f"{out} exists", hint="--overwrite replaces it, or give another file with --out")
     temporary = out.with_name(f".{out.name}.import.tmp")
     refused: list[str] = []
     try:
         temporary.unlink(missing_ok=True)
-        entries = _named(READERS[name](path, options or RecordingOptions()))
+        entries = _named(found)
         first = next(entries, None)
         if first is None:
             raise RecordingError(f"{path} holds nothing that is recorded", hint="give another file")
@@ -114,7 +123,7 @@ def import_recording(
             temporary, take, started_ns=max(first[1], 0), sync_s=0, flush_s=math.inf, definitions_s=math.inf
         ) as writer:
             samples: Counter[str] = Counter()
-            for source, sample in _samples(_chained(first, entries)):
+            for source, sample in _samples(chain([first], entries)):
                 refused += writer.write(source, sample)
                 samples[source] += 1
         temporary.replace(out)
@@ -129,34 +138,83 @@ def import_recording(
 def export_recording(
     path: Path, name: str, out: Path, *, selection: Selection | None = None, overwrite: bool = False
 ) -> list[Path]:
-    """Write a recording, or part of it, in the format `name` to the file `out` (CSV: folder), and return the files.
+    """Write a recording, or part of it, in another format.
 
-    Raises ConfigError for an unknown format or a selection that it has no use for, RecordingError or MocapError where the
-    recording lacks what the format needs or has more than it can hold; then nothing is left behind.
+    Parameters
+    ----------
+    path
+        The recording.
+    name
+        The format, one of `RECORDING_EXPORTS`.
+    out
+        The file to write (csv: folder); it appears when it is whole.
+    selection
+        What of the recording is written.
+    overwrite
+        Replace `out`.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown format, or a selection that it has no use for.
+    RecordingError, MocapError
+        Where the recording lacks what the format needs or has more than it can hold; then nothing is left behind.
     """
-    if name not in WRITERS:
-        raise unknown_name("format", name, list(WRITERS))
-    writer, chosen = WRITERS[name], selection or Selection()
-    if chosen.subject is not None and not writer.of_subject:
-        raise ConfigError(f"a subject cannot be told apart in {name}", hint="leave out --subject: sources are exported whole")
-    if chosen.angles and name != "sto":
-        raise ConfigError(f"joint angles are chosen in sto, not in {name}", hint="leave out --angles")
+    if name not in RECORDING_EXPORTS:
+        raise unknown_name("format", name, RECORDING_EXPORTS)
+    form, chosen = RECORDING_FORMATS[name], selection or Selection()
+    given = _given(name, chosen, form.write_options)
+    write = _function(form.writes)
     with Recording(path) as recording:
-        sources = _sources(recording, name, writer, chosen)
+        sources = _sources(recording, name, ("joint_angles",) if chosen.angles else form.topics, chosen.sources)
         start_ns, end_ns = 0, 1 << 64
         if chosen.span_s is not None:
             start_ns, end_ns = (recording.head.started_ns + round(seconds * 1e9) for seconds in chosen.span_s)
         samples = recording.samples(sources, start_ns=max(start_ns, 0), end_ns=max(end_ns, 0))
-        return writer.write(out, samples, replace(chosen, sources=sources), overwrite)
+        if form.topics:
+            return [write(out, _rows(samples), overwrite=overwrite, **given)]
+        files: list[Path] = write(out, samples, overwrite=overwrite, **given)
+        return files
+
+
+def _function(place: str) -> Any:
+    """A function of a format, by its module and name."""
+    module, name = place.split(".")
+    return getattr(import_module(f"cabinpose.store.convert.{module}"), name)
+
+
+def _given(name: str, options: RecordingOptions | Selection, used: tuple[str, ...]) -> dict[str, Any]:
+    """The options that a format uses. Raises ConfigError where another one is given."""
+    for option, flag in _FLAGS.items():
+        if option not in used and getattr(options, option, None):
+            having = [n for n, form in RECORDING_FORMATS.items() if option in (*form.read_options, *form.write_options)]
+            raise ConfigError(f"{flag} is of {', '.join(having)}, not of {name}", hint=f"leave out {flag}")
+    return {option: getattr(options, option) for option in used}
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
+def read_entries(path: Path, name: str, options: RecordingOptions) -> Iterator[Entry]:
+    """What a file in the format `name` holds, with the names of sources as the file has them; raises as `import_recording`."""
+    form = RECORDING_FORMATS[name]
+    given = _given(name, options, form.read_options)
+    if not path.exists():
+        raise RecordingError(f"{path} does not exist", hint="give the file to import")
+    source = given.pop("name", None) or form.source
+    found = _function(form.reads)(path, **given)
+    return ((source, *row) for row in found) if form.source else found
+
+
 def _named(entries: Iterator[Entry]) -> Iterator[Entry]:
-    """Sources by names that a rig could give them, two never by one."""
+    """The entries with names of sources that a rig's file allows, a different one for each source."""
     names: dict[str, str] = {}
-    for source, host_ns, device_ns, sequence, message in entries:
+    for source, host_ns, device_ns, message in entries:
         if source not in names:
             base = _NO_NAME.sub("-", source.lower()).strip("-_")[:_NAME_LENGTH] or "source"
             name, number = base if base != "take" else "take-1", 1
@@ -164,134 +222,32 @@ def _named(entries: Iterator[Entry]) -> Iterator[Entry]:
                 number += 1
                 name = f"{base[: _NAME_LENGTH - 4]}-{number}"
             names[source] = name
-        yield names[source], host_ns, device_ns, sequence, message
+        yield names[source], host_ns, device_ns, message
 
 
 def _samples(entries: Iterable[Entry]) -> Iterator[tuple[str, Sample]]:
-    """What follows on one another with the same source, times and number is one sample."""
-    for (source, host_ns, device_ns, sequence), group in groupby(entries, key=lambda entry: entry[:4]):
-        yield source, Sample(sequence, host_ns, device_ns, b"", tuple(entry[4] for entry in group))
+    """Entries in a row with the same source and times are one sample."""
+    for (source, host_ns, device_ns), group in groupby(entries, key=lambda entry: entry[:3]):
+        yield source, Sample(None, host_ns, device_ns, b"", tuple(entry[3] for entry in group))
 
-
-def _chained(first: Entry, rest: Iterator[Entry]) -> Iterator[Entry]:
-    yield first
-    yield from rest
-
-
-def _of_rows(source: str, rows: Iterator[Row], options: RecordingOptions) -> Iterator[Entry]:
-    name = options.name or source
-    return ((name, host_ns, device_ns, None, message) for host_ns, device_ns, message in rows)
-
-
-def _read_mvnx(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    return _of_rows("suit", read_mvnx(path, subjects=options.subjects), options)
-
-
-def _read_c3d(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    rows = read_c3d(path, subjects=options.subjects, start_ns=options.start_ns, up=options.up, whole_frames=options.whole_frames)
-    return _of_rows("optical", rows, options)
-
-
-def _read_bvh(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    subject = (*options.subjects, "subject")[0]
-    if options.up not in (None, "y", "z"):
-        raise ConfigError(f"a BVH file has y or z up, not {options.up}", hint="give --up y or --up z")
-    up: UpAxis = "z" if options.up == "z" else "y"
-    rows = read_bvh_rows(path, unit_m=options.unit_m or CMU_UNIT_M, up=up, subject=subject, start_ns=options.start_ns)
-    return _of_rows("motion", rows, options)
-
-
-def _read_trc(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    return _of_rows("optical", read_trc(path, subject=(*options.subjects, "")[0], start_ns=options.start_ns), options)
-
-
-def _read_sto(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    return _of_rows("suit", read_sto(path, subject=(*options.subjects, "")[0], start_ns=options.start_ns), options)
-
-
-def _read_azure(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    return _of_rows("tof", read_azure_mkv(path), options)
-
-
-def _read_adtfdat(path: Path, _: RecordingOptions) -> Iterator[Entry]:
-    """The streams of others begin with facts on them, without a time: that of what follows."""
-    facts: list[tuple[str, Facts]] = []
-    host_ns = 0
-    for stream, host_ns, device_ns, sequence, message in read_adtfdat(path):
-        if isinstance(message, Facts) and message.about == "adtf stream":
-            properties = message.values.get("properties")
-            if not (isinstance(properties, Mapping) and "cabinpose_source" in properties):
-                facts.append((stream, message))
-            continue
-        yield from ((source, host_ns, None, None, about) for source, about in facts)
-        facts.clear()
-        yield stream, host_ns, device_ns, sequence, message
-    yield from ((source, host_ns, None, None, about) for source, about in facts)
-
-
-def _read_xdf(path: Path, options: RecordingOptions) -> Iterator[Entry]:
-    streams = read_xdf(path)
-    each = [_of_rows(name, stream.rows(), replace(options, name=None)) for name, stream in streams.items()]
-    return heapq.merge(*each, key=lambda entry: entry[1])
-
-
-def _read_csv(path: Path, _: RecordingOptions) -> Iterator[Entry]:
-    """The tables of a folder, or one, together by their times."""
-    paths = sorted(path.glob("*.csv")) if path.is_dir() else [path]
-    tables = [p for p in paths if not p.stem.rpartition(".")[2].startswith("frames")]
-    if not tables:
-        raise RecordingError(f"{path} holds no table of messages", hint="as in suit.poses.csv, written by cabinpose export")
-
-    def entries(table: Path) -> Iterator[Entry]:
-        source = unquote(table.stem.rpartition(".")[0])
-        return ((source, *row) for row in read_csv(table))
-
-    def order(entry: Entry) -> tuple[int, str, int, int]:
-        source, host_ns, device_ns, sequence, _ = entry
-        return host_ns, source, -1 if sequence is None else sequence, -1 if device_ns is None else device_ns
-
-    return heapq.merge(*map(entries, tables), key=order)
-
-
-READERS: Mapping[str, Callable[[Path, RecordingOptions], Iterator[Entry]]] = MappingProxyType(
-    {
-        "mvnx": _read_mvnx, "c3d": _read_c3d, "bvh": _read_bvh, "adtfdat": _read_adtfdat, "xdf": _read_xdf,
-        "azure-mkv": _read_azure, "trc": _read_trc, "sto": _read_sto, "csv": _read_csv,
-    }
-)  # fmt: skip
 
 # ------------------------------------------------------------------------------------------------------------- writing
 
-_Samples = Iterator[tuple[str, Sample]]
 
-
-@dataclass(frozen=True)
-class _Writer:
-    """write: file, samples, selection, whether to overwrite · topics: one of these a source must have, and there may be only one
-    such source, since clocks of devices differ (empty: any number of any) · of_subject: whether it holds one subject at a time.
-    """
-
-    write: Callable[[Path, _Samples, Selection, bool], list[Path]]
-    topics: tuple[str, ...] = ()
-    of_subject: bool = True
-
-
-def _sources(recording: Recording, name: str, writer: _Writer, chosen: Selection) -> tuple[str, ...]:
+def _sources(recording: Recording, name: str, topics: tuple[str, ...], named: tuple[str, ...]) -> tuple[str, ...]:
     """The sources to export. Raises RecordingError where those that are named are not there, or it is not clear which."""
     there = recording.sources
-    for source in chosen.sources:
+    for source in named:
         if source not in there:
             raise RecordingError(f"{recording.path} has no source '{source}'", hint=f"it has: {', '.join(there) or 'none'}")
-    if not writer.topics:
-        return chosen.sources or there
-    topics = ("joint_angles",) if chosen.angles else writer.topics
-    given = {channel.topic for channel in recording.channels.values()}
+    if not topics:
+        return named or there
+    given = recording.topics
     able = [source for source in there if any(f"{source}/{topic}" in given for topic in topics)]
-    fit = [source for source in able if not chosen.sources or source in chosen.sources]
+    fit = [source for source in able if not named or source in named]
     if not fit:
-        which = " or ".join(chosen.sources) or str(recording.path)
         raise RecordingError(
-            f"{name} needs {' or '.join(topics)}, of which {which} has none",
+            f"{name} needs {' or '.join(topics)}, of which {' or '.join(named) or recording.path} has none",
             hint=f"sources that have some: {', '.join(able) or 'none'}",
         )
     if len(fit) > 1:
@@ -299,62 +255,7 @@ def _sources(recording: Recording, name: str, writer: _Writer, chosen: Selection
     return tuple(fit)
 
 
-def _rows(samples: _Samples) -> Iterator[Row]:
+def _rows(samples: Iterable[tuple[str, Sample]]) -> Iterator[Row]:
     for _, sample in samples:
         for message in sample.messages:
             yield sample.host_ns, sample.device_ns, message
-
-
-def _write_c3d(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:
-    return [write_c3d(out, _rows(samples), subject=chosen.subject, rate_hz=chosen.rate_hz, overwrite=overwrite)]
-
-
-def _write_bvh(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:
-    return [write_bvh(out, _rows(samples), subject=chosen.subject, overwrite=overwrite)]
-
-
-def _write_trc(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:
-    return [write_trc(out, _rows(samples), subject=chosen.subject, rate_hz=chosen.rate_hz, overwrite=overwrite)]
-
-
-def _write_sto(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:
-    rows = _rows(samples)
-    return [write_sto(out, rows, angles=chosen.angles, subject=chosen.subject, rate_hz=chosen.rate_hz, overwrite=overwrite)]
-
-
-def _write_mvnx(out: Path, samples: _Samples, chosen: Selection, overwrite: bool) -> list[Path]:
-    rows = of_one_subject(_rows(samples), chosen.subject)
-    return [write_mvnx(out, rows, frame_rate_hz=chosen.rate_hz, overwrite=overwrite)]
-
-
-def _write_xdf(out: Path, samples: _Samples, _: Selection, overwrite: bool) -> list[Path]:
-    return [write_xdf(out, streams_of_samples(samples), overwrite=overwrite)]
-
-
-def _write_adtfdat(out: Path, samples: _Samples, _: Selection, overwrite: bool) -> list[Path]:
-    return [write_adtfdat(out, samples, overwrite=overwrite)]
-
-
-def _write_csv(out: Path, samples: _Samples, _: Selection, overwrite: bool) -> list[Path]:
-    if out.is_dir() and any(out.iterdir()) and not overwrite:
-        raise RecordingError(f"{out} is not empty", hint="--overwrite replaces tables in it, or give another folder with --out")
-    new = not out.exists()
-    try:
-        return write_csv(out, samples, overwrite=overwrite)
-    finally:
-        if new and out.is_dir() and not any(out.iterdir()):
-            out.rmdir()
-
-
-WRITERS: Mapping[str, _Writer] = MappingProxyType(
-    {
-        "c3d": _Writer(_write_c3d, ("markers",)),
-        "bvh": _Writer(_write_bvh, ("poses",)),
-        "trc": _Writer(_write_trc, ("markers",)),
-        "sto": _Writer(_write_sto, ("poses",)),
-        "mvnx": _Writer(_write_mvnx, ("poses",)),
-        "csv": _Writer(_write_csv, of_subject=False),
-        "adtfdat": _Writer(_write_adtfdat, of_subject=False),
-        "xdf": _Writer(_write_xdf, of_subject=False),
-    }
-)

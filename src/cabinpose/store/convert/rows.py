@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
@@ -11,6 +12,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.recorded import Message
 
 Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
+Entry: TypeAlias = tuple[str, int, int | None, Message]  # source, then as in a row
 
 
 @contextmanager
@@ -28,3 +30,10 @@ def whole_file(path: Path, *, overwrite: bool, binary: bool = False) -> Iterator
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def epoch_ns(moment: str) -> int:
+    """Nanoseconds since the Unix epoch of a moment in ISO 8601; without a zone it is UTC. Raises ValueError where it is none."""
+    found = datetime.fromisoformat(moment)
+    since = (found if found.tzinfo else found.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000

@@ -1,4 +1,4 @@
-"""Messages laid out as tables of one rate, for formats that know no gaps."""
+"""Messages laid out as tables of one rate, for formats without gaps."""
 
 from __future__ import annotations
 
@@ -61,18 +61,8 @@ class Table:
         return result
 
 
-def check_tabbed(names: Iterable[str]) -> None:
-    """Raise MocapError for a name that cannot be a cell of tab-separated text."""
-    for name in names:
-        if "\t" in name or name.splitlines() != [name]:
-            raise MocapError(
-                f"{name!r} is no name for tab-separated text: it is empty, or holds a tab or the end of a line",
-                hint="rename it where it was recorded, or export to csv",
-            )
-
-
 def told_rate(facts: Mapping[str, Mapping[str, Any]]) -> float | None:
-    """The rate of frames by what facts (about -> values) of C3D, TRC or Vicon say, Hz."""
+    """The rate of frames by what facts (about -> values) of C3D or Vicon say, Hz."""
     for about, key in (("points", "rate_hz"), ("stream", "frame_rate_hz")):
         rate = facts.get(about, {}).get(key)
         if isinstance(rate, (int, float)) and np.isfinite(rate) and rate > 0:

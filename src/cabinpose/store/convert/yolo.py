@@ -18,10 +18,10 @@ import yaml
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.skeleton import SYMMETRIC_PAIRS
-from cabinpose.store.convert import Report
 from cabinpose.store.convert.coco import frame_annotations
-from cabinpose.store.convert.frames import file_stem, require_variables
 from cabinpose.store.convert.pictures import PICTURES, pictured
+from cabinpose.store.frames import file_stem, require_variables
+from cabinpose.store.source import Report
 
 
 def export(parts: Mapping[str, xr.Dataset], folder: Path, report: Report, images: str) -> None:

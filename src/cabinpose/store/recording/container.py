@@ -1,8 +1,8 @@
 """MCAP as a recorder needs it: chunks that are closed when the clock says so, written in one call without copying images.
 
 The `mcap` package closes a chunk only when it is full and copies each message five times on its way to the file. Here a
-chunk is a list of buffers that goes to the kernel with `writev`; all other records are those of the `mcap` package. What
-`end_chunk` has returned from survives the death of the process: it is with the kernel. Power loss needs `sync`.
+chunk is a list of buffers that goes to the kernel with `writev`; all other records are those of the `mcap` package. When
+`end_chunk` has returned, the chunk is with the kernel and survives the death of the process; after `sync`, a power cut too.
 
 Specification: https://mcap.dev/spec (version 0).
 """
@@ -41,9 +41,9 @@ from mcap.writer import MCAP0_MAGIC
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Compression = Literal["none", "lz4", "zstd"]
 MAX_CHANNELS = 4096
-"""Of one file: a device that names its subjects anew all the time must not fill memory."""
+"""Channels of one file: a device that keeps renaming its subjects must not fill memory."""
 DEFINITIONS_S = 10.0
-"""Schemas and channels are repeated in a chunk at least so often, so that the loss of the first chunk is no more than that."""
+"""Pause between repetitions of schemas and channels, so that losing the first chunk loses that chunk alone."""
 _REFERENCED = 16384  # bytes from which a buffer is not copied into the chunk
 _VECTORS = 512  # buffers of one call; Linux takes 1024
 
@@ -138,11 +138,6 @@ class ContainerWriter:
     def chunk_size(self) -> int:
         """Bytes in the open chunk."""
         return self._open.size
-
-    @property
-    def chunk_messages(self) -> int:
-        """Messages in the open chunk: what the death of the process would cost."""
-        return self._open.messages
 
     def end_chunk(self) -> None:
         """Hand the open chunk to the kernel, if it has messages. Raises OSError; the messages of the chunk are then lost."""
@@ -282,7 +277,7 @@ class ContainerWriter:
         return [bytes(summary), bytes(offsets), footer + struct.pack("<I", crc), MCAP0_MAGIC]
 
     def _end_without_summary(self, ends: Iterable[int]) -> None:
-        """The shortest lawful ending after the first of the offsets that leaves room for it; none where no one does."""
+        """End the file in the shortest valid way, after the first of the offsets at which the disk has room for that."""
         for end in ends:
             os.ftruncate(self._fd, end)
             os.lseek(self._fd, end, os.SEEK_SET)

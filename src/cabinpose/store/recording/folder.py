@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.store.recording.reader import read_head
+from cabinpose.store.recording.files import read_head
 from cabinpose.store.recording.scan import Scanner
 from cabinpose.store.recording.take import Take
 
@@ -42,7 +42,7 @@ def takes_in(folder: Path) -> list[TakeFile]:
 
 
 def erase(files: Iterable[TakeFile]) -> None:
-    """Delete files. What a disk keeps of deleted files, and copies elsewhere, are beyond it. Raises RecordingError where one
+    """Delete files. Copies elsewhere, and what a disk keeps of deleted files, are not touched. Raises RecordingError where one
     cannot be deleted, naming it; those before it are gone then.
     """
     for file in files:

@@ -1,6 +1,6 @@
 """Messages of `core.recorded` as records of a recording, and back, bit by bit the same.
 
-A `ToFFrame` lies on up to five topics, of which `depth` is always there and the last: with it the frame is whole.
+A `ToFFrame` is written on up to five topics; `depth` is always there and comes last: it completes the frame.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.recorded import (
+    ARRAYS,
     F64,
+    TOPICS,
     Channels,
     Facts,
-    JointAngles,
     Markers,
     Message,
     SegmentKinematics,
@@ -231,30 +232,20 @@ def _varint(value: int) -> bytes:
 
 # -------------------------------------------------------------------------------------------------------------- JSON
 
-_JSON_FIELDS: Mapping[type, Mapping[str, int]] = {  # the arrays of a message and their widths; 0 = one number a name
-    SegmentKinematics: {"velocity": 3, "acceleration": 3, "angular_velocity": 3, "angular_acceleration": 3},
-    SensorReadings: {"orientation_wxyz": 4, "acceleration": 3, "angular_velocity": 3, "magnetic_field": 3},
-    JointAngles: {"angles": 3},
-    Markers: {"position_m": 3, "residual_m": 0},
-    Channels: {"values": 0},
-}
+_JSON = tuple(kind for kind in TOPICS if kind is not SegmentPoses)  # poses have a schema of Foxglove's
 _OPTIONAL = (SegmentKinematics, SensorReadings)  # whose arrays may be empty
-_TOPICS: Mapping[type, str] = {
-    SegmentKinematics: "kinematics", SensorReadings: "sensors", JointAngles: "joint_angles", Markers: "markers",
-    Channels: "channels", Facts: FACTS,
-}  # fmt: skip
-_JSON_KINDS: Mapping[str, type] = {f"cabinpose.{kind.__name__}": kind for kind in _TOPICS}
+_JSON_KINDS: Mapping[str, type] = {f"cabinpose.{kind.__name__}": kind for kind in _JSON}
 
 
 def _encode_table(_: str, message: Any, host_ns: int) -> list[Record]:
     kind = type(message)
     values: dict[str, Any] = {} if kind is Channels else {"subject": _word(message.subject)}
     values["names"] = [_word(name) for name in message.names]
-    for name, width in _JSON_FIELDS[kind].items():
+    for name, width in ARRAYS[kind].items():
         array = np.asarray(getattr(message, name), np.float64)
         rows = 0 if kind in _OPTIONAL and len(array) == 0 else len(message.names)
         values[name] = _numbers(_checked(array, (rows, width) if width else (rows,), name))
-    records = [Record(_TOPICS[kind], f"cabinpose.{kind.__name__}", (encode_json(values),))]
+    records = [Record(TOPICS[kind], f"cabinpose.{kind.__name__}", (encode_json(values),))]
     return records if kind is not Markers else [*records, _cloud(message, host_ns)]
 
 
@@ -275,7 +266,7 @@ def _encode_facts(_: str, message: Facts, __: int) -> list[Record]:
 def _from_json(kind: type, values: Mapping[str, Any]) -> Any:
     if kind is Facts:
         return Facts(values["about"], values["values"])
-    arrays = {name: _array(values[name], width) for name, width in _JSON_FIELDS[kind].items()}
+    arrays = {name: _array(values[name], width) for name, width in ARRAYS[kind].items()}
     names = tuple(values["names"])
     return Channels(names, **arrays) if kind is Channels else kind(values["subject"], names, **arrays)
 
@@ -317,8 +308,8 @@ def _checked(array: F64, shape: tuple[int, ...], name: str) -> F64:
 
 
 _ENCODERS: Mapping[type, Callable[[str, Any, int], list[Record]]] = {
+    **dict.fromkeys(ARRAYS, _encode_table),
     SegmentPoses: _encode_poses,
     ToFFrame: _encode_frame,
     Facts: _encode_facts,
-    **dict.fromkeys(_JSON_FIELDS, _encode_table),
 }

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, NamedTuple
 
 import numpy as np
-from mcap.records import Attachment, Channel, Metadata
+from mcap.records import Channel
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Message
+from cabinpose.store.recording.files import files_of_take, read_head
 from cabinpose.store.recording.messages import Decoder, decode_status
 from cabinpose.store.recording.scan import Chunk, Damage, RawMessage, Scanner, messages_in
-from cabinpose.store.recording.schemas import (
-    FORMAT,
-    HOST_ONLY,
-    RAW,
-    RIG_ATTACHMENT,
-    STATUS,
-    TAKE_METADATA,
-    TAKE_TOPIC,
-    SourceStatus,
-)
+from cabinpose.store.recording.schemas import HOST_ONLY, RAW, STATUS, TAKE_TOPIC, SourceStatus
 from cabinpose.store.recording.take import Take
 
 _END = 1 << 64
@@ -42,30 +34,23 @@ class Place(NamedTuple):
     device_ns: int | None
 
 
-@dataclass(frozen=True)
-class Head:
-    """What a file says of itself before its first chunk."""
-
-    take: Take
-    rig: str
-    started_ns: int
-    format: str
-
-
 class Recording:
-    """A recording, read lazily, in the order in which it was written.
+    """A recording, read lazily, in the order in which it was written; of one file, or of all files of a split take.
 
     damaged: what to do where a checksum is wrong or bytes belong to nothing: raise RecordingError at the end of the walk, or
     skip; `damage` says what was found. A file without its end is read as far as it goes, in either case.
     """
 
     def __init__(self, path: Path, *, damaged: Literal["raise", "skip"] = "raise") -> None:
-        """Raises RecordingError where the file cannot be read or is no recording of this version."""
-        self.path = path
+        """path: a file, the first file of a take, or its folder. Raises RecordingError where a file cannot be read, is no
+        recording of this version, or is missing between others.
+        """
         self._damaged = damaged
-        self._scanner = Scanner(path)
+        self.files = files_of_take(path, damaged=damaged)
+        self.path = self.files[0]
+        self._scanners = [Scanner(file) for file in self.files]
         try:
-            self.head = read_head(self._scanner)
+            self.head = read_head(self._scanners[0])
         except RecordingError:
             self.close()
             raise
@@ -77,8 +62,9 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
-        self._scanner.close()
+        """Close the files."""
+        for scanner in self._scanners:
+            scanner.close()
 
     @property
     def take(self) -> Take:
@@ -87,45 +73,48 @@ class Recording:
 
     @property
     def damage(self) -> Damage:
-        """What was wrong with the file on the last walk through all of it."""
-        return self._scanner.damage
+        """What was wrong with the files on the last walk through all of them; whole: each has its end."""
+        found = [scanner.damage for scanner in self._scanners]
+        counts = {field.name: sum(getattr(each, field.name) for each in found) for field in fields(Damage)}
+        return Damage(**counts | {"whole": all(each.whole for each in found)})
 
     @property
     def sources(self) -> tuple[str, ...]:
         """Names of the sources that gave samples."""
-        named = (channel.metadata.get("source", "") for channel in self.channels.values())
-        return tuple(sorted({name for name in named if name}))
+        named = {channel.metadata.get("source", "") for _, channels in self._definitions for channel in channels.values()}
+        return tuple(sorted(named - {""}))
+
+    @property
+    def topics(self) -> set[str]:
+        """Names of the topics that have messages or could have."""
+        return {channel.topic for _, channels in self._definitions for channel in channels.values()}
 
     @cached_property
-    def channels(self) -> dict[int, Channel]:
-        """Channels by their ids."""
-        return self._definitions[1]
-
-    @cached_property
-    def _definitions(self) -> tuple[dict[int, str], dict[int, Channel]]:
-        schemas, channels = self._scanner.definitions()
-        return {i: schema.name for i, schema in schemas.items()}, channels
+    def _definitions(self) -> list[tuple[dict[int, str], dict[int, Channel]]]:
+        """Of each file, the names of its schemas and its channels, by their ids."""
+        found = [scanner.definitions() for scanner in self._scanners]
+        return [({i: schema.name for i, schema in schemas.items()}, channels) for schemas, channels in found]
 
     def records(
         self, sources: Collection[str] | None = None, *, start_ns: int = 0, end_ns: int = _END
     ) -> Iterator[tuple[Place, str, Channel, memoryview]]:
         """Place, schema name, channel and bytes of each message, of the named sources (None: all), host time in the span."""
-        names, channels = self._definitions
-        wanted = {i for i, c in channels.items() if sources is None or c.metadata.get("source", "") in sources}
-        for found in self._scanner.walk(start_ns, end_ns):
-            if not isinstance(found, Chunk):
-                continue
-            for message in sound_messages(found, channels, self.damage):
-                if message.channel_id in wanted and start_ns <= message.log_time < end_ns:
-                    channel = channels[message.channel_id]
-                    yield _place(channel, message), names.get(channel.schema_id, ""), channel, message.data
-        found_damage = self.damage
-        if self._damaged == "raise" and (found_damage.chunks or (found_damage.skipped_bytes and found_damage.whole)):
-            raise RecordingError(
-                f"{self.path} is damaged: {found_damage.chunks} chunks with a wrong checksum, "
-                f"{found_damage.skipped_bytes} bytes that belong to nothing",
-                hint="`cabinpose recover` makes a recording of what is sound",
-            )
+        for scanner, (names, channels) in zip(self._scanners, self._definitions, strict=True):
+            wanted = {i for i, c in channels.items() if sources is None or c.metadata.get("source", "") in sources}
+            for found in scanner.walk(start_ns, end_ns):
+                if not isinstance(found, Chunk):
+                    continue
+                for message in sound_messages(found, channels, scanner.damage):
+                    if message.channel_id in wanted and start_ns <= message.log_time < end_ns:
+                        channel = channels[message.channel_id]
+                        yield _place(channel, message), names.get(channel.schema_id, ""), channel, message.data
+            damage = scanner.damage
+            if self._damaged == "raise" and (damage.chunks or (damage.skipped_bytes and damage.whole)):
+                raise RecordingError(
+                    f"{scanner.path} is damaged: {damage.chunks} chunks with a wrong checksum, "
+                    f"{damage.skipped_bytes} bytes that belong to nothing",
+                    hint="`cabinpose recover` makes a recording of what is sound",
+                )
 
     def samples(
         self, sources: Collection[str] | None = None, *, start_ns: int = 0, end_ns: int = _END
@@ -193,47 +182,3 @@ def _topic(channel: Channel) -> str:
 def _is_beside(channel: Channel) -> bool:
     """Whether messages of the channel belong to no sample."""
     return _topic(channel) in (STATUS, TAKE_TOPIC) or not channel.metadata.get("source")
-
-
-def read_head(scanner: Scanner) -> Head:
-    """The take and the rig of a file, which may be without its end. Raises RecordingError where it has none."""
-    values: dict[str, str] | None = None
-    take: Take | None = None
-    rig, chunks = "", 0
-    for found in scanner.walk():
-        if isinstance(found, Metadata) and found.name == TAKE_METADATA and values is None:
-            values = found.metadata
-        elif isinstance(found, Attachment) and found.name == RIG_ATTACHMENT:
-            rig = found.data.decode("utf-8", "replace")
-        elif isinstance(found, Chunk):
-            take = take or _take_in(found)
-            chunks += 1
-            if values is not None or chunks > _HEAD_CHUNKS:
-                break
-    if values is None and take is None:
-        raise RecordingError(f"{scanner.path} is no recording of cabinpose", hint="give a file of `cabinpose record`")
-    values = values or {}
-    version = values.get("format", FORMAT)
-    if version != FORMAT:
-        raise RecordingError(f"{scanner.path} has format {version}, this program reads format {FORMAT}", hint="upgrade cabinpose")
-    started = values.get("started_ns", "0")
-    try:
-        take = take or Take.from_metadata(values)
-    except ValueError as error:
-        raise RecordingError(f"{scanner.path}: its take cannot be read: {error}", hint="check the file by hand") from error
-    return Head(take, rig, int(started) if started.isdigit() else 0, version)
-
-
-_HEAD_CHUNKS = 8  # in which the take is looked for where its metadata record is lost
-
-
-def _take_in(chunk: Chunk) -> Take | None:
-    """The take that the first messages of a verified chunk state: unlike the metadata record, they are under a checksum."""
-    if not chunk.verified:
-        return None
-    for message in messages_in(chunk.records):
-        try:
-            return Take.model_validate_json(bytes(message.data))
-        except ValueError:
-            return None
-    return None

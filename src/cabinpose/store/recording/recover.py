@@ -34,9 +34,22 @@ class Recovered:
 def recover(damaged: Path, out: Path, *, progress: Callable[[int, int], None] = lambda *_: None) -> Recovered:
     """Copy every sound message, schema, channel, metadata record and attachment of an MCAP file to a new one with an index.
 
-    Messages come byte by byte as they were, without those of a sample that the end of the file cuts: in a file with an end it
-    would pass for whole. `out` appears when it is whole. progress: told bytes done and of all. Raises RecordingError where `out`
-    exists, nothing can be read, or the disk refuses.
+    Messages are copied byte by byte. Those of a sample that the end of the file cuts are left out: in a file with an end, the
+    sample would pass for whole.
+
+    Parameters
+    ----------
+    damaged
+        The file, in whatever state.
+    out
+        The new file; it appears when it is whole.
+    progress
+        Called with the bytes done and those of the file.
+
+    Raises
+    ------
+    RecordingError
+        Where `out` exists, nothing can be read, or the disk refuses.
     """
     if out.exists():
         raise RecordingError(f"{out} exists", hint="name another file")

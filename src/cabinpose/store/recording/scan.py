@@ -1,9 +1,12 @@
 """Reading MCAP record by record, whatever state the file is in.
 
-An index at the end is of no use to a file whose end is missing. Here the file is walked from its start; a record that
-contradicts itself is stepped over by looking for the next chunk; a chunk whose checksum is wrong is left out and counted;
-of a chunk that the end of the file cuts, the whole messages at its beginning are given, marked as not verified. Sizes in the
-file decide nothing before they were compared with the file's own size and with `MAX_CHUNK`.
+A file whose end is missing has no index, so the file is read from its start. Where a record contradicts itself, the next chunk
+is looked for; a chunk whose checksum is wrong is left out and counted; of a chunk that the end of the file cuts, the whole
+messages at its beginning are given, marked as not verified. Sizes in the file are compared with the file's own size and with
+`MAX_CHUNK` before they are used.
+
+The `mcap` package's `StreamReader` parses the small records. It cannot read the file as a whole: it raises at the first damage,
+and takes a chunk that is cut short for a whole one.
 """
 
 from __future__ import annotations
@@ -48,7 +51,7 @@ _INSIDE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 @dataclass
 class Damage:
-    """What was wrong with a file. All zero and whole: nothing.
+    """What was wrong with a file; nothing, where all counts are 0 and it is whole.
 
     chunks: left out for a wrong checksum or content · skipped_bytes: that belong to no record · unverified: messages of a
     chunk that the end of the file cuts, so that its checksum says nothing · unfinished: samples at such a cut, left out since
@@ -188,46 +191,37 @@ class Scanner:
         if len(head) < _HEAD.size:
             return None, None
         opcode, length = _HEAD.unpack_from(head)
-        after = position + _HEAD.size + length
         if opcode == Opcode.CHUNK:
             return self._chunk(position, head, start, end)
+        after = position + _HEAD.size + length
         if after > self.size or length > MAX_CHUNK:
             return None, None
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             self._ended = opcode == Opcode.FOOTER
             return None, after if length == (20 if self._ended else 4) else None
-        if opcode in _SKIPPED or opcode >= 0x80:
-            return None, after if self._is_start(after) else None
-        if opcode not in (*_INSIDE, Opcode.HEADER, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.ATTACHMENT):
-            return None, None
-        payload = self._bytes(position + _HEAD.size, length)
-        return self._small_record(position, opcode, payload, after)
-
-    def _small_record(
-        self, position: int, opcode: int, payload: bytes, after: int
-    ) -> tuple[Chunk | Metadata | Attachment | None, int | None]:
         if opcode == Opcode.MESSAGE_INDEX:
-            sound = len(payload) >= 6 and struct.unpack_from("<I", payload, 2)[0] == len(payload) - 6
+            sound = length >= 6 and struct.unpack_from("<I", head, _HEAD.size + 2)[0] == length - 6
             return None, after if sound else None
-        if opcode == Opcode.MESSAGE:
-            if self._chunked or len(payload) < _MESSAGE.size or not self._is_start(after):
-                return None, None  # a file has chunks or messages outside of them; both is another record with a wrong opcode
-            time = _MESSAGE.unpack_from(payload)[2]
-            return Chunk(position, _HEAD.pack(opcode, len(payload)) + payload, time, time, False, False), after
         if not self._is_start(after):
             return None, None
-        try:
-            if opcode == Opcode.METADATA:
-                return _parsed(Metadata, opcode, payload), after
-            if opcode == Opcode.ATTACHMENT:
-                _check_attachment(payload)
-                return _parsed(Attachment, opcode, payload), after
-        except _UNREADABLE:
-            self.damage.records += 1
+        if opcode in _SKIPPED or opcode >= 0x80:
             return None, after
-        if opcode == Opcode.HEADER:
-            return None, after
-        return Chunk(position, _HEAD.pack(opcode, len(payload)) + payload, 0, 1 << 64, False, False), after
+        record = self._bytes(position, after - position)
+        if opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            try:
+                if opcode == Opcode.METADATA:
+                    return _parsed(Metadata, record), after
+                _check_attachment(record)
+                return _parsed(Attachment, record), after
+            except _UNREADABLE:
+                self.damage.records += 1
+                return None, after
+        first, last = _ALWAYS
+        if opcode == Opcode.MESSAGE:
+            if self._chunked or length < _MESSAGE.size:
+                return None, None  # a file has chunks or messages outside of them; both is another record with a wrong opcode
+            first = last = _MESSAGE.unpack_from(record, _HEAD.size)[2]
+        return (Chunk(position, record, first, last, False, False), after) if opcode in _INSIDE else (None, None)
 
     def _chunk(self, position: int, head: bytes, start: int, end: int) -> tuple[Chunk | None, int | None]:
         layout = _chunk_layout(head)
@@ -364,10 +358,10 @@ def collect(records: bytes, schemas: dict[int, Schema], channels: dict[int, Chan
     for opcode, content in records_in(records):
         try:
             if opcode == Opcode.SCHEMA:
-                schema = _parsed(Schema, opcode, content)
+                schema = _parsed(Schema, _HEAD.pack(opcode, len(content)) + content)
                 schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                channel = _parsed(Channel, opcode, content)
+                channel = _parsed(Channel, _HEAD.pack(opcode, len(content)) + content)
                 channels[channel.id] = channel
         except _UNREADABLE:
             continue
@@ -385,19 +379,20 @@ def _whole_records(records: bytes, first: int, last: int) -> bytes:
     return records[:kept]
 
 
-def _parsed(kind: type[_Small], opcode: int, payload: bytes | memoryview) -> _Small:
-    """The record by the mcap package. Raises one of `_UNREADABLE` where it contradicts itself."""
-    record = next(StreamReader(BytesIO(_HEAD.pack(opcode, len(payload)) + payload), skip_magic=True).records)
+def _parsed(kind: type[_Small], data: bytes) -> _Small:
+    """A record by the mcap package. Raises one of `_UNREADABLE` where it contradicts itself."""
+    record = next(StreamReader(BytesIO(data), skip_magic=True).records)
     assert isinstance(record, kind)  # as its opcode says
     return record
 
 
-def _check_attachment(payload: bytes) -> None:
-    if zlib.crc32(payload[:-4]) != struct.unpack("<I", payload[-4:])[0]:
+def _check_attachment(record: bytes) -> None:
+    """Raise ValueError where the checksum of an attachment's content is wrong."""
+    if zlib.crc32(record[_HEAD.size : -4]) != struct.unpack("<I", record[-4:])[0]:
         raise ValueError("checksum")
 
 
 _UNREADABLE = (EndOfFile, ValueError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
 _SKIPPED = (
-    Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
+    Opcode.HEADER, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
 )  # fmt: skip

@@ -19,14 +19,17 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from cabinpose.core.recorded import ARRAYS, TOPICS, Channels, Facts, JointAngles, Markers, SegmentKinematics, SensorReadings
+
 RAW = "raw"
 HOST_ONLY = "_host"
-"""After `raw` and `facts` where the sample has no time of its device, so that a topic keeps to one clock."""
+"""Suffix of `raw` and `facts` where the sample has no time of its device, so that a topic keeps to one clock."""
 RAW_ENCODING = "octet-stream"
-FACTS = "facts"
+FACTS = TOPICS[Facts]
 STATUS = "status"
 TAKE_TOPIC = "take"
 TAKE_METADATA = "cabinpose.take"
+HOST_METADATA = "cabinpose.host"
 RIG_ATTACHMENT = "rig.yaml"
 FORMAT = "1"
 """Version of what is described here; in the take's metadata record as `format`."""
@@ -67,13 +70,10 @@ class SourceStatus:
 _NUMBER: Mapping[str, Any] = MappingProxyType({"type": ["number", "null", "string"]})
 
 
-def _rows(width: int, what: str) -> dict[str, Any]:
-    row = {"type": "array", "items": dict(_NUMBER), "minItems": width, "maxItems": width}
+def _array(width: int, what: str) -> dict[str, Any]:
+    """Rows of `width` numbers, or for 0 plain numbers."""
+    row = {"type": "array", "items": dict(_NUMBER), "minItems": width, "maxItems": width} if width else dict(_NUMBER)
     return {"type": "array", "description": what, "items": row}
-
-
-def _values(what: str) -> dict[str, Any]:
-    return {"type": "array", "description": what, "items": dict(_NUMBER)}
 
 
 def _object(title: str, description: str, **properties: dict[str, Any]) -> dict[str, Any]:
@@ -85,6 +85,14 @@ def _object(title: str, description: str, **properties: dict[str, Any]) -> dict[
         "properties": properties,
         "required": list(properties),
     }
+
+
+def _table(kind: type[Any], description: str, *arrays: str) -> dict[str, Any]:
+    """The schema of a message with one row of numbers a name; arrays: what is in each of them, in their order."""
+    properties = {} if kind is Channels else {"subject": _SUBJECT}
+    named = zip(ARRAYS[kind].items(), arrays, strict=True)
+    columns = {name: _array(width, what) for (name, width), what in named}
+    return _object(f"cabinpose.{kind.__name__}", description, **properties, names=_NAMES, **columns)
 
 
 def _text(what: str) -> dict[str, Any]:
@@ -105,29 +113,19 @@ _WORLD = "in the device's world, z up"
 
 JSON_SCHEMAS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "cabinpose.SegmentKinematics": _object(
-            "cabinpose.SegmentKinematics", f"Motion of body segments {_WORLD}; empty where the device does not give it.",
-            subject=_SUBJECT, names=_NAMES,
-            velocity=_rows(3, "m/s"), acceleration=_rows(3, "m/s²"),
-            angular_velocity=_rows(3, "rad/s"), angular_acceleration=_rows(3, "rad/s²"),
+        "cabinpose.SegmentKinematics": _table(
+            SegmentKinematics, f"Motion of body segments {_WORLD}; empty where the device does not give it.",
+            "m/s", "m/s²", "rad/s", "rad/s²",
         ),
-        "cabinpose.SensorReadings": _object(
-            "cabinpose.SensorReadings", "Single inertial sensors; empty where the device does not give it.",
-            subject=_SUBJECT, names=_NAMES,
-            orientation_wxyz=_rows(4, f"quaternions w x y z, {_WORLD}"), acceleration=_rows(3, "m/s²"),
-            angular_velocity=_rows(3, "rad/s"), magnetic_field=_rows(3, "arbitrary unit"),
+        "cabinpose.SensorReadings": _table(
+            SensorReadings, "Single inertial sensors; empty where the device does not give it.",
+            f"quaternions w x y z, {_WORLD}", "m/s²", "rad/s", "arbitrary unit",
         ),
-        "cabinpose.JointAngles": _object(
-            "cabinpose.JointAngles", "Angles about the three axes that the device defines for each joint.",
-            subject=_SUBJECT, names=_NAMES, angles=_rows(3, "rad"),
+        "cabinpose.JointAngles": _table(
+            JointAngles, "Angles about the three axes that the device defines for each joint.", "rad"
         ),
-        "cabinpose.Markers": _object(
-            "cabinpose.Markers", f"Optical markers {_WORLD}; null = occluded.",
-            subject=_SUBJECT, names=_NAMES, position_m=_rows(3, "m"), residual_m=_values("m; null = unknown"),
-        ),
-        "cabinpose.Channels": _object(
-            "cabinpose.Channels", "One value of each channel of a generic stream.", names=_NAMES, values=_values("as streamed"),
-        ),
+        "cabinpose.Markers": _table(Markers, f"Optical markers {_WORLD}; null = occluded.", "m", "m; null = unknown"),
+        "cabinpose.Channels": _table(Channels, "One value of each channel of a generic stream.", "as streamed"),
         "cabinpose.Facts": _object(
             "cabinpose.Facts", "What a device says of itself or its subject.",
             about=_text("of whom or what"), values={"type": "object", "description": "plain data"},

@@ -4,26 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Markers, SegmentPoses, ToFFrame
+from cabinpose.core.recorded import ARRAYS, F64, Markers, SegmentPoses, ToFFrame
 from cabinpose.store.recording.reader import Recording
 
-F64 = NDArray[np.float64]
 Times = NDArray[np.int64]
 M = TypeVar("M", SegmentPoses, Markers)
+
+
+@dataclass(frozen=True)
+class MarkerSeries:
+    """Markers over T samples: position_m (T, M, 3), NaN = occluded.
+
+    host_ns (T,): arrival · device_ns (T,): the device's clock; the host's where the device gives none (`device_clock` False).
+    """
+
+    source: str
+    subject: str
+    names: tuple[str, ...]
+    host_ns: Times
+    device_ns: Times
+    device_clock: bool
+    position_m: F64
+
+    def marker(self, name: str) -> F64:
+        """Position (T, 3) of a marker. Raises RecordingError for a name that was not recorded."""
+        if name not in self.names:
+            raise RecordingError(f"{self.source} gives no marker '{name}'", hint=f"it gives: {', '.join(self.names)}")
+        return self.position_m[:, self.names.index(name)]
 
 
 @dataclass(frozen=True)
 class SegmentSeries:
     """Segments of a subject over T samples: position_m (T, S, 3), orientation_wxyz (T, S, 4), NaN where one was not seen.
 
-    host_ns (T,): arrival · device_ns (T,): the device's clock; the host's where the device gives none (`device_clock` False).
+    Times as in `MarkerSeries`.
     """
 
     source: str
@@ -45,53 +66,36 @@ class SegmentSeries:
         return self.position_m[:, index], self.orientation_wxyz[:, index]
 
 
-@dataclass(frozen=True)
-class MarkerSeries:
-    """Markers over T samples: position_m (T, M, 3), NaN = occluded; times as in `SegmentSeries`."""
-
-    source: str
-    subject: str
-    names: tuple[str, ...]
-    host_ns: Times
-    device_ns: Times
-    device_clock: bool
-    position_m: F64
-
-    def marker(self, name: str) -> F64:
-        """Position (T, 3) of a marker. Raises RecordingError for a name that was not recorded."""
-        if name not in self.names:
-            raise RecordingError(f"{self.source} gives no marker '{name}'", hint=f"it gives: {', '.join(self.names)}")
-        return self.position_m[:, self.names.index(name)]
-
-
 def segment_series(recording: Recording, source: str, subject: str | None = None) -> SegmentSeries:
-    """The segments of a subject (None: the only one) as a source gave them.
+    """The segments of a subject as a source gave them.
 
-    A subject's names may change in a take (a prop added): the series has all of them. Samples go by the device's clock, late
-    ones in their place, the second of two with one time left out. Raises RecordingError where there are none.
+    Parameters
+    ----------
+    recording
+        The recording.
+    source
+        The name of the source.
+    subject
+        Whose; None: of the only one.
+
+    Returns
+    -------
+    SegmentSeries
+        A subject's names may change in a take (a prop added): the series has all of them. Samples go by the device's clock, late
+        ones in their place, the second of two with one time left out.
+
+    Raises
+    ------
+    RecordingError
+        Where there are none, or of several subjects while none is named.
     """
     rows = _rows(recording, source, subject, SegmentPoses)
-    names = tuple(dict.fromkeys(name for _, message in rows for name in message.names))
-    position = np.full((len(rows), len(names), 3), np.nan)
-    orientation = np.full((len(rows), len(names), 4), np.nan)
-    column = {name: index for index, name in enumerate(names)}
-    for row, (_, message) in enumerate(rows):
-        at = [column[name] for name in message.names]
-        position[row, at], orientation[row, at] = message.position_m, message.orientation_wxyz
-    host, device, own = _times(rows)
-    return SegmentSeries(source, rows[0][1].subject, names, host, device, own, position, orientation)
+    return SegmentSeries(*_columns(source, rows, "position_m", "orientation_wxyz"))
 
 
 def marker_series(recording: Recording, source: str, subject: str | None = None) -> MarkerSeries:
-    """The markers of a subject (None: the only one; "": those without a label) as a source gave them; as `segment_series`."""
-    rows = _rows(recording, source, subject, Markers)
-    names = tuple(dict.fromkeys(name for _, message in rows for name in message.names))
-    position = np.full((len(rows), len(names), 3), np.nan)
-    column = {name: index for index, name in enumerate(names)}
-    for row, (_, message) in enumerate(rows):
-        position[row, [column[name] for name in message.names]] = message.position_m
-    host, device, own = _times(rows)
-    return MarkerSeries(source, rows[0][1].subject, names, host, device, own, position)
+    """The markers of a subject ("": those without a label) as a source gave them; everything else as in `segment_series`."""
+    return MarkerSeries(*_columns(source, _rows(recording, source, subject, Markers), "position_m"))
 
 
 def tof_frames(recording: Recording, source: str) -> Iterator[tuple[Sample, ToFFrame]]:
@@ -116,21 +120,24 @@ def _rows(recording: Recording, source: str, subject: str | None, kind: type[M])
         subject = subjects[0]
     chosen = [row for row in found if row[1].subject == subject]
     if not chosen:
-        what = (
-            f"no {kind.__name__} of '{subject}'"
-            if subject is not None
-            else "several subjects"
-            if subjects
-            else f"no {kind.__name__}"
-        )
+        several = subject is None and subjects
+        what = "several subjects" if several else f"no {kind.__name__}" + (f" of '{subject}'" if subject is not None else "")
         raise RecordingError(f"{source} gives {what}", hint=f"subjects that it gives: {', '.join(map(repr, subjects)) or 'none'}")
     key = [row[0].device_ns if row[0].device_ns is not None else row[0].host_ns for row in chosen]
     order = sorted(range(len(key)), key=key.__getitem__)
     return [chosen[n] for k, n in enumerate(order) if k == 0 or key[n] != key[order[k - 1]]]
 
 
-def _times(rows: list[tuple[Sample, M]]) -> tuple[Times, Times, bool]:
+def _columns(source: str, rows: list[tuple[Sample, M]], *arrays: str) -> Any:
+    """The fields of a series: source, subject, names, times, and the arrays of the messages."""
+    names = tuple(dict.fromkeys(name for _, message in rows for name in message.names))
+    column = {name: index for index, name in enumerate(names)}
+    stacked: list[F64] = [np.full((len(rows), len(names), ARRAYS[type(rows[0][1])][array]), np.nan) for array in arrays]
+    for row, (_, message) in enumerate(rows):
+        at = [column[name] for name in message.names]
+        for array, values in zip(arrays, stacked, strict=True):
+            values[row, at] = getattr(message, array)
     host = np.array([sample.host_ns for sample, _ in rows], np.int64)
-    own = all(sample.device_ns is not None for sample, _ in rows)
-    device = np.array([sample.device_ns for sample, _ in rows], np.int64) if own else host
-    return host, device, own
+    device_clock = all(sample.device_ns is not None for sample, _ in rows)
+    device = np.array([sample.device_ns for sample, _ in rows], np.int64) if device_clock else host
+    return source, rows[0][1].subject, names, host, device, device_clock, *stacked

@@ -88,6 +88,7 @@ def survey(path: Path) -> Survey:
             if place.topic not in (STATUS, RAW, FACTS) or (place.topic == RAW and place.sequence is not None):
                 data_times.setdefault(place.source, []).append(place.host_ns)
         take, started, damage, names = recording.take, recording.head.started_ns, recording.damage, recording.sources
+        size = sum(file.stat().st_size for file in recording.files)
     first = min((min(series) for series in times.values()), default=started)
     last = max((max(series) for series in times.values()), default=started)
     if (
@@ -100,7 +101,7 @@ def survey(path: Path) -> Survey:
         data_came = data_times.get(name, came if status is None else [])  # of a file of other tools, events may be all there is
         sources.append(_source(name, came, data_came, numbers.get(name, []), status, (first, last)))
     listed = tuple(TopicSurvey(t, schema, len(at), sum(sizes), _rate(at)) for t, (schema, at, sizes) in sorted(topics.items()))
-    return Survey(path, take, path.stat().st_size, first, (last - first) / 1e9, tuple(sources), listed, damage)
+    return Survey(path, take, size, first, (last - first) / 1e9, tuple(sources), listed, damage)
 
 
 def _source(

@@ -1,4 +1,4 @@
-"""What is known of a take beside what its devices said. Codes only: a recording is personal data, its label must not be."""
+"""Who did what in a take, and where. Codes only, no names: the label of a recording must not be personal data."""
 
 from __future__ import annotations
 

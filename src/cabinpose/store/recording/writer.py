@@ -1,18 +1,16 @@
-"""Writing a recording: samples of several sources into one MCAP file that is worth something at every instant.
+"""Writing a recording: samples of several sources into one MCAP file that can be read at every instant.
 
-A chunk goes to the kernel when it is full or `flush_s` old, so that the death of the process costs less than that. What the
-kernel has survives the process; to survive the machine, a thread asks the disk every `sync_s` to have it all, beside the
-writing and not within, since a disk may take long to answer.
+A chunk goes to the kernel when it is full or `flush_s` old, so that the death of the process loses no more than that. To survive
+a power cut, a thread asks the disk every `sync_s` to write all of it; it is a thread of its own, since a disk may take long to
+answer.
 """
 
 from __future__ import annotations
 
-import errno
-import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +19,13 @@ from types import TracebackType
 from cabinpose import __version__
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.ports import Sample
+from cabinpose.store.part import FULL_DISK, sync
 from cabinpose.store.recording.container import DEFINITIONS_S, Compression, ContainerWriter
 from cabinpose.store.recording.messages import Record, encode, encode_json, encode_status
 from cabinpose.store.recording.schemas import (
     FACTS,
     FORMAT,
+    HOST_METADATA,
     HOST_ONLY,
     RAW,
     RAW_ENCODING,
@@ -40,7 +40,6 @@ from cabinpose.store.recording.take import Take
 
 LIBRARY = f"cabinpose {__version__}"
 PROFILE = "cabinpose"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _About = tuple[tuple[str, str], ...]
 
 
@@ -52,7 +51,7 @@ def recording_errors(path: Path) -> Iterator[None]:
     except FileExistsError:
         raise RecordingError(f"{path} exists", hint="name another file: recordings are never overwritten") from None
     except OSError as error:
-        if error.errno in _FULL:
+        if error.errno in FULL_DISK:
             raise RecordingError(
                 f"no space left while writing {path}: the recording ends before this",
                 hint="free disk space, or record to another disk; what was recorded so far is in the file",
@@ -74,18 +73,45 @@ class RecordingWriter:
         take: Take | None = None,
         *,
         rig: str = "",
+        host: Mapping[str, str] | None = None,
         started_ns: int = 0,
         compression: Compression = "none",
         chunk_bytes: int = 4 << 20,
         flush_s: float = 0.25,
         sync_s: float = 1.0,
         definitions_s: float = DEFINITIONS_S,
+        part: int | None = None,
     ) -> None:
-        """rig: the rig's configuration as YAML text, kept as an attachment · started_ns: `HostClock` time of the take ·
-        chunk_bytes, flush_s: a chunk is closed when it is so large or so old · sync_s: pause between requests to the disk to
-        hold all of it; 0 = only at the end · definitions_s: how often schemas and channels are repeated for a damaged file's sake
-        (infinite, with no call of `poll`: the same samples give the same bytes). Raises RecordingError where the file exists or
-        cannot be made.
+        """Makes the file.
+
+        Parameters
+        ----------
+        path
+            The file, which must not exist.
+        take
+            Who does what, where.
+        rig
+            The rig's configuration as YAML text, kept as an attachment.
+        host
+            Facts of the computer that records.
+        started_ns
+            `HostClock` time of the take.
+        compression
+            Of the chunks.
+        chunk_bytes, flush_s
+            A chunk is closed when it is so large or so old.
+        sync_s
+            Pause between requests to the disk to hold all of the file; 0: only at the end.
+        definitions_s
+            How often schemas and channels are repeated, so that a damaged file can be read. Infinite, with no call of `poll`:
+            the same samples give the same bytes.
+        part
+            The number of this file, from 0, of a take in several files.
+
+        Raises
+        ------
+        RecordingError
+            Where the file exists or cannot be made.
         """
         self.path = path
         self._take = take or Take()
@@ -101,10 +127,13 @@ class RecordingWriter:
             self._file = ContainerWriter(
                 path, library=LIBRARY, profile=PROFILE, compression=compression, definitions_s=definitions_s
             )
-            self._file.metadata(TAKE_METADATA, {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()})
+            values = {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()}
+            self._file.metadata(TAKE_METADATA, values if part is None else {**values, "part": str(part)})
+            if host:
+                self._file.metadata(HOST_METADATA, host)
             if rig:
                 self._file.attachment(RIG_ATTACHMENT, "application/yaml", rig.encode(), log_time=started_ns)
-            _sync_folder(path.parent)
+            sync(path.parent)
         take_channel = self._channel("", TAKE_TOPIC, "cabinpose.Take", "none", "none", ())
         self._file.add(take_channel, 0, started_ns, started_ns, [encode_json(self._take.model_dump(mode="json"))])
         with recording_errors(path):
@@ -246,12 +275,3 @@ class RecordingWriter:
 
 _U32, _U64 = (1 << 32) - 1, (1 << 64) - 1
 _LAST_NS = (1 << 63) - 1
-
-
-def _sync_folder(folder: Path) -> None:
-    """Wait until the name of a new file would survive a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -54,7 +54,7 @@ class Action:
     weight: float = 1.0
 
 
-# What every action adds: nobody sits like a statue.
+# Small spread that is added to every action: people never sit exactly still.
 BREATHING: Mapping[str, Spread] = MappingProxyType(
     {
         "lumbar.flexion": (0.0, 1.5), "lumbar.lateral": (0.0, 2.0), "lumbar.rotation": (0.0, 1.5),

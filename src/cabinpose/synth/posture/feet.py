@@ -7,16 +7,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.seat_fit import SeatFit
-
-Array = NDArray[np.float64]
 
 GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
 _PEDAL_M = 0.006  # between sole and pad
@@ -65,8 +63,8 @@ class FootGoal(NamedTuple):
 
     tool: Matrix
     target: Matrix
-    weight: Array
-    prior: Array
+    weight: Floats
+    prior: Floats
     must: bool
 
 
@@ -136,8 +134,20 @@ def foot_goals(
     person: Person, root: Matrix, seat: Seat, setting: SeatSetting, fit: SeatFit, cabin: Cabin,
     plans: tuple[FootPlan, FootPlan], *, faced: bool = False, room: tuple[float, float] = (math.inf, math.inf),
 ) -> tuple[FootGoal, FootGoal]:  # fmt: skip
-    """Where both feet go. root: `vehicle_from_root` (4, 4) · faced: somebody sits opposite, so that toes stay on the own side ·
-    room: (m) to the left and to the right of the seat's middle, beyond which neighbours have their feet.
+    """Goals of both feet.
+
+    Parameters
+    ----------
+    person, root
+        Who sits, and `vehicle_from_root` (4, 4).
+    seat, setting, fit, cabin
+        The seat, how it is set, the person's fit in it, and the car.
+    plans
+        What the left and the right foot do.
+    faced
+        Whether somebody sits opposite; toes then stay on the own side of the middle.
+    room
+        Space (m) to the left and to the right of the seat's middle before the feet of neighbours.
     """
     result = []
     for side, plan in enumerate(plans):

@@ -5,24 +5,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import body as native
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.body.kinematics import RestArrays, main_frames
 from cabinpose.scene.body.rig import BONE_INDEX
-
-Array = NDArray[np.float64]
 
 
 class Frames(NamedTuple):
     """The skeleton in the vehicle frame: rotation (23, 3, 3) and position (23, 3) of the main bones, palms, soles (2, 4, 4)."""
 
-    rotation: Array
-    position: Array
-    palms: Array
-    soles: Array
+    rotation: Floats
+    position: Floats
+    palms: Floats
+    soles: Floats
 
-    def bone(self, name: str) -> Array:
+    def bone(self, name: str) -> Floats:
         """vehicle_from_bone (4, 4)."""
         b = BONE_INDEX[name]
         result = np.eye(4)
@@ -30,7 +28,7 @@ class Frames(NamedTuple):
         return result
 
 
-def frames(q: Array, rest: RestArrays, vehicle_from_root: Array) -> Frames:
+def frames(q: Floats, rest: RestArrays, vehicle_from_root: Floats) -> Frames:
     """Forward kinematics of a posture q (D,) rad."""
     rotation, position = main_frames(q, rest, vehicle_from_root)
     palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))

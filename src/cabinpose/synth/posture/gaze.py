@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from cabinpose.core.arrays import Floats
+from cabinpose.core.frames import axis_rotation, transform
 
 HEAD_SHARE = (0.8, 0.75)  # of a gaze's yaw and pitch that the head does; the eyes do the rest (Stahl 1999)
 
 
-def head_rotation(vehicle_yaw: float, pitch: float, roll: float = 0.0) -> Array:
+def head_rotation(vehicle_yaw: float, pitch: float, roll: float = 0.0) -> Floats:
     """A head's frame (4, 4): heading `vehicle_yaw` (rad, + left), pitched up by `pitch`, tilted to the left by `roll`."""
-    cy, sy, cp, sp, cr, sr = (f(a) for a in (vehicle_yaw, -pitch, -roll) for f in (math.cos, math.sin))
-    result = np.eye(4)
-    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    tip = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    tilt = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    result[:3, :3] = yaw @ tip @ tilt
-    return result
+    return transform(axis_rotation("z", vehicle_yaw) @ axis_rotation("y", -pitch) @ axis_rotation("x", -roll))
 
 
-def look_angles(eye: Array, point: Array, heading: float) -> tuple[float, float]:
+def look_angles(eye: Floats, point: Floats, heading: float) -> tuple[float, float]:
     """Yaw (+ left, from `heading`) and pitch (+ up), rad, of the line from an eye to a point."""
     v = point - eye
     yaw = math.atan2(v[1], v[0]) - heading

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats, Ints32
 from cabinpose.core.frames import Matrix, invert
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
@@ -13,8 +13,6 @@ from cabinpose.synth.posture.feet import FootGoal
 from cabinpose.synth.posture.frames import Frames
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.solver import Goals, Sitter, solve
-
-Array = NDArray[np.float64]
 
 HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
@@ -34,7 +32,7 @@ _LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in "lr")
 def sitter(
     person: Person,
     seat: Seat,
-    q: Array,
+    q: Floats,
     root: Matrix,
     skeleton: Frames,
     hands: tuple[tuple[LimbTask, str], tuple[LimbTask, str]],
@@ -42,14 +40,27 @@ def sitter(
     head: Matrix,
     holds: tuple[bool, bool],
 ) -> Sitter:
-    """Somebody who seeks all this, from the comfortable posture on.
+    """The solver's input for one person, from the goals of hands, feet and head.
 
-    q: (D,) rad the comfortable trunk; arms and legs are taken from the tasks · root, head: `vehicle_from_root` and
-    `vehicle_from_head` (4, 4) · skeleton: of the trunk in q · hands: each palm's task, and the bone that carries its target ("":
-    the vehicle) · holds: hands that are closed around the wheel.
+    Parameters
+    ----------
+    person, seat
+        Who sits where.
+    q
+        (D,) rad, the comfortable trunk; arms and legs are taken from the tasks.
+    root, head
+        `vehicle_from_root` and `vehicle_from_head`, (4, 4).
+    skeleton
+        Of the trunk in q.
+    hands
+        Each palm's task and the bone that carries its target ("": the vehicle).
+    feet
+        Each foot's goal.
+    holds
+        Whether the left and the right hand are closed around the wheel.
     """
     q, stiffness = q.copy(), _STIFFNESS.copy()
-    rows: list[tuple[str, Matrix, str, Matrix, Array]] = []
+    rows: list[tuple[str, Matrix, str, Matrix, Floats]] = []
     for side, (task, base) in enumerate(hands):
         arm = slice(_ARM[side], _ARM[side] + 7)
         q[arm], stiffness[arm] = task.prior, _ARM_STIFFER * task.stiffness
@@ -66,13 +77,13 @@ def sitter(
     return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, middle=float(seat.design_h_point[1]))
 
 
-def given(person: Person, seat: Seat, q: Array, root: Matrix) -> Sitter:
+def given(person: Person, seat: Seat, q: Floats, root: Matrix) -> Sitter:
     """Somebody who stays as they are: q (D,) rad, root `vehicle_from_root` (4, 4)."""
     goals = Goals(q, np.zeros(len(DOFS)), q, q, root, np.zeros(6), *_arrays([("head", np.eye(4), "", np.eye(4), np.zeros(6))]))
     return Sitter(person, seat.slot, goals, q.copy(), root.copy(), stand="fixed", middle=float(seat.design_h_point[1]))
 
 
-def as_recorded(chosen: Sitter, posture: Array, upper_body: list[int], weight: float) -> Sitter:
+def as_recorded(chosen: Sitter, posture: Floats, upper_body: list[int], weight: float) -> Sitter:
     """The same person with an upper body as near to `posture` (D,) rad as car and body allow, by `weight` (1/rad)."""
     stiffness, tasks = chosen.goals.stiffness.copy(), chosen.goals.weight.copy()
     stiffness[upper_body] = weight
@@ -81,9 +92,9 @@ def as_recorded(chosen: Sitter, posture: Array, upper_body: list[int], weight: f
     return chosen._replace(goals=goals, q=posture.copy())
 
 
-def stand_on(person: Person, q: Array, root: Matrix, feet: list[tuple[int, Matrix]]) -> None:
+def stand_on(person: Person, q: Floats, root: Matrix, feet: list[tuple[int, Matrix]]) -> None:
     """Bring soles to the floor by their legs alone, in place of q (D,) rad. feet: side and floor_from_sole (4, 4) of each."""
-    rows: list[tuple[str, Matrix, str, Matrix, Array]] = []
+    rows: list[tuple[str, Matrix, str, Matrix, Floats]] = []
     posture, stiffness, lower, upper = q.copy(), np.zeros(len(q)), q.copy(), q.copy()
     for side, target in feet:
         leg = slice(_LEG[side], _LEG[side] + 6)
@@ -93,7 +104,7 @@ def stand_on(person: Person, q: Array, root: Matrix, feet: list[tuple[int, Matri
     q[:] = at_goals(Sitter(person, "", goals, posture, root))
 
 
-def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
+def turn_head(person: Person, q: Floats, root: Matrix, head: Matrix) -> None:
     """Turn neck and head alone towards `vehicle_from_head` (4, 4), in place of q (D,) rad."""
     free = [i for i, dof in enumerate(DOFS) if dof.name.startswith(("neck.", "head."))]
     lower, upper, posture, stiffness = q.copy(), q.copy(), np.zeros(len(q)), np.zeros(len(q))
@@ -103,16 +114,14 @@ def turn_head(person: Person, q: Array, root: Matrix, head: Matrix) -> None:
     q[:] = at_goals(Sitter(person, "", goals, q, root))
 
 
-def at_goals(who: Sitter) -> Array:
+def at_goals(who: Sitter) -> Floats:
     """The posture (D,) rad that somebody's goals lead to when nothing is in the way."""
     alone = who._replace(q=np.clip(who.q, who.goals.lower, who.goals.upper), root=who.root.copy())
     solve([alone], None, free=True)
     return alone.q
 
 
-def _arrays(
-    rows: list[tuple[str, Matrix, str, Matrix, Array]],
-) -> tuple[NDArray[np.int32], Array, NDArray[np.int32], Array, Array]:
+def _arrays(rows: list[tuple[str, Matrix, str, Matrix, Floats]]) -> tuple[Ints32, Floats, Ints32, Floats, Floats]:
     """bone, tool, base, target and weight of `Goals` from rows of (bone, tool, base or "", target, weight)."""
     return (
         np.array([BONE_INDEX[bone] for bone, *_ in rows], np.int32),

@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, cross
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.body.rig import LOWER
@@ -20,19 +20,17 @@ from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import SeatFit
 
-Array = NDArray[np.float64]
-
 
 class LimbTask(NamedTuple):
     """A palm's or sole's target: vehicle_from_target (4, 4), weights (3,) of position and rotation (m/rad) along and about
     the target's axes (0: free), and the comfortable posture (7 or 6,) rad with its stiffness.
     """
 
-    target: Array
-    position_weight: Array
-    rotation_weight: Array
-    prior: Array
-    stiffness: Array
+    target: Floats
+    position_weight: Floats
+    rotation_weight: Floats
+    prior: Floats
+    stiffness: Floats
 
 
 _PRESSED_M = 0.001  # of the skin around a rim
@@ -69,7 +67,7 @@ def elbow_room(person: Person) -> float:
     return float(np.clip(math.atan2(half + 0.2 * upper_arm - shoulder[1], 0.75 * upper_arm), 0.1, 0.9))
 
 
-def palm_frame(origin: Array, normal: Array, fingers: Array) -> Matrix:
+def palm_frame(origin: Floats, normal: Floats, fingers: Floats) -> Matrix:
     """A palm at `origin` whose z is `normal` and whose x lies as near to `fingers` as that allows ((3,) each)."""
     z = normal / np.linalg.norm(normal)
     y = cross(z, fingers)
@@ -143,17 +141,17 @@ def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int
     return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
 
 
-def on_surface(point: Array, fingers: Array, up: Array, prior: Array = SIDE_ARM) -> LimbTask:
+def on_surface(point: Floats, fingers: Floats, up: Floats) -> LimbTask:
     """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
     target = palm_frame(point + (0.045 - PALM_M) * up, -up, fingers)
-    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), prior, _STIFFNESS)
+    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), SIDE_ARM, _STIFFNESS)
 
 
-def at_point(point: Array, shoulder: Array, up: Array, prior: Array = REACH_ARM, finger: float = HAND_M) -> LimbTask:
+def at_point(point: Floats, shoulder: Floats, up: Floats, prior: Floats = REACH_ARM) -> LimbTask:
     """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
     direction = point - shoulder
     direction = direction / np.linalg.norm(direction)
-    target = palm_frame(point - finger * direction, -up, direction)
+    target = palm_frame(point - HAND_M * direction, -up, direction)
     return LimbTask(target, _FIRM, np.array([0.02, 0.04, 0.04]), prior, _STIFFNESS)
 
 
@@ -181,7 +179,7 @@ def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: fl
     return LimbTask(palm_frame(point, to_face, fingers), _FIRM, np.array([0.04, 0.04, 0.02]), FACE_ARM, _STIFFNESS)
 
 
-def at_belt(person: Person, skeleton: Frames, side: int, upper: Array) -> LimbTask:
+def at_belt(person: Person, skeleton: Frames, side: int, upper: Floats) -> LimbTask:
     """A hand at the shoulder belt, in front of the opposite shoulder (towards the anchor `upper` (3,))."""
     thorax = skeleton.bone("spine01")
     local = thorax[:3, :3].T @ (upper - thorax[:3, 3])

@@ -1,4 +1,4 @@
-"""What is known of a person, kept as long as the person is."""
+"""A cache of functions of a person that is released together with the person."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MOST = 96  # results kept of one function for one person: fits at ten reclines 
 
 
 def kept_with_person(function: Callable[[Person, Unpack[Args]], R]) -> Callable[[Person, Unpack[Args]], R]:
-    """A function of a person and hashable positional arguments that is worked out once, and forgotten with the person.
+    """Decorator: cache the results of a function of a person and hashable positional arguments.
 
-    Unlike an `lru_cache` it keeps nobody alive: random people come and go by the thousand. What it returns must not hold
-    the person either.
+    Unlike `lru_cache` it holds the person by a weak reference only, so that the thousands of random people of a large dataset
+    can be freed. The results must not refer to the person either.
     """
     known: WeakKeyDictionary[Person, dict[Hashable, R]] = WeakKeyDictionary()
     lock = Lock()

@@ -23,7 +23,7 @@ CLOSE_M = 0.6  # between seats whose people touch
 _ROW_M = 0.4  # fore-aft between the seats of one row
 _SHOULDER_OVER_HIP_M = 0.45
 _SHIFTED_M = 0.03  # by which neighbours move away from each other
-_FORWARD_SHARE = 0.8  # of those in the middle who give way before the others do
+_FORWARD_SHARE = 0.8  # of the people between two others who lean forward from the start
 _BESIDE_TUNNEL_M = 0.27  # from the middle of a car to what the feet of those who sit beside leave to the one in the middle
 _ASIDE_M = 0.04
 _CROWDED_OUT = frozenset(("lean_side", "phone_ear"))  # what needs the neighbour's room
@@ -92,9 +92,21 @@ def _between(seat: Seat, cabin: Cabin, taken: Sequence[str]) -> tuple[int, float
 def neighbours_of(
     person: Person, slot: str, cabin: Cabin, others: Mapping[str, Person], *, rng: np.random.Generator
 ) -> Neighbours | None:
-    """What the people around a seat mean for the one who is to sit in it; None where there is nobody near.
+    """What the people around a seat mean for the person who is to sit in it.
 
-    others: everybody else in the car by slot.
+    Parameters
+    ----------
+    person, slot, cabin
+        Who is to sit where.
+    others
+        Everybody else in the car, by slot.
+    rng
+        Decides who leans forward, and how far.
+
+    Returns
+    -------
+    Neighbours or None
+        None where nobody sits beside or opposite.
     """
     seat = cabin.seats[slot]
     row = [s for s in others if beside_each_other(seat, cabin.seats[s])]

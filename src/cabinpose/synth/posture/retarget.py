@@ -14,22 +14,16 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import MocapError
 from cabinpose.scene.body import DOF_INDEX, DOFS
 from cabinpose.store.convert.bvh import Clip
 
-Array = NDArray[np.float64]
-
 # What is needed of a recording, under the names of the CMU database's common conversions.
 _NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "pelvis": ("Hips", "hip"),
-        "thorax": ("Chest2", "Spine1", "Spine2", "chest"),
-        "head": ("Head", "head"),
-    }
+    {"pelvis": ("Hips", "hip"), "thorax": ("Chest2", "Spine1", "Spine2", "chest"), "head": ("Head", "head")}
     | {
         f"{s}{part}": tuple(name.format(side) for name in names)
         for s, side in (("l", "Left"), ("r", "Right"))
@@ -55,8 +49,8 @@ _STRAIGHT = np.radians((12.0, 30.0))  # flexion below which, and above which, th
 class RetargetedMotion(NamedTuple):
     """A retargeted recording: q (F, D) rad, within the limits, and world_from_root's rotation (F, 3, 3)."""
 
-    q: Array
-    root: Array
+    q: Floats
+    root: Floats
 
 
 def retarget(clip: Clip) -> RetargetedMotion:
@@ -91,15 +85,15 @@ def _find_joints(clip: Clip) -> dict[str, int]:
     return found
 
 
-def _relative(a: Array, b: Array) -> Array:
+def _relative(a: Floats, b: Floats) -> Floats:
     return np.swapaxes(a, -1, -2) @ b
 
 
-def _set(q: Array, name: str, values: Array) -> None:
+def _set(q: Floats, name: str, values: Floats) -> None:
     q[:, DOF_INDEX[name]] = values
 
 
-def _trunk(q: Array, rotation: Array, names: tuple[str, str], shares: tuple[float, float, float]) -> None:
+def _trunk(q: Floats, rotation: Floats, names: tuple[str, str], shares: tuple[float, float, float]) -> None:
     """Split one rotation Ry(flexion) Rx(-lateral) Rz(rotation) between two joints."""
     angles = Rotation.from_matrix(rotation).as_euler("YXZ") * (1.0, -1.0, 1.0)
     for k, axis in enumerate(("flexion", "lateral", "rotation")):
@@ -107,14 +101,14 @@ def _trunk(q: Array, rotation: Array, names: tuple[str, str], shares: tuple[floa
         _set(q, f"{names[1]}.{axis}", (1.0 - shares[k]) * angles[:, k])
 
 
-def _directions(clip: Clip, base: Array, a: int, b: int) -> Array:
+def _directions(clip: Clip, base: Floats, a: int, b: int) -> Floats:
     """Unit vectors (F, 3) from joint a to joint b, in the frame `base` (F, 3, 3)."""
     v = clip.positions[:, b] - clip.positions[:, a]
     v = v / np.linalg.norm(v, axis=1, keepdims=True)
     return (np.swapaxes(base, 1, 2) @ v[:, :, None])[:, :, 0]
 
 
-def ball_from_direction(direction: Array, sign: float) -> tuple[Array, Array]:
+def ball_from_direction(direction: Floats, sign: float) -> tuple[Floats, Floats]:
     """Flexion and abduction (rad) of a shoulder or hip whose limb points along `direction` (F, 3) of the near segment.
 
     From Ry(-flexion) Rx(sign abduction) (0, 0, -1) = direction, with abduction within a right angle.
@@ -127,8 +121,8 @@ def ball_from_direction(direction: Array, sign: float) -> tuple[Array, Array]:
 
 
 def _ball(
-    q: Array, name: str, direction: Array, distal: Array, recorded: Array, sign: float, bends: float
-) -> tuple[Array, Array]:
+    q: Floats, name: str, direction: Floats, distal: Floats, recorded: Floats, sign: float, bends: float
+) -> tuple[Floats, Floats]:
     """Set the three angles of a shoulder or hip, and return its rotation (F, 3, 3) and the flexion of the hinge behind it.
 
     direction, distal: (F, 3) of the two segments in the near one's frame · recorded: (F, 3, 3) the recorded rotation,
@@ -159,18 +153,18 @@ def _ball(
     return rotation, hinge
 
 
-def _raised(flexion: Array, abduction: Array, sign: float) -> Array:
+def _raised(flexion: Floats, abduction: Floats, sign: float) -> Floats:
     return Rotation.from_euler("YX", np.stack((-flexion, sign * abduction), axis=1)).as_matrix()
 
 
-def _blend(from_plane: Array, from_record: Array, flexion: Array) -> Array:
+def _blend(from_plane: Floats, from_record: Floats, flexion: Floats) -> Floats:
     """The twist: from the hinge's plane where the limb is bent, from the recording where it is straight."""
     weight = np.clip((flexion - _STRAIGHT[0]) / (_STRAIGHT[1] - _STRAIGHT[0]), 0.0, 1.0)
     difference = (from_plane - from_record + np.pi) % (2 * np.pi) - np.pi
     return from_record + weight * difference
 
 
-def _arm(q: Array, clip: Clip, joint: Mapping[str, int], side: str, sign: float) -> None:
+def _arm(q: Floats, clip: Clip, joint: Mapping[str, int], side: str, sign: float) -> None:
     thorax = clip.rotations[:, joint["thorax"]]
     upper = _directions(clip, thorax, joint[side + "shoulder"], joint[side + "elbow"])
     lower = _directions(clip, thorax, joint[side + "elbow"], joint[side + "wrist"])
@@ -185,7 +179,7 @@ def _arm(q: Array, clip: Clip, joint: Mapping[str, int], side: str, sign: float)
     _set(q, side + "wrist.radial", -angles[:, 2])
 
 
-def _leg(q: Array, clip: Clip, joint: Mapping[str, int], side: str, sign: float) -> None:
+def _leg(q: Floats, clip: Clip, joint: Mapping[str, int], side: str, sign: float) -> None:
     pelvis = clip.rotations[:, joint["pelvis"]]
     thigh = _directions(clip, pelvis, joint[side + "hip"], joint[side + "knee"])
     shank_direction = _directions(clip, pelvis, joint[side + "knee"], joint[side + "ankle"])

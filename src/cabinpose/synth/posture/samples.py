@@ -6,17 +6,15 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import body as native
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene.body import SEGMENTS, Person
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, MAIN_BONES
 from cabinpose.scene.body.shape import load_shape_space
 from cabinpose.scene.contact.pairs import SOLID_OF_SEGMENT, SOLIDS
 from cabinpose.synth.posture.memory import kept_with_person
-
-Array = NDArray[np.float64]
 
 # Points of each solid: the median way to the next one is 24 to 28 mm on hands, forearms and feet, up to 54 mm elsewhere.
 _COUNTS = {"torso": 192, "head": 40, "upper_arm": 64, "forearm": 64, "hand": 40, "thigh": 96, "shin": 56, "foot": 72}
@@ -36,14 +34,14 @@ class Samples(NamedTuple):
     and (N,) m, of these: from and before which sample the others are nearest to it, and how far the farthest is.
     """
 
-    rest: Array
-    normal: Array
-    skin_index: NDArray[np.uint8]
-    skin_weight: NDArray[np.float32]
-    bone: NDArray[np.int32]
-    rows: NDArray[np.int64]
-    around: NDArray[np.int64]
-    reach: Array
+    rest: Floats
+    normal: Floats
+    skin_index: Bytes
+    skin_weight: Floats32
+    bone: Ints32
+    rows: Ints
+    around: Ints
+    reach: Floats
 
 
 def _main_bone(bone: int) -> int:
@@ -54,7 +52,7 @@ def _main_bone(bone: int) -> int:
     return BONE_INDEX[side + _MAIN_OF_HELPER.get(stem, "hand")]  # the rest are fingers
 
 
-def spread(points: Array, count: int) -> NDArray[np.int64]:
+def spread(points: Floats, count: int) -> Ints:
     """Numbers of `count` of the points (N, 3) that lie far from each other: each next one furthest from those before it."""
     chosen = [int(np.argmax(points[:, 0]))]
     distance = np.full(len(points), np.inf)
@@ -67,10 +65,10 @@ def spread(points: Array, count: int) -> NDArray[np.int64]:
 class _Chosen(NamedTuple):
     """What is the same for everybody: vertices (N,), and bone, rows and around of `Samples`."""
 
-    vertices: NDArray[np.int64]
-    bone: NDArray[np.int32]
-    rows: NDArray[np.int64]
-    around: NDArray[np.int64]
+    vertices: Ints
+    bone: Ints32
+    rows: Ints
+    around: Ints
 
 
 @cache

@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.arrays import Floats
+from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
@@ -41,8 +41,6 @@ from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.profiles import Profile
 
-Array = NDArray[np.float64]
-
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
@@ -67,7 +65,7 @@ class OccupantPose:
     held_up_by: what was most in the way then, "" where nothing was.
     """
 
-    q: Array
+    q: Floats
     vehicle_from_root: Matrix
     action: str
     wheel_angle: float | None
@@ -82,7 +80,7 @@ class _Hand(NamedTuple):
     place: Place
     noise: tuple[float, float, float]
     clock: float
-    point: Array | None
+    point: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,45 +95,27 @@ class _Situation:
     root: Matrix
     wheel: SteeringWheel | None
     wheel_angle: float
-    comfort: Array  # (2, 7) what each arm's prior departs by, rad
+    comfort: Floats  # (2, 7) what each arm's prior departs by, rad
     close: tuple[bool, bool]  # neighbours within touch, at the left hand and at the right
 
     @property
-    def up(self) -> Array:
+    def up(self) -> Floats:
         return np.array([0.0, 0.0, 1.0])
 
     @property
-    def forward(self) -> Array:
+    def forward(self) -> Floats:
         return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
 
 
-def random_action(
-    seat: Seat,
-    cabin: Cabin,
-    *,
-    rng: np.random.Generator,
-    among: tuple[str, ...] | None = None,
-    left_out: frozenset[str] = frozenset(),
-) -> str:
-    """An action that makes sense in a seat, by the actions' weights, or evenly from `among` (those that make sense).
-
-    left_out: what is not chosen by weight. Raises ConfigError where none of `among` makes sense here.
-    """
-    known = actions_for(seat, cabin)
-    if among is not None:
-        names = tuple(n for n in among if n in known)
-        if not names:
-            raise ConfigError(
-                f"none of the actions {', '.join(among)} makes sense in the {seat.slot} seat of the {cabin.name}",
-                hint=f"there: {', '.join(known)}",
-            )
-        return names[int(rng.integers(len(names)))]
-    known = tuple(name for name in known if name not in left_out) or known
+def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, left_out: frozenset[str] = frozenset()) -> str:
+    """An action that makes sense in a seat, drawn by the actions' weights; none of those `left_out`, unless all are."""
+    everything = actions_for(seat, cabin)
+    known = tuple(name for name in everything if name not in left_out) or everything
     return known[int(rng.choice(len(known), p=_shares(known)))]
 
 
 @lru_cache(maxsize=64)
-def _shares(actions: tuple[str, ...]) -> Array:
+def _shares(actions: tuple[str, ...]) -> Floats:
     """The probability of each action in a random choice among them."""
     weights = np.array([ACTIONS[n].weight for n in actions])
     return np.asarray(weights / weights.sum())
@@ -143,7 +123,7 @@ def _shares(actions: tuple[str, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What one person seeks, drawn once, and where the search for it begins: for `settled`.
+    """The goals of one person, drawn once, and the start of the solver's search: the input of `settled`.
 
     must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame.
     """
@@ -151,8 +131,8 @@ class Drawn:
     sitter: Sitter
     action: str
     wheel_angle: float | None
-    must: Array
-    h_point: Array
+    must: Floats
+    h_point: Floats
 
 
 def draw_pose(
@@ -160,13 +140,38 @@ def draw_pose(
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
-    """What `person` in `seat` seeks: the action's places for hands, head and trunk, feet on pedals or floor.
+    """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
-    An `initial` pose takes the place of what its degrees of freedom would seek. A profile comes on top of it: what it holds
-    stands, and hands of arms that it does not name stay on the rim or in the lap. `index` is the combination of an incremental
-    profile, or the pose of a recording; `offset` is how the pelvis sits off the seat's place; `neighbours`
-    is what those beside and opposite mean for it.
-    Raises ConfigError for an action that makes no sense here, MocapError for an unfit recording.
+    Parameters
+    ----------
+    person, seat, setting, cabin
+        Who sits where, and how the seat is set.
+    action
+        Name of the action, of `ACTIONS`.
+    profile
+        Motion profile on top of the action: the degrees of freedom that it holds are fixed; hands of arms that it does not name
+        stay on the rim or in the lap.
+    initial
+        Profile that holds an initial pose, in place of the goals of its degrees of freedom.
+    index
+        Combination of an incremental profile, or pose of a recording.
+    offset
+        Of the pelvis from the seat's place.
+    neighbours
+        What the people beside and opposite mean for this person; None where there is nobody.
+    rng
+        Source of all randomness.
+
+    Returns
+    -------
+    Drawn
+
+    Raises
+    ------
+    ConfigError
+        For an action that makes no sense in this seat.
+    MocapError
+        For a recording that cannot be used.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -226,7 +231,22 @@ def draw_pose(
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
-    """The poses of people who sit down together, in the car as `placed`, among those `around` who stay as they are."""
+    """Solve the poses of people who take their seats together.
+
+    Parameters
+    ----------
+    drawn
+        Their goals.
+    around
+        People whose poses stay as they are.
+    placed
+        The car's distance fields at the seats' settings; None: without a car.
+
+    Returns
+    -------
+    list of OccupantPose
+        In the order of `drawn`.
+    """
     sitters = [d.sitter for d in drawn]
     left = solve((*sitters, *around), placed)
     result = []
@@ -327,7 +347,7 @@ def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     return random
 
 
-def _move_trunk(q: Array, action: Action, side_sign: float, rng: np.random.Generator) -> None:
+def _move_trunk(q: Floats, action: Action, side_sign: float, rng: np.random.Generator) -> None:
     for name, spread in BREATHING.items():
         value = _draw(spread, rng)
         if name in action.trunk:

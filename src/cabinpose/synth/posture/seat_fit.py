@@ -14,16 +14,14 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bools, Floats, Floats32, Ints
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
 from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.memory import kept_with_person
-
-Array = NDArray[np.float64]
 
 BACK_SAG_M = 0.022  # of the skin behind the backrest's free surface
 CUSHION_SAG_M = 0.038  # of the buttocks below the cushion's free surface
@@ -42,19 +40,17 @@ _FEMUR_STATIONS = 11
 class SeatFit:
     """A person's trunk and thighs in a seat, in the seat's frame (origin H-point, x forward, z up), whatever its travel.
 
-    q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above
-    the horizontal while the thigh rests on the cushion, rad · h_offset_m: distance of the femur heads' middle from the
-    H-point · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest · thigh_top: (11,) height of the skin above
-    the femur's axis, from hip to knee.
+    q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above the
+    horizontal while the thigh rests on the cushion, rad · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest ·
+    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee.
     """
 
-    q: Array
+    q: Floats
     seat_from_root: Matrix
     thigh_angle: float
-    h_offset_m: float
-    shoulders: Array
-    front: NDArray[np.float32]
-    thigh_top: Array
+    shoulders: Floats
+    front: Floats32
+    thigh_top: Floats
 
 
 def fit_seat(person: Person, seat: Seat, torso_angle: float) -> SeatFit:
@@ -67,7 +63,7 @@ def common_fit(person: Person) -> SeatFit:
     return _fit(person, *_COMMON_SEAT)
 
 
-def _posture(pitch: float, thigh: float) -> Array:
+def _posture(pitch: float, thigh: float) -> Floats:
     """Trunk with the pelvis pitched back by `pitch`, femurs at `thigh` above the horizontal, shanks vertical (rad)."""
     q = np.zeros(len(DOFS))
     q[DOF_INDEX["lumbar.flexion"]], q[DOF_INDEX["thorax.flexion"]] = _LUMBAR, _THORAX
@@ -79,18 +75,18 @@ def _posture(pitch: float, thigh: float) -> Array:
     return q
 
 
-def _root(pitch: float, place: Array) -> Matrix:
+def _root(pitch: float, place: Floats) -> Matrix:
     return transform(axis_rotation("y", -pitch), place)
 
 
 class _Skin(NamedTuple):
     """Skin of trunk and thighs, the same for everybody: numbers of the vertices (N,), and which of them are where (N,)."""
 
-    rows: NDArray[np.intp]
-    trunk: NDArray[np.bool_]
-    seated: NDArray[np.bool_]
-    thighs: NDArray[np.bool_]
-    left_thigh: NDArray[np.bool_]
+    rows: Ints
+    trunk: Bools
+    seated: Bools
+    thighs: Bools
+    left_thigh: Bools
 
 
 @cache
@@ -105,14 +101,14 @@ def _indices(*segments: str) -> list[int]:
     return [SEGMENTS.index(s) for s in segments]
 
 
-def _lower_half(height: Array, of: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _lower_half(height: Floats, of: Bools) -> Ints:
     """Which of (N,) heights, of those for which `of` holds, are at most the middle one."""
     which = np.flatnonzero(of)
     there = height[which]
     return which[there <= np.partition(there, len(there) // 2)[len(there) // 2]]
 
 
-def _lowest(values: Array, count: int) -> float:
+def _lowest(values: Floats, count: int) -> float:
     """The mean of the `count` least of (N,) values."""
     return float(np.partition(values, count - 1)[:count].mean())
 
@@ -160,10 +156,10 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
     front = skin[mesh.trunk & (skin @ normal > 0.0)][::4].astype(np.float32)
     thigh_top = _thigh_top(skin[mesh.left_thigh], skeleton.bone("lthigh"), femur)
-    return SeatFit(q, root, thigh, float(np.linalg.norm(place)), shoulders, front, thigh_top)
+    return SeatFit(q, root, thigh, shoulders, front, thigh_top)
 
 
-def _thigh_top(skin: Array, vehicle_from_thigh: Matrix, femur: float) -> Array:
+def _thigh_top(skin: Floats, vehicle_from_thigh: Matrix, femur: float) -> Floats:
     """Height of a left thigh's skin (N, 3) above the femur's axis (towards the front) at stations from hip to knee."""
     local = (skin - vehicle_from_thigh[:3, 3]) @ vehicle_from_thigh[:3, :3]
     middle = np.abs(local[:, 1]) < 0.05

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import fit_seat
-
-Array = NDArray[np.float64]
 
 # Preferred driving posture (Porter and Gyi 1998, "Exploring the optimum posture for driver comfort"): knee 121 deg
 # and elbow 128 deg between the segments, with the spread of their 55 drivers.
@@ -164,13 +162,13 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
     return best[1]
 
 
-def _flexion(upper: float, lower: float, distance: Array) -> Array:
+def _flexion(upper: float, lower: float, distance: Floats) -> Floats:
     """Flexion (N,) rad of the hinge between two segments whose ends are `distance` (N,) apart; 0 where it is too far."""
     cosine = (upper * upper + lower * lower - distance * distance) / (2 * upper * lower)
     return np.asarray(np.pi - np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _under_rim(hip: Array, ankle: Array, thigh: float, shin: float, rim: Array, top: float) -> Array:
+def _under_rim(hip: Floats, ankle: Floats, thigh: float, shin: float, rim: Floats, top: float) -> Floats:
     """Height (N,) m of a point of the rim above the skin of a thigh, in side view: the knee from hips (N, 3), upwards."""
     x, z = (ankle - hip)[:, [0, 2]].T
     reach = np.minimum(np.hypot(x, z), thigh + shin - 1e-6)

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cabinpose._native import pose as native
+from cabinpose.core.arrays import Floats, Ints32
 from cabinpose.core.frames import Matrix
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person
@@ -20,8 +20,6 @@ from cabinpose.scene.contact import PlacedField
 from cabinpose.scene.contact.field import WHEEL_GROUP
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLIDS
 from cabinpose.synth.posture.samples import samples_of
-
-Array = NDArray[np.float64]
 
 _OF_TOLERANCE = 0.0  # of what the verdict lets a body's own solids overlap
 _OF_FOLDS = 1.0  # the same between trunk and thighs: sitting makes folds there
@@ -48,17 +46,17 @@ class Goals(NamedTuple):
     base_from_target · weight: (T, 6) along and about the target's axes, 1/m and 1/rad, 0 where it is free.
     """
 
-    posture: Array
-    stiffness: Array
-    lower: Array
-    upper: Array
+    posture: Floats
+    stiffness: Floats
+    lower: Floats
+    upper: Floats
     root: Matrix
-    root_weight: Array
-    bone: NDArray[np.int32]
-    tool: Array
-    base: NDArray[np.int32]
-    target: Array
-    weight: Array
+    root_weight: Floats
+    bone: Ints32
+    tool: Floats
+    base: Ints32
+    target: Floats
+    weight: Floats
 
 
 class Sitter(NamedTuple):
@@ -71,7 +69,7 @@ class Sitter(NamedTuple):
     person: Person
     slot: str
     goals: Goals
-    q: Array
+    q: Floats
     root: Matrix
     holds: tuple[bool, bool] = (False, False)
     stand: Stand = "fresh"
@@ -84,7 +82,7 @@ class Left(NamedTuple):
     squeeze_m: more than is allowed (0: none) · into: the solid, group or person's solid that does not give way, by name.
     """
 
-    missed: Array
+    missed: Floats
     squeeze_m: float
     solid: str
     into: str
@@ -95,7 +93,7 @@ def _side(solid: str) -> int:
     return {"l": 1, "r": -1}[solid[0]] if solid[1:] in ("hand", "forearm", "thigh", "shin", "foot") else 0
 
 
-def _pairs() -> tuple[Array, ...]:
+def _pairs() -> tuple[Floats, ...]:
     rank = {name: _FINE.index(name if name in _FINE else name[1:]) for name in SOLIDS}
     folds = {"torso", "lthigh", "rthigh"}
     ordered = [sorted((p.one, p.two), key=rank.__getitem__) for p in PAIRS]

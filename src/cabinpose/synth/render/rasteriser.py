@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cabinpose._native import raster as native
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
@@ -23,7 +25,6 @@ SEE_THROUGH: tuple[int, ...] = (MATERIAL["spectacle_lens"],)
 _NONE, _SOME, _ALL = 0, 1, 2  # which pixels are seen in parts
 _LOOKED_THROUGH, _TWO_SIDED = 1, 2  # bits of a material
 _CACHE_LINE = 64  # bytes
-_F64 = NDArray[np.float64]
 
 
 class RenderedFrame(NamedTuple):
@@ -34,12 +35,12 @@ class RenderedFrame(NamedTuple):
     visibility: (P, 20) uint8 states of the joints that were asked for.
     """
 
-    depth_clean: NDArray[np.float32]
-    labels: NDArray[np.uint8]
-    instance: NDArray[np.uint8]
-    face_id: NDArray[np.int32]
+    depth_clean: Floats32
+    labels: Bytes
+    instance: Bytes
+    face_id: Ints32
     buffers: GeometryBuffers
-    visibility: NDArray[np.uint8]
+    visibility: Bytes
 
 
 class Rasteriser:
@@ -78,7 +79,8 @@ class Rasteriser:
         looks[list(see_through)] = _LOOKED_THROUGH
         looks[MATERIAL["belt_webbing"]] |= _TWO_SIDED  # a ribbon that twists shows its back
         rays = np.stack([in_parts(fine.rays[..., k].astype(np.float32), supersample) for k in (0, 1)], axis=1)
-        self._eye = _Eye(camera.width, camera.height, supersample, _lens(camera), _blocks(camera), rays, looks, which)
+        # `Eye` of raster/render.hpp
+        self._eye = camera.width, camera.height, supersample, _lens(camera), _blocks(camera), rays, looks, which
         shape = (camera.height, camera.width)
         samples = fine.height * fine.width
         self._buffers = _Buffers(
@@ -139,53 +141,13 @@ class Rasteriser:
         return RenderedFrame(images.depth, images.label, images.instance, images.face, buffers, states)
 
 
-class _Lens(NamedTuple):
-    """The projection of a camera, as the compiled `Lens`."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    dist: _F64
-    box: _F64
-    curvature: float
+# What the kernel fills: `Images` and `Buffers` of raster/render.hpp, the images of the pixels' centres and room for the
+# `GeometryBuffers` of any frame.
+_Images = namedtuple("_Images", "depth label instance face")
+_Buffers = namedtuple("_Buffers", "depth cosine material mixed parts_depth parts_cosine parts_material")
 
 
-class _Eye(NamedTuple):
-    """A camera as the compiled `Eye`."""
-
-    width: int
-    height: int
-    supersample: int
-    lens: _Lens
-    rays: NDArray[np.float32]
-    part_rays: NDArray[np.float32]
-    looks: NDArray[np.uint8]
-    which: int
-
-
-class _Images(NamedTuple):
-    """Images of the pixels' centres, as the compiled `Images`."""
-
-    depth: NDArray[np.float32]
-    label: NDArray[np.uint8]
-    instance: NDArray[np.uint8]
-    face: NDArray[np.int32]
-
-
-class _Buffers(NamedTuple):
-    """Room for the `GeometryBuffers` of any frame, as the compiled `Buffers`."""
-
-    depth: NDArray[np.float32]
-    cosine: NDArray[np.float32]
-    material: NDArray[np.uint8]
-    mixed: NDArray[np.int32]
-    parts_depth: NDArray[np.float32]
-    parts_cosine: NDArray[np.float32]
-    parts_material: NDArray[np.uint8]
-
-
-def _blocks(camera: Camera) -> NDArray[np.float32]:
+def _blocks(camera: Camera) -> Floats32:
     """Rays x and y of a camera's pixels as blocks (n, 2, 8), filled up with NaN to whole ones; they start at a cache line."""
     rows, columns = native.BLOCK_ROWS, native.BLOCK_COLUMNS
     down, across = -(-camera.height // rows), -(-camera.width // columns)
@@ -199,16 +161,17 @@ def _blocks(camera: Camera) -> NDArray[np.float32]:
     return aligned
 
 
-def _lens(camera: Camera) -> _Lens:
+def _lens(camera: Camera) -> tuple[float | Floats, ...]:
+    """The projection of a camera: the members of `Lens` in raster/projection.hpp."""
     rays = camera.rays.reshape(-1, 2)
     if np.isnan(rays).all():
         raise ConfigError("no pixel of this camera has a ray", hint="check the distortion coefficients and the focal length")
     margin = 1.0 / min(camera.fx, camera.fy)  # a pixel
     box = np.concatenate((np.nanmin(rays, axis=0) - margin, np.nanmax(rays, axis=0) + margin))
-    return _Lens(camera.fx, camera.fy, camera.cx, camera.cy, np.array(camera.dist, np.float64), box, _curvature(camera, box))
+    return camera.fx, camera.fy, camera.cx, camera.cy, np.array(camera.dist, np.float64), box, _curvature(camera, box)
 
 
-def _curvature(camera: Camera, box: _F64) -> float:
+def _curvature(camera: Camera, box: Floats) -> float:
     """A bound (pixels) on the second derivative of ideal coordinates -> pixels in the box; 0 for a pinhole.
 
     Central differences on a grid of the box, as the Frobenius norm of the Hessians, with a fifth to spare for what lies
@@ -220,7 +183,7 @@ def _curvature(camera: Camera, box: _F64) -> float:
     xy = np.stack((x, y), axis=-1)
     h = 1e-3
 
-    def at(dx: float, dy: float) -> _F64:
+    def at(dx: float, dy: float) -> Floats:
         return camera.distort(xy + (dx * h, dy * h))
 
     xx = (at(1, 0) - 2 * at(0, 0) + at(-1, 0)) / h**2

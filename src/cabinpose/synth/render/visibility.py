@@ -23,8 +23,8 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cabinpose.core.arrays import Bools, Floats
 from cabinpose.core.skeleton import JOINTS, REACH_M
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import MATERIALS
@@ -62,7 +62,7 @@ OWN_PARTS = MappingProxyType(_own_parts())
 
 
 @cache
-def visibility_rules() -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+def visibility_rules() -> tuple[Bools, Floats, Bools, Bools]:
     """(own (20, 256) by joint and label, reach (20,) m, passed-over labels (256,), passed-over materials (256,))."""
     own = np.zeros((len(JOINTS), 256), np.bool_)
     for j, joint in enumerate(JOINTS):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +19,17 @@ from pydantic import Field
 from cabinpose.core.camera import Camera
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
-from cabinpose.core.intrinsics import CameraFit, fit_camera
 from cabinpose.core.recorded import ToFFrame
+from cabinpose.record.sources.counting import DeviceClock, FrameNumbers
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.record.sources.tof.camera import (
     CameraSettings,
     CameraSource,
     MalformedFrameError,
     depth_image,
+    frame_of,
     rays_of_points,
 )
-from cabinpose.record.sources.tof.counting import DeviceClock, FrameNumbers
 
 _TURN = 2**32
 _DEVICE_TYPES = {"any": 0, "ethernet": 1, "usb": 2, "uart": 3, "bltstream": 0xF}
@@ -49,10 +49,10 @@ class BtaSettings(CameraSettings):
     frame_mode: str = Field("xyz_amplitude", description=f"what a frame holds: {', '.join(bta.FRAME_MODES)}")
 
 
-class BtaSource(CameraSource):
+class BtaSource(CameraSource[BtaSettings]):
     """A `FrameSource` of a camera of Bluetechnix."""
 
-    Settings = BtaSettings
+    Settings: ClassVar = BtaSettings
 
     def __init__(self, name: str, settings: BtaSettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)
@@ -63,23 +63,21 @@ class BtaSource(CameraSource):
                 f"frames of mode {settings.frame_mode} do not show the camera's intrinsics",
                 hint="state them with `lens`, or ask for xyz_amplitude",
             )
-        self._settings = settings
         self._library: Any = None
         self._handle = ctypes.c_void_p()
         self._callback: Any = None
-        self._numbers = FrameNumbers(self._counts, _TURN)
+        self._numbers = FrameNumbers(self.counts, _TURN)
         self._device_clock = DeviceClock(1000, _TURN)
-        self._fit: CameraFit | None = None
 
     def _missing(self) -> Sequence[str]:
-        bta.version(bta.load_library(self._settings.library))
-        recording = self._settings.recording
+        bta.version(bta.load_library(self.settings.library))
+        recording = self.settings.recording
         if recording is not None and not recording.is_file():
             return [f"{recording} does not exist (check the path)"]
         return []
 
     def _connect(self) -> None:
-        library = bta.load_library(self._settings.library)
+        library = bta.load_library(self.settings.library)
         major, minor, patch = bta.version(library)
         config = bta.Config()
         bta.succeed(library.BTAinitConfig(ctypes.byref(config)), "BTAinitConfig")
@@ -90,11 +88,11 @@ class BtaSource(CameraSource):
         bta.succeed(library.BTAopen(ctypes.byref(config), ctypes.byref(handle)), "BTAopen")
         del kept  # the library copies what the configuration points to
         self._library, self._handle = library, handle
-        self._state("camera", vendor="Bluetechnix", library=f"{major}.{minor}.{patch}", frame_mode=self._settings.frame_mode)
+        self._state("camera", vendor="Bluetechnix", library=f"{major}.{minor}.{patch}", frame_mode=self.settings.frame_mode)
 
     def _fill(self, config: bta.Config) -> list[Any]:
         """Put the settings into a configuration; gives what it points to."""
-        settings = self._settings
+        settings = self.settings
         kept: list[Any] = []
         config.device_type = _DEVICE_TYPES["bltstream" if settings.recording is not None else settings.device]
         config.frame_mode = bta.FRAME_MODES[settings.frame_mode]
@@ -119,7 +117,7 @@ class BtaSource(CameraSource):
         try:
             payload = bta.copied(frame.contents)
         except (MalformedFrameError, ValueError):  # ValueError: a null pointer
-            self._counts.malformed += 1
+            self.counts.malformed += 1
             return
         self._deliver(payload)
 
@@ -133,9 +131,9 @@ class BtaSource(CameraSource):
         return self._library is not None and bool(self._library.BTAisConnected(self._handle))
 
     def _number(self, payload: bta.BtaFrame, host_ns: int) -> tuple[int, int | None]:
-        restarts = self._counts.restarts
+        restarts = self.counts.restarts
         sequence = self._numbers.number(payload.counter)
-        if self._counts.restarts > restarts:
+        if self.counts.restarts > restarts:
             self._device_clock.restart()
         return sequence, self._device_clock.device_ns(payload.stamp_us, host_ns)
 
@@ -149,18 +147,12 @@ class BtaSource(CameraSource):
         if len(sizes) != 1:
             raise MalformedFrameError(f"channels of sizes {sorted(sizes)}")
         (height, width) = sizes.pop()
-        camera = self._intrinsics(channels, width, height)
+        camera = self._lens(width, height, lambda: _rays(channels))
         z_m = self._depth(channels, camera)
-        valid = np.isfinite(z_m) & (z_m > 0)
-        confidence = np.zeros((0, 0), np.uint8)
-        if bta.CONFIDENCE in channels:
-            confidence = _to_byte(channels[bta.CONFIDENCE].values)
-        amplitude = np.zeros((0, 0), np.uint16)
-        if bta.AMPLITUDE in channels:
-            amplitude = np.clip(np.nan_to_num(channels[bta.AMPLITUDE].values), 0, 65535).astype(np.uint16)
-        unit = self._settings.depth_unit_m
-        dist = np.array(camera.dist)
-        return ToFFrame(depth_image(z_m, valid, unit), unit, amplitude, confidence, camera.k, dist, dist)
+        unit = self.settings.depth_unit_m
+        depth = depth_image(z_m, np.isfinite(z_m) & (z_m > 0), unit)
+        amplitude, confidence = (channels[c].values if c in channels else None for c in (bta.AMPLITUDE, bta.CONFIDENCE))
+        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence)
 
     def _depth(self, channels: Mapping[int, bta.BtaChannel], camera: Camera) -> NDArray[np.float64]:
         """Depth along the axis, m, NaN where the device marks a pixel as invalid."""
@@ -170,21 +162,13 @@ class BtaSource(CameraSource):
             raise MalformedFrameError("neither Z nor distances")
         return camera.depth_from_range(_metres(channels[bta.DISTANCE]))
 
-    def _intrinsics(self, channels: Mapping[int, bta.BtaChannel], width: int, height: int) -> Camera:
-        """As the user states them, or fitted to the points of the first frame that shows enough."""
-        if self._settings.lens is not None:
-            return self._settings.lens.camera(width, height)
-        if self._fit is None or (self._fit.camera.width, self._fit.camera.height) != (width, height):
-            self._fit = None
-            if {bta.X, bta.Y, bta.Z} <= channels.keys():
-                points = np.stack([_metres(channels[c]) for c in (bta.X, bta.Y, bta.Z)], axis=-1)
-                rays = rays_of_points(points, np.isfinite(points).all(axis=-1) & (points[..., 2] > 0))
-                self._fit = fit_camera(_image_axes(rays))
-                if self._fit is not None:
-                    self._state("intrinsics", fitted_to_points=True, rms_px=self._fit.rms_px, max_px=self._fit.max_px)
-        if self._fit is None:
-            raise MalformedFrameError("no intrinsics: state them with `lens`, or ask for a frame mode with xyz")
-        return self._fit.camera
+
+def _rays(channels: Mapping[int, bta.BtaChannel]) -> NDArray[np.float64] | None:
+    """The rays of a frame's points; None where it has none."""
+    if not {bta.X, bta.Y, bta.Z} <= channels.keys():
+        return None
+    points = np.stack([_metres(channels[c]) for c in (bta.X, bta.Y, bta.Z)], axis=-1)
+    return _image_axes(rays_of_points(points, np.isfinite(points).all(axis=-1) & (points[..., 2] > 0)))
 
 
 def _metres(channel: bta.BtaChannel) -> NDArray[np.float64]:
@@ -204,10 +188,3 @@ def _image_axes(rays: NDArray[np.float64]) -> NDArray[np.float64]:
         if np.nanmedian(steps) < 0 if np.isfinite(steps).any() else False:
             result[..., axis] *= -1
     return result
-
-
-def _to_byte(values: NDArray[Any]) -> NDArray[np.uint8]:
-    """A confidence as 0..255: bytes as they are, wider integers by their high byte, floats as 0..1."""
-    if values.dtype.kind == "f":
-        return np.rint(np.clip(np.nan_to_num(values), 0, 1) * 255).astype(np.uint8)
-    return (np.clip(values, 0, None).astype(np.uint64) >> (8 * (values.dtype.itemsize - 1))).astype(np.uint8)

@@ -22,108 +22,50 @@ DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20
 METRE, MILLIMETRE = 1, 3
 MOST_CHANNELS = 64
 FRAME_MODES: Mapping[str, int] = {
-    "current": 0,
-    "distance_amplitude": 1,
-    "z_amplitude": 2,
-    "distance_amplitude_flags": 3,
-    "xyz": 4,
-    "xyz_amplitude": 5,
-    "xyz_amplitude_flags": 7,
-    "distance_amplitude_confidence": 21,
-}
-_DTYPES: Mapping[int, str] = {
-    0x11: "<u1",
-    0x12: "<u2",
-    0x14: "<u4",
-    0x22: "<i2",
-    0x24: "<i4",
-    0x34: "<f4",
-    0x38: "<f8",
-}
+    "current": 0, "distance_amplitude": 1, "z_amplitude": 2, "distance_amplitude_flags": 3, "xyz": 4, "xyz_amplitude": 5,
+    "xyz_amplitude_flags": 7, "distance_amplitude_confidence": 21,
+}  # fmt: skip
+_DTYPES: Mapping[int, str] = {0x11: "<u1", 0x12: "<u2", 0x14: "<u4", 0x22: "<i2", 0x24: "<i4", 0x34: "<f4", 0x38: "<f8"}
 _WHERE = "the BltTofApi comes with the camera, from Bluetechnix (becom Systems): name its library with `library`"
 
-_TEXT = ctypes.POINTER(ctypes.c_uint8)
+_U8, _U16, _U32, _F32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_float
+_IP, _PATH, _POINTER = ctypes.POINTER(_U8), ctypes.c_char_p, ctypes.c_void_p
 
 
 class Channel(ctypes.Structure):
     """The beginning of a `BTA_Channel`."""
 
     _fields_ = (
-        ("id", ctypes.c_uint32),
-        ("x_res", ctypes.c_uint16),
-        ("y_res", ctypes.c_uint16),
-        ("data_format", ctypes.c_uint32),
-        ("unit", ctypes.c_uint32),
-        ("integration_time_us", ctypes.c_uint32),
-        ("modulation_frequency_hz", ctypes.c_uint32),
-        ("data", ctypes.c_void_p),
-        ("data_len", ctypes.c_uint32),
-    )
+        ("id", _U32), ("x_res", _U16), ("y_res", _U16), ("data_format", _U32), ("unit", _U32), ("integration_time_us", _U32),
+        ("modulation_frequency_hz", _U32), ("data", _POINTER), ("data_len", _U32),
+    )  # fmt: skip
 
 
 class Frame(ctypes.Structure):
     """The beginning of a `BTA_Frame`."""
 
     _fields_ = (
-        ("firmware_major", ctypes.c_uint8),
-        ("firmware_minor", ctypes.c_uint8),
-        ("firmware_non_functional", ctypes.c_uint8),
-        ("main_temperature", ctypes.c_float),
-        ("led_temperature", ctypes.c_float),
-        ("generic_temperature", ctypes.c_float),
-        ("frame_counter", ctypes.c_uint32),
-        ("time_stamp", ctypes.c_uint32),
-        ("channels", ctypes.POINTER(ctypes.POINTER(Channel))),
-        ("channels_len", ctypes.c_uint8),
-    )
+        ("firmware_major", _U8), ("firmware_minor", _U8), ("firmware_non_functional", _U8), ("main_temperature", _F32),
+        ("led_temperature", _F32), ("generic_temperature", _F32), ("frame_counter", _U32), ("time_stamp", _U32),
+        ("channels", ctypes.POINTER(ctypes.POINTER(Channel))), ("channels_len", _U8),
+    )  # fmt: skip
 
 
-FrameArrived = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(Frame))
+FrameArrived = ctypes.CFUNCTYPE(None, _POINTER, ctypes.POINTER(Frame))
 
 _CONFIG_FIELDS: tuple[tuple[str, Any], ...] = (
-    ("udp_data_ip", _TEXT),
-    ("udp_data_ip_len", ctypes.c_uint8),
-    ("udp_data_port", ctypes.c_uint16),
-    ("udp_control_out_ip", _TEXT),
-    ("udp_control_out_ip_len", ctypes.c_uint8),
-    ("udp_control_port", ctypes.c_uint16),
-    ("udp_control_in_ip", _TEXT),
-    ("udp_control_in_ip_len", ctypes.c_uint8),
-    ("udp_control_callback_port", ctypes.c_uint16),
-    ("tcp_device_ip", _TEXT),
-    ("tcp_device_ip_len", ctypes.c_uint8),
-    ("tcp_data_port", ctypes.c_uint16),
-    ("tcp_control_port", ctypes.c_uint16),
-    ("uart_port_name", ctypes.c_char_p),
-    ("uart_baud_rate", ctypes.c_uint32),
-    ("uart_data_bits", ctypes.c_uint8),
-    ("uart_stop_bits", ctypes.c_uint8),
-    ("uart_parity", ctypes.c_uint8),
-    ("uart_transmitter", ctypes.c_uint8),
-    ("uart_receiver", ctypes.c_uint8),
-    ("device_type", ctypes.c_uint32),
-    ("product_order_number", ctypes.c_char_p),
-    ("serial_number", ctypes.c_uint32),
-    ("calibration_file", ctypes.c_char_p),
-    ("z_factors_file", ctypes.c_char_p),
-    ("wiggling_file", ctypes.c_char_p),
-    ("frame_mode", ctypes.c_uint32),
-    ("info_event", ctypes.c_void_p),
-    ("info_event_ex", ctypes.c_void_p),
-    ("info_event_ex2", ctypes.c_void_p),
-    ("verbosity", ctypes.c_uint8),
-    ("frame_arrived", ctypes.c_void_p),
-    ("frame_arrived_ex", FrameArrived),
-    ("frame_arrived_ex2", ctypes.c_void_p),
-    ("user_argument", ctypes.c_void_p),
-    ("frame_queue_length", ctypes.c_uint16),
-    ("frame_queue_mode", ctypes.c_uint32),
-    ("average_window", ctypes.c_uint16),
-    ("bltstream_file", ctypes.c_char_p),
-    ("info_event_file", ctypes.c_char_p),
-    ("udp_data_auto_config", ctypes.c_uint8),
-    ("shared_memory", ctypes.c_uint8),
-)
+    ("udp_data_ip", _IP), ("udp_data_ip_len", _U8), ("udp_data_port", _U16), ("udp_control_out_ip", _IP),
+    ("udp_control_out_ip_len", _U8), ("udp_control_port", _U16), ("udp_control_in_ip", _IP), ("udp_control_in_ip_len", _U8),
+    ("udp_control_callback_port", _U16), ("tcp_device_ip", _IP), ("tcp_device_ip_len", _U8), ("tcp_data_port", _U16),
+    ("tcp_control_port", _U16), ("uart_port_name", _PATH), ("uart_baud_rate", _U32), ("uart_data_bits", _U8),
+    ("uart_stop_bits", _U8), ("uart_parity", _U8), ("uart_transmitter", _U8), ("uart_receiver", _U8), ("device_type", _U32),
+    ("product_order_number", _PATH), ("serial_number", _U32), ("calibration_file", _PATH), ("z_factors_file", _PATH),
+    ("wiggling_file", _PATH), ("frame_mode", _U32), ("info_event", _POINTER), ("info_event_ex", _POINTER),
+    ("info_event_ex2", _POINTER), ("verbosity", _U8), ("frame_arrived", _POINTER), ("frame_arrived_ex", FrameArrived),
+    ("frame_arrived_ex2", _POINTER), ("user_argument", _POINTER), ("frame_queue_length", _U16), ("frame_queue_mode", _U32),
+    ("average_window", _U16), ("bltstream_file", _PATH), ("info_event_file", _PATH), ("udp_data_auto_config", _U8),
+    ("shared_memory", _U8),
+)  # fmt: skip
 
 
 def _aligned(fields: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
@@ -132,14 +74,14 @@ def _aligned(fields: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]
     for name, kind in fields:
         result.append((name, kind))
         if rest := 8 - ctypes.sizeof(kind):
-            result.append((f"_after_{name}", ctypes.c_uint8 * rest))
+            result.append((f"_after_{name}", _U8 * rest))
     return tuple(result)
 
 
 class Config(ctypes.Structure):
     """`BTA_Config` of version 3.3, with room for what later versions append."""
 
-    _fields_ = (*_aligned(_CONFIG_FIELDS), ("_appended", ctypes.c_uint8 * 512))
+    _fields_ = (*_aligned(_CONFIG_FIELDS), ("_appended", _U8 * 512))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,25 +112,24 @@ def load_library(path: str) -> Any:
 
 def declare(library: Any) -> Any:
     """State the arguments of the functions that are used; AttributeError where one is missing."""
-    handle = ctypes.POINTER(ctypes.c_void_p)
-    count = ctypes.POINTER(ctypes.c_uint32)
+    handle, count, config = ctypes.POINTER(_POINTER), ctypes.POINTER(_U32), ctypes.POINTER(Config)
     arguments: Mapping[str, tuple[Any, ...]] = {
-        "BTAgetVersion": (count, count, count, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p),
-        "BTAinitConfig": (ctypes.POINTER(Config),),
-        "BTAopen": (ctypes.POINTER(Config), handle),
+        "BTAgetVersion": (count, count, count, _POINTER, _U32, _POINTER, _POINTER),
+        "BTAinitConfig": (config,),
+        "BTAopen": (config, handle),
         "BTAclose": (handle,),
-        "BTAisConnected": (ctypes.c_void_p,),
+        "BTAisConnected": (_POINTER,),
     }
     for name, kinds in arguments.items():
         function = getattr(library, name)
         function.argtypes = kinds
-        function.restype = ctypes.c_uint8 if name == "BTAisConnected" else ctypes.c_int32
+        function.restype = _U8 if name == "BTAisConnected" else ctypes.c_int32
     return library
 
 
 def version(library: Any) -> tuple[int, int, int]:
     """The library's version; raises RecordingError for those before 3.0, whose structures differ."""
-    numbers = [ctypes.c_uint32() for _ in range(3)]
+    numbers = [_U32() for _ in range(3)]
     succeed(library.BTAgetVersion(*(ctypes.byref(n) for n in numbers), None, 0, None, None), "BTAgetVersion")
     major, minor, patch = (n.value for n in numbers)
     if major < 3:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, DependencyError, RecordingError
-from cabinpose.core.ports import Counts, Sample
+from cabinpose.core.intrinsics import fit_camera
+from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Facts, Message, ToFFrame
+from cabinpose.record.sources.base import DeviceSource
 
 MOST_PIXELS = 1 << 24  # of an image: no ToF sensor is near it, and a header may say anything
 
@@ -52,8 +52,10 @@ class CameraSettings(BaseModel):
     lens: Lens | None = Field(None, description="intrinsics in place of the camera's own")
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+CameraT = TypeVar("CameraT", bound=CameraSettings)
+
+
+class Arrival(NamedTuple):
     """A frame as the SDK's thread hands it over: copied, and not decoded yet."""
 
     sequence: int
@@ -62,83 +64,38 @@ class Arrival:
     payload: Any
 
 
-class CameraSource(ABC):
+class CameraSource(DeviceSource[CameraT]):
     """A `FrameSource` of a camera whose SDK delivers frames on a thread of its own, or when asked.
 
-    A subclass connects, and calls `_deliver` for every frame with a copy of its arrays; decoding is done by the reader.
+    A subclass connects, and calls `_deliver` for every frame with a copy of its arrays; decoding is done by the reader. Frames
+    that find the queue full are lost.
     """
 
-    def __init__(self, name: str, settings: CameraSettings, clock: HostClock) -> None:
-        self._name = name
-        self._camera_settings = settings
-        self._clock = clock
-        self._counts = Counts()
+    def __init__(self, name: str, settings: CameraT, clock: HostClock | None = None) -> None:
+        super().__init__(name, settings, clock)
         self._arrivals: deque[Arrival] = deque()
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()  # of the arrivals and their numbers
+        self._came = threading.Event()
         self._facts: list[Facts] = []
-        self._opened = False
-        self._next_attempt_s = 0.0
+        self._fitted: Camera | None = None
 
-    @property
-    def name(self) -> str:
-        """What the rig's configuration calls it."""
-        return self._name
-
-    @property
-    def counts(self) -> Counts:
-        """What became of the frames; one that found the queue full is lost."""
-        return self._counts
-
-    def check(self) -> Sequence[str]:
-        """What keeps the camera from working; looks for the SDK and, where the SDK lists them, for the camera."""
-        try:
-            return self._missing()
-        except CabinposeError as error:
-            return [error.in_one_line()]
-
-    def open(self) -> None:
-        """Connect and let frames come."""
-        if not self._opened:
-            self._connect()
-            self._opened = True
-
-    def read(self, timeout_s: float) -> Sequence[Sample]:
-        """The frames since the last call; tries to reach a camera that went away."""
-        if not self._opened:
-            raise RecordingError(f"{self._name} is not open", hint="call open() first")
+    def _read(self, timeout_s: float) -> Sequence[Sample]:
+        """The frames since the last call, what was found out of the camera before them; tries to reach one that went away."""
         self._wait(timeout_s)
-        with self._changed:
-            arrivals, facts = list(self._arrivals), list(self._facts)
+        with self._lock:
+            self._came.clear()
+            arrivals = list(self._arrivals)
             self._arrivals.clear()
+        samples = [self._sample(arrival) for arrival in arrivals]
+        if self._facts:
+            samples.insert(0, Sample(None, self._clock.now_ns(), None, b"", tuple(self._facts)))
             self._facts.clear()
-        samples = [Sample(None, self._clock.now_ns(), None, b"", tuple(facts))] if facts else []
-        samples += [self._sample(arrival) for arrival in arrivals]
-        with self._changed:  # what decoding found out, of the frames just decoded
-            facts = list(self._facts)
-            self._facts.clear()
-        if facts:
-            samples.append(Sample(None, self._clock.now_ns(), None, b"", tuple(facts)))
-        if not arrivals and not self._alive():
+        if not arrivals and not self._alive() and self._attempt(self.settings.reconnect_s):
+            self._disconnect()
+            with self._lock:
+                self._reached_again()
             self._reconnect()
         return samples
-
-    def close(self) -> None:
-        """Stop the frames and let the camera go."""
-        if self._opened:
-            self._opened = False
-            self._disconnect()
-
-    @abstractmethod
-    def _missing(self) -> Sequence[str]:
-        """As `check`; may raise DependencyError or RecordingError instead."""
-
-    @abstractmethod
-    def _connect(self) -> None:
-        """Start the frames. Raises DependencyError or RecordingError, having let go of everything."""
-
-    @abstractmethod
-    def _disconnect(self) -> None:
-        """Stop the frames, as far as they run; raises nothing."""
 
     @abstractmethod
     def _alive(self) -> bool:
@@ -152,58 +109,87 @@ class CameraSource(ABC):
     def _decode(self, payload: Any) -> ToFFrame:
         """The frame; raises MalformedFrameError."""
 
-    def _reached_again(self) -> None:  # noqa: B027 - a device without a clock or counter of its own has nothing to forget
-        """Forget the clock and counter of the camera, which begin anew."""
+    def _reached_again(self) -> None:
+        """Forget the clock and counter of the camera, which have restarted."""
 
     def _wait(self, timeout_s: float) -> None:
-        """Wait for frames or facts; an SDK that wants to be asked is asked here instead."""
-        with self._changed:
-            if not self._arrivals and not self._facts:
-                self._changed.wait(timeout_s)
+        """Wait for frames, unless there are facts; an SDK that wants to be asked is asked here instead."""
+        if not self._facts:
+            self._clock.wait(self._came, timeout_s)
 
     def _state(self, about: str, **values: object) -> None:
         """Say something of the camera in the next sample."""
-        with self._changed:
-            self._facts.append(Facts(about, values))
-            self._changed.notify()
+        self._facts.append(Facts(about, values))
 
     def _deliver(self, payload: Any) -> None:
         """Hand a frame over, with nothing in it that the SDK will change or free; any thread."""
         host_ns = self._clock.now_ns()
-        with self._changed:
+        with self._lock:
             sequence, device_ns = self._number(payload, host_ns)
-            if len(self._arrivals) >= self._camera_settings.queue_frames:
-                self._counts.lost += 1  # the reader is late: the gap in the sequence says where
+            if len(self._arrivals) >= self.settings.queue_frames:
+                self.counts.lost += 1  # the reader is late: the gap in the sequence says where
                 return
             self._arrivals.append(Arrival(sequence, host_ns, device_ns, payload))
-            self._changed.notify()
+            self._came.set()
 
     def _sample(self, arrival: Arrival) -> Sample:
         messages: tuple[Message, ...] = ()
-        self._counts.received += 1
+        self.counts.received += 1
         try:
-            with np.errstate(invalid="ignore", over="ignore"):  # infinities of a camera are no fault of ours to warn of
+            with np.errstate(invalid="ignore", over="ignore"):  # a camera's infinities and NaN need no warning
                 messages = (_fitting(self._decode(arrival.payload)),)
-        except (ValueError, TypeError, OverflowError):  # MalformedFrameError, and what numpy says of values that are none
-            self._counts.malformed += 1
+        except (
+            ValueError,
+            TypeError,
+            OverflowError,
+        ):  # MalformedFrameError, and numpy of what is no number
+            self.counts.malformed += 1
         return Sample(arrival.sequence, arrival.host_ns, arrival.device_ns, b"", messages)
 
-    def _reconnect(self) -> None:
-        """Try to reach a camera that went away, not too often."""
-        now = time.monotonic()
-        if now < self._next_attempt_s:
-            return
-        self._next_attempt_s = now + self._camera_settings.reconnect_s
-        self._disconnect()
-        with self._changed:
-            self._reached_again()
-        try:
-            self._connect()
-        except DependencyError:
-            raise
-        except RecordingError:
-            return
-        self._counts.restarts += 1
+    def _lens(
+        self, width: int, height: int, rays: Callable[[], NDArray[np.float64] | None], stated: Camera | None = None
+    ) -> Camera:
+        """Intrinsics as the user states them, as the camera does, or fitted to the rays of the first frame that shows enough."""
+        if self.settings.lens is not None:
+            return self.settings.lens.camera(width, height)
+        if stated is not None:
+            return replace(stated, width=width, height=height)
+        if self._fitted is None or (self._fitted.width, self._fitted.height) != (width, height):
+            found = rays()
+            fit = None if found is None else fit_camera(found)
+            if fit is None:
+                raise MalformedFrameError("no intrinsics: state them with `lens`, or ask the camera for points")
+            self._fitted = fit.camera
+            self._state("intrinsics", fitted_to_points=True, rms_px=fit.rms_px, max_px=fit.max_px)
+        return self._fitted
+
+
+def frame_of(
+    camera: Camera,
+    depth: NDArray[np.uint16],
+    unit_m: float,
+    *,
+    amplitude: ArrayLike | None = None,
+    confidence: NDArray[Any] | None = None,
+    straight: bool = False,
+) -> ToFFrame:
+    """A frame (H, W) of a camera, without the images that are None; straight: its depth is free of the lens' distortion.
+
+    amplitude: any numbers · confidence: floats in 0..1 or unsigned integers, of which 8 bits are kept.
+    """
+    dist = np.array(camera.dist)
+    grey = np.zeros((0, 0), np.uint16)
+    if amplitude is not None:
+        grey = np.clip(np.nan_to_num(amplitude), 0, 65535).astype(np.uint16)
+    sure = np.zeros((0, 0), np.uint8) if confidence is None else _byte_image(confidence)
+    return ToFFrame(depth, unit_m, grey, sure, camera.k, np.zeros(5) if straight else dist, dist)
+
+
+def _byte_image(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """A confidence as 0..255: bytes as they are, wider integers by their high byte, floats as 0..1."""
+    if values.dtype.kind == "f":
+        return np.rint(np.clip(np.nan_to_num(values), 0, 1) * 255).astype(np.uint8)
+    return (np.clip(values, 0, None).astype(np.uint64) >> (8 * (values.dtype.itemsize - 1))).astype(np.uint8)
 
 
 def _fitting(frame: ToFFrame) -> ToFFrame:

@@ -9,11 +9,10 @@ Scan3d...), the intrinsics from those of the standard or of Lucid (Calib...), or
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +21,18 @@ from pydantic import Field
 from cabinpose.core.camera import Camera
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.intrinsics import fit_camera
 from cabinpose.core.optional import optional_module
 from cabinpose.core.recorded import ToFFrame
+from cabinpose.record.sources.counting import FrameNumbers
 from cabinpose.record.sources.tof.camera import (
     CameraSettings,
     CameraSource,
     MalformedFrameError,
     depth_image,
+    frame_of,
     rays_of_points,
     shaped,
 )
-from cabinpose.record.sources.tof.counting import FrameNumbers
 
 _WHERE = "pip install harvesters, and name the camera vendor's GenTL producer (.cti) with `producer`"
 _COORDINATES = re.compile(r"Coord3D_(C|ABC|ABCY)(8|16s?|32f)$")
@@ -80,22 +79,21 @@ class _Scale:
     invalid: float | None
 
 
-class GenicamSource(CameraSource):
+class GenicamSource(CameraSource[GenicamSettings]):
     """A `FrameSource` of a GenICam camera."""
 
-    Settings = GenicamSettings
+    Settings: ClassVar = GenicamSettings
 
     def __init__(self, name: str, settings: GenicamSettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)
-        self._settings = settings
         self._harvester: Any = None
         self._acquirer: Any = None
         self._errors: tuple[type[Exception], ...] = (RuntimeError, OSError, ValueError, IndexError)
-        self._numbers = FrameNumbers(self._counts)
+        self._numbers = FrameNumbers(self.counts)
         self._block_turns = 0
         self._last_block = 0
         self._scale = _Scale((0.001,) * 3, (0.0,) * 3, 0.0)
-        self._lens: Camera | None = None
+        self._stated: Camera | None = None
         self._failed = False
 
     def _missing(self) -> Sequence[str]:
@@ -108,7 +106,7 @@ class GenicamSource(CameraSource):
         core = optional_module("harvesters.core", purpose="a GenICam camera", hint=_WHERE)
         gentl = optional_module("genicam.gentl", purpose="a GenICam camera", hint=_WHERE)
         self._errors = (gentl.GenericException, RuntimeError, OSError, ValueError, IndexError)
-        producer = self._settings.producer
+        producer = self.settings.producer
         if not producer.is_file():
             raise RecordingError(
                 f"the GenTL producer {producer} does not exist", hint="install the vendor's SDK; it brings a .cti"
@@ -121,7 +119,7 @@ class GenicamSource(CameraSource):
         except self._errors as error:
             harvester.reset()
             raise RecordingError(f"{producer.name}: {error}", hint="is it the producer of this camera?") from error
-        wanted = self._settings.serial
+        wanted = self.settings.serial
         if not serials or (wanted is not None and wanted not in serials):
             harvester.reset()
             hint = f"found: {', '.join(serials)}" if serials else "check its power, cable and network"
@@ -135,9 +133,9 @@ class GenicamSource(CameraSource):
         try:
             acquirer = harvester.create(key)
             nodes = acquirer.remote_device.node_map
-            for feature, value in self._settings.features.items():
+            for feature, value in self.settings.features.items():
                 getattr(nodes, feature).value = value
-            self._scale, self._lens = _scale(nodes), _lens(nodes)
+            self._scale, self._stated = _scale(nodes), _lens(nodes)
             acquirer.start()
         except errors as error:
             if acquirer is not None:
@@ -167,11 +165,10 @@ class GenicamSource(CameraSource):
 
     def _wait(self, timeout_s: float) -> None:
         """Harvesters is asked for frames: the first within the time, then what has come meanwhile."""
-        end = time.monotonic() + timeout_s
         wait = timeout_s
-        for _ in range(self._settings.queue_frames):
+        for _ in range(self.settings.queue_frames):
             if self._acquirer is None:
-                time.sleep(max(end - time.monotonic(), 0))
+                self._clock.sleep(wait)
                 return
             try:
                 buffer = self._acquirer.try_fetch(timeout=max(wait, 1e-3))
@@ -195,7 +192,7 @@ class GenicamSource(CameraSource):
                 continue
             try:
                 width, height = int(component.width), int(component.height)
-            except (TypeError, ValueError, OverflowError):  # whatever a producer says: found to fit no image
+            except (TypeError, ValueError, OverflowError):  # not numbers: the size then fits no image, and the frame is malformed
                 width = height = 0
             images.append(_Image(str(component.data_format), width, height, np.array(component.data)))
         return _Buffer(_quantity(buffer, "frame_id"), _quantity(buffer, "timestamp_ns"), tuple(images))
@@ -227,35 +224,27 @@ class GenicamSource(CameraSource):
         confidence = next((i for i in payload.images if i.data_format in {"Confidence8", "Confidence16"}), None)
         if confidence is None and len(mono) > 1:
             confidence = mono[1]
-        amplitude = np.zeros((0, 0), np.uint16)
+        amplitude: NDArray[Any] | None = None
         if channels == 4:
-            amplitude = np.ascontiguousarray(values[..., 3]).astype(np.uint16)
+            amplitude = values[..., 3]
         elif mono:
-            amplitude = shaped(mono[0].values, mono[0].width, mono[0].height).astype(np.uint16)
-        camera = self._intrinsics(values, valid, channels, image.width, image.height)
-        dist = np.array(camera.dist)
+            amplitude = shaped(mono[0].values, mono[0].width, mono[0].height)
+        sure = None if confidence is None else shaped(confidence.values, confidence.width, confidence.height)
+        camera = self._lens(image.width, image.height, lambda: self._rays(values, valid), self._stated)
         scale, offset = self._scale.scale_m[2], self._scale.offset_m[2]
         if match[2] == "16" and offset == 0.0:  # the camera's own steps, without loss
             depth, unit = np.where(valid, c, 0).astype(np.uint16), scale
         else:
-            unit = self._settings.depth_unit_m
+            unit = self.settings.depth_unit_m
             depth = depth_image(c.astype(np.float64) * scale + offset, valid, unit)
-        return ToFFrame(depth, unit, amplitude, _byte_image(confidence), camera.k, dist, dist)
+        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=sure)
 
-    def _intrinsics(self, values: NDArray[Any], valid: NDArray[np.bool_], channels: int, width: int, height: int) -> Camera:
-        """Stated by the user, by the camera, or fitted to the points of the first frame that shows enough."""
-        if self._settings.lens is not None:
-            return self._settings.lens.camera(width, height)
-        if self._lens is None and channels >= 3:
-            points = values[..., :3].astype(np.float64) * self._scale.scale_m + self._scale.offset_m
-            fit = fit_camera(rays_of_points(points, valid & (points[..., 2] > 0)))
-            if fit is not None:
-                self._lens = fit.camera
-                self._state("intrinsics", fitted_to_points=True, rms_px=fit.rms_px, max_px=fit.max_px)
-        if self._lens is None:
-            raise MalformedFrameError("no intrinsics: state them with `lens`, or ask for points (Coord3D_ABC32f)")
-        lens = self._lens
-        return Camera(width, height, lens.fx, lens.fy, lens.cx, lens.cy, lens.dist)
+    def _rays(self, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+        """The rays of an image of points; None where it has depth alone."""
+        if values.ndim == 2:
+            return None
+        points = values[..., :3].astype(np.float64) * self._scale.scale_m + self._scale.offset_m
+        return rays_of_points(points, valid & (points[..., 2] > 0))
 
 
 def _quantity(buffer: Any, name: str) -> int | None:
@@ -265,14 +254,6 @@ def _quantity(buffer: Any, name: str) -> int | None:
     except Exception:  # noqa: BLE001 - producers raise whatever their vendor chose for what they do not know
         return None
     return None if value is None else int(value)
-
-
-def _byte_image(image: _Image | None) -> NDArray[np.uint8]:
-    """A confidence as 0..255; the high byte of wider ones."""
-    if image is None:
-        return np.zeros((0, 0), np.uint8)
-    values = shaped(image.values, image.width, image.height)
-    return (values.astype(np.uint32) >> (8 * (values.dtype.itemsize - 1))).astype(np.uint8)
 
 
 def _value(nodes: Any, name: str) -> Any:

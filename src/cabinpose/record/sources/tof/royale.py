@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +22,8 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.intrinsics import pixel_error
 from cabinpose.core.optional import optional_module
 from cabinpose.core.recorded import ToFFrame
-from cabinpose.record.sources.tof.camera import (
-    CameraSettings,
-    CameraSource,
-    depth_image,
-    rays_of_points,
-    shaped,
-)
-from cabinpose.record.sources.tof.counting import FrameNumbers, FramePeriod
+from cabinpose.record.sources.counting import FrameNumbers, FramePeriod
+from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, depth_image, frame_of, rays_of_points, shaped
 
 _WHERE = "it comes with pmd's Royale SDK, from pmd or the camera's seller: put the SDK's python folder on PYTHONPATH"
 _POINTS_TO_COMPARE = 1000
@@ -54,19 +48,18 @@ class _Points:
     stamp_us: int
 
 
-class RoyaleSource(CameraSource):
+class RoyaleSource(CameraSource[RoyaleSettings]):
     """A `FrameSource` of a camera of pmd."""
 
-    Settings = RoyaleSettings
+    Settings: ClassVar = RoyaleSettings
 
     def __init__(self, name: str, settings: RoyaleSettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)
-        self._settings = settings
         self._camera: Any = None
         self._listener: Any = None
-        self._numbers = FrameNumbers(self._counts)
+        self._numbers = FrameNumbers(self.counts)
         self._period = FramePeriod()
-        self._lens: dict[str, float] = {}
+        self._stated: dict[str, float] = {}
         self._distorted: bool | None = None  # whether the points lie on the distorted rays of the lens; measured
 
     def _missing(self) -> Sequence[str]:
@@ -77,7 +70,7 @@ class RoyaleSource(CameraSource):
 
     def _chosen(self, manager: Any) -> str | None:
         ids = _strings(manager.getConnectedCameraList())
-        wanted = self._settings.serial
+        wanted = self.settings.serial
         if wanted is not None and wanted not in ids:
             raise RecordingError(f"no pmd camera {wanted} is connected", hint=f"connected: {', '.join(ids) or 'none'}")
         return wanted or (ids[0] if ids else None)
@@ -92,13 +85,13 @@ class RoyaleSource(CameraSource):
             camera = manager.createCamera(chosen)
             camera.initialize()
             use_cases = _strings(camera.getUseCases())
-            wanted = self._settings.use_case
+            wanted = self.settings.use_case
             if wanted is not None:
                 if wanted not in use_cases:
                     raise RecordingError(f"camera {chosen} has no use case {wanted}", hint=f"known: {', '.join(use_cases)}")
                 camera.setUseCase(wanted)
             lens = camera.getLensParameters()
-            self._lens = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
+            self._stated = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
             rate = float(camera.getFrameRate()) if hasattr(camera, "getFrameRate") else 0.0
             self._period = FramePeriod(round(1e9 / rate) if rate > 0 else None)
             self._listener = self._make_listener(roypy)
@@ -108,7 +101,7 @@ class RoyaleSource(CameraSource):
             raise RecordingError(f"camera {chosen}: {error}", hint="is another program using it?") from error
         self._camera = camera
         self._state(
-            "camera", vendor="pmd", id=chosen, use_case=wanted or _current(camera), use_cases=use_cases, lens=dict(self._lens)
+            "camera", vendor="pmd", id=chosen, use_case=wanted or _current(camera), use_cases=use_cases, lens=dict(self._stated)
         )
 
     def _make_listener(self, roypy: Any) -> Any:
@@ -125,7 +118,7 @@ class RoyaleSource(CameraSource):
         try:
             payload = _copied(data)
         except (RuntimeError, ValueError, IndexError, TypeError, AttributeError, OverflowError):  # MalformedFrameError among them
-            self._counts.malformed += 1
+            self.counts.malformed += 1
             return
         self._deliver(payload)
 
@@ -151,7 +144,7 @@ class RoyaleSource(CameraSource):
         device_ns = payload.stamp_us * 1000
         lost = self._period.lost_before(device_ns)
         if lost is None:
-            self._counts.restarts += 1
+            self.counts.restarts += 1
         return self._numbers.forward(lost or 0), device_ns
 
     def _reached_again(self) -> None:
@@ -162,24 +155,15 @@ class RoyaleSource(CameraSource):
         points = shaped(payload.points, width, height, 3)
         confidence = shaped(payload.confidence, width, height)
         valid = (confidence > 0) & (points[..., 2] > 0)
-        lens = self._lens
-        if (given := self._settings.lens) is not None:
-            camera = given.camera(width, height)
-        else:
-            k1, k2, p1, p2, k3 = (lens[key] for key in ("k1", "k2", "p1", "p2", "k3"))
-            camera = Camera(width, height, lens["fx"], lens["fy"], lens["cx"], lens["cy"], (k1, k2, p1, p2, k3))
-        lens_dist = np.array(camera.dist)
-        on_lens = self._lies_on_lens(camera, points, valid)
-        unit = self._settings.depth_unit_m
-        return ToFFrame(
-            depth=depth_image(points[..., 2], valid, unit),
-            depth_unit_m=unit,
-            amplitude=shaped(payload.amplitude, width, height).astype(np.uint16),
-            confidence=np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255).astype(np.uint8),
-            camera_k=camera.k,
-            camera_dist=lens_dist if on_lens else np.zeros(5),
-            amplitude_dist=lens_dist,
-        )
+        lens = self._stated
+        dist = (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"])
+        stated = Camera(width, height, lens["fx"], lens["fy"], lens["cx"], lens["cy"], dist)
+        camera = self._lens(width, height, lambda: None, stated)
+        straight = not self._lies_on_lens(camera, points, valid)
+        unit = self.settings.depth_unit_m
+        amplitude = shaped(payload.amplitude, width, height)
+        depth = depth_image(points[..., 2], valid, unit)
+        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence, straight=straight)
 
     def _lies_on_lens(self, camera: Camera, points: NDArray[np.floating], valid: NDArray[np.bool_]) -> bool:
         """Whether a pixel's depth belongs to its ray through the lens, measured once on the points themselves.

@@ -15,9 +15,10 @@ from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import ToFFrame
+from cabinpose.record.emulate.base import log_line
 from cabinpose.record.emulate.tof import EmulatedCamera, Frame, TofFaults
+from cabinpose.record.sources.counting import FrameNumbers
 from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, MalformedFrameError
-from cabinpose.record.sources.tof.counting import FrameNumbers
 from cabinpose.store import open_dataset, read_manifest
 
 DATASET_UNIT_M = 1e-4  # of the depth that a dataset stores
@@ -30,11 +31,11 @@ class SimulatedSettings(CameraSettings):
 
     dataset: Path | None = Field(None, description="folder of the dataset whose frames it sees")
     faults: TofFaults = Field(default_factory=TofFaults, description="its rate, losses, delays and clock")
-    loop: bool = Field(True, description="begin anew after the last frame; otherwise the source ends")
+    loop: bool = Field(True, description="go on with the first frame after the last; otherwise the source ends")
     log: Path | None = Field(None, description="new file for what became of each frame (JSON lines), written when the take ends")
 
 
-class SimulatedSource(CameraSource):
+class SimulatedSource(CameraSource[SimulatedSettings]):
     """A `FrameSource` of frames as `frames()` gives them: mappings of the dataset standard's variables of one frame.
 
     depth: (H, W) float32 m, NaN = invalid, or uint16 in steps of 0.1 mm · amplitude, confidence: where there are any ·
@@ -44,25 +45,20 @@ class SimulatedSource(CameraSource):
     Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
 
     def __init__(
-        self,
-        name: str,
-        settings: SimulatedSettings,
-        clock: HostClock,
-        frames: Callable[[], Iterable[Frame]] | None = None,
+        self, name: str, settings: SimulatedSettings, clock: HostClock, frames: Callable[[], Iterable[Frame]] | None = None
     ) -> None:
         super().__init__(name, settings, clock)
-        self._settings = settings
         self._frames = frames or self._frames_of_dataset
         self._given = frames is not None
         self._logging = False
         self._kept: list[Frame] = []
-        self._numbers = FrameNumbers(self._counts)
+        self._numbers = FrameNumbers(self.counts)
         self.camera = EmulatedCamera(self._frames, settings.faults, clock, self._taken, settings.loop)
 
-    def read(self, timeout_s: float) -> Sequence[Sample]:
+    def _read(self, timeout_s: float) -> Sequence[Sample]:
         """As the port says; SourceEndedError once the last frame was given."""
         ended = self.camera.ended
-        samples = super().read(0.0 if ended else timeout_s)
+        samples = super()._read(0.0 if ended else timeout_s)
         if samples or not ended:
             return samples
         if (error := self.camera.error) is not None:
@@ -75,7 +71,7 @@ class SimulatedSource(CameraSource):
         return []
 
     def _folder(self) -> Path:
-        folder = self._settings.dataset
+        folder = self.settings.dataset
         if folder is None:
             raise RecordingError(f"{self.name} has no frames to see", hint="name a dataset folder with `dataset`")
         read_manifest(folder)
@@ -85,31 +81,31 @@ class SimulatedSource(CameraSource):
         if not self._given:
             self._folder()
         self._begin_log()
-        faults = self._settings.faults
+        faults = self.settings.faults
         self._state("camera", vendor="simulated", rate_hz=faults.rate_hz, faults=faults.model_dump(exclude_defaults=True))
         self.camera.start()
 
     def _begin_log(self) -> None:
         """Make the file of the log; one that is there is not replaced."""
-        if self._settings.log is None or self._logging:
+        if self.settings.log is None or self._logging:
             return
         try:
-            self._settings.log.touch(exist_ok=False)
+            self.settings.log.touch(exist_ok=False)
         except OSError as error:
             raise RecordingError(
-                f"{self.name} cannot write {self._settings.log} ({error.strerror})", hint="name a new file with `log`"
+                f"{self.name} cannot write {self.settings.log} ({error.strerror})", hint="name a new file with `log`"
             ) from error
         self._logging = True
 
     def _disconnect(self) -> None:
         self.camera.stop()
-        if self._settings.log is not None and self._logging:
-            lines = "".join(entry.line() + "\n" for entry in self.camera.log)
+        if self.settings.log is not None and self._logging:
+            lines = "".join(map(log_line, self.camera.log))
             with suppress(OSError):  # the take is over, and whole without it
-                self._settings.log.write_text(lines, encoding="utf-8")
+                self.settings.log.write_text(lines, encoding="utf-8")
 
     def _alive(self) -> bool:
-        return True  # an end is told by `read`, not mended by reaching it again
+        return True  # `read` tells that the frames have ended; there is nothing to reach again
 
     def _taken(self, counter: int, device_ns: int, frame: Frame) -> None:
         self._deliver((counter, device_ns, frame))

@@ -1,1 +1,0 @@
-"""Measures what the package promises, in the conditions that it states."""

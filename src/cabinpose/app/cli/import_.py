@@ -1,0 +1,91 @@
+"""`cabinpose import`: make a dataset from one in another format, or a recording from another tool's file."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.output import print_json, printable, progress
+from cabinpose.core.errors import unknown_name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import(PrintsJson):
+    """Make a dataset from one in another format, or a recording from another tool's file.
+
+    Datasets: png-json (an export of ours), coco, itop, ntu. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv.
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="SOURCE")]
+    """Folder or file to read."""
+    format: str
+    """Format of the source; see above and docs."""
+    out: Path
+    """Folder of the dataset, or recording (.mcap); it appears when the import is complete."""
+    images: Maybe[Path] = None
+    """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
+    keep_invalid: bool = False
+    """itop: keep the frames whose labels are marked as not valid, without their joints."""
+    intrinsics: Maybe[tuple[float, float, float, float]] = None
+    """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
+    licence: Maybe[str] = None
+    """Datasets: licence of the data; default: that of the source."""
+    subject: Annotated[tuple[str, ...], several("CODE [CODE ...]")] = ()
+    """Recordings: codes of the subjects, in the order of the file."""
+    action: Maybe[str] = None
+    """Recordings: the action, a short word."""
+    car: Maybe[str] = None
+    """Recordings: the car or mock-up."""
+    take: Maybe[Path] = None
+    """Recordings: YAML file of the take, in place of --subject, --action and --car."""
+    name: Maybe[str] = None
+    """Recordings: name of the source (mvnx, c3d, bvh, azure-mkv); default: suit, optical, motion or tof."""
+    begun: Maybe[str] = None
+    """c3d, bvh: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
+    unit_m: Maybe[float] = None
+    """bvh: metres of the unit of length; default: that of the CMU database."""
+    up: Maybe[Literal["x", "-x", "y", "-y", "z", "-z"]] = None
+    """c3d, bvh (y or z): the axis that points up; default: found from markers or file; bvh: y."""
+    keep_whole_frames: bool = False
+    """c3d: of a truncated file, import the complete frames, and report how many are lost."""
+    overwrite: bool = False
+    """Replace existing files."""
+
+
+COMMAND = Import
+
+
+def run(command: Import) -> None:
+    """Import with a progress bar and print what was written."""
+    from cabinpose.app.cli.arguments import refuse
+    from cabinpose.app.cli.recording_exchange import import_recording
+    from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, open_source
+    from cabinpose.store.convert.reading import ImportOptions
+    from cabinpose.store.source import check_new_dataset, import_source
+
+    if import_recording(command):
+        return
+    if command.format not in IMPORTS:
+        raise unknown_name("format", command.format, (*IMPORTS, *RECORDING_IMPORTS))
+    for flag, value, name in (("--images", command.images, "coco"), ("--keep-invalid", command.keep_invalid, "itop")):
+        if command.format != name:
+            refuse({flag: value}, f"{{}} is of the format {name}, not {command.format}")
+    check_new_dataset(command.out, overwrite=command.overwrite)
+    options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
+    source = open_source(command.source, command.format, options)
+    if source.note:
+        print(printable(source.note), file=sys.stderr)
+    frames = source.manifest.frames
+    with progress(frames, "frames") as report:
+        folder = import_source(source, command.out, overwrite=command.overwrite, report=report)
+    if command.as_json:
+        variables = list(source.manifest.variables)
+        print_json({"out": str(folder), "format": command.format, "frames": frames, "variables": variables})
+    else:
+        print(f"{folder}: {frames} frames of {command.format}")
+        print(f"see what it holds with: cabinpose info {folder}", file=sys.stderr)

@@ -1,0 +1,68 @@
+"""`cabinpose serve`: a model as a server of the Open Inference Protocol."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson
+
+
+@dataclass(frozen=True, kw_only=True)
+class Serve(PrintsJson):
+    """Serve a model by the Open Inference Protocol v2 over gRPC, for `--model grpc://HOST:PORT/NAME`. Ctrl-C ends it.
+
+    Needs the extra `remote`. There is neither encryption nor a password.
+    """
+
+    model: str
+    """Name of a packaged model, an ONNX file, or the address of a model on another server."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines in."""
+    port: int = 8001
+    """Port to listen on; 0 takes a free one."""
+    name: Maybe[str] = None
+    """What the model is called; default: its own name."""
+    max_message_mb: int = 64
+    """Greatest message, MB."""
+    no_shared_memory: bool = False
+    """Take frames over the wire alone, from this machine too."""
+    seconds: Maybe[float] = None
+    """How long; default: until Ctrl-C."""
+
+
+COMMAND = Serve
+
+
+def run(command: Serve) -> None:
+    """Print the address, serve, and say at the end how many requests there were."""
+    from cabinpose.app.cli.output import print_json, printable
+    from cabinpose.core.errors import ConfigError
+    from cabinpose.estimate.remote import need_protocol, open_predictor
+
+    if not 0 <= command.port <= 65535 or not 1 <= command.max_message_mb <= 1024:
+        raise ConfigError("--port is from 0 to 65535, --max-message-mb from 1 to 1024", hint="leave them out for 8001 and 64")
+    need_protocol()
+    from cabinpose.app.serve import start_server
+
+    server = start_server(
+        open_predictor(command.model),
+        name=command.name,
+        host=command.host,
+        port=command.port,
+        max_message_bytes=command.max_message_mb << 20,
+        shared_memory=not command.no_shared_memory,
+    )
+    if not command.as_json:
+        print(server.address, flush=True)
+        print(printable(f"try it: cabinpose predict DATASET --model {server.address} --out found.jsonl"), file=sys.stderr)
+    try:
+        server.wait(command.seconds)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
+    if command.as_json:
+        print_json({"address": server.address, **server.counts})
+    else:
+        print(", ".join(f"{count} {name}" for name, count in server.counts.items()), file=sys.stderr)

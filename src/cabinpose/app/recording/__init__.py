@@ -1,1 +1,0 @@
-"""What a recording looks like: a page of time lines, rates, gaps and sample frames."""

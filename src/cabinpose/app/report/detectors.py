@@ -1,0 +1,143 @@
+"""The page on detectors: numbers, curves, typical and worst frames of one evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+
+from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
+from cabinpose.app.report.frames import ERROR, PREDICTION, TRUTH
+from cabinpose.app.report.html import Html, document, el, join, remark, section, table, tiles, with_small
+from cabinpose.app.report.numbers import Column, group_columns, interval, label, number, people_rows
+from cabinpose.evaluate.report import ALL, PEOPLE, Report, Value
+
+_Row = tuple[object, Report, Sequence[object]]  # the first cell, the report that the row is of, the other cells
+_UNIT = MappingProxyType({"2d": "px", "3d": "cm"})
+_TILES = (
+    ("PCKh", "2d", ALL, None), ("AUC of PCKh", "2d", ALL, None), ("mean error", "2d", ALL, None), ("AP", "2d", PEOPLE, None),
+    ("PCKh", "3d", ALL, None), ("AUC of PCKh", "3d", ALL, None), ("MPJPE", "3d", ALL, None), ("PCK", "3d", ALL, 10.0),
+)  # fmt: skip
+
+
+def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[Html]], worst: Mapping[str, Sequence[Html]]) -> str:
+    """The page on one or more models on one dataset; typical, worst: figures of such frames by model."""
+    colours = ((TRUTH, " truth "), (PREDICTION, " prediction "), (ERROR, " error"))
+    dots = join(part for colour, name in colours for part in (el("i", class_="dot", style=f"background:{colour}"), name))
+    first = reports[0]
+    draws = first.settings["resamples"]
+    intervals = f"Small: 95 % interval, frames drawn with replacement {draws} times." if draws else "Without intervals."
+    near = join(("Those nearest to the median frame's error. ", dots))
+    curves = "Share of the true joints that count, in per cent; one that was not found is wrong."
+    sections = [
+        section("At a glance", "".join(map(_glance, reports))),
+        section("By joint group", _group_table(reports), intervals),
+        section("Curves", _curves(reports), curves),
+        section("Error by joint", _boxes(reports), "Joints found. Box: quartiles and median; line: 5 % to 95 %."),
+        section("By visibility", _visibility_table(reports)),
+        section("Typical frames", _frames(reports, typical), near),
+        section("Worst frames", _frames(reports, worst), dots),
+        section("All numbers", _number_table(reports)),
+        section("Settings", _settings(first)),
+    ]
+    names = ", ".join(r.model for r in reports)
+    summary = f"on {first.dataset}: {first.frames} frames, {first.people} people, {len(first.joint_sets[ALL])} joints"
+    return document(f"{names} on {first.dataset}", names, summary, sections)
+
+
+def _glance(report: Report) -> str:
+    values = [report.value(metric, space, joints, threshold) for metric, space, joints, threshold in _TILES]
+    entries = ((number(v), v.unit, label(v), (interval(v),), "") for v in values if v is not None)
+    return el("h3", report.model) + tiles(entries) + "".join(map(remark, report.notes))
+
+
+def _with_models(reports: Sequence[Report], head: Sequence[object], rows: Iterable[_Row]) -> Html:
+    """A table, with a column of models where there are several."""
+    several = len(reports) > 1
+    whose = ["model"] if several else []
+    lines = [[first, *([report.model] if several else []), *cells] for first, report, cells in rows]
+    return table([["", *whose, *head], *lines], words=(0, 1) if several else (0,))
+
+
+def _group_table(reports: Sequence[Report]) -> Html:
+    columns = group_columns(reports)
+    rows = (
+        (group if i == 0 else "", report, [_cell(report, group, c, reports) for c in columns])
+        for group in reports[0].joint_sets
+        for i, report in enumerate(reports)
+    )
+    return _with_models(reports, [c.title for c in columns], rows)
+
+
+def _cell(report: Report, group: str, column: Column, reports: Sequence[Report]) -> Html:
+    """A number and its interval, bold where it is the best of several models."""
+    values = [r.value(column.metric, column.space, group, column.threshold) for r in reports]
+    mine = values[list(reports).index(report)]
+    rivals = [v.value for v in values if v is not None]
+    best = len(rivals) > 1 and mine is not None and mine.value == (max if column.up else min)(rivals)
+    return with_small(el("b", number(mine)) if best else number(mine), interval(mine))
+
+
+def _curves(reports: Sequence[Report]) -> str:
+    """One model: a chart with a line for each group. Several: a chart for each group with a line for each model."""
+    drawn = []
+    models, groups = [r.model for r in reports], list(reports[0].joint_sets)
+    for space, kind, label_of_x in _curve_kinds(reports):
+        curves = {r.model: r.curves[space][kind] for r in reports if space in r.curves}
+        title = f"{'PCKh' if kind == 'pckh' else 'Within a distance'}, {space.upper()}"
+        lines = {m: {g: (c["grid"], c["lines"].get(g, ())) for g in groups} for m, c in curves.items()}
+        if len(reports) == 1:
+            plots = {title: lines[models[0]]}
+        else:
+            plots = {f"{g}: {title}": {m: lines[m][g] if m in lines else ((), ()) for m in models} for g in groups}
+        drawn += [series_chart(t, label_of_x, plot, top=100.0, height=260) for t, plot in plots.items()]
+    return legend(groups if len(reports) == 1 else models) + charts(drawn, "two" if len(reports) == 1 else "")
+
+
+def _curve_kinds(reports: Sequence[Report]) -> Iterable[tuple[str, str, str]]:
+    true_head = reports[0].settings["head"] == "true"
+    for space, size in (("2d", "26 px"), ("3d", "200 mm")):
+        if any(space in r.curves for r in reports):
+            yield space, "pckh", f"distance / {'true head-neck length' if true_head else f'head size ({size})'}"
+            yield space, "error", f"distance, {_UNIT[space]}"
+
+
+def _boxes(reports: Sequence[Report]) -> str:
+    drawn = ""
+    for space in ("2d", "3d"):
+        boxes = {r.model: r.boxes.get(space, {}) for r in reports}
+        if any(boxes.values()):
+            drawn += box_chart(f"Error, {space.upper()} ({_UNIT[space]})", boxes)
+    return (legend(r.model for r in reports) if len(reports) > 1 else "") + drawn
+
+
+def _visibility_table(reports: Sequence[Report]) -> Html:
+    columns = [c for c in group_columns(reports) if c.metric != "median error"]
+    rows: list[_Row] = []
+    for state in ("visible", "self_occluded", "occluded", "outside_image"):
+        for report in reports:
+            values = [report.value(c.metric, c.space, ALL, c.threshold, visibility=state) for c in columns]
+            joints = max((v.samples for v in values if v is not None), default=0)
+            if joints:
+                rows.append((state.replace("_", " "), report, [joints, *(with_small(number(v), interval(v)) for v in values)]))
+    return _with_models(reports, ["joints", *(c.title for c in columns)], rows)
+
+
+def _frames(reports: Sequence[Report], by_model: Mapping[str, Sequence[Html]]) -> str:
+    blocks = ""
+    for report in reports:
+        if figures := by_model.get(report.model):
+            blocks += (el("h3", report.model) if len(reports) > 1 else "") + el("div", *figures, class_="frames")
+    return blocks
+
+
+def _number_table(reports: Sequence[Report]) -> Html:
+    def cells(v: Value) -> list[object]:
+        return [f"{number(v)} {v.unit}", interval(v), v.samples, f"{v.denominator}; {v.average}"]
+
+    rows = [(name, report, cells(v)) for report in reports for name, v in people_rows(report)]
+    return _with_models(reports, ["value", "95 % interval", "samples", "of what; how averaged"], rows)
+
+
+def _settings(report: Report) -> Html:
+    joints = {group: ", ".join(names) for group, names in report.joint_sets.items()}
+    return table(list({**report.settings, **joints}.items()), words=(0, 1), head=False)

@@ -1,0 +1,161 @@
+"""What importers of datasets share: what a user may say of a source, its manifest, filling in frames, reading files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from cabinpose import __version__
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError, DatasetError
+from cabinpose.core.pose import Visibility
+from cabinpose.store.schema import Manifest
+from cabinpose.store.source import UNKNOWN
+
+_MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
+_FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What a user may say about a source.
+
+    keep_invalid: ITOP's frames without valid labels too, their joints absent · intrinsics: (fx, fy, cx, cy) px in place of the
+    source's, undistorted · images: folder of COCO's images · licence: of the data, for `dataset.yaml`.
+    """
+
+    keep_invalid: bool = False
+    intrinsics: tuple[float, float, float, float] | None = None
+    images: Path | None = None
+    licence: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.intrinsics is not None and not (
+            all(np.isfinite(self.intrinsics)) and self.intrinsics[0] > 0 and self.intrinsics[1] > 0
+        ):
+            raise ConfigError(f"no intrinsics: {self.intrinsics}", hint="give fx, fy, cx and cy in px, fx and fy above 0")
+
+    def camera(self, width: int, height: int) -> Camera | None:
+        """The camera that the user gave, for images of a size."""
+        return Camera(width, height, *self.intrinsics) if self.intrinsics is not None else None
+
+
+def make_manifest(
+    format_name: str,
+    path: Path,
+    options: ImportOptions,
+    *,
+    frames: int,
+    size: tuple[int, int],
+    persons: tuple[str, ...],
+    variables: tuple[str, ...],
+    licence: str = UNKNOWN,
+    **values: Any,
+) -> Manifest:
+    """The manifest of an import; `size` is (width, height), `licence` what the source says of its own."""
+    if not frames:
+        raise DatasetError(f"{path} holds no frame to import", hint="check the folder, and what the format leaves out")
+    images = [name for name in variables if name != "itop_joints_3d"]
+    config = {"format": format_name, "source": path.name} | values.pop("config", {})
+    if options.intrinsics is not None:
+        config["intrinsics_px"] = list(options.intrinsics)
+    return Manifest(
+        generator=f"import {format_name}",
+        generator_version=__version__,
+        seed=0,
+        licence=options.licence or licence,
+        frames=frames,
+        frames_per_part=100 if images else _FRAMES_PER_PART,
+        width=size[0],
+        height=size[1],
+        persons=persons,
+        variables=variables,
+        config=config,
+        **values,
+    )
+
+
+def put_camera(frame: dict[str, Any], camera: Camera) -> None:
+    """Give a frame its intrinsics."""
+    frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist)
+
+
+def put_person(
+    frame: dict[str, Any],
+    position: int,
+    camera: Camera,
+    joints: NDArray[np.integer],
+    xyz: NDArray[np.floating],
+    visibility: NDArray[np.integer],
+) -> None:
+    """Fill in somebody's joints, their projections, and their states where they are finite; the other joints are absent.
+
+    What the camera does not have in its image is `OUTSIDE_IMAGE`, whatever the source says of it.
+
+    Parameters
+    ----------
+    frame
+        The frame to fill in.
+    position
+        The place on the person axis.
+    camera
+        The camera of the frame.
+    joints : (N,)
+        Which of our joints the source has, by their indices.
+    xyz : (N, 3)
+        Where they are, m in our camera frame.
+    visibility : (N,)
+        What the source says of them.
+    """
+    known = np.isfinite(xyz).all(axis=-1) & (visibility > Visibility.ABSENT)
+    xyz = np.where(known[:, None], xyz, np.nan)
+    uv = camera.project(xyz)
+    states = np.where(known & ~camera.contains(uv), Visibility.OUTSIDE_IMAGE, visibility)
+    frame["joints_3d"][position, joints] = xyz
+    frame["joints_2d"][position, joints] = uv
+    frame["visibility"][position, joints] = np.where(known, states, Visibility.ABSENT)
+
+
+def check_projection(
+    path: Path, what: tuple[str, str], projected: NDArray[np.floating], given: NDArray[np.floating], *, hint: str
+) -> None:
+    """Raise `DatasetError` where a file's pixels (..., 2) are not where its points project to, (..., 2) px, in the median.
+
+    what: what the file calls its pixels and its points.
+    """
+    apart = np.linalg.norm(projected - given, axis=-1)
+    if np.isfinite(apart).any() and np.nanmedian(apart) > _MOST_PX:
+        raise DatasetError(f"{path}: {what[0]} lie {np.nanmedian(apart):.0f} px from the projection of {what[1]}", hint=hint)
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """A PNG or JPEG as it stands: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB. Raises `DatasetError`."""
+    try:
+        with Image.open(path) as image:
+            if image.mode.startswith("I"):  # 16 bits
+                return np.asarray(image).astype(np.uint16)
+            return np.asarray(image if image.mode == "L" else image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, OSError) and error.errno is not None:  # of the file system, not of what is in the file
+            raise DatasetError(f"cannot read the image {path}: {error}", hint="the source lacks it") from error
+        raise DatasetError(f"{path} is no whole image: {error}", hint="it may be cut short; copy it again") from error
+
+
+def read_json(path: Path) -> Any:
+    """The content of a small JSON file; `DatasetError` where it is none."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"cannot read {path}: {error}", hint="it may be missing or cut short; copy it again") from error
+
+
+def depth_ticks_of_mm(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Whole millimetres (0 = invalid) to the ticks of 0.1 mm that a dataset stores; what lies beyond them is invalid."""
+    ticks = depth_mm.astype(np.uint32) * 10
+    return np.where(ticks < 65536, ticks, 0).astype(np.uint16)

@@ -1,0 +1,95 @@
+"""Frames of a dataset one by one, for formats and pages: people in them, tables of classes, PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from PIL import Image
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+
+
+@dataclass(frozen=True)
+class PersonInFrame:
+    """One person of one frame. position: index on the person axis · arrays: (J, 3) m, (J, 2) px, (J,) `Visibility`."""
+
+    position: int
+    slot: str
+    subject: str
+    action: str
+    joints_3d: NDArray[np.float32]
+    joints_2d: NDArray[np.float32]
+    visibility: NDArray[np.uint8]
+
+
+def require_variables(dataset: xr.Dataset, format_name: str, names: Sequence[str]) -> None:
+    """Raise `DatasetError` for the first variable that a format needs and the dataset does not have."""
+    for name in names:
+        if name not in dataset:
+            raise DatasetError(
+                f"{format_name} needs the variable '{name}', which the dataset lacks", hint="export it as png-json"
+            )
+
+
+def frames(dataset: xr.Dataset, images: Sequence[str]) -> Iterator[xr.Dataset]:
+    """The frames one after the other, in memory, with the given images and everything that is no image."""
+    wanted = [str(n) for n in dataset.data_vars if "y" not in dataset[n].dims] + [n for n in images if n in dataset]
+    selected = dataset[wanted]
+    small = [name for name in selected.variables if "y" not in selected[name].dims]
+    selected[small].load()
+    for i in range(dataset.sizes["frame"]):
+        yield selected.isel(frame=i).load()
+
+
+def people(frame: xr.Dataset) -> list[PersonInFrame]:
+    """Everybody in a frame: who has at least one joint that is not absent."""
+    visibility = frame["visibility"].values
+    return [
+        PersonInFrame(
+            position=i,
+            slot=str(frame["person"].values[i]),
+            subject=str(frame["subject"].values[i]),
+            action=str(frame["action"].values[i]),
+            joints_3d=frame["joints_3d"].values[i],
+            joints_2d=frame["joints_2d"].values[i],
+            visibility=visibility[i],
+        )
+        for i in np.flatnonzero((visibility != Visibility.ABSENT).any(axis=1)).tolist()
+    ]
+
+
+def file_stem(frame: xr.Dataset) -> str:
+    """The name of a frame in files: its index in the dataset."""
+    return f"{int(frame['frame']):08d}"
+
+
+def label_table(dataset: xr.Dataset) -> list[dict[str, Any]]:
+    """The pixel classes of a dataset: id, name and colour 0xRRGGBB."""
+    attrs = dataset["labels"].attrs
+    rows = zip(attrs.get("flag_values", ()), str(attrs.get("flag_meanings", "")).split(), attrs.get("flag_rgb", ()), strict=True)
+    return [{"id": int(i), "name": name, "rgb": int(rgb)} for i, name, rgb in rows]
+
+
+def label_colours(dataset: xr.Dataset) -> NDArray[np.uint8]:
+    """(256, 3) RGB by class id; grey for ids without a name."""
+    colours = np.full((256, 3), 128, np.uint8)
+    for row in label_table(dataset):
+        colours[row["id"]] = [row["rgb"] >> 16, row["rgb"] >> 8 & 255, row["rgb"] & 255]
+    return colours
+
+
+def depth_mm(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Metres to whole millimetres, 0 where invalid."""
+    return np.rint(np.nan_to_num(depth_m) * 1000).astype(np.uint16)
+
+
+def write_png(path: Path, image: NDArray[Any]) -> None:
+    """One PNG: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB."""
+    Image.fromarray(np.ascontiguousarray(image)).save(path, "png")

@@ -1,0 +1,123 @@
+"""Datasets of frames that come from elsewhere, another format or a recording: what there is, and writing it.
+
+Unknown is said openly: NaN for joints, intrinsics and extrinsics, `ABSENT` for joints that a source does not have,
+0 for times and seeds, "unknown" for the names of a frame. Nothing is made up to fill a gap.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cabinpose.core.errors import DatasetError
+from cabinpose.store.dataset import create_dataset
+from cabinpose.store.part import PartWriter, disk_errors
+from cabinpose.store.schema import MANIFEST_NAME, Manifest
+
+UNKNOWN = "unknown"
+Report = Callable[[int], None]  # called with the number of frames done
+
+
+@dataclass(frozen=True)
+class Source:
+    """A dataset to be written: where it comes from, its manifest, and its frames in order, made one by one.
+
+    A frame has a value for each of `manifest.stored`. Iterating raises `DatasetError` where the source is damaged. note: what the
+    source has and the dataset will not, for the user to know.
+    """
+
+    path: Path
+    manifest: Manifest
+    frames: Callable[[], Iterator[dict[str, Any]]]
+    note: str = ""
+
+
+def blank_frame(manifest: Manifest) -> dict[str, Any]:
+    """A frame without images that knows nothing yet but its shapes: numbers NaN, joints absent, places empty, times 0."""
+    frame: dict[str, Any] = {}
+    for variable in manifest.stored:
+        shape = manifest.frame_shape(variable)
+        if variable.is_image:
+            continue
+        if variable.dtype == "str":
+            frame[variable.name] = [""] * shape[0] if shape else UNKNOWN
+        else:
+            frame[variable.name] = np.full(shape, np.nan if variable.dtype.startswith("float") else 0, variable.dtype)
+    return frame
+
+
+def import_source(source: Source, out: Path | str, *, overwrite: bool = False, report: Report | None = None) -> Path:
+    """Write a source as a dataset, one frame in memory at a time.
+
+    Parameters
+    ----------
+    source
+        What to write.
+    out
+        The folder of the dataset; it appears when the dataset is whole.
+    overwrite
+        Replace the dataset in `out`.
+    report
+        Called with the number of frames done.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    DatasetError
+        Where `out` exists and is no dataset to overwrite, where a frame cannot be read, or where the disk is full; then nothing
+        is left behind, and what was in `out` stays.
+    """
+    folder = Path(out)
+    check_new_dataset(folder, overwrite=overwrite)
+    if source.path.resolve().is_relative_to(folder.resolve()):
+        raise DatasetError(f"{folder} holds the source, {source.path}", hint="give another folder with --out")
+    manifest, frames, done = source.manifest, source.frames(), 0
+    with whole_folder(folder, "import", overwrite=overwrite) as temporary, create_dataset(temporary, manifest):
+        for plan in manifest.parts:
+            with PartWriter(temporary, plan, manifest) as part:
+                for _ in range(plan.frames):
+                    frame = next(frames, None)
+                    if frame is None:
+                        raise DatasetError(f"{source.path} ended after {done} frames", hint="it changed while it was read")
+                    part.append(frame)
+                    done += 1
+                    if report is not None:
+                        report(done)
+    return folder
+
+
+def check_new_dataset(folder: Path, *, overwrite: bool) -> None:
+    """Raise `DatasetError` unless a dataset may be written to `folder`: `overwrite` replaces a dataset and nothing else."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if not (folder / MANIFEST_NAME).exists():
+        raise DatasetError(f"{folder} exists and is no dataset", hint="give a new or empty folder with --out")
+    if not overwrite:
+        raise DatasetError(f"{folder} already holds a dataset", hint="--overwrite replaces it, or give another folder with --out")
+
+
+@contextmanager
+def whole_folder(folder: Path, what: str, *, overwrite: bool) -> Iterator[Path]:
+    """The name of a folder to make, which takes the place of `folder` when the block ends without an error, else is removed."""
+    if folder.exists() and not overwrite and (not folder.is_dir() or any(folder.iterdir())):
+        raise DatasetError(f"{folder} exists and is not empty", hint="--overwrite replaces it, or give another folder with --out")
+    temporary = folder.parent / f".{folder.name}.{what}.tmp"
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        with disk_errors(folder):
+            yield temporary
+            if folder.exists():
+                shutil.rmtree(folder)
+            temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
