@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from cabinpose.app.cli import main
-from cabinpose.evaluate.offline import dataset_id
 from cabinpose.store import read_manifest
 from cabinpose.store.predictions import Predictions, write_predictions
+from cabinpose.store.schema import dataset_id
 
 
 class Outcome(NamedTuple):

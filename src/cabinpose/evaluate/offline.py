@@ -14,19 +14,12 @@ from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
-from cabinpose.store import Manifest
 from cabinpose.store.predictions import Predictions
-from cabinpose.store.schema import checksum, manifest_yaml
 
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
 
 Progress = Callable[[int], None]  # called with the number of frames done
-
-
-def dataset_id(manifest: Manifest) -> str:
-    """What a predictions file may name its dataset by: the checksum of `dataset.yaml`."""
-    return checksum(manifest_yaml(manifest))
 
 
 def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:

@@ -44,7 +44,7 @@ class Labels:
     """The journal of one dataset, open for changes by one process at a time."""
 
     def __init__(self, path: Path, dataset_id: str, persons: Iterable[str], joints: Iterable[str]) -> None:
-        """Open, or make, the journal of a dataset (`evaluate.offline.dataset_id`).
+        """Open, or make, the journal of a dataset (`store.schema.dataset_id`).
 
         A last line that a crash cut short is dropped. Raises DatasetError where the journal is of another dataset, damaged
         elsewhere, or open in another process.

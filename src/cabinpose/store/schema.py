@@ -259,6 +259,11 @@ def checksum(text: str) -> str:
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def dataset_id(manifest: Manifest) -> str:
+    """What predictions and labels name their dataset by: the checksum of `dataset.yaml`."""
+    return checksum(manifest_yaml(manifest))
+
+
 def with_checksum_line(text: str) -> str:
     """The whole of `dataset.yaml`, of what `manifest_yaml` gives."""
     return f"{text}checksum: {checksum(text)}\n"

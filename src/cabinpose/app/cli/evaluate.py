@@ -98,17 +98,15 @@ def run(command: Evaluate) -> None:
 
 
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
-    from cabinpose.app.cli.selection import selected
+    from cabinpose.app.cli.selection import opened, selected
     from cabinpose.estimate.remote import open_predictor
-    from cabinpose.evaluate.offline import check_predictions, common_joints, dataset_id, evaluate
-    from cabinpose.store import open_dataset, read_manifest
-    from cabinpose.store.labels import labels_of, with_labels
+    from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate
+    from cabinpose.store import read_manifest
     from cabinpose.store.predictions import read_predictions
+    from cabinpose.store.schema import dataset_id
 
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
-    whole = open_dataset(folder)
-    if command.labels is not None:
-        whole = with_labels(whole, labels_of(command.labels, (dataset_id(read_manifest(folder)),)))
+    whole = opened(folder, command.labels)
     files = [read_predictions(path) for path in command.predictions]
     names = (dataset_id(read_manifest(folder)), folder.resolve().name)
     for file in files:

@@ -45,6 +45,8 @@ class Export(SelectsFrames):
     """coco, yolo: what the pictures show, in 8 bits of grey or (coco) 16 bits of millimetres; default: depth8."""
     splits: Annotated[Path | None, several("FILE")] = None
     """YAML file of splits, of which --split names one; coco, yolo: without --split all of them, each by itself."""
+    labels: Maybe[Path] = None
+    """Datasets: corrected labels, as the studio writes them (.labels.jsonl)."""
     source: Annotated[tuple[str, ...], several("NAME [NAME ...]")] = ()
     """Recordings: sources to export; default: all, or the only one that has what the format holds."""
     subject: Maybe[str] = None
@@ -95,12 +97,11 @@ def run(command: Export) -> None:
 
 def _frames(command: Export, folder: Path, name: str) -> tuple[xr.Dataset, Splits]:
     """The frames to export, and the splits to write them by: one that is named or all, where the format can tell splits apart."""
-    from cabinpose.app.cli.selection import frames_with, selected, selection
-    from cabinpose.store import open_dataset
+    from cabinpose.app.cli.selection import frames_with, opened, selected, selection
     from cabinpose.store.convert import IMAGE_KINDS
     from cabinpose.store.split import read_splits
 
-    dataset = open_dataset(folder)
+    dataset = opened(folder, command.labels)
     if command.splits is None or name not in IMAGE_KINDS:
         return selected(dataset, command), {}
     splits = read_splits(command.splits, None if command.split is None else [command.split])

@@ -173,9 +173,9 @@ def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> 
 
 def _write_predictions(command: LiveCommand, live: Live) -> None:
     from cabinpose.app.live.feed import DatasetFeed
-    from cabinpose.evaluate.offline import dataset_id
     from cabinpose.store import read_manifest
     from cabinpose.store.predictions import write_predictions
+    from cabinpose.store.schema import dataset_id
 
     assert command.predictions is not None
     (model,) = live.models

@@ -33,9 +33,10 @@ def run(command: Predict) -> None:
     from cabinpose.app.cli.selection import selected
     from cabinpose.core.ports import joined
     from cabinpose.estimate.remote import open_predictor
-    from cabinpose.evaluate.offline import BATCH, dataset_id, frame_batch
+    from cabinpose.evaluate.offline import BATCH, frame_batch
     from cabinpose.store import open_dataset, read_manifest
     from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
+    from cabinpose.store.schema import dataset_id
 
     check_new_predictions(command.out, overwrite=command.overwrite)  # before the work, not at its end
     model = open_predictor(command.model)

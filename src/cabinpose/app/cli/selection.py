@@ -11,7 +11,16 @@ import xarray as xr
 
 from cabinpose.app.cli.arguments import SelectsFrames
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
+from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store.labels import labels_of, with_labels
+from cabinpose.store.schema import dataset_id
 from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
+
+
+def opened(folder: Path, labels: Path | None = None) -> xr.Dataset:
+    """A dataset, with corrected labels where there are some. Raises DatasetError for labels of another dataset."""
+    dataset = open_dataset(folder)
+    return dataset if labels is None else with_labels(dataset, labels_of(labels, (dataset_id(read_manifest(folder)),)))
 
 
 def selected(dataset: xr.Dataset, command: SelectsFrames) -> xr.Dataset:

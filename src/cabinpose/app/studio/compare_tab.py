@@ -20,11 +20,12 @@ from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import PoseBatch, joined
 from cabinpose.core.skeleton import LIMBS
-from cabinpose.evaluate.offline import BATCH, common_joints, dataset_id, evaluate, frame_batch, samples_of, shared_places
+from cabinpose.evaluate.offline import BATCH, common_joints, evaluate, frame_batch, samples_of, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
 from cabinpose.evaluate.samples import Samples
 from cabinpose.store.predictions import Predictions
+from cabinpose.store.schema import dataset_id
 
 COLOURS = ("#ff9f1c", "#35a7ff", "#ff5964", "#9bde7e", "#c792ea", "#f6f740")
 _NEAR_CM = 5.0  # of the thesis' three boxes a joint: all found, those nearer than this, those nearer than Γt

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from cabinpose.app.view.complete import completed
 from cabinpose.core.errors import ConfigError
-from cabinpose.evaluate.offline import check_predictions, dataset_id
+from cabinpose.evaluate.offline import check_predictions
 from cabinpose.store import Manifest, open_dataset, read_manifest
 from cabinpose.store.labels import Labels, with_labels
 from cabinpose.store.predictions import Predictions, read_predictions
-from cabinpose.store.schema import MANIFEST_NAME
+from cabinpose.store.schema import MANIFEST_NAME, dataset_id
 
 
 @dataclass
