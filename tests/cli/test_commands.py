@@ -190,7 +190,7 @@ def test_export(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     assert "hint: --overwrite" in err
     code, _, err = run("export", "--format", "coc", "--out", tmp_path / "x", dataset_folder)
     assert code == 2
-    assert "hint: known: adtfdat, bvh, c3d, coco, csv, itop, mvnx, ntu, ply, png-json, sto, trc, xdf" in err
+    assert "hint: known: bvh, c3d, coco, csv, itop, ntu, ply, png-json, sto, trc, yolo" in err
 
 
 def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> None:

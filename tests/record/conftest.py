@@ -17,7 +17,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """`cabinpose record` with a clock that passes only while all its threads wait."""
     from virtual_clock import VirtualClock
 
-    monkeypatch.setattr("cabinpose.app.cli.record.HostClock", VirtualClock)
+    monkeypatch.setattr("cabinpose.core.clock.HostClock", VirtualClock)  # which the command imports when it runs
 
 
 @pytest.fixture

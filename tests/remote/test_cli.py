@@ -79,12 +79,11 @@ def test_without_the_extra_the_hint_names_it(run: Run, dataset: Path, tmp_path: 
         raise ModuleNotFoundError(f"No module named {name!r}", name=name.partition(".")[0])
 
     monkeypatch.setattr(optional.importlib, "import_module", absent)
-    from cabinpose.app.cli.commands import Predict, Serve
-
     from cabinpose.app.cli import predict, serve
 
     for command in (
-        lambda: predict.run(Predict(dataset, "grpc://pc:1/m", tmp_path / "a.jsonl")), lambda: serve.run(Serve("in_car"))
+        lambda: predict.run(predict.Predict(dataset=dataset, model="grpc://pc:1/m", out=tmp_path / "a.jsonl")),
+        lambda: serve.run(serve.Serve(model="in_car")),
     ):  # fmt: skip
         with pytest.raises(cabinpose.core.errors.DependencyError, match="tritonclient, which is not installed") as caught:
             command()

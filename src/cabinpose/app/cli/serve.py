@@ -1,4 +1,4 @@
-"""`cabinpose serve`: a model as a server of the Open Inference Protocol."""
+"""`cabinpose serve`: serve a model to other programs by the Open Inference Protocol."""
 
 from __future__ import annotations
 
