@@ -247,3 +247,16 @@ def test_percentiles() -> None:
     assert latency is not None
     assert (latency.p50, latency.p95, latency.p99) == pytest.approx((50.5, 95.05, 99.01))
     assert Latency.of([]) is None
+
+
+def test_paths_from_elsewhere_are_refused_where_a_folder_bounds_them(dataset_folder: Path, tmp_path: Path) -> None:
+    root = dataset_folder.parent
+    open_feed(str(dataset_folder), within=root)
+    for source, settings in (
+        (str(dataset_folder), {}),
+        ("simulated", {"dataset": str(dataset_folder)}),
+        ("simulated", {"dataset": f"{tmp_path}/../{root.name}"}),
+        ("synth", {"scenes": "/etc/passwd"}),
+    ):
+        with pytest.raises(ConfigError, match="lies outside of"):
+            open_feed(source, settings, realtime=True, within=tmp_path)

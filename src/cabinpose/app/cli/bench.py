@@ -89,13 +89,23 @@ class BenchRemote(PrintsJson):
     """Round trips of each way."""
 
 
-COMMAND = one_of(synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote)
+@dataclass(frozen=True, kw_only=True)
+class BenchLive(PrintsJson):
+    """Measure what `live` adds to the time of the network, from a camera's frame to joints, one frame at a time."""
+
+    frames: int = 300
+    """Frames of the timed run."""
+    threads: int = 2
+    """Threads of ONNX Runtime."""
 
 
-def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote) -> None:
+COMMAND = one_of(synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote, live=BenchLive)
+
+
+def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote | BenchLive) -> None:
     """Measure; stderr tells what is being measured."""
     name = type(command).__name__.removeprefix("Bench").lower()
-    require(*{"record": ("record", "bench"), "lab": ("record",), "remote": ("remote",)}.get(name, ()))
+    require(*{"record": ("record", "bench"), "lab": ("record",), "remote": ("remote",), "live": ("record",)}.get(name, ()))
     flags = {key: value for key, value in vars(command).items() if key != "as_json"}
     result = _benchmark(name).run(**flags, say=lambda words: print(words, file=sys.stderr))
     if command.as_json:

@@ -25,6 +25,8 @@ class Studio:
     """Predictions files of the dataset to compare."""
     labels: Maybe[Path] = None
     """Journal of the labels; default: DATASET.labels.jsonl beside the dataset."""
+    role: str = "annotator"
+    """Who labels, as the journal shall say: annotator, reviewer, or any other word."""
     host: str = "127.0.0.1"
     """Address to serve on; another than this machine's own needs --token."""
     port: int = 8570
@@ -44,7 +46,7 @@ def run(command: Studio) -> None:
     from cabinpose.app.studio.serve import serve
     from cabinpose.app.studio.workspace import open_workspace
 
-    workspace = open_workspace(command.thing, labels=command.labels)
+    workspace = open_workspace(command.thing, labels=command.labels, role=command.role)
     for path in command.predictions:
         workspace.add_predictions(path)
     serve(workspace, host=command.host, port=command.port, token=command.token, ready=_ready)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,14 @@ _NOT_CAMERAS = ("mvn", "vicon", "lsl", "numbered", "replay")
 _SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), an Azure file (.mkv), or a kind of camera"
 
 
-def open_feed(source: str, settings: Mapping[str, Any] | None = None, *, realtime: bool = False, out: Path | None = None) -> Feed:
+def open_feed(
+    source: str,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    realtime: bool = False,
+    out: Path | None = None,
+    within: Path | None = None,
+) -> Feed:
     """What gives the frames of a source; nothing is connected yet.
 
     Parameters
@@ -33,37 +40,47 @@ def open_feed(source: str, settings: Mapping[str, Any] | None = None, *, realtim
         Play datasets and recordings at their own pace and drop what comes meanwhile, as a camera would.
     out
         Recording to write (.mcap) of what a device says.
+    within
+        Folder that the source and all paths among its settings have to be in; default: any.
 
     Raises
     ------
     ConfigError
-        For a source that is not there, an unknown kind or setting, and a recording of what is recorded already.
+        For a source that is not there, an unknown kind or setting, a path elsewhere, and a recording of what is recorded already.
     """
     given: dict[str, Any] = dict(settings or {})
     path, name = _split(source)
+    if path is not None:
+        _check_within(path, within)
     if out is not None and path is not None and path.suffix != ".yaml":
         raise ConfigError(f"{path} is recorded already", hint="leave out --record, or name a camera")
+
+    def latest(rig: Rig, out: Path | None = None) -> LatestFrame:
+        for value in _paths(rig.sources[0].settings.model_dump()):
+            _check_within(value, within)
+        return LatestFrame(rig, out)
+
     if path is None:
         known = {kind: place for kind, place in kinds().items() if kind not in _NOT_CAMERAS}
         if source not in known:
             error = unknown_name("source", source, tuple(known))
             raise ConfigError(f"{error}", hint=f"{_SOURCES}: {', '.join(sorted(known))}")
-        return LatestFrame(_rig(source, source, given), out)
+        return latest(_rig(source, source, given), out)
     if path.is_dir():
         if not realtime:
             _nothing_set(given, path)
             return DatasetFeed(path)
-        return LatestFrame(_rig("dataset", "simulated", {"dataset": str(path.absolute()), "loop": False} | given))
+        return latest(_rig("dataset", "simulated", {"dataset": str(path.absolute()), "loop": False} | given))
     if path.suffix == ".mcap":
         played = {"path": str(path.absolute()), "source": name, "speed": 1.0 if realtime else 0.0} | given
         rig = _rig("replay", "replay", played)
         if realtime:
-            return LatestFrame(rig)
+            return latest(rig)
         clock = HostClock()
         return EveryFrame(rig.sources[0].build(clock), clock)
     if path.suffix == ".mkv":
-        return LatestFrame(_rig("azure", "azure_mkv", {"path": str(path.absolute())} | given))
-    return LatestFrame(_one_of(path, name, given), out)
+        return latest(_rig("azure", "azure_mkv", {"path": str(path.absolute())} | given))
+    return latest(_one_of(path, name, given), out)
 
 
 def parsed_settings(words: Sequence[str]) -> dict[str, Any]:
@@ -123,6 +140,20 @@ def _one_of(path: Path, name: str | None, settings: Mapping[str, Any]) -> Rig:
         raise ConfigError(f"{path}: {error}", hint=error.hint)
     kept = data | {"sources": {name: dict(sources[name]) | dict(settings)}}
     return parse_rig(kept, yaml.safe_dump(kept, sort_keys=False), base=path.parent)
+
+
+def _check_within(path: Path, folder: Path | None) -> None:
+    if folder is not None and not path.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"{path} lies outside of {folder}", hint="paths from the browser stay in the folder that was opened")
+
+
+def _paths(settings: Any) -> Iterator[Path]:
+    """All paths among settings as plain data."""
+    if isinstance(settings, Path):
+        yield settings
+    elif isinstance(settings, dict):
+        for value in settings.values():
+            yield from _paths(value)
 
 
 def _nothing_set(settings: Mapping[str, Any], path: Path) -> None:

@@ -11,6 +11,7 @@ from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
 from cabinpose.app.view.draw import PERSON_COLOUR, cloud_colours
+from cabinpose.core.errors import CabinposeError
 from cabinpose.core.frames import apply
 from cabinpose.store.lazy import points_m
 
@@ -48,7 +49,11 @@ def cloud_routes(dataset: Callable[[], xr.Dataset | None]) -> APIRouter:
             raise HTTPException(404, "there is no such cloud")
         if not 0 <= row < opened.sizes["frame"]:
             raise HTTPException(404, "there is no such frame")
-        return Response(cloud_glb(*frame_cloud(opened.isel(frame=row).load(), variable)), media_type="model/gltf-binary")
+        try:
+            frame = opened.isel(frame=row).load()
+        except (CabinposeError, OSError) as error:  # the dataset vanished, or is damaged
+            raise HTTPException(404, str(error)) from error
+        return Response(cloud_glb(*frame_cloud(frame, variable)), media_type="model/gltf-binary")
 
     return router
 

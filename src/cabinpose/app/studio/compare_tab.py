@@ -83,7 +83,11 @@ class CompareTab:
         ui.label("Predictions").style("font-weight: 600")
         self._list = ui.column().classes("w-full").style("gap: 2px")
         with ui.row().classes("no-wrap w-full items-center"):
-            self._model = ui.select(detectors(), value="in_car", label="model").props("dense outlined").style("flex: 1")
+            self._model = (
+                ui.select(detectors(), value="in_car", label="model, or grpc://HOST:PORT/MODEL", new_value_mode="add-unique")
+                .props("dense outlined")
+                .style("flex: 1")
+            )
             self._run = ui.button("Run", on_click=self._run_model).props("dense no-caps")
         self._progress = ui.linear_progress(value=0, show_value=False).classes("w-full")
         self._progress.visible = False

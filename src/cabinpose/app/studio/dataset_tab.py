@@ -15,6 +15,7 @@ from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
+from cabinpose.core.errors import CabinposeError
 from cabinpose.core.frames import apply
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import LIMBS
@@ -130,6 +131,12 @@ class DatasetTab:
         self._go(int(np.searchsorted(self._rows, row)))
 
     def _show(self) -> None:
+        try:
+            self._show_frame()
+        except (CabinposeError, OSError) as error:
+            ui.notify(f"this frame cannot be read: {error}", type="negative", multi_line=True)
+
+    def _show_frame(self) -> None:
         count = len(self._rows)
         self._count.text = f"{count} of {self._dataset.sizes['frame']} frames"
         self._slider.props(f"max={max(count - 1, 1)}")

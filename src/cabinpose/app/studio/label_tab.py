@@ -85,6 +85,8 @@ class LabelTab:
         self._model.props("dense outlined").classes("w-full").mark("proposals")
         people = ui.select(list(self._labelling.persons), value=self._person, label="person", on_change=self._set_person)
         people.props("dense outlined").classes("w-full")
+        sets = list(self._labelling.sets)
+        ui.select(sets, value=sets[0], label="joints", on_change=self._set_joints).props("dense outlined").classes("w-full")
         self._order = ui.select(_ORDERS, value="order", label="frames", on_change=self._reorder).props("dense outlined")
         self._order.classes("w-full")
         images = [name for name in (*DEPTHS, *GREYS) if name in self._dataset]
@@ -98,7 +100,9 @@ class LabelTab:
                 ui.button(words, on_click=lambda key=key: self._key({"key": key})).props("dense outline no-caps").style(
                     "flex: 1; font-size: 12px"
                 ).tooltip(key)
-        self._saved = ui.label().style("font-size: 12px; opacity: .7")
+        with ui.row().classes("no-wrap w-full items-center"):
+            self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
+            ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("history of this frame")
         with ui.expansion("Keys", icon="keyboard").classes("w-full").props("dense"):
             for keys, what in _HELP:
                 with ui.row().classes("no-wrap w-full").style("gap: 8px; font-size: 12px"):
@@ -170,6 +174,25 @@ class LabelTab:
     async def _set_person(self, event: Any) -> None:
         self._person, self._chosen = str(event.value), 0
         await self._reorder()
+
+    async def _set_joints(self, event: Any) -> None:
+        self._labelling.joints, self._chosen = self._labelling.sets[str(event.value)], 0
+        self._labelling.use(self._labelling.model)  # proposals of these joints
+        await self._reorder()
+
+    def _history(self) -> None:
+        """What was done to the person in this frame, by whom, newest first."""
+        number = int(self._labelling.numbers[self._row])
+        changes = [c for c in self._labelling.labels.history if (c.frame, c.person) == (number, self._person)][::-1]
+        with ui.dialog() as dialog, ui.card():
+            ui.label(f"frame {number}, {self._person}").style("font-weight: 600")
+            if not changes:
+                ui.label("nothing was changed here")
+            rows = [{"time": c.time[:19], "role": c.role, "how": c.how, "joint": c.joint} for c in changes[:500]]
+            if rows:
+                ui.table(rows=rows).props("dense flat")
+        dialog.on("hide", dialog.delete)
+        dialog.open()
 
     async def _use_model(self) -> None:
         try:

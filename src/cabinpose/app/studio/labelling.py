@@ -39,16 +39,25 @@ class Shown:
     doubt: str = ""
 
 
+def _joint_sets(known: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Which joints can be labelled, by name, in the order along the skeleton; the first is what one begins with."""
+    upper = tuple(name for name in UPPER_BODY if name in known)
+    suit = tuple(name for name in upper if name.endswith(("wrist", "pelvis")) or name == "hip")
+    sets = {"upper body": upper, "all joints": (*upper, *(n for n in known if n not in upper)), "wrists and hips": suit}
+    return {name: joints for name, joints in sets.items() if joints}
+
+
 class Labelling:
     """Labels of one dataset in work. Rows are positions in the dataset; frames are told by their numbers."""
 
-    def __init__(self, workspace: Workspace, role: str = "annotator", *, joints: Sequence[str] | None = None) -> None:
+    def __init__(self, workspace: Workspace) -> None:
         assert workspace.dataset is not None
         self.dataset = workspace.dataset
         self.labels = workspace.labels
-        self.role = role
+        self.role = workspace.role
         known = [str(name) for name in self.dataset["joint"].values]
-        self.joints = tuple(joints or [name for name in UPPER_BODY if name in known] or known)
+        self.sets = _joint_sets(known)
+        self.joints = next(iter(self.sets.values()))
         self._column = {name: i for i, name in enumerate(known)}
         self.persons = tuple(str(name) for name in self.dataset["person"].values)
         self.numbers: NDArray[np.int64] = self.dataset["frame"].values.astype(np.int64)

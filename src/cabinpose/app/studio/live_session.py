@@ -24,10 +24,12 @@ _RECENT = 16  # frames kept for browsers that have been told of them and come fo
 class LiveSession:
     """Detectors on a source, on a thread of its own; `latest` is what browsers show."""
 
-    def __init__(self, source: str, settings: dict[str, Any], models: Sequence[Predictor], *, record: Path | None = None) -> None:
-        """Raises ConfigError for a source that is not there; connecting is done by the thread, see `error`."""
+    def __init__(
+        self, source: str, settings: dict[str, Any], models: Sequence[Predictor], *, within: Path, record: Path | None = None
+    ) -> None:
+        """Raises ConfigError for a source that is not there or outside of `within`; the thread connects, see `error`."""
         self.source, self.record = source, record
-        self._live = Live(open_feed(source, settings, realtime=True, out=record), models, skip_errors=True)
+        self._live = Live(open_feed(source, settings, realtime=True, out=record, within=within), models, skip_errors=True)
         self.models = tuple(models)
         self.latest: tuple[LiveFrame, tuple[Found, ...]] | None = None
         self.recent: deque[LiveFrame] = deque(maxlen=_RECENT)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,9 @@ class LiveTab:
             "dense outlined autogrow"
         )
         self._settings.classes("w-full")
-        self._models = ui.select(detectors(), value=["in_car"], label="models", multiple=True).props("dense outlined use-chips")
+        self._models = ui.select(
+            detectors(), value=["in_car"], label="models, or grpc://HOST:PORT/MODEL", multiple=True, new_value_mode="add-unique"
+        ).props("dense outlined use-chips")
         self._models.classes("w-full")
         self._recording = ui.checkbox("record meanwhile")
         with ui.row().classes("no-wrap w-full").style("gap: 6px"):
@@ -76,8 +77,10 @@ class LiveTab:
             names = list(self._models.value or ())
             models: list[Predictor] = await run.io_bound(lambda: [open_predictor(name) for name in names]) or []
             self._room.stop()
-            record = Path(f"live-{datetime.now():%Y%m%d-%H%M%S}.mcap") if self._recording.value else None  # noqa: DTZ005 - local
-            self._room.session = LiveSession(str(self._source.value), settings, models, record=record)
+            record = self._workspace.root / f"live-{datetime.now():%Y%m%d-%H%M%S}.mcap" if self._recording.value else None  # noqa: DTZ005 - local
+            self._room.session = LiveSession(
+                str(self._source.value), settings, models, within=self._workspace.root, record=record
+            )
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
         finally:

@@ -10,6 +10,7 @@ import xarray as xr
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
+from cabinpose.core.errors import CabinposeError
 from cabinpose.store.schema import DEPTH_SCALE_M
 
 DEPTHS = ("depth", "depth_clean", "depth_styled")
@@ -62,6 +63,10 @@ def image_routes(dataset: Callable[[], xr.Dataset | None]) -> APIRouter:
             raise HTTPException(404, "there is no such image")
         if not 0 <= row < opened.sizes["frame"]:
             raise HTTPException(404, "there is no such frame")
-        return picture(name, opened[name][row].values).response(keep=True)
+        try:
+            values = opened[name][row].values
+        except (CabinposeError, OSError) as error:  # the dataset vanished, or is damaged
+            raise HTTPException(404, str(error)) from error
+        return picture(name, values).response(keep=True)
 
     return router

@@ -28,8 +28,15 @@ class Workspace:
     recording: Path | None = None
     scene: Path | None = None
     labels_path: Path | None = None
+    role: str = "annotator"
     predictions: dict[str, Predictions] = field(default_factory=dict)
     _labels: Labels | None = None
+
+    @property
+    def root(self) -> Path:
+        """The folder of what was opened: paths from the browser stay in it."""
+        thing = self.folder or self.recording or self.scene
+        return thing.resolve().parent if thing is not None else Path.cwd()
 
     @property
     def labels(self) -> Labels:
@@ -75,14 +82,14 @@ class Workspace:
             self._labels = None
 
 
-def open_workspace(thing: Path | None, *, labels: Path | None = None) -> Workspace:
+def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str = "annotator") -> Workspace:
     """Open a dataset, a recording (.mcap) or a scene (.yaml); nothing for None. Raises ConfigError for anything else."""
     if thing is None:
         return Workspace()
     if thing.is_dir():
         if not (thing / MANIFEST_NAME).is_file():
             raise ConfigError(f"{thing} is no dataset: it has no {MANIFEST_NAME}", hint="give the folder of a dataset")
-        return Workspace(thing, completed(open_dataset(thing)), read_manifest(thing), labels_path=labels)
+        return Workspace(thing, completed(open_dataset(thing)), read_manifest(thing), labels_path=labels, role=role)
     if not thing.is_file():
         raise ConfigError(f"there is no {thing}", hint="give a dataset, a recording (.mcap) or a scene (.yaml)")
     if thing.suffix == ".mcap":
