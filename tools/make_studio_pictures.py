@@ -2,7 +2,7 @@
 
     python tools/make_studio_pictures.py DATASET OUT [--sizes 1280x800 1920x1080] [--labelling FRAMES]
 
-Needs Debian's chromium and playwright. With --labelling, a copy of the dataset is labelled as a person would: proposals of `in_car`,
+Needs Debian's chromium and playwright. With --labelling a copy of the dataset is labelled as a person would: proposals of `in_car`,
 every joint that lies more than 6 px from the truth dragged there, Enter. The interactions are counted and priced by the
 keystroke-level model (Card, Moran and Newell 1980: key 0.28 s, pointing 1.1 s, button 0.1 s, thought 1.35 s).
 """
