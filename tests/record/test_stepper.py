@@ -171,7 +171,7 @@ def test_sse_finds_what_the_shaft_and_the_sensor_did(tmp_path: Path, run: Callab
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     still = Motion(60.0, np.zeros((3, 23, 3)), np.tile((1.0, 0, 0, 0), (3, 23, 1)))
-    mount = Rotation.from_quat(_MOUNT_WXYZ[0], scalar_first=True)
+    mount = Rotation.from_quat(_MOUNT_WXYZ, scalar_first=True)
     over, truth = threading.Event(), []
     with StepperEmulator(StepperEmulatorSettings(backlash_deg=1.0, miss_every=3, miss_deg=0.5)) as emulator:
 
