@@ -2,8 +2,8 @@
 
     python tools/make_studio_pictures.py DATASET OUT [--sizes 1280x800 1920x1080] [--labelling FRAMES]
 
-Needs Debian's chromium and playwright. With --labelling a copy of the dataset is labelled as a person would: proposals of `in_car`,
-every joint that lies more than 6 px from the truth dragged there, Enter. The interactions are counted and priced by the
+Needs Debian's chromium and playwright. With --labelling a copy of the dataset is labelled as a person would: proposals of
+`in_car`, every joint that lies more than 6 px from the truth dragged there, Enter. The interactions are counted and priced by the
 keystroke-level model (Card, Moran and Newell 1980: key 0.28 s, pointing 1.1 s, button 0.1 s, thought 1.35 s).
 """
 
@@ -136,7 +136,8 @@ def on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]
     box = shown.bounding_box()
     scale = min(box["width"] / size[0], box["height"] / size[1])
     x = box["x"] + (box["width"] - size[0] * scale) / 2 + (uv[0] + 0.5) * scale
-    return x, box["y"] + (box["height"] - size[1] * scale) / 2 + (uv[1] + 0.5) * scale
+    y = box["y"] + (box["height"] - size[1] * scale) / 2 + (uv[1] + 0.5) * scale
+    return float(x), float(y)
 
 
 def main() -> None:

@@ -38,7 +38,7 @@ def on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]
     scale = min(box["width"] / width, box["height"] / height)
     x = box["x"] + (box["width"] - width * scale) / 2 + (uv[0] + 0.5) * scale
     y = box["y"] + (box["height"] - height * scale) / 2 + (uv[1] + 0.5) * scale
-    return x, y
+    return float(x), float(y)
 
 
 def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
@@ -106,6 +106,7 @@ def test_labelling_a_frame_takes_few_seconds(page: Any, start: Callable[..., Any
 def test_dataset_is_filtered_and_browsed(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
     page.goto(start(dataset_folder).address)
     page.get_by_text("6 of 6 frames").wait_for()
+    canvas(page)
     action = str(open_dataset(dataset_folder)["action"].values[2, 0])
     page.get_by_label("action").click()
     page.get_by_role("option", name=action, exact=True).click()
