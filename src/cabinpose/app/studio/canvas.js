@@ -11,8 +11,8 @@ export default {
       <div v-if="state" style="position:absolute;inset:0;display:flex;align-items:center;justify-content:center;color:#889;
         font:14px sans-serif;pointer-events:none">{{ state }}</div>
     </div>`,
-  props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, selected: Array, palette: Array },
-  data: () => ({ state: "loading", image: null, view: null, drag: null, pointer: null, loads: 0 }),
+  props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array },
+  data: () => ({ state: "loading", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [] }),
   mounted() {
     const canvas = this.$refs.canvas;
     this.context = canvas.getContext("2d");
@@ -29,13 +29,19 @@ export default {
   watch: {
     url() { this.load(); },
     near() { this.colour(); }, far() { this.colour(); }, palette() { this.colour(); },
-    people: { handler() { if (!this.drag) this.draw(); }, deep: true },
+    people() { if (!this.loading) this.take(); }, // of a frame whose image is on its way: with that image
     selected() { this.draw(); },
   },
   methods: {
+    take() {
+      if (this.drag) return;
+      this.shown = JSON.parse(JSON.stringify(this.people || []));
+      this.draw();
+    },
     async load() {
       const load = ++this.loads;
-      if (!this.url) { this.state = "no image"; this.image = null; return; }
+      if (!this.url) { this.state = "no image"; this.image = null; this.take(); return; }
+      this.loading = true;
       try {
         const answer = await fetch(this.url);
         if (!answer.ok) throw new Error(await answer.text());
@@ -48,10 +54,17 @@ export default {
         this.image = { width, height, step, kind, values, unit: answer.headers.get("x-unit") || "" };
         if (!same) this.view = null;
         this.state = "";
+        this.loading = false;
+        this.take();
         this.colour();
         this.$emit("loaded");
       } catch (error) {
-        if (load === this.loads) { this.image = null; this.state = "this image cannot be had: " + error.message; this.draw(); }
+        if (load !== this.loads) return;
+        this.loading = false;
+        if (this.live && this.image) return; // a frame that was gone before it was fetched: the next one is coming
+        this.image = null;
+        this.state = "this image cannot be had: " + error.message;
+        this.draw();
       }
     },
     colour() {
@@ -96,7 +109,7 @@ export default {
       c.imageSmoothingEnabled = false;
       c.drawImage(this.bitmap, x, y, this.image.width * scale, this.image.height * scale);
       const at = ([u, v]) => [(u + 0.5) * scale + x, (v + 0.5) * scale + y]; // an integer pixel is a pixel's centre
-      (this.people || []).forEach((person, p) => {
+      this.shown.forEach((person, p) => {
         const there = (j) => person.joints[j] && person.joints[j].u !== null;
         c.lineWidth = 2 * ratio; c.strokeStyle = person.colour; c.setLineDash(person.dashed ? [5 * ratio, 4 * ratio] : []);
         for (const [a, b] of person.limbs || this.limbs || []) {
@@ -129,7 +142,7 @@ export default {
     nearest(event) {
       const { sx, sy } = this.pixel(event), { scale, x, y } = this.place(), ratio = window.devicePixelRatio || 1;
       let best = null, least = HIT_PX * ratio;
-      (this.people || []).forEach((person, p) => person.fixed || person.joints.forEach((joint, j) => {
+      this.shown.forEach((person, p) => person.fixed || person.joints.forEach((joint, j) => {
         if (joint.u === null) return;
         const distance = Math.hypot((joint.u + 0.5) * scale + x - sx, (joint.v + 0.5) * scale + y - sy);
         if (distance < least) { least = distance; best = [p, j]; }
@@ -166,7 +179,7 @@ export default {
         const ratio = window.devicePixelRatio || 1;
         this.view = { scale: drag.view.scale, x: drag.view.x + dx * ratio, y: drag.view.y + dy * ratio };
       } else if (drag.hit && this.editable) {
-        Object.assign(this.people[drag.hit[0]].joints[drag.hit[1]], { u, v });
+        Object.assign(this.shown[drag.hit[0]].joints[drag.hit[1]], { u, v });
       }
       this.draw();
     },

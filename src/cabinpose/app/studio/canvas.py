@@ -18,14 +18,18 @@ class FrameCanvas(Element, component="canvas.js"):
         self,
         *,
         editable: bool = False,
+        live: bool = False,
         on_pick: Callable[[int, int], Any] | None = None,
         on_place: Callable[[Mapping[str, Any]], Any] | None = None,
         on_key: Callable[[Mapping[str, Any]], Any] | None = None,
     ) -> None:
-        """on_pick: person and joint · on_place: u, v, `dragged`, and the person and joint where one was dragged · on_key: key."""
+        """live: an image that cannot be had any more leaves the one before.
+
+        on_pick: person and joint · on_place: u, v, `dragged`, and the person and joint where one was dragged · on_key: key.
+        """
         super().__init__()
         self.classes("w-full h-full")
-        self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "selected": None}
+        self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "live": live, "selected": None}
         self._props["limbs"], self._props["palette"] = [], colour_map().tolist()
         if on_pick is not None:
             self.on("pick", lambda e: on_pick(int(e.args["person"]), int(e.args["joint"])))

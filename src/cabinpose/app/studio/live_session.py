@@ -18,7 +18,7 @@ from cabinpose.app.studio.pictures import picture
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import Predictor
 
-_RECENT = 16  # frames kept for browsers that have been told of them and come for their images
+_RECENT = 64  # frames kept for browsers that have been told of them and come for their images
 
 
 class LiveSession:

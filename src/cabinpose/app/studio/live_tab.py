@@ -44,9 +44,9 @@ class LiveTab:
             with ui.column().classes("studio-main"):
                 with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
                     with ui.element("div").classes("studio-pane"):
-                        self._depth = FrameCanvas()
+                        self._depth = FrameCanvas(live=True)
                     with ui.element("div").classes("studio-pane"):
-                        self._amplitude = FrameCanvas()
+                        self._amplitude = FrameCanvas(live=True)
                 self._rates = ui.label("Choose a source and a model, then start.").mark("rates")
                 self._trouble = ui.label().style("color: #d33")
         ui.timer(_PERIOD_S, self._look)
