@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -185,6 +186,17 @@ def test_asking_waits_no_longer_than_it_must() -> None:
 
 
 # ------------------------------------------------------------------------------------------------ what goes wrong
+
+
+def test_an_sdk_that_is_not_installed_is_named_with_the_remedy(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda names: [Model()])
+    outcome = run("live", "--source", "orbbec")
+    assert outcome.code == 2
+    assert outcome.err == (
+        "error: an Orbbec camera needs the Python package pyorbbecsdk, which is not installed\n"
+        "hint: pip install 'cabinpose[orbbec]'\n"
+    )
 
 
 def test_failing_detector_ends_the_run_or_is_counted(dataset_folder: Path) -> None:

@@ -33,6 +33,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
         "royale": f"{_HERE}.tof.royale:RoyaleSource",
         "bta": f"{_HERE}.tof.bta:BtaSource",
         "genicam": f"{_HERE}.tof.genicam:GenicamSource",
+        "orbbec": f"{_HERE}.tof.orbbec:OrbbecSource",
         "azure_mkv": f"{_HERE}.tof.azure_mkv:AzureMkvSource",
         "simulated": f"{_HERE}.tof.simulated:SimulatedSource",
         "lsl": f"{_HERE}.lsl:LslSource",

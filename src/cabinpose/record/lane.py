@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError, SourceEndedError
+from cabinpose.core.errors import CabinposeError, RecordingError, SourceEndedError
 from cabinpose.core.ports import Counts, FrameSource, Sample
 from cabinpose.core.recorded import Facts
 from cabinpose.store.recording import SourceStatus
@@ -76,7 +76,7 @@ class Lane:
         self._stop, self._begun = threading.Event(), threading.Event()
         self.leads = getattr(source, "leads_take", False)
         self.opened = threading.Event()
-        self.failure: RecordingError | None = None
+        self.failure: CabinposeError | None = None
         self._thread = threading.Thread(target=self._run, name=f"source-{self.name}", daemon=True)
 
     def start(self) -> None:
@@ -195,7 +195,7 @@ class Lane:
                 self._error = str(error) or type(error).__name__
                 if self.leads or not self.opened.is_set():
                     self._state = "failed"
-                    self.failure = error if isinstance(error, RecordingError) else RecordingError(f"{self.name}: {error!r}")
+                    self.failure = error if isinstance(error, CabinposeError) else RecordingError(f"{self.name}: {error!r}")
                     break
                 self._state, self._away = "retrying", True
             finally:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
+from cabinpose.core.errors import CabinposeError, RecordingError
 from cabinpose.record.lane import Lane, LaneStatus
 from cabinpose.record.split import SplitWriter
 from cabinpose.store.recording import SourceStatus
@@ -47,7 +47,7 @@ class Outcome:
     ended_ns: int
     files: tuple[Path, ...]
     bytes_written: int
-    error: RecordingError | None
+    error: CabinposeError | None
 
     @property
     def seconds(self) -> float:
@@ -72,7 +72,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
 
     def start(self, timeout_s: float = 30.0) -> None:
-        """Open all sources and begin. Raises RecordingError, with nothing left running, where one cannot be opened."""
+        """Open all sources and begin. Raises RecordingError or DependencyError where one cannot be opened; none is left open."""
         until = self._clock.now_s() + timeout_s
         for lane in self._lanes:
             lane.start()

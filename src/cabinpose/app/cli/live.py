@@ -38,7 +38,7 @@ class LiveCommand(PrintsJson):
 
     source: str
     """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), Azure file (.mkv), or kind of
-    camera: simulated, synth, royale, bta, genicam."""
+    camera: simulated, synth, royale, bta, genicam, orbbec."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
     """Models to run, one after the other on each frame: names of packaged models, ONNX files, or models on
     servers (grpc://HOST:PORT/MODEL)."""

@@ -22,7 +22,7 @@ from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate.options import EvaluationOptions
 
 _PERIOD_S = 0.1  # between looks for a new frame
-_KINDS = ("simulated", "synth", "royale", "bta", "genicam")
+_KINDS = ("simulated", "synth", "royale", "bta", "genicam", "orbbec")
 _PRESENT = EvaluationOptions().presence
 _GREY = [[value, value, value] for value in range(256)]
 

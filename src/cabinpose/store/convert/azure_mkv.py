@@ -142,7 +142,7 @@ class AzureFile:
             self.mode = DEPTH_MODES[mode]
             self.calibration = self._calibration()
             self.lens = rational_lens(self.calibration, self.mode)
-            self.fit = _fit(self.lens, self.mode)
+            self.fit = fit_lens(self.lens, self.mode.width, self.mode.height, self.mode.field)
         except (RecordingError, ValueError, KeyError, TypeError, IndexError) as error:
             self.close()
             if isinstance(error, RecordingError):
@@ -284,10 +284,26 @@ def rational_lens(calibration: Mapping[str, Any], mode: DepthMode) -> RationalLe
     )
 
 
-def _fit(lens: RationalLens, mode: DepthMode) -> CameraFit:
-    rays = lens.rays(mode.width, mode.height, every=max(mode.width // 160, 1))
+def fit_lens(lens: RationalLens, width: int, height: int, field: float) -> CameraFit:
+    """The camera of five coefficients that comes closest to a lens.
+
+    Parameters
+    ----------
+    lens
+        In pixels of the image.
+    width, height
+        Size of the image, px.
+    field
+        The rays that are fitted, as the radius x²+y² = field² (normalised); pixels outside it get no light.
+
+    Raises
+    ------
+    ValueError
+        Where no camera fits.
+    """
+    rays = lens.rays(width, height, every=max(width // 160, 1))
     with np.errstate(invalid="ignore"):
-        rays[~(np.linalg.norm(rays, axis=-1) <= mode.field)] = np.nan
+        rays[~(np.linalg.norm(rays, axis=-1) <= field)] = np.nan
     fit = fit_camera(rays)
     if fit is None:
         raise ValueError("no camera fits the lens")
