@@ -36,7 +36,7 @@ def _init(action: ConfigInit) -> None:
 def _frame(action: ConfigFrame) -> None:
     """Write what `exact_config` says of a frame, without what is as by default."""
     from cabinpose.store import read_manifest
-    from cabinpose.synth.exact import exact_config
+    from cabinpose.synth.exact import exact_config, without_defaults
 
     manifest = read_manifest(action.dataset)
     if manifest.generator != "cabinpose.synth":
@@ -47,10 +47,7 @@ def _frame(action: ConfigFrame) -> None:
         )
     if manifest.generator_version != cabinpose.__version__:
         print(f"warning: {action.dataset} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
-    exact = exact_config(SynthConfig.parse(manifest.config), manifest.seed, action.frame)
-    defaults = SynthConfig().model_dump(mode="json")
-    told = {key: value for key, value in exact.model_dump(mode="json").items() if value != defaults[key]}
-    told["scene"] = exact.scene.model_dump(mode="json", exclude_defaults=True)
+    told = without_defaults(exact_config(SynthConfig.parse(manifest.config), manifest.seed, action.frame))
     text = f"# frame {action.frame} of a dataset with seed {manifest.seed}\n"
     _write(text + yaml.safe_dump(told, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True), action.file)
 
