@@ -85,7 +85,8 @@ class SceneFields:
             if field.description:
                 label.tooltip(field.description)
             if field.options:
-                ui.label(field.option).style("opacity: .7; font-size: 12px")
+                plain = isinstance(field.value, (str, int, float))
+                ui.label(str(field.value) if plain else field.option).style("opacity: .7; font-size: 12px")
             if removable:
                 ui.button(icon="close").props("flat round dense size=xs").on(
                     "click.stop", lambda: self._remove(field.path)

@@ -72,7 +72,7 @@ class Field:
             return self.unit
         if self.high is None:
             return f"{'above' if self.above else 'from'} {self.low:.6g}{unit}"
-        return f"{'' if self.low is None else f'{self.low:.4g} '}to {self.high:.4g}{unit}"
+        return f"{'' if self.low is None else f'{self.low:.6g} '}to {self.high:.6g}{unit}"
 
     def walk(self) -> Iterator[Field]:
         """The field and all within."""

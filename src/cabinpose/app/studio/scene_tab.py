@@ -64,7 +64,7 @@ class SceneTab:
         self._drawn: Shown | None = None
         self._looked = False
         with ui.row().classes("studio-tab no-wrap w-full"):
-            with ui.column().classes("studio-side").style("width: 330px; min-width: 330px"):
+            with ui.column().classes("studio-side no-wrap").style("width: 330px; min-width: 330px; overflow: hidden; height: 100%"):
                 self._build_side()
             with ui.column().classes("studio-main"):
                 self._build_main()
@@ -108,8 +108,14 @@ class SceneTab:
                 self._run_words = ui.label().style("flex: 1; font-size: 12px").mark("generation")
                 self._cancel = ui.button("Cancel", on_click=self._cancel_generation).props("dense flat no-caps size=sm")
         self._running.set_visibility(False)
-        self._people = ui.column().classes("w-full").style("gap: 2px")
-        self._fields = SceneFields(editor, lambda: editor.starts(self._room.shown), self._changed_by_field)
+        with ui.tabs().props("dense no-caps align=justify").classes("w-full") as bar:
+            ui.tab("Keys")
+            ui.tab("People")
+        with ui.tab_panels(bar, value="Keys", keep_alive=True).classes("w-full").style("flex: 1; min-height: 0; background: none"):
+            with ui.tab_panel("Keys").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
+                self._fields = SceneFields(editor, lambda: editor.starts(self._room.shown), self._changed_by_field)
+            with ui.tab_panel("People").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
+                self._people = ui.column().classes("w-full").style("gap: 2px")
         self._build_people()
 
     def _build_main(self) -> None:
@@ -136,10 +142,13 @@ class SceneTab:
     def _build_people(self) -> None:
         """Sliders for the seats and joint axes of people who have a whole pose."""
         self._people.clear()
-        shown, given = self._room.shown, self._editor.given
+        given = self._editor.given if self._room.shown is not None else ()
         with self._people:
-            for slot in given if shown is not None else ():
-                with ui.expansion(f"{slot}: seat and joints", icon="accessibility").props("dense").classes("w-full") as group:
+            if not given:
+                ui.label("Accept a scene: then every joint axis of its people is a slider here, and their hands can be dragged.")
+            for slot in given:
+                subject = self._editor.config.scene.occupants[slot].subject  # type: ignore[union-attr]
+                with ui.expansion(f"{slot}: {subject}").props("dense").classes("w-full studio-group") as group:
                     inside = ui.column().classes("w-full").style("gap: 0")
                 group.on_value_change(lambda _, slot=slot, inside=inside: self._fill_person(slot, inside))
 
@@ -165,14 +174,14 @@ class SceneTab:
 
     def _slider(self, name: str, ends: tuple[float, float], value: float, unit: str, put: Callable[[float], None]) -> None:
         low, high = ends
-        step = 0.01 if high - low <= 2.0 else 0.5
+        step, digits = (0.01, 2) if high - low <= 2.0 else (0.5, 1)
         with ui.row().classes("no-wrap items-center w-full").style("gap: 6px; font-size: 12px; height: 26px"):
             ui.label(name).style("width: 118px; white-space: nowrap; overflow: hidden").tooltip(f"{low:.4g} to {high:.4g}{unit}")
-            number = ui.label(f"{value:.4g}{unit}").style("width: 52px; text-align: right; font-variant-numeric: tabular-nums")
+            number = ui.label(f"{value:.{digits}f} {unit}").style("width: 52px; text-align: right; font-variant-numeric: tabular-nums")
 
             async def moved(event: Any) -> None:
                 chosen = min(max(float(event.value), low), high)
-                number.text = f"{chosen:.4g}{unit}"
+                number.text = f"{chosen:.{digits}f} {unit}"
                 await self._do(lambda: put(chosen), rebuild=False)
 
             slider = ui.slider(min=low, max=high, step=step, value=value).props("dense").style("flex: 1")
@@ -374,12 +383,12 @@ class SceneTab:
                     self._handles.append(sphere(0.035).move(*verdict.where.tolist()).material("#ff2020", 0.75))
             eye, target, _ = camera_of(shown)
             for corner in _corners(shown):
-                self._handles.append(line(eye, corner).material("#5fa8d3"))
+                self._handles.append(line(eye, corner).material("#ff70d0"))
             if not self._show_handles.value:
                 return
             movable = shown.scene.cabin is not None
             self._handles.append(line(eye, target).material("#ffd166"))
-            for name, place, colour in (("camera", eye, "#4cc9f0"), ("target", target, "#ffd166")):
+            for name, place, colour in (("camera", eye, "#ff70d0"), ("target", target, "#ffd166")):
                 handle = sphere(0.045).move(*place).material(colour).with_name(name)
                 self._handles.append(handle.draggable() if movable else handle)
             for person in shown.scene.people:
@@ -391,7 +400,7 @@ class SceneTab:
         """Look into the scene from its front, above the camera."""
         people = [person.posed.joints.mean(axis=0) for person in shown.scene.people]
         target = np.mean(people, axis=0) if people else shown.scene.backdrop.vertices.mean(axis=0)
-        (x, y, z), (look_x, look_y, look_z) = (target + (1.7, -1.5, 1.1)).tolist(), target.tolist()
+        (x, y, z), (look_x, look_y, look_z) = (target + (1.5, -1.3, 0.9)).tolist(), target.tolist()
         self._scene.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
 
 
