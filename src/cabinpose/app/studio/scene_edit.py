@@ -266,7 +266,7 @@ class SceneEditor:
     def place(self, name: str, suffixes: Sequence[str] = (".yaml", ".yml")) -> Path:
         """The path of a file of the folder. Raises ConfigError for a name that leads out of it, or has another suffix."""
         path = self.folder / name
-        plain = name == Path(name).name and not name.startswith(".") and "\\" not in name and "\0" not in name
+        plain = name and name == Path(name).name and not name.startswith(".") and "\\" not in name and "\0" not in name
         if not plain or path.suffix not in suffixes or path.is_symlink():
             kind = f"a file name that ends in {' or '.join(suffixes)}" if any(suffixes) else "a plain name"
             raise ConfigError(f"'{name}' is no name in {self.folder}", hint=f"give {kind}")

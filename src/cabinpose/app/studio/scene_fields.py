@@ -10,7 +10,7 @@ from nicegui import ui
 from cabinpose.app.studio.scene_edit import SceneEditor
 from cabinpose.app.studio.scene_form import Field, Path, form
 
-_TYPED_MS = 150  # without a key before a number that is typed counts
+_TYPED_MS = 60  # without a key before a number that is typed counts
 _MOST_FOUND = 60
 Changed = Callable[[], Awaitable[None]]
 

@@ -117,6 +117,8 @@ class SceneRoom:
                         self._recent.popitem(last=False)
                 except CabinposeError as error:
                     self.error = error.in_one_line()
+                except Exception as error:  # noqa: BLE001 - the studio goes on with the scene before
+                    self.error = f"the scene cannot be drawn: {error!r}"
                 for told in tuple(self.listeners):
                     told()
         finally:

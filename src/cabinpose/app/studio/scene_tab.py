@@ -64,7 +64,8 @@ class SceneTab:
         self._drawn: Shown | None = None
         self._looked = False
         with ui.row().classes("studio-tab no-wrap w-full"):
-            with ui.column().classes("studio-side no-wrap").style("width: 330px; min-width: 330px; overflow: hidden; height: 100%"):
+            side = ui.column().classes("studio-side no-wrap").style("width: 330px; min-width: 330px; overflow: hidden")
+            with side.style("height: 100%"):
                 self._build_side()
             with ui.column().classes("studio-main"):
                 self._build_main()
@@ -100,7 +101,7 @@ class SceneTab:
             self._seed = ui.number("seed", value=editor.state.seed, min=0, step=1, precision=0, on_change=self._frame_changed)
             self._index = ui.number("frame", value=editor.state.index, min=0, step=1, precision=0, on_change=self._frame_changed)
             for number in (self._seed, self._index):
-                number.props("dense outlined debounce=150").style("flex: 1; min-width: 0")
+                number.props("dense outlined debounce=60").style("flex: 1; min-width: 0")
         self._running = ui.column().classes("w-full").style("gap: 2px")
         with self._running:
             self._progress = ui.linear_progress(value=0.0, show_value=False).props("instant-feedback")
@@ -111,7 +112,8 @@ class SceneTab:
         with ui.tabs().props("dense no-caps align=justify").classes("w-full") as bar:
             ui.tab("Keys")
             ui.tab("People")
-        with ui.tab_panels(bar, value="Keys", keep_alive=True).classes("w-full").style("flex: 1; min-height: 0; background: none"):
+        panels = ui.tab_panels(bar, value="Keys", keep_alive=True).classes("w-full")
+        with panels.style("flex: 1; min-height: 0; background: none"):
             with ui.tab_panel("Keys").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
                 self._fields = SceneFields(editor, lambda: editor.starts(self._room.shown), self._changed_by_field)
             with ui.tab_panel("People").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
@@ -177,7 +179,8 @@ class SceneTab:
         step, digits = (0.01, 2) if high - low <= 2.0 else (0.5, 1)
         with ui.row().classes("no-wrap items-center w-full").style("gap: 6px; font-size: 12px; height: 26px"):
             ui.label(name).style("width: 118px; white-space: nowrap; overflow: hidden").tooltip(f"{low:.4g} to {high:.4g}{unit}")
-            number = ui.label(f"{value:.{digits}f} {unit}").style("width: 52px; text-align: right; font-variant-numeric: tabular-nums")
+            number = ui.label(f"{value:.{digits}f} {unit}")
+            number.style("width: 52px; text-align: right; font-variant-numeric: tabular-nums")
 
             async def moved(event: Any) -> None:
                 chosen = min(max(float(event.value), low), high)
@@ -380,7 +383,7 @@ class SceneTab:
         with self._scene:
             for verdict in shown.verdicts:
                 if verdict.where is not None:
-                    self._handles.append(sphere(0.035).move(*verdict.where.tolist()).material("#ff2020", 0.75))
+                    self._handles.append(sphere(0.06).move(*verdict.where.tolist()).material("#ff2020", 0.6))
             eye, target, _ = camera_of(shown)
             for corner in _corners(shown):
                 self._handles.append(line(eye, corner).material("#ff70d0"))
@@ -393,7 +396,7 @@ class SceneTab:
                 self._handles.append(handle.draggable() if movable else handle)
             for person in shown.scene.people:
                 for side in ("l", "r") if person.slot in self._editor.given else ():
-                    handle = sphere(0.04).move(*person.posed.palms[side][:3, 3].tolist()).material("#80ed99", 0.8)
+                    handle = sphere(0.055).move(*person.posed.palms[side][:3, 3].tolist()).material("#80ed99", 0.6)
                     self._handles.append(handle.with_name(f"hand:{person.slot}:{side}").draggable())
 
     def _look(self, shown: Shown) -> None:
