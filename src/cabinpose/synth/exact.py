@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
 from cabinpose.synth.config import CabinScene, ExactCameraPose, ExactPose, Matrix4, Occupant, SynthConfig
 from cabinpose.synth.plan import car_names, place_name
-from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.sample import Scene, SceneSampler
 from cabinpose.synth.streams import frame_rng
 
 
@@ -30,10 +32,13 @@ def exact_config(config: SynthConfig, seed: int, index: int) -> SynthConfig:
     SceneError
         Where the frame has none.
     """
-    if not isinstance(config.scene, CabinScene):
+    return exact_scene(config, SceneSampler(config, seed).sample(index, rng=frame_rng(seed, index)))
+
+
+def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
+    """The configuration whose frames all show a scene that was drawn from `config`. Raises ConfigError for one in a room."""
+    if scene.cabin is None:
         raise ConfigError("only scenes in cars are written out", hint="give a dataset of people in cars")
-    scene = SceneSampler(config, seed).sample(index, rng=frame_rng(seed, index))
-    assert scene.cabin is not None  # of a scene in a car
     occupants = {}
     for person in scene.people:
         setting = scene.settings[person.slot]
@@ -58,6 +63,14 @@ def exact_config(config: SynthConfig, seed: int, index: int) -> SynthConfig:
         noise=config.noise,
         output=config.output,
     )
+
+
+def without_defaults(config: SynthConfig) -> dict[str, Any]:
+    """The configuration as plain data, of the keys of the top those that are not as by default; of the scene's likewise."""
+    defaults = SynthConfig().model_dump(mode="json")
+    told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults[key]}
+    told["scene"] = config.scene.model_dump(mode="json", exclude_defaults=True)
+    return told
 
 
 def _rows(matrix: Matrix) -> Matrix4:

@@ -11,13 +11,13 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cabinpose._native import cabin as native
 from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import SceneError
+from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
@@ -44,7 +44,7 @@ from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.standing import sample_standing
-from cabinpose.synth.validate import Rejection, Seated, Validator, most_common, sits_too_deep
+from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict, most_common, sits_too_deep
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _ANYBODY = Occupant()
@@ -135,19 +135,40 @@ class ImpossibleSceneError(SceneError):
         return SceneError, (str(self),), {"hint": self.hint}
 
 
+class _Cast(NamedTuple):
+    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given."""
+
+    car: str
+    cabin: Cabin
+    validator: Validator
+    names: Mapping[str, str]
+    people: Mapping[str, Person]
+    settings: Mapping[str, SeatSetting]
+    given: Mapping[str, OccupantPose]
+
+    def person(self, slot: str, pose: OccupantPose, body: PosedBody) -> ScenePerson:
+        """Whoever sits in a slot, posed and not yet dressed."""
+        return ScenePerson(slot, self.names[slot], pose.action, self.people[slot], body)
+
+
 class SceneSampler:
     """Draws the scenes of one dataset. Holds the bodies, cabins and rooms used last, a bounded number of each."""
 
-    def __init__(self, config: SynthConfig, seed: int) -> None:
+    def __init__(self, config: SynthConfig, seed: int, *, like: SceneSampler | None = None) -> None:
+        """like: a sampler whose people, cars and rooms are taken over as far as configuration and seed make the same ones."""
         self._config = config
         self._seed = seed
         self._model = BodyModel.load()
         self._plan = Plan(config, seed)
         self._slots = person_slots(config)
+        self._bodies = Validator(None)
         self._person = cached_once(32)(self._make_person)
         self._cabin = cached_once(20)(self._make_cabin)
         self._room = cached_once(64)(self._make_room)
-        self._bodies = Validator(None)
+        if like is not None and like._seed == seed:
+            self._cabin, self._room = like._cabin, like._room
+            if like._config.people == config.people:
+                self._person = like._person
 
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
         """The scene of frame `index`. Raises SceneError where none is found within the configured limits."""
@@ -184,11 +205,58 @@ class SceneSampler:
         self, scene: CabinScene, index: int, causes: Counter[Rejection], tried: list[str], rng: np.random.Generator
     ) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
+        cast = self._cast(scene, index, rng)
+        cabin, settings = cast.cabin, cast.settings
+        tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
+
+        def draw(slot: str) -> Drawn:
+            return self._draw(scene, index, cast.people, cabin, slot, settings[slot], rng)
+
+        limit = self._config.limits.poses_per_person
+        posed, draws = pose_people(
+            cast.people, cabin, cast.validator, settings, draw, poses_per_person=limit, causes=causes, given=cast.given
+        )
+        if posed is None:
+            return None, draws
+        people_in = [cast.person(slot, pose, body) for slot, (pose, body) in posed.poses.items()]
+        seated = posed.seated
+        for _ in range(_CAMERA_DRAWS):
+            pov, camera = self._cabin_camera(cabin, index, rng)
+            if not _blocked(camera[:3, 3], people_in, seated):
+                break
+        else:
+            causes[Rejection("camera")] += len(people_in)
+            return None, draws
+        return self._assembled(scene, cast, people_in, seated.wheel_angle, pov, camera, rng), draws
+
+    def as_given(self, index: int, *, rng: np.random.Generator) -> tuple[Scene, tuple[Verdict, ...]]:
+        """The people who have whole poses in frame `index`, and why it does not hold, the first reason for each of them.
+
+        Where it holds, and everybody has a pose, it is the scene of `sample`. Raises ConfigError for scenes in rooms.
+        """
+        scene = self._config.scene
+        if not isinstance(scene, CabinScene):
+            raise ConfigError("only scenes in cars have given poses", hint="give a scene of people in a car")
+        cast = self._cast(scene, index, rng)
+        wheel = next((pose.wheel_angle for pose in cast.given.values() if pose.wheel_angle is not None), 0.0)
+        seated, verdicts, people_in = cast.validator.empty(cast.settings, wheel), [], []
+        for slot, pose in cast.given.items():
+            body = cast.people[slot].pose(pose.q, pose.vehicle_from_root)
+            people_in.append(cast.person(slot, pose, body))
+            verdict, seated = cast.validator.admit(seated, (slot, cast.people[slot], body))
+            verdicts.append(verdict)
+        pov, camera = self._cabin_camera(cast.cabin, index, rng)
+        if _blocked(camera[:3, 3], people_in, seated):
+            verdicts.append(Verdict(Rejection("camera"), where=camera[:3, 3]))
+        shown = self._assembled(scene, cast, people_in, wheel, pov, camera, rng)
+        return shown, tuple(verdict for verdict in verdicts if not verdict.ok)
+
+    def _cast(self, scene: CabinScene, index: int, rng: np.random.Generator) -> _Cast:
+        """Which car frame `index` shows, who sits where in it, and how the seats are set."""
         car, drive_side = self._plan.car(index, rng=rng)
         cabin, validator = self._cabin(car, drive_side)
-        by_slot = self._who(scene, cabin, index, rng)
-        people = {slot: self._person(name) for slot, name in by_slot.items()}
-        tried.append(f"{place_name(car)} ({', '.join(f'{name} as {slot}' for slot, name in by_slot.items())})")
+        names = self._who(scene, cabin, index, rng)
+        people = {slot: self._person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
         settings = {
             slot: _exact_setting(exact[slot])
@@ -198,30 +266,23 @@ class SceneSampler:
             else seat.default
             for slot, seat in cabin.seats.items()
         }
+        given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
+        return _Cast(car, cabin, validator, names, people, settings, given)
 
-        def draw(slot: str) -> Drawn:
-            return self._draw(scene, index, people, cabin, slot, settings[slot], rng)
-
-        given = {slot: _exact_pose(pose, scene.occupants[slot].action or "given") for slot, pose in exact.items()}
-        limit = self._config.limits.poses_per_person
-        posed, draws = pose_people(people, cabin, validator, settings, draw, poses_per_person=limit, causes=causes, given=given)
-        if posed is None:
-            return None, draws
-        people_in = [
-            ScenePerson(slot, by_slot[slot], pose.action, people[slot], body) for slot, (pose, body) in posed.poses.items()
-        ]
-        seated = posed.seated
-        for _ in range(_CAMERA_DRAWS):
-            pov, camera = self._cabin_camera(cabin, index, rng)
-            if not _blocked(camera[:3, 3], people_in, seated):
-                break
-        else:
-            causes[Rejection("camera")] += len(people_in)
-            return None, draws
-        dressed = tuple(self._dressed(p, scene, cabin, settings, rng) for p in people_in)
-        backdrop = cabin.surface(settings, wheel_angle=seated.wheel_angle)
-        valid = Scene(backdrop, dressed, camera, place_name(car), pov, cabin, settings, seated.wheel_angle)
-        return valid, draws
+    def _assembled(
+        self,
+        scene: CabinScene,
+        cast: _Cast,
+        people: Sequence[ScenePerson],
+        wheel_angle: float,
+        pov: str,
+        camera: Matrix,
+        rng: np.random.Generator,
+    ) -> Scene:
+        """The scene of posed people, who are dressed here."""
+        dressed = tuple(self._dressed(p, scene, cast.cabin, cast.settings, rng) for p in people)
+        backdrop = cast.cabin.surface(cast.settings, wheel_angle=wheel_angle)
+        return Scene(backdrop, dressed, camera, place_name(cast.car), pov, cast.cabin, cast.settings, wheel_angle)
 
     def _who(self, scene: CabinScene, cabin: Cabin, index: int, rng: np.random.Generator) -> dict[str, str]:
         """The people of frame `index` by the seats they take: those that are named, others drawn."""

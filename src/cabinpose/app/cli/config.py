@@ -82,7 +82,7 @@ def _frame_yaml(command: ConfigFrame) -> str:
     import cabinpose
     from cabinpose.store import read_manifest
     from cabinpose.synth.config import SynthConfig
-    from cabinpose.synth.exact import exact_config
+    from cabinpose.synth.exact import exact_config, without_defaults
 
     folder, number, manifest = command.dataset, command.frame, read_manifest(command.dataset)
     if manifest.generator != "cabinpose.synth":
@@ -91,11 +91,8 @@ def _frame_yaml(command: ConfigFrame) -> str:
         raise ConfigError(f"{folder} has no frame {number}", hint=f"its frames are numbered from 0 to {manifest.frames - 1}")
     if manifest.generator_version != cabinpose.__version__:
         print(f"warning: {folder} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
-    exact = exact_config(SynthConfig.parse(manifest.config), manifest.seed, number)
-    defaults = SynthConfig().model_dump(mode="json")
-    changed = {key: value for key, value in exact.model_dump(mode="json").items() if value != defaults[key]}
-    changed["scene"] = exact.scene.model_dump(mode="json", exclude_defaults=True)
-    text = yaml.safe_dump(changed, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True)
+    told = without_defaults(exact_config(SynthConfig.parse(manifest.config), manifest.seed, number))
+    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True)
     return f"# frame {number} of a dataset with seed {manifest.seed}\n{text}"
 
 

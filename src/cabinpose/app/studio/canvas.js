@@ -12,7 +12,7 @@ export default {
         font:14px sans-serif;pointer-events:none">{{ state }}</div>
     </div>`,
   props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array },
-  data: () => ({ state: "loading", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [] }),
+  data: () => ({ state: "loading", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
   mounted() {
     const canvas = this.$refs.canvas;
     this.context = canvas.getContext("2d");
@@ -28,7 +28,7 @@ export default {
   unmounted() { this.observer.disconnect(); },
   watch: {
     url() { this.load(); },
-    near() { this.colour(); }, far() { this.colour(); }, palette() { this.colour(); },
+    near() { this.recolour(); }, far() { this.recolour(); }, palette() { this.recolour(); },
     people() { if (!this.loading) this.take(); }, // of a frame whose image is on its way: with that image
     selected() { this.draw(); },
   },
@@ -47,6 +47,7 @@ export default {
         if (!answer.ok) throw new Error(await answer.text());
         const bytes = await answer.arrayBuffer();
         if (load !== this.loads) return; // another frame was asked for meanwhile
+        this.loaded = load;
         const [width, height] = ["x-width", "x-height"].map((name) => +answer.headers.get(name));
         const step = +answer.headers.get("x-step"), kind = answer.headers.get("x-kind");
         const values = answer.headers.get("x-bits") === "8" ? new Uint8Array(bytes) : new Uint16Array(bytes);
@@ -55,8 +56,8 @@ export default {
         if (!same) this.view = null;
         this.state = "";
         this.loading = false;
-        this.take();
         this.colour();
+        this.take();
         this.$emit("loaded");
       } catch (error) {
         if (load !== this.loads) return;
@@ -67,26 +68,29 @@ export default {
         this.draw();
       }
     },
+    recolour() { // once for all that changes together; not for an image that is on its way out
+      if (this.waiting) return;
+      this.waiting = true;
+      this.$nextTick(() => { this.waiting = false; if (this.loaded === this.loads) this.colour(); });
+    },
     colour() {
       const image = this.image;
       if (!image) return;
-      const picture = new ImageData(image.width, image.height), out = new Uint32Array(picture.data.buffer), palette = this.palette || [];
+      const picture = new ImageData(image.width, image.height), out = new Uint32Array(picture.data.buffer), grey = image.kind === "grey";
+      const palette = Uint32Array.from(this.palette || [], ([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r);
       if (image.kind === "classes") {
-        const table = palette.map(([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r);
-        for (let i = 0; i < out.length; i++) out[i] = table[image.values[i] % table.length];
+        for (let i = 0; i < out.length; i++) out[i] = palette[image.values[i] % palette.length];
       } else {
-        const table = new Uint32Array(65536), low = this.near / image.step, high = this.far / image.step, last = palette.length - 1;
-        for (let value = 1; value < 65536; value++) {
-          const share = Math.min(Math.max((value - low) / Math.max(high - low, 1e-9), 0), 1);
-          const [r, g, b] = palette[Math.round((image.kind === "grey" ? Math.sqrt(share) : share) * last)] || [0, 0, 0];
-          table[value] = (255 << 24) | (b << 16) | (g << 8) | r;
+        const last = palette.length - 1, invalid = grey ? 255 << 24 : 0xff2e2826;
+        const low = this.near / image.step, scale = image.step / Math.max(this.far - this.near, 1e-9);
+        for (let i = 0; i < out.length; i++) {
+          const share = Math.min(Math.max((image.values[i] - low) * scale, 0), 1);
+          out[i] = image.values[i] ? palette[Math.round((grey ? Math.sqrt(share) : share) * last)] : invalid;
         }
-        table[0] = image.kind === "grey" ? (255 << 24) : 0xff2e2826; // invalid
-        for (let i = 0; i < out.length; i++) out[i] = table[image.values[i]];
       }
       this.bitmap = new OffscreenCanvas(image.width, image.height);
       this.bitmap.getContext("2d").putImageData(picture, 0, 0);
-      this.draw();
+      requestAnimationFrame(() => this.draw()); // what is drawn between frames is at times not shown
     },
     fit() {
       const box = this.$refs.box.getBoundingClientRect(), ratio = window.devicePixelRatio || 1, canvas = this.$refs.canvas;

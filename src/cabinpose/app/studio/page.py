@@ -11,6 +11,8 @@ from cabinpose.app.studio.dataset_tab import dataset_tab
 from cabinpose.app.studio.label_tab import label_tab
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.live_tab import live_tab
+from cabinpose.app.studio.scene_session import SceneRoom
+from cabinpose.app.studio.scene_tab import scene_tab
 from cabinpose.app.studio.workspace import Workspace
 
 _STYLE = """
@@ -24,15 +26,17 @@ body { font-family: system-ui, sans-serif; }
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
+.studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 18px; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """
 
 
-def studio_page(workspace: Workspace, live: LiveRoom) -> None:
+def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneRoom]) -> None:
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
     tabs: dict[str, Callable[[], None]] = {
+        "Scene": lambda: scene_tab(scene, opened=workspace.scene is not None),
         "Dataset": lambda: dataset_tab(workspace),
         "Label": lambda: label_tab(workspace),
         "Compare": lambda: compare_tab(workspace),

@@ -17,6 +17,7 @@ from cabinpose.app.studio.clouds import cloud_routes
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.page import studio_page
 from cabinpose.app.studio.pictures import image_routes
+from cabinpose.app.studio.scene_session import SceneRoom, scene_routes
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.errors import ConfigError
 
@@ -58,8 +59,17 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     live = LiveRoom()
     app.include_router(live.routes())
     nicegui_app.on_shutdown(live.stop)
+    rooms: list[SceneRoom] = []
+
+    def scene() -> SceneRoom:
+        if not rooms:
+            rooms.append(SceneRoom(workspace.scene))
+        return rooms[0]
+
+    app.include_router(scene_routes(lambda: rooms[0] if rooms else None))
+    nicegui_app.on_shutdown(lambda: rooms[0].stop() if rooms else None)
     ui.run_with(
-        app, root=lambda: studio_page(workspace, live), title="cabinpose studio", dark=None, tailwind=False,
+        app, root=lambda: studio_page(workspace, live, scene), title="cabinpose studio", dark=None, tailwind=False,
         show_welcome_message=False, reconnect_timeout=10.0, storage_secret=secrets.token_hex(),
     )  # fmt: skip
     app.add_middleware(Guard, token=token)

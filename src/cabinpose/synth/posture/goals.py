@@ -24,6 +24,8 @@ _ROOT_WEIGHT = np.array([10.0, 4.0, 20.0, 1.5, 1.5, 1.0])  # a pelvis hardly lea
 _STANDING_LEG = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))
 _ON_GROUND = np.array([4.0, 4.0, 4.0, 0.04, 0.05, 0.04])
 _ARM_STIFFER = 2.0  # than for an arm that follows its hand alone
+_ON_PLACE = np.array([5.0, 5.0, 5.0, 0.02, 0.02, 0.02])
+_DRAGGED_ARM = 0.004
 _ON_GAZE = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
 _ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in "lr")
 _LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in "lr")
@@ -112,6 +114,22 @@ def turn_head(person: Person, q: Floats, root: Matrix, head: Matrix) -> None:
     rows = [("head", np.eye(4), "", head, _ON_GAZE)]
     goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     q[:] = at_goals(Sitter(person, "", goals, q, root))
+
+
+def arm_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -> Floats:
+    """The posture q (D,) rad with a palm (0 left, 1 right) brought to `place` (3,) m, vehicle frame, by its arm alone.
+
+    The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
+    """
+    arm = slice(_ARM[side], _ARM[side] + 7)
+    lower, upper, stiffness = q.copy(), q.copy(), np.zeros(len(q))
+    lower[arm], upper[arm], stiffness[arm] = LOWER[arm], UPPER[arm], _DRAGGED_ARM
+    posed = person.pose(q, root)
+    target = posed.palms["lr"[side]].copy()
+    target[:3, 3] = place
+    rows = [("lr"[side] + "hand", person.rest.palms[side], "", target, _ON_PLACE)]
+    goals = Goals(q, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
+    return at_goals(Sitter(person, "", goals, q.copy(), root))
 
 
 def at_goals(who: Sitter) -> Floats:

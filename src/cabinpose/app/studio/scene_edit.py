@@ -1,0 +1,379 @@
+"""A scene's configuration as it is edited: checked changes, undo, files, and what the scene looks like. Without any UI."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from threadpoolctl import threadpool_limits
+
+from cabinpose.app.studio.scene_form import Path as Key
+from cabinpose.core.errors import CabinposeError, ConfigError
+from cabinpose.core.frames import Matrix, invert
+from cabinpose.core.yaml_text import read_yaml
+from cabinpose.scene.body import DOF_INDEX, DOFS, Person
+from cabinpose.scene.cabin import SeatSetting
+from cabinpose.synth.config import CabinScene, Camera, CameraPose, SynthConfig
+from cabinpose.synth.exact import exact_scene, without_defaults
+from cabinpose.synth.posture.goals import arm_to
+from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.streams import check_seed, frame_rng, noise_rng
+from cabinpose.synth.validate import Verdict
+from cabinpose.synth.write import Frame, FrameMaker
+
+_SAME_STEP_S = 1.0  # changes of one key that follow so close are one step of undo, as a slider makes them
+_MOST_STEPS = 200
+_REMEMBERED = re.compile(r"^# seed (\d+), frame (\d+)$", re.MULTILINE)
+_ROUND_M = 3  # digits of a dragged place: a millimetre
+_EMPTY: dict[str, Any] = {"scene": {"kind": "cabin"}, "noise": {"kind": "physical"}}
+
+
+@dataclass(frozen=True)
+class State:
+    """One step of the history: the configuration as plain data, and which frame of which seed is looked at."""
+
+    data: dict[str, Any]
+    seed: int = 0
+    index: int = 0
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A scene as it was drawn, with the frame that its camera delivers.
+
+    verdicts: why it does not hold, () where it does · error: why none was found; then scene and frame are those before ·
+    seconds: what that took, by stage.
+    """
+
+    number: int
+    config: SynthConfig
+    scene: Scene
+    frame: Frame
+    verdicts: tuple[Verdict, ...] = ()
+    error: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+class SceneEditor:
+    """The scene that is open.
+
+    `state.data` is what was typed, `config` the last of it that was valid, `errors` what is wrong by key.
+    """
+
+    def __init__(self, folder: Path, state: State | None = None) -> None:
+        self.folder = folder
+        self.state = state or State(copy.deepcopy(_EMPTY))
+        self.config = SynthConfig()
+        self.errors: dict[Key, str] = {}
+        self.file = ""
+        self.saved = self.state
+        self._past: list[State] = []
+        self._future: list[State] = []
+        self._last: tuple[Key, float] = ((), 0.0)
+        self._check(())
+
+    # ------------------------------------------------------------------------------------------------------- changes
+
+    def set(self, key: Key, value: Any) -> None:
+        """Put a value in. What is wrong with it is told by `errors`."""
+        data = copy.deepcopy(self.state.data)
+        if key[:1] == ("scene",):
+            _with_occupancy(data)
+        at: Any = data
+        for depth, part in enumerate(key[:-1]):
+            if isinstance(at, dict) and at.get(part) is None:
+                at[part] = copy.deepcopy(self._default(key[: depth + 1]))
+            at = at[part]
+        at[key[-1]] = value
+        self._step(dataclasses.replace(self.state, data=data), key)
+
+    def remove(self, key: Key) -> None:
+        """Take an entry of a mapping or list out."""
+        data = copy.deepcopy(self.state.data)
+        at: Any = data
+        for part in key[:-1]:
+            at = at[part]
+        del at[key[-1]]
+        self._step(dataclasses.replace(self.state, data=data), key)
+
+    def look_at(self, seed: int, index: int) -> None:
+        """Look at another frame, or the frames of another seed. Raises ConfigError for what is no seed."""
+        check_seed(seed)
+        self._step(dataclasses.replace(self.state, seed=seed, index=max(index, 0)), ("frame",))
+
+    def sample_again(self) -> None:
+        """Go to the next frame: another draw of everything that is not given."""
+        self._step(dataclasses.replace(self.state, index=self.state.index + 1), ())
+
+    def accept(self, shown: Shown) -> None:
+        """Keep the scene that is shown as it is: everybody's pose and the camera's. Raises ConfigError for rooms."""
+        self._step(dataclasses.replace(self.state, data=without_defaults(exact_scene(shown.config, shown.scene))), ())
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The seats whose people have a whole pose."""
+        scene = self.config.scene
+        return tuple(s for s, o in scene.occupants.items() if o.pose is not None) if isinstance(scene, CabinScene) else ()
+
+    def turn_joint(self, slot: str, axis: str, angle: float) -> None:
+        """Set a joint axis of somebody who has a whole pose, rad (grips: 0..1)."""
+        self.set(("scene", "occupants", slot, "pose", "angles_rad", axis), angle)
+
+    def move_hand(self, shown: Shown, slot: str, side: str, place: Sequence[float]) -> float:
+        """Bring a palm as near to `place` (vehicle frame, m) as the arm's limits allow; by how much it misses it, m."""
+        person, q, root = _posed(shown, slot)
+        solved = arm_to(person, q, root, "lr".index(side), np.asarray(place, np.float64))
+        data = copy.deepcopy(self.state.data)
+        angles = data["scene"]["occupants"][slot]["pose"]["angles_rad"]
+        for dof, value in zip(DOFS, solved.tolist(), strict=True):
+            if value != q[DOF_INDEX[dof.name]]:
+                angles[dof.name] = value
+        self._step(dataclasses.replace(self.state, data=data), ())
+        return float(np.linalg.norm(person.pose(solved, root).palms[side][:3, 3] - place))
+
+    def set_seat(self, shown: Shown, slot: str, name: str, value: float) -> None:
+        """Set a seat whose person has a whole pose; who sits in it goes along.
+
+        name: fore_aft_m, height_m or torso_angle_rad. Of the angle only the pelvis, with all it carries, follows.
+        """
+        assert shown.scene.cabin is not None
+        seat, old = shown.scene.cabin.seats[slot], shown.scene.settings[slot]
+        new = dataclasses.replace(old, **{name.replace("_rad", ""): value})
+        seat.check(new)
+        data = copy.deepcopy(self.state.data)
+        pose = data["scene"]["occupants"][slot]["pose"]
+        root = seat.vehicle_from_back(new) @ invert(seat.vehicle_from_back(old)) @ np.array(pose["vehicle_from_root"])
+        pose[name], pose["vehicle_from_root"] = value, [row.tolist() for row in _rigid(root)]
+        self._step(dataclasses.replace(self.state, data=data), ("scene", "occupants", slot, "pose", name))
+
+    def seat_ranges(self, shown: Shown, slot: str) -> tuple[SeatSetting, SeatSetting, SeatSetting]:
+        """How a seat is set in what is shown, and its ends."""
+        assert shown.scene.cabin is not None
+        return (shown.scene.settings[slot], *shown.scene.cabin.seats[slot].ranges)
+
+    def move_camera(
+        self, shown: Shown, *, position: Sequence[float] | None = None, target: Sequence[float] | None = None
+    ) -> None:
+        """Move the camera, or what it looks at (vehicle frame, m). It is the only view then, without jitter."""
+        eye, looked_at, roll = camera_of(shown)
+        view = {
+            "position_m": [round(float(x), _ROUND_M) for x in (eye if position is None else position)],
+            "look_at_m": [round(float(x), _ROUND_M) for x in (looked_at if target is None else target)],
+            "roll_deg": roll,
+        }
+        data = copy.deepcopy(self.state.data)
+        camera = data.setdefault("camera", {})
+        camera |= {"views": {shown.scene.pov: view}, "jitter_m": 0.0, "jitter_deg": 0.0}
+        self._step(dataclasses.replace(self.state, data=data), ("camera", "views"))
+
+    def undo(self) -> bool:
+        """One step back; False where there is none."""
+        return self._go(self._past, self._future)
+
+    def redo(self) -> bool:
+        """One step forward again; False where there is none."""
+        return self._go(self._future, self._past)
+
+    def _go(self, source: list[State], target: list[State]) -> bool:
+        if not source:
+            return False
+        target.append(self.state)
+        self.state = source.pop()
+        self._last = ((), 0.0)
+        self._check(())
+        return True
+
+    def _step(self, state: State, key: Key) -> None:
+        now = time.monotonic()
+        if not key or key != self._last[0] or now - self._last[1] > _SAME_STEP_S:
+            self._past = [*self._past, self.state][-_MOST_STEPS:]
+        self._last, self._future, self.state = (key, now), [], state
+        self._check(key)
+
+    def _check(self, key: Key) -> None:
+        """Check what was typed; where it is valid it comes into force."""
+        try:
+            self.config, self.errors = SynthConfig.parse(self.state.data, base=self.folder), {}
+        except ConfigError as error:
+            cause = error.__cause__
+            if isinstance(cause, ValidationError):
+                self.errors = {_place(self.state.data, each["loc"]): str(each["msg"]) for each in cause.errors()}
+            else:
+                self.errors = {key: error.in_one_line()}
+
+    def _default(self, key: Key) -> Any:
+        """What a key that is left out stands for, of the configuration in force."""
+        at: Any = self.config.model_dump(mode="json")
+        for part in key:
+            at = at.get(part) if isinstance(at, dict) else None
+        return {} if at is None else at
+
+    def starts(self, shown: Shown | None) -> dict[str, Any]:
+        """What the fields' models start from where somebody chooses them, see `scene_form.form`."""
+        own = Camera(sensor=self.config.camera.sensor_model)
+        result: dict[str, Any] = {"Sensor": own.model_dump(mode="json")["sensor"]}
+        if shown is not None:
+            eye, target, roll = camera_of(shown)
+            result["CameraPose"] = {"position_m": eye, "look_at_m": target, "roll_deg": roll}
+            result["ExactCameraPose"] = {"vehicle_from_camera": shown.scene.world_from_camera.tolist()}
+        return result
+
+    # --------------------------------------------------------------------------------------------------------- files
+
+    def files(self) -> list[str]:
+        """The YAML files of the folder, by name."""
+        return sorted(path.name for path in self.folder.glob("*.y*ml") if path.is_file() and path.suffix in (".yaml", ".yml"))
+
+    def save(self, name: str, *, overwrite: bool = False) -> Path:
+        """Write the configuration to a file of the folder; `cabinpose synth --config` makes the same frames of it.
+
+        Raises ConfigError where it is not valid, for a name that leads elsewhere, and without `overwrite` for a file that exists.
+        """
+        if self.errors:
+            raise ConfigError("what is wrong is not saved: " + "; ".join(self.errors.values()), hint="mend it, or undo")
+        path = self.place(name)
+        text = f"# seed {self.state.seed}, frame {self.state.index}\n" + yaml.safe_dump(
+            self.state.data, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True
+        )
+        try:
+            with path.open("w" if overwrite else "x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            raise ConfigError(f"{name} exists", hint="choose another name, or overwrite it") from None
+        except OSError as error:
+            raise ConfigError(f"cannot write {path}: {error.strerror}", hint="choose another name") from error
+        self.file, self.saved = path.name, self.state
+        return path
+
+    def load(self, name: str) -> None:
+        """Read a configuration from a file of the folder. Raises ConfigError; then everything stays as it was."""
+        state = read_state(self.place(name))
+        SynthConfig.parse(state.data, base=self.folder)
+        self._step(state, ())
+        self.file, self.saved = name, state
+
+    def place(self, name: str, suffixes: Sequence[str] = (".yaml", ".yml")) -> Path:
+        """The path of a file of the folder. Raises ConfigError for a name that leads out of it, or has another suffix."""
+        path = self.folder / name
+        plain = name and name == Path(name).name and not name.startswith(".") and "\\" not in name and "\0" not in name
+        if not plain or path.suffix not in suffixes or path.is_symlink():
+            kind = f"a file name that ends in {' or '.join(suffixes)}" if any(suffixes) else "a plain name"
+            raise ConfigError(f"'{name}' is no name in {self.folder}", hint=f"give {kind}")
+        return path
+
+
+def read_state(path: Path) -> State:
+    """The state of a configuration file, with the seed and frame that the studio wrote into its first line."""
+    data = read_yaml(path, hint="`cabinpose config init` writes a file to start from") or {}
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path} is no configuration", hint="`cabinpose config init` writes a file to start from")
+    data = {**copy.deepcopy(_EMPTY), **data}
+    for name, kind in (("scene", "cabin"), ("noise", "physical")):
+        if isinstance(data[name], dict):
+            data[name] = {"kind": kind, **data[name]}
+    _with_occupancy(data)
+    remembered = _REMEMBERED.search(path.read_text(encoding="utf-8").partition("\n")[0])
+    seed, index = map(int, remembered.groups()) if remembered else (0, 0)
+    return State(data, seed, index)
+
+
+class Preview:
+    """Draws scenes, with the people and cars of the scene before. Belongs to one thread at a time."""
+
+    def __init__(self) -> None:
+        self._sampler: SceneSampler | None = None
+        self.shown: Shown | None = None
+        self._number = 0
+
+    def draw(self, config: SynthConfig, seed: int, index: int) -> Shown:
+        """What a configuration looks like. Raises CabinposeError where there is nothing to show."""
+        started = time.perf_counter()
+        with threadpool_limits(1):  # as in `synth`: the bytes may depend on the libraries' number of threads
+            sampler = SceneSampler(config, seed, like=self._sampler)
+            self._sampler = sampler
+            scene, verdicts, error = self._scene(sampler, config, seed, index)
+            posed = time.perf_counter()
+            frame = FrameMaker(config, seed, sampler).see(scene, rng=noise_rng(seed, index))
+        seconds = {"pose": posed - started, "see": time.perf_counter() - posed}
+        self._number += 1
+        self.shown = Shown(self._number, config, scene, frame, verdicts, error, seconds)
+        return self.shown
+
+    def _scene(self, sampler: SceneSampler, config: SynthConfig, seed: int, index: int) -> tuple[Scene, tuple[Verdict, ...], str]:
+        scene = config.scene
+        occupants = scene.occupants.values() if isinstance(scene, CabinScene) else ()
+        given = any(occupant.pose is not None for occupant in occupants)
+        if given and all(o.pose for o in occupants) and isinstance(scene, CabinScene) and not any(scene.occupancy.values()):
+            return *sampler.as_given(index, rng=frame_rng(seed, index)), ""
+        try:
+            return sampler.sample(index, rng=frame_rng(seed, index)), (), ""
+        except CabinposeError as error:
+            if given:
+                return *sampler.as_given(index, rng=frame_rng(seed, index)), error.in_one_line()
+            if self.shown is None:
+                raise
+            return self.shown.scene, (), error.in_one_line()
+
+
+def camera_of(shown: Shown) -> tuple[list[float], list[float], float]:
+    """Where the camera is, a point before it that it looks at (m), and its roll (deg)."""
+    own = shown.config.camera.views.get(shown.scene.pov)
+    if isinstance(own, CameraPose):
+        return list(own.position_m), list(own.look_at_m), own.roll_deg
+    camera = shown.scene.world_from_camera
+    eye, forward, right = camera[:3, 3], camera[:3, 2], camera[:3, 0]
+    depth = shown.frame["depth_clean"]
+    middle = depth[depth.shape[0] // 2, depth.shape[1] // 2]
+    target = eye + forward * (float(middle) if np.isfinite(middle) and 0.3 < middle < 3.0 else 1.0)
+    level = np.cross(forward, (0.0, 0.0, 1.0))
+    roll = 0.0
+    if np.linalg.norm(level) > 1e-3:
+        level /= np.linalg.norm(level)
+        roll = math.degrees(math.atan2(float(np.cross(level, right) @ forward), float(level @ right)))
+    return eye.round(_ROUND_M).tolist(), target.round(_ROUND_M).tolist(), round(roll, 2) + 0.0
+
+
+def _posed(shown: Shown, slot: str) -> tuple[Person, NDArray[np.float64], Matrix]:
+    who = next(person for person in shown.scene.people if person.slot == slot)
+    return who.person, who.posed.q, who.posed.vehicle_from_root
+
+
+def _rigid(matrix: Matrix) -> Matrix:
+    """The rigid transform nearest to a product of many."""
+    u, _, v = np.linalg.svd(matrix[:3, :3])
+    result = matrix.copy()
+    result[:3, :3], result[3] = u @ v, (0.0, 0.0, 0.0, 1.0)
+    return result
+
+
+def _with_occupancy(data: dict[str, Any]) -> None:
+    """Write out what `occupancy` stands for: it depends on whether others keys are there."""
+    scene = data.setdefault("scene", {"kind": "cabin"})
+    if isinstance(scene, dict) and scene.get("kind", "cabin") == "cabin" and "occupancy" not in scene:
+        others = scene.get("occupants") or scene.get("factorial")
+        scene["occupancy"] = {} if others else dict(CabinScene().occupancy)
+
+
+def _place(data: Any, location: Sequence[str | int]) -> Key:
+    """The key of a finding: pydantic's location without the names of the union's members."""
+    key: list[str | int] = []
+    at = data
+    for number, part in enumerate(location):
+        inside = (isinstance(at, dict) and part in at) or (isinstance(at, list) and isinstance(part, int) and part < len(at))
+        if inside:
+            key.append(part)
+            at = at[part]
+        elif number == len(location) - 1 and isinstance(at, dict) and isinstance(part, str) and part.islower():
+            key.append(part)
+    return tuple(key)

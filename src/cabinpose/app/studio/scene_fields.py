@@ -1,0 +1,236 @@
+"""The fields of a scene's configuration in the browser, in groups that open, or found by words."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import ui
+
+from cabinpose.app.studio.scene_edit import SceneEditor
+from cabinpose.app.studio.scene_form import Field, Path, form
+
+_TYPED_MS = 60  # without a key before a number that is typed counts
+_MOST_FOUND = 60
+Changed = Callable[[], Awaitable[None]]
+
+
+class SceneFields:
+    """The form of one browser. `changed` is called after each change, and what is wrong shown where it is."""
+
+    def __init__(self, editor: SceneEditor, starts: Callable[[], dict[str, Any]], changed: Changed) -> None:
+        self._editor, self._starts, self._changed = editor, starts, changed
+        self._open: set[Path] = {("scene",)}
+        self._shown: dict[Path, Any] = {}
+        self._words = ui.input(placeholder="find a key", on_change=self.rebuild).props("dense outlined clearable debounce=200")
+        self._words.classes("w-full").mark("find")
+        self._body = ui.column().classes("w-full").style("gap: 2px")
+        self.rebuild()
+
+    def rebuild(self) -> None:
+        """Build the form anew from what is edited now."""
+        self._body.clear()
+        self._shown = {}
+        root = form(self._editor.state.data, starts=self._starts())
+        words = str(self._words.value or "").lower().split()
+        with self._body:
+            if words:
+                found = [f for f in root.walk() if f.path and not f.children and _matches(f, words)]
+                for each in found[:_MOST_FOUND]:
+                    self._build(each, ".".join(map(str, each.path)))
+                if len(found) != len(found[:_MOST_FOUND]) or not found:
+                    ui.label(f"{len(found)} keys" if found else "no key is called so").style("opacity: .7")
+            else:
+                for child in root.children:
+                    self._build(child, child.name)
+        self.show_errors()
+
+    def show_errors(self) -> None:
+        """Show what is wrong at the fields."""
+        for path, widget in self._shown.items():
+            wrong = [words for key, words in self._editor.errors.items() if key == path or (key[: len(path)] == path)]
+            if hasattr(widget, "error"):
+                widget.error = wrong[0] if wrong else None
+
+    async def _set(self, path: Path, value: Any, *, rebuild: bool = False) -> None:
+        self._editor.set(path, value)
+        await self._done(rebuild=rebuild)
+
+    async def _remove(self, path: Path) -> None:
+        self._editor.remove(path)
+        await self._done(rebuild=True)
+
+    async def _done(self, *, rebuild: bool) -> None:
+        if rebuild:
+            self.rebuild()
+        else:
+            self.show_errors()
+        await self._changed()
+
+    def _build(self, field: Field, title: str) -> None:
+        if field.kind in ("group", "mapping", "list") or field.options:
+            if field.kind == "group" and not field.options and field.children and isinstance(field.children[0].path[-1], int):
+                self._vector(field, title)
+            else:
+                self._group(field, title)
+        else:
+            self._leaf(field, title)
+
+    def _group(self, field: Field, title: str) -> None:
+        """A group that opens; what is in it is built when it does."""
+        removable = len(field.path) > 1 and isinstance(self._holder(field.path), (dict, list)) and self._is_entry(field.path)
+        group = ui.expansion(value=field.path in self._open).props("dense dense-toggle").classes("w-full studio-group")
+        with group.add_slot("header"), ui.row().classes("no-wrap items-center w-full").style("gap: 6px"):
+            label = ui.label(title).style("font-weight: 600; flex: 1; font-size: 13px; overflow: hidden; text-overflow: ellipsis")
+            if field.description:
+                label.tooltip(field.description)
+            if field.options:
+                plain = isinstance(field.value, (str, int, float))
+                ui.label(str(field.value) if plain else field.option).style("opacity: .7; font-size: 12px")
+            if removable:
+                ui.button(icon="close").props("flat round dense size=xs").on(
+                    "click.stop", lambda: self._remove(field.path)
+                ).tooltip("take it out")
+        with group:
+            inside = ui.column().classes("w-full").style("gap: 2px; padding-left: 8px; border-left: 2px solid #8884")
+
+        def fill() -> None:
+            (self._open.add if group.value else self._open.discard)(field.path)
+            if group.value and not inside.default_slot.children:
+                with inside:
+                    self._inside(field)
+                self.show_errors()
+
+        group.on_value_change(fill)
+        if group.value:
+            with inside:
+                self._inside(field)
+
+    def _inside(self, field: Field) -> None:
+        if field.options:
+            choice = ui.select(list(field.options), value=field.option, label="is").props("dense outlined").classes("w-full")
+            fresh = field.fresh or {}
+            choice.on_value_change(lambda event: self._set(field.path, fresh[event.value], rebuild=True))
+        if field.kind == "group":
+            for child in field.children:
+                self._build(child, child.name)
+        elif field.kind == "mapping":
+            self._mapping(field)
+        elif field.kind == "list":
+            for child in field.children:
+                self._build(child, child.name)
+            ui.button("add", icon="add", on_click=lambda: self._set(field.path, [*field.value, field.entry], rebuild=True)).props(
+                "flat dense no-caps size=sm"
+            )
+        elif field.kind != "nothing":
+            self._leaf(field, field.name)
+
+    def _mapping(self, field: Field) -> None:
+        for child in field.children:
+            self._build(child, child.name)
+        left = [key for key in field.choices if key not in (field.value or {})]
+        key = ui.select(left, label="add", with_input=True, new_value_mode="add-unique").props("dense outlined").classes("w-full")
+
+        async def add() -> None:
+            if key.value:
+                self._open.add((*field.path, str(key.value)))
+                await self._set((*field.path, str(key.value)), field.entry, rebuild=True)
+
+        key.on_value_change(add)
+
+    def _vector(self, field: Field, title: str) -> None:
+        """Numbers in a row; a matrix has rows of them."""
+        unit = f" ({field.unit})" if field.unit else ""
+        ui.label(f"{title}{unit}").style("font-size: 12px; opacity: .8").tooltip(field.description or title)
+        with ui.row().classes("no-wrap w-full").style("gap: 4px"):
+            for child in field.children:
+                self._number(child, child.name).style("flex: 1; min-width: 0")
+
+    def _leaf(self, field: Field, title: str) -> None:
+        with ui.row().classes("no-wrap items-center w-full").style("gap: 2px"):
+            make = {"number": self._number, "integer": self._number, "flag": self._flag, "choice": self._choice}
+            widget = make.get(field.kind, self._names if field.kind == "names" else self._text)(field, title)
+            widget.style("flex: 1; min-width: 0")
+            if self._is_entry(field.path):
+                ui.button(icon="close", on_click=lambda: self._remove(field.path)).props("flat round dense size=xs")
+        self._shown[field.path] = widget
+        widget.mark(".".join(map(str, field.path)))
+        if field.description:
+            widget.tooltip(field.description)
+
+    def _number(self, field: Field, title: str) -> ui.number:
+        whole = field.kind == "integer"
+
+        async def given(event: Any) -> None:
+            value = event.value
+            if value is None and not field.optional:
+                return
+            await self._set(field.path, int(value) if whole and value is not None and value == int(value) else value)
+
+        step = 1 if whole else _step(field)
+        value = field.value if isinstance(field.value, (int, float)) else None
+        words = f"{title} · {field.range_words}" if field.range_words and isinstance(field.path[-1], str) else title
+        number = ui.number(words, value=value, step=step, on_change=given)
+        number.props(f"dense outlined debounce={_TYPED_MS}" + (" clearable" if field.optional else "")).classes("w-full")
+        if field.optional:
+            number.props["placeholder"] = "left out"
+        self._shown[field.path] = number
+        return number
+
+    def _flag(self, field: Field, title: str) -> Any:
+        if not field.optional:
+            box = ui.checkbox(title, value=bool(field.value)).props("dense").style("padding: 4px 0; font-size: 13px")
+            return box.on_value_change(lambda event: self._set(field.path, event.value))
+        words = {None: "left out", True: "yes", False: "no"}
+        return self._select(ui.select(words, value=field.value, label=title), field)
+
+    def _choice(self, field: Field, title: str) -> Any:
+        options: dict[Any, str] = ({None: "left out"} if field.optional else {}) | {name: name for name in field.choices}
+        return self._select(ui.select(options, value=field.value if field.value in options else None, label=title), field)
+
+    def _text(self, field: Field, title: str) -> Any:
+        if not field.choices:
+            text = ui.input(title, value=field.value or "").props("dense outlined debounce=400").classes("w-full")
+            return text.on_value_change(lambda event: self._set(field.path, event.value or (None if field.optional else "")))
+        options = list(dict.fromkeys((*field.choices, *([field.value] if field.value else []))))
+        chosen = ui.select(options, value=field.value or None, label=title, with_input=True, new_value_mode="add-unique")
+        return self._select(chosen.props("clearable" if field.optional else ""), field)
+
+    def _names(self, field: Field, title: str) -> Any:
+        options = list(dict.fromkeys((*field.choices, *field.value)))
+        chosen = ui.select(
+            options, value=list(field.value), label=title, multiple=True, with_input=True, new_value_mode="add-unique"
+        ).props("use-chips")
+        return self._select(chosen, field)
+
+    def _select(self, chosen: ui.select, field: Field) -> ui.select:
+        chosen.props("dense outlined options-dense").classes("w-full")
+        chosen.on_value_change(lambda event: self._set(field.path, event.value))
+        return chosen
+
+    def _holder(self, path: Path) -> Any:
+        at: Any = self._editor.state.data
+        for part in path[:-1]:
+            at = at.get(part) if isinstance(at, dict) else at[part] if isinstance(at, list) and isinstance(part, int) else None
+        return at
+
+    def _is_entry(self, path: Path) -> bool:
+        """Whether this is an entry of a mapping or list, which can be taken out again."""
+        return len(path) > 1 and (str(path[-2]) in _MAPPINGS or (path[:2] == ("scene", "motion") and len(path) == 4))
+
+
+_MAPPINGS = (
+    "occupants", "occupancy", "motion", "views", "own", "axes", "initial_pose_deg", "angles_rad", "ranges", "frequencies_hz"
+)  # fmt: skip
+
+
+def _matches(field: Field, words: list[str]) -> bool:
+    text = f"{'.'.join(map(str, field.path))} {field.description}".lower()
+    return all(word in text for word in words)
+
+
+def _step(field: Field) -> float:
+    """A step of the arrows: some hundredth of the range."""
+    if field.low is not None and field.high is not None:
+        return float(f"{max((field.high - field.low) / 100, 1e-4):.0e}")
+    return {"m": 0.01, "rad": 0.01, "°": 1.0, "Hz": 1e6, "px": 1.0}.get(field.unit, 0.1)

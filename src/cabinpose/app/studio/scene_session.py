@@ -1,0 +1,210 @@
+"""The scene of a studio: drawn on a thread of its own, generated from on another, looked at by browsers."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from fastapi import APIRouter, HTTPException, Response
+
+from cabinpose.app.studio.clouds import cloud_glb
+from cabinpose.app.studio.pictures import CLASSES, IMAGES, picture
+from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, read_state
+from cabinpose.app.studio.scene_meshes import cabin_glb, person_glb
+from cabinpose.app.view.draw import cloud_colours
+from cabinpose.core.errors import CabinposeError
+from cabinpose.core.frames import apply
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import Progress, generate
+
+_RECENT = 8  # scenes kept for browsers that have been told of them and come for their images
+_MESHES = 40
+KEEP = "private, max-age=3600"
+
+
+class Generation:
+    """A dataset that is being made, by the function of `cabinpose synth`, on a thread of its own."""
+
+    def __init__(self, config: SynthConfig, seed: int, frames: int, out: Path, *, resume: bool = False) -> None:
+        self.out, self.frames = out, frames
+        self.done, self.words = 0, "starting"
+        self.error = ""
+        self._cancelled = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(config, seed, resume), name="generation", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether frames are still made."""
+        return self._thread.is_alive()
+
+    def cancel(self) -> None:
+        """End it after the frame that is being written; what is there can be gone on with (`synth --resume`)."""
+        self._cancelled.set()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the end."""
+        self._thread.join(seconds)
+
+    def _run(self, config: SynthConfig, seed: int, resume: bool) -> None:
+        try:
+            report = generate(config, self.frames, self.out, seed=seed, resume=resume, progress=self._told)
+            self.words = f"{report.frames_total} frames in {self.out.name}, {report.frames_per_s:.1f} a second"
+        except _CancelledError:
+            self.words = f"cancelled; `cabinpose synth --resume` goes on with {self.out.name}"
+        except CabinposeError as error:
+            self.error = error.in_one_line()
+        except Exception as error:  # noqa: BLE001 - a thread's end would otherwise be seen by nobody
+            self.error = f"the run failed: {error!r}"
+
+    def _told(self, state: Progress) -> None:
+        self.done, self.words = state.frames_done, f"{state.phase}: {state.frames_done} of {state.frames_total}"
+        if self._cancelled.is_set():
+            raise _CancelledError
+
+
+class _CancelledError(Exception):
+    """The user wants no more frames."""
+
+
+class SceneRoom:
+    """The one scene of a studio, shared by all browsers; `listeners` are told of what is new."""
+
+    def __init__(self, scene: Path | None) -> None:
+        """Raises ConfigError for a file that is no configuration; where keys of it are wrong, `editor.errors` says which."""
+        folder = (Path() if scene is None else scene.parent).resolve()
+        self.editor = SceneEditor(folder, None if scene is None else read_state(scene))
+        self.editor.file = "" if scene is None else scene.name
+        self.error = ""
+        self.generation: Generation | None = None
+        self.listeners: list[Callable[[], None]] = []
+        self._preview = Preview()
+        self._worker = ThreadPoolExecutor(1, "scene")
+        self._wanted = self._drawn = 0
+        self._drawing = False
+        self._recent: OrderedDict[int, Shown] = OrderedDict()
+        self._meshes: OrderedDict[str, Callable[[], bytes]] = OrderedDict()
+
+    @property
+    def shown(self) -> Shown | None:
+        """What was drawn last."""
+        return next(reversed(self._recent.values()), None)
+
+    async def redraw(self) -> None:
+        """Draw what is edited now, and tell the listeners; of changes that come meanwhile only the last is drawn."""
+        self._wanted += 1
+        if self._drawing:
+            return
+        self._drawing = True
+        try:
+            while self._drawn != self._wanted:
+                self._drawn = self._wanted
+                config, state = self.editor.config, self.editor.state
+                draw = partial(self._preview.draw, config, state.seed, state.index)
+                try:
+                    shown = await asyncio.get_running_loop().run_in_executor(self._worker, draw)
+                    self.error = shown.error
+                    self._recent[shown.number] = shown
+                    while len(self._recent) > _RECENT:
+                        self._recent.popitem(last=False)
+                except CabinposeError as error:
+                    self.error = error.in_one_line()
+                except Exception as error:  # noqa: BLE001 - the studio goes on with the scene before
+                    self.error = f"the scene cannot be drawn: {error!r}"
+                for told in tuple(self.listeners):
+                    told()
+        finally:
+            self._drawing = False
+
+    def meshes(self, shown: Shown) -> dict[str, str]:
+        """URLs of the cabin and the people by seat; the same for the same shape."""
+        scene = shown.scene
+        result = {"cabin": self._mesh(scene.backdrop.vertices.tobytes(), lambda: cabin_glb(scene.backdrop))}
+        for person in scene.people:
+            slot = OCCUPANT_SLOTS.index(person.slot) if person.slot in OCCUPANT_SLOTS else 0
+            shape = b"".join(surface.vertices.tobytes() + surface.material.tobytes() for surface in person.surfaces)
+            result[person.slot] = self._mesh(
+                shape + bytes([slot]),
+                lambda surfaces=person.surfaces, slot=slot: person_glb(surfaces, slot),  # type: ignore[misc]
+            )
+        return result
+
+    def _mesh(self, shape: bytes, make: Callable[[], bytes]) -> str:
+        name = hashlib.blake2b(shape, digest_size=12).hexdigest()
+        self._meshes[name] = make
+        self._meshes.move_to_end(name)
+        while len(self._meshes) > _MESHES:
+            self._meshes.popitem(last=False)
+        return f"/scene/meshes/{name}.glb"
+
+    def generate(self, name: str, frames: int, *, resume: bool = False) -> None:
+        """Begin to make a dataset in a folder beside the scene. Raises ConfigError for a name that leads elsewhere."""
+        out = self.editor.place(name, ("",))
+        if self.generation is not None and self.generation.running:
+            self.generation.cancel()
+            self.generation.wait(30.0)
+        self.generation = Generation(self.editor.config, self.editor.state.seed, frames, out, resume=resume)
+
+    def stop(self) -> None:
+        """End what runs."""
+        if self.generation is not None:
+            self.generation.cancel()
+            self.generation.wait(10.0)
+        self._worker.shutdown(wait=False, cancel_futures=True)
+
+    def image(self, number: int, name: str) -> Response:
+        """An image of a scene that was drawn lately, or its cloud in the vehicle's frame as `cloud.glb`."""
+        shown = self._recent.get(number)
+        if shown is None or (name not in IMAGES and name != "cloud.glb") or name == CLASSES[1]:
+            raise HTTPException(404, "there is no such image")
+        if name == "cloud.glb":
+            return Response(_cloud(shown), media_type="model/gltf-binary", headers={"cache-control": KEEP})
+        if name not in shown.frame:
+            raise HTTPException(404, "there is no such image")
+        return picture(name, shown.frame[name]).response(keep=False)
+
+    def mesh(self, name: str) -> Response:
+        """A cabin or a person."""
+        make = self._meshes.get(name)
+        if make is None:
+            raise HTTPException(404, "there is no such mesh")
+        return Response(make(), media_type="model/gltf-binary", headers={"cache-control": KEEP})
+
+
+def scene_routes(room: Callable[[], SceneRoom | None]) -> APIRouter:
+    """`/scene/meshes/{name}.glb`, `/scene/{number}/{image}` of the scene that is open."""
+    router = APIRouter()
+
+    def opened() -> SceneRoom:
+        there = room()
+        if there is None:
+            raise HTTPException(404, "no scene is open")
+        return there
+
+    @router.get("/scene/meshes/{name}.glb")
+    def mesh(name: str) -> Response:
+        return opened().mesh(name)
+
+    @router.get("/scene/{number}/{name}")
+    def image(number: int, name: str) -> Response:
+        return opened().image(number, name)
+
+    return router
+
+
+def _cloud(shown: Shown) -> bytes:
+    """The point cloud of a scene, in the vehicle's frame."""
+    depth = shown.frame["depth"]
+    points = shown.config.camera.sensor_model.camera.points(depth)
+    valid = np.isfinite(depth) & (depth > 0)
+    amplitude = shown.frame["amplitude"]
+    colours = cloud_colours(shown.frame["instance"], amplitude, float(np.quantile(amplitude, 0.99)) or 1.0)
+    return cloud_glb(apply(shown.scene.world_from_camera, points[valid].astype(np.float64)), colours[valid])

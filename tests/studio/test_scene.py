@@ -1,0 +1,446 @@
+"""The Scene tab without a browser: fields, changes, undo, files, and the same bytes as `cabinpose synth`."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, State, camera_of, read_state
+from cabinpose.app.studio.scene_form import Field, form
+from cabinpose.app.studio.scene_session import SceneRoom
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.frames import is_rigid
+from cabinpose.scene.body import DOFS
+from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.scene.sensor import SENSORS
+from cabinpose.store import open_dataset
+from cabinpose.store.part import PartWriter
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import build_manifest
+
+SEED, INDEX = 3, 1
+SUV: dict[str, Any] = {"scene": {"kind": "cabin", "cars": ["suv"]}, "noise": {"kind": "physical"}}
+
+
+def draw(preview: Preview, editor: SceneEditor) -> Shown:
+    return preview.draw(editor.config, editor.state.seed, editor.state.index)
+
+
+@pytest.fixture(scope="module")
+def preview() -> Preview:
+    return Preview()
+
+
+@pytest.fixture
+def editor(tmp_path: Path) -> SceneEditor:
+    return SceneEditor(tmp_path, State(SUV, SEED, INDEX))
+
+
+@pytest.fixture
+def accepted(editor: SceneEditor, preview: Preview) -> tuple[SceneEditor, Shown]:
+    """A drawn scene that was accepted, and as it is shown then."""
+    editor.accept(draw(preview, editor))
+    return editor, draw(preview, editor)
+
+
+def by_path(data: dict[str, Any]) -> dict[str, Field]:
+    return {".".join(map(str, field.path)): field for field in form(data).walk()}
+
+
+# ------------------------------------------------------------------------------------------------------------- fields
+
+
+def keys_of(value: Any, path: str = "") -> set[str]:
+    """The keys of a model and of the models within, found by walking over the models themselves, not their schema."""
+    if isinstance(value, BaseModel):
+        items = [(name, getattr(value, name)) for name in type(value).model_fields]
+    elif dataclasses.is_dataclass(value):
+        items = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
+    elif isinstance(value, dict):
+        items = list(value.items())
+    else:
+        return {path}
+    return {path, *(key for name, each in items for key in keys_of(each, f"{path}.{name}".lstrip(".")))}
+
+
+def test_every_key_is_a_field() -> None:
+    data = {
+        "scene": {
+            "kind": "cabin",
+            "occupants": {"driver": {"profile": {"kind": "gaussian", "axes": {"lelbow.flexion": {"sigma_deg": 3}}}}},
+            "occupancy": {"rear_left": 0.5},
+            "factorial": {"poses": 2, "seat": "rear_left"},
+            "motion": {"driver": {"drive": 1.0}},
+        },
+        "people": {"own": {"anna": {"stature_cm": 168}}, "random": {"count": 3, "ranges": {"years": {"min": 20, "max": 30}}}},
+        "camera": {"views": {"mine": {"position_m": [1, 0, 1], "look_at_m": [0, 0, 1]}}},
+        "noise": {"kind": "empirical"},
+    }
+    config = SynthConfig.parse(data)
+    expected = {key for key in keys_of(config) if not key.endswith("kind") and key != "version"}
+    shown = set(by_path(data))
+    assert expected - shown == set()
+
+
+@pytest.mark.parametrize(
+    ("key", "unit", "low", "high"),
+    [
+        ("camera.jitter_deg", "°", 0.0, 45.0),
+        ("camera.sensor.integration_s", "s", 0, None),
+        ("camera.sensor.camera.fx", "px", None, None),
+        ("scene.people_jitter_m", "m", 0.0, 0.1),
+        ("scene.occupants.driver.initial_pose_deg.lelbow.flexion", "°", 0.0, 150.0),
+        ("scene.occupants.driver.initial_pose_deg.lhand.grip", "", 0.0, 1.0),
+    ],
+)
+def test_fields_have_units_and_ranges(key: str, unit: str, low: float | None, high: float | None) -> None:
+    sensor = SynthConfig.parse({"camera": {"sensor": "pico_monstar_105/5"}}).camera.sensor_model
+    own = SynthConfig.parse({"camera": {"sensor": dataclasses.asdict(sensor) if dataclasses.is_dataclass(sensor) else sensor}})
+    data = {**SUV, "camera": own.camera.model_dump(mode="json")}
+    data["scene"] = {**SUV["scene"], "occupants": {"driver": {"initial_pose_deg": {"lelbow.flexion": 40, "lhand.grip": 1}}}}
+    field = by_path(data)[key]
+    assert (field.unit, field.low, field.high) == (unit, low, pytest.approx(high) if high is not None else None)
+
+
+def test_every_choice_of_a_union_starts_from_something_that_can_be_edited(editor: SceneEditor) -> None:
+    for field in form(editor.state.data, starts=editor.starts(None)).walk():
+        for option in field.options:
+            assert field.fresh is not None
+            again = {**editor.state.data}
+            at: Any = again
+            for part in field.path[:-1]:
+                at[part] = dict(at.get(part) or {})
+                at = at[part]
+            at[field.path[-1]] = field.fresh[option]
+            found = by_path(again)[".".join(map(str, field.path))]
+            assert found.option == option, field.path
+
+
+def test_names_that_exist_are_offered() -> None:
+    fields = by_path({**SUV, "scene": {"kind": "cabin", "occupants": {"driver": {}}}})
+    assert set(fields["camera.sensor"].choices) == set(SENSORS)
+    assert "suv" in fields["scene.cars"].choices
+    assert fields["scene.occupants.driver.initial_pose_deg"].choices == tuple(dof.name for dof in DOFS)
+
+
+# ------------------------------------------------------------------------------------------------------------ changes
+
+
+def test_what_is_wrong_is_told_at_its_key_and_the_last_valid_stays(editor: SceneEditor) -> None:
+    editor.set(("scene", "belted"), 0.5)
+    editor.set(("scene", "belted"), 3)
+    assert list(editor.errors) == [("scene", "belted")]
+    assert editor.config.scene.belted == 0.5  # type: ignore[union-attr]
+    editor.set(("camera", "sensor"), "no_such_sensor")
+    assert ("scene", "belted") in editor.errors or ("camera", "sensor") in editor.errors
+    editor.undo()
+    editor.undo()
+    assert editor.errors == {}
+
+
+def test_undo_and_redo_go_through_all_states(editor: SceneEditor) -> None:
+    states = [editor.state]
+    for change in (
+        lambda: editor.set(("scene", "belted"), 0.1),
+        lambda: editor.set(("noise", "blur"), 0.2),
+        editor.sample_again,
+        lambda: editor.set(("noise",), {"kind": "empirical"}),
+    ):
+        change()
+        states.append(editor.state)
+    for state in reversed(states[:-1]):
+        assert editor.undo()
+        assert editor.state == state
+    assert not editor.undo()
+    for state in states[1:]:
+        assert editor.redo()
+        assert editor.state == state
+    assert not editor.redo()
+    editor.undo()
+    editor.set(("scene", "belted"), 0.9)
+    assert not editor.redo()  # that future is gone
+
+
+def test_slider_is_one_step_of_undo(editor: SceneEditor, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    before = editor.state
+    for value in (0.1, 0.2, 0.3):
+        editor.set(("scene", "belted"), value)
+        now[0] += 0.1
+    now[0] += 10
+    editor.set(("scene", "belted"), 0.4)
+    editor.undo()
+    assert editor.config.scene.belted == 0.3  # type: ignore[union-attr]
+    editor.undo()
+    assert editor.state == before
+
+
+def test_an_occupant_does_not_take_the_others_out(editor: SceneEditor) -> None:
+    """Left out, `occupancy` means another thing beside `occupants`; a change of one key changes no other."""
+    before = editor.config.scene.occupancy  # type: ignore[union-attr]
+    editor.set(("scene", "occupants", "driver"), {})
+    editor.set(("scene", "occupants", "driver", "subject"), "S03")
+    assert editor.config.scene.occupancy == before  # type: ignore[union-attr]
+    assert editor.config.scene.occupants["driver"].subject == "S03"  # type: ignore[union-attr]
+
+
+def test_accepted_scene_is_the_same_frame(editor: SceneEditor, preview: Preview) -> None:
+    drawn = draw(preview, editor)
+    editor.accept(drawn)
+    given = draw(preview, editor)
+    assert given.verdicts == ()
+    assert set(editor.given) == {person.slot for person in drawn.scene.people}
+    for name, value in drawn.frame.items():
+        np.testing.assert_array_equal(given.frame[name], value, err_msg=name)
+
+
+def test_collision_is_shown_where_it_is(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    """A driver's hand brought into the other thigh."""
+    editor, shown = accepted
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    hip, knee = (driver.posed.joints[i] for i in (_joint("rpelvis"), _joint("rknee")))
+    thigh = (hip + knee) / 2
+    editor.move_hand(shown, "driver", "r", thigh)
+    after = draw(preview, editor)
+    (verdict,) = after.verdicts
+    assert verdict.rejection is not None
+    assert verdict.rejection.slot == "driver"
+    assert verdict.where is not None
+    assert np.linalg.norm(verdict.where - thigh) < 0.25
+    assert np.isfinite(after.frame["depth_clean"]).any()
+
+
+def _joint(name: str) -> int:
+    from cabinpose.core.skeleton import INDEX
+
+    return INDEX[name]
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+def test_dragged_hand_arrives_within_the_limits(accepted: tuple[SceneEditor, Shown], preview: Preview, side: str) -> None:
+    editor, shown = accepted
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    chest = driver.posed.joints[_joint("chest")]
+    goal = chest + (0.35, 0.1 if side == "l" else -0.1, 0.05)
+    assert editor.move_hand(shown, "driver", side, goal) < 0.01
+    after = next(person for person in draw(preview, editor).scene.people if person.slot == "driver")
+    np.testing.assert_allclose(after.posed.palms[side][:3, 3], goal, atol=0.01)
+    changed = {DOFS[i].name.split(".")[0] for i in np.flatnonzero(after.posed.q != driver.posed.q)}
+    assert changed <= {side + name for name in ("shoulder", "elbow", "wrist")}
+    assert (after.posed.q >= LOWER - 1e-9).all()
+    assert (after.posed.q <= UPPER + 1e-9).all()
+    far = editor.move_hand(shown, "driver", side, chest + (3.0, 0.0, 0.0))
+    assert 1.5 < far < 3.0  # an arm is no longer than that
+    assert editor.errors == {}
+
+
+def test_seat_takes_its_person_along(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    editor, shown = accepted
+    before = next(person for person in shown.scene.people if person.slot == "driver").posed.joints
+    editor.set_seat(shown, "driver", "fore_aft_m", shown.scene.settings["driver"].fore_aft_m - 0.03)
+    moved = draw(preview, editor)
+    after = next(person for person in moved.scene.people if person.slot == "driver").posed.joints
+    np.testing.assert_allclose(after - before, np.tile((-0.03, 0.0, 0.0), (len(before), 1)), atol=1e-9)
+    editor.set_seat(moved, "driver", "torso_angle_rad", moved.scene.settings["driver"].torso_angle + 0.1)
+    pose = editor.config.scene.occupants["driver"].pose  # type: ignore[union-attr]
+    assert pose is not None
+    assert is_rigid(np.array(pose.vehicle_from_root))
+    with pytest.raises(ConfigError, match="outside"):
+        editor.set_seat(moved, "driver", "fore_aft_m", 2.0)
+
+
+def test_camera_is_moved(editor: SceneEditor, preview: Preview) -> None:
+    shown = draw(preview, editor)
+    editor.move_camera(shown, position=(0.9, 0.1, 1.3))
+    moved = draw(preview, editor)
+    np.testing.assert_allclose(moved.scene.world_from_camera[:3, 3], (0.9, 0.1, 1.3), atol=1e-9)
+    eye, target, _ = camera_of(moved)
+    forward = np.array(target) - eye
+    np.testing.assert_allclose(moved.scene.world_from_camera[:3, 2], forward / np.linalg.norm(forward), atol=1e-6)
+    editor.move_camera(moved, target=(0.0, 0.0, 1.0))
+    assert camera_of(draw(preview, editor))[0] == [0.9, 0.1, 1.3]
+
+
+def test_camera_before_a_face_is_told(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    editor, shown = accepted
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    editor.move_camera(shown, position=driver.posed.eyes_m + (0.03, 0.0, 0.0))
+    assert [str(verdict.rejection) for verdict in draw(preview, editor).verdicts] == ["somebody is right before the camera"]
+
+
+def test_scene_that_cannot_be_keeps_the_last_one(editor: SceneEditor, preview: Preview) -> None:
+    shown = draw(preview, editor)
+    editor.set(("scene", "occupants", "driver"), {"initial_pose_deg": {"lhip.flexion": -20, "rhip.flexion": -20}})
+    editor.set(("limits",), {"scenes_per_frame": 2, "poses_per_person": 1})
+    after = draw(preview, editor)
+    assert "made a valid scene" in after.error
+    assert after.scene is shown.scene
+
+
+def test_room_is_shown_and_not_accepted(tmp_path: Path, preview: Preview) -> None:
+    editor = SceneEditor(tmp_path, State({"scene": {"kind": "room"}, "camera": {"views": {"room": 1.0}}}))
+    shown = draw(preview, editor)
+    assert shown.scene.place.startswith("room")
+    with pytest.raises(ConfigError, match="only scenes in cars"):
+        editor.accept(shown)
+
+
+# -------------------------------------------------------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_saved_scene_is_generated_with_the_same_bytes(
+    editor: SceneEditor, preview: Preview, run: Callable[..., Any], given: bool
+) -> None:
+    """What `cabinpose synth` stores of the saved file is, bit by bit, the frame that the studio shows."""
+    editor.set(("scene", "occupants", "driver"), {"subject": "S03"})
+    editor.set(("noise", "blur"), 0.2)
+    if given:
+        editor.accept(draw(preview, editor))
+        editor.turn_joint("driver", "head.rotation", 0.1 + 0.2)
+        editor.move_camera(draw(preview, editor), target=(0.1, 0.0, 0.9))
+    path = editor.save("mine.yaml")
+    outcome = run("synth", "--config", path, "--out", editor.folder / "made", "--frames", INDEX + 1, "--seed", SEED)
+    assert outcome.code == 0, outcome.err
+    manifest = build_manifest(editor.config, INDEX + 1, SEED)
+    (plan,) = manifest.parts
+    (editor.folder / "shown").mkdir()
+    with PartWriter(editor.folder / "shown", plan, manifest) as part:
+        for index in range(INDEX + 1):
+            shown = preview.draw(editor.config, SEED, index)
+            assert shown.verdicts == ()
+            part.append(shown.frame)
+    made, own = (
+        {p.relative_to(root): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+        for root in (editor.folder / "made" / plan.name, editor.folder / "shown" / plan.name)
+    )
+    different = {str(name) for name in made if made[name] != own.get(name)}
+    assert different <= {"zarr.json"}  # the attributes count the poses that were tried
+    assert len(made) == len(own) > 20
+
+
+def test_file_remembers_seed_and_frame(editor: SceneEditor) -> None:
+    editor.look_at(7, 12)
+    editor.set(("scene", "occupants", "driver"), {"subject": "S03"})
+    path = editor.save("mine.yaml")
+    assert read_state(path) == editor.state
+    other = SceneEditor(editor.folder)
+    other.load("mine.yaml")
+    assert (other.state, other.config) == (editor.state, editor.config)
+    assert SynthConfig.load(path) == editor.config
+    other.undo()
+    assert other.config == SynthConfig()
+
+
+def test_nothing_is_overwritten_unasked(editor: SceneEditor) -> None:
+    path = editor.save("mine.yaml")
+    before = path.read_bytes()
+    editor.sample_again()
+    with pytest.raises(ConfigError, match="exists"):
+        editor.save("mine.yaml")
+    assert path.read_bytes() == before
+    editor.save("mine.yaml", overwrite=True)
+    assert path.read_bytes() != before
+
+
+_ELSEWHERE = ["../up.yaml", "/x.yaml", "sub/x.yaml", "x.txt", "", ".hidden.yaml", "..", "a\\b.yaml", "a\0.yaml"]
+
+
+@pytest.mark.parametrize("name", _ELSEWHERE)
+def test_only_files_of_the_folder(editor: SceneEditor, name: str) -> None:
+    with pytest.raises(ConfigError, match="is no name in"):
+        editor.save(name)
+    with pytest.raises(ConfigError, match="is no name in"):
+        editor.load(name)
+
+
+def test_link_out_of_the_folder_is_refused(editor: SceneEditor, tmp_path_factory: pytest.TempPathFactory) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "x.yaml"
+    elsewhere.write_text("{}")
+    (editor.folder / "link.yaml").symlink_to(elsewhere)
+    with pytest.raises(ConfigError, match="is no name in"):
+        editor.save("link.yaml", overwrite=True)
+    with pytest.raises(ConfigError, match="is no name in"):
+        editor.load("link.yaml")
+
+
+def test_wrong_scene_is_not_saved(editor: SceneEditor) -> None:
+    editor.set(("scene", "belted"), 3)
+    with pytest.raises(ConfigError, match="not saved"):
+        editor.save("mine.yaml")
+    assert not list(editor.folder.iterdir())
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "scene: [", "scene: {kind: cabin, carz: [suv]}"])
+def test_broken_file_changes_nothing(editor: SceneEditor, text: str) -> None:
+    (editor.folder / "broken.yaml").write_text(text)
+    before = editor.state
+    with pytest.raises(ConfigError):
+        editor.load("broken.yaml")
+    assert editor.state is before
+    assert not editor.undo()
+
+
+def test_relative_paths_stay_as_they_are(editor: SceneEditor) -> None:
+    """A configuration with a car of the user's own can be moved with its folder."""
+    editor.set(("scene", "cars"), ["mine/car.yaml"])
+    assert editor.config.scene.cars == (str(editor.folder / "mine" / "car.yaml"),)  # type: ignore[union-attr]
+    assert yaml.safe_load(editor.save("mine.yaml").read_text())["scene"]["cars"] == ["mine/car.yaml"]
+
+
+# --------------------------------------------------------------------------------------------------------- generation
+
+
+def until(what: Callable[[], Any], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_generation_is_cancelled_and_resumed(tmp_path: Path, run: Callable[..., Any]) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("scene: {cars: [suv]}\noutput: {frames_per_part: 2}\n")
+    room = SceneRoom(scene)
+    room.generate("made", 40)
+    generation = room.generation
+    assert generation is not None
+    until(lambda: generation.done >= 3)
+    generation.cancel()
+    until(lambda: not generation.running)
+    assert "cancelled" in generation.words
+    assert 3 <= generation.done < 40
+    outcome = run("synth", "--config", scene, "--out", tmp_path / "made", "--frames", 40, "--resume")
+    assert outcome.code == 0, outcome.err
+    assert open_dataset(tmp_path / "made").sizes["frame"] == 40
+    room.generate("made", 40)
+    again = room.generation
+    assert again is not None
+    until(lambda: not again.running)
+    assert "made" in again.error  # it exists
+    for name in ("../made", "", ".", "a/b"):
+        with pytest.raises(ConfigError, match="is no name in"):
+            room.generate(name, 4)
+    room.stop()
+
+
+def test_meshes_of_what_has_not_changed_are_the_same(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    editor, shown = accepted
+    room = SceneRoom(None)
+    first = room.meshes(shown)
+    editor.turn_joint("driver", "head.rotation", 0.2)
+    second = room.meshes(draw(preview, editor))
+    assert {name for name in first if first[name] != second[name]} == {"driver"}
+    for url in second.values():
+        body = room.mesh(url.rsplit("/", 1)[1].removesuffix(".glb")).body
+        assert bytes(body[:4]) == b"glTF"
+    room.stop()

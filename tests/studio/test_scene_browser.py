@@ -1,0 +1,178 @@
+"""The Scene tab in a browser, done as a person does it."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from cabinpose.store import open_dataset
+
+_RECORDER = """
+window.drawn = [];
+const put = OffscreenCanvasRenderingContext2D.prototype.putImageData;
+OffscreenCanvasRenderingContext2D.prototype.putImageData = function (image, ...rest) {
+  put.call(this, image, ...rest);
+  let sum = 0;
+  for (let i = 0; i < image.data.length; i += 4) sum = (sum * 31 + image.data[i]) % 1000000007;
+  window.drawn.push(sum);
+};
+"""  # what the canvases show, as check sums
+PANES = 3
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.yaml"
+    path.write_text("scene:\n  cars: [suv]\n  occupants: {driver: {subject: S03}}\n")
+    return path
+
+
+@pytest.fixture
+def studio(page: Any, start: Callable[..., Any], scene: Path) -> Any:
+    """The page of a studio that shows the scene."""
+    page.add_init_script(_RECORDER)
+    page.goto(start(scene).address)
+    page.get_by_text("holds: nothing collides").wait_for()
+    page.wait_for_function(f"drawn.length >= {PANES}")
+    return page
+
+
+def last_images(page: Any) -> list[int]:
+    """The check sums of what the panes show, once nothing more is drawn."""
+    count = -1
+    while count != (count := page.evaluate("drawn.length")):
+        page.wait_for_timeout(700)
+    return sorted(page.evaluate(f"drawn.slice(-{PANES})"))
+
+
+def after(page: Any, act: Callable[[], Any]) -> list[int]:
+    """What the panes show once something that was done has been drawn."""
+    count = page.evaluate("drawn.length")
+    act()
+    page.wait_for_function(f"drawn.length >= {count + PANES}")
+    return last_images(page)
+
+
+def press(page: Any, name: str) -> Callable[[], Any]:
+    return lambda: page.get_by_role("button", name=name).click()
+
+
+def find(page: Any, words: str) -> Any:
+    page.get_by_placeholder("find a key").fill(words)
+    field = page.get_by_label(re.compile(rf"^{re.escape(words)}( ·|$)"))
+    field.wait_for()
+    return field
+
+
+@pytest.mark.slow
+def test_change_undo_save_and_open(studio: Any, scene: Path) -> None:
+    before = last_images(studio)
+    field = find(studio, "noise.blur")
+    changed = after(studio, lambda: field.fill("0.25"))
+    assert changed != before
+    studio.wait_for_timeout(1200)  # what follows is another step of undo
+    assert after(studio, lambda: field.fill("3")) == changed  # the last valid one stays
+    studio.get_by_text("noise.blur: Input should be less than or equal to 0.25").wait_for()
+    assert after(studio, press(studio, "Undo")) == changed
+    studio.get_by_text("holds: nothing collides").wait_for()
+    assert after(studio, press(studio, "Undo")) == before
+    assert after(studio, press(studio, "Redo")) == changed
+    kept = after(studio, lambda: find(studio, "noise.blur").fill("0.2"))
+    studio.get_by_role("button", name="Save").click()
+    name_field = studio.get_by_label("file name")
+    name_field.fill("../other.yaml")
+    studio.get_by_role("button", name="Save it").click()
+    studio.get_by_text("is no name in").wait_for()
+    name_field.fill("mine.yaml")
+    studio.get_by_role("button", name="Save it").click()
+    studio.get_by_text("mine.yaml exists").wait_for()
+    name_field.fill("other.yaml")
+    studio.get_by_role("button", name="Save it").click()
+    studio.get_by_text("saved other.yaml").wait_for()
+    saved = yaml.safe_load((scene.parent / "other.yaml").read_text())
+    assert saved["noise"]["blur"] == 0.2
+    for name, expected in (("mine.yaml", before), ("other.yaml", kept)):
+        studio.get_by_role("button", name="Open").click()
+        assert after(studio, press(studio, name)) == expected
+
+
+@pytest.mark.slow
+def test_accept_and_move_a_joint_until_it_collides(studio: Any) -> None:
+    before = last_images(studio)
+    drawn = after(studio, press(studio, "Sample"))
+    assert drawn != before
+    assert after(studio, press(studio, "Accept")) == drawn
+    studio.get_by_role("tab", name="People").click()
+    studio.get_by_text("driver: S03").click()
+    row = studio.get_by_text("relbow.flexion", exact=True).locator("xpath=..")
+    slider = row.locator(".q-slider")
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    slider.click(position={"x": box["width"] - 1, "y": box["height"] / 2})  # once it stands still
+    row.get_by_text(re.compile(r"1(4[5-9]|50)\.\d °")).wait_for()
+    studio.get_by_text(re.compile(r"driver: .* in .* mm deep at")).wait_for()
+    studio.get_by_role("button", name="Undo").click()
+    studio.get_by_text("holds: nothing collides").wait_for()
+
+
+@pytest.mark.slow
+def test_work_is_there_after_a_reload(studio: Any) -> None:
+    field = find(studio, "noise.blur")
+    changed = after(studio, lambda: field.fill("0.25"))
+    studio.reload()
+    studio.get_by_text("holds: nothing collides").wait_for()
+    studio.wait_for_function(f"drawn.length >= {PANES}")
+    assert last_images(studio) == changed
+    assert find(studio, "noise.blur").input_value() == "0.25"
+
+
+@pytest.mark.slow
+def test_camera_is_dragged(studio: Any) -> None:
+    """The camera's sphere is taken where it is on the screen, and let go elsewhere."""
+    before = after(studio, press(studio, "Accept"))
+    place = studio.evaluate("""() => {
+      const element = [...document.querySelectorAll('.nicegui-scene')][0];
+      const view = getElement(element.id.slice(1));
+      const mesh = [...view.objects.values()].map((o) => o.mesh || o).find((m) => m.name === 'camera');
+      const at = mesh.position.clone().project(view.camera), box = element.querySelector('canvas').getBoundingClientRect();
+      return [box.left + (at.x + 1) / 2 * box.width, box.top + (1 - at.y) / 2 * box.height];
+    }""")
+    studio.mouse.move(*place)
+    studio.wait_for_timeout(300)
+    studio.mouse.down()
+    studio.mouse.move(place[0] + 30, place[1] - 10, steps=6)
+    assert after(studio, studio.mouse.up) != before
+    assert find(studio, "camera.jitter_m").input_value() == "0"
+
+
+@pytest.mark.slow
+def test_generate_and_cancel(studio: Any, scene: Path) -> None:
+    def generate(folder: str, frames: int) -> None:
+        studio.get_by_role("button", name="Generate").click()
+        studio.get_by_label("folder").fill(folder)
+        studio.get_by_label("frames").fill(str(frames))
+        studio.get_by_role("button", name="Start").click()
+
+    generate("three", 3)
+    studio.get_by_text("3 frames in three").wait_for()
+    assert open_dataset(scene.parent / "three").sizes["frame"] == 3
+    generate("many", 5000)
+    studio.get_by_text(re.compile(r"posing: [1-9]\d* of 5000")).wait_for()
+    studio.get_by_role("button", name="Cancel").click()
+    studio.get_by_text("cancelled").wait_for()
+    time.sleep(0.5)
+    assert not list((scene.parent / "many").glob("part-00049*"))
+
+
+@pytest.mark.slow
+def test_new_scene_is_begun(page: Any, start: Callable[..., Any]) -> None:
+    page.goto(start().address)
+    page.get_by_role("tab", name="Scene").click()
+    page.get_by_role("button", name="Begin a new one here").click()
+    page.get_by_text("holds: nothing collides").wait_for()
