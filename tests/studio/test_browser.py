@@ -22,13 +22,12 @@ def tab(page: Any, name: str) -> None:
 
 
 def canvas(page: Any) -> Any:
-    """The canvas that is to be seen, once its image is there."""
-    shown = page.locator(".frame-canvas:visible").first
-    shown.locator("canvas").wait_for()
+    """The only canvas that is to be seen, once the tab before has gone and its image is there."""
     page.wait_for_function(
-        "[...document.querySelectorAll('.frame-canvas')].some(e => e.offsetParent && !e.innerText.includes('loading'))"
+        "(all => all.length === 1 && !all[0].innerText.includes('loading'))"
+        "([...document.querySelectorAll('.frame-canvas')].filter(e => e.offsetParent))"
     )
-    return shown
+    return page.locator(".frame-canvas:visible")
 
 
 def on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]:
