@@ -19,6 +19,7 @@ JOINTS = 14  # of the upper body, which labels are of
 
 def tab(page: Any, name: str) -> None:
     page.get_by_role("tab", name=name).click()
+    page.get_by_role("tab", name=name, selected=True).wait_for()
 
 
 def canvas(page: Any) -> Any:
