@@ -52,7 +52,8 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
-    with ui.tab_panels(bar, value=_first(workspace, list(tabs)), keep_alive=True, animated=False).classes("w-full").style("width: 100%"):
+    panels = ui.tab_panels(bar, value=_first(workspace, list(tabs)), keep_alive=True, animated=False)
+    with panels.classes("w-full").style("width: 100%"):
         for name, build in tabs.items():
             with ui.tab_panel(name):
                 build()
