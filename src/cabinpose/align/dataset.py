@@ -234,8 +234,7 @@ def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manife
             if not aligned.kept[index]:
                 continue
             _check_size(aligned.path, image, calibration)
-            depth = image.depth * np.float32(image.depth_unit_m)
-            depth[image.depth == 0] = np.nan
+            depth = image.depth_m()
             frame = blank_frame(manifest)
             frame["depth"] = _ticks(image)
             for name in ("amplitude", "confidence"):

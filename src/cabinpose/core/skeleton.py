@@ -173,6 +173,12 @@ ITOP_JOINTS: tuple[str, ...] = (
 )  # fmt: skip
 
 
+def index_pairs(joints: Sequence[str], pairs: Sequence[tuple[str, str]] = LIMBS) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints (default: limbs, parent and child) as positions in `joints`; those that have both ends there."""
+    at = {name: i for i, name in enumerate(joints)}
+    return tuple((at[a], at[b]) for a, b in pairs if a in at and b in at)
+
+
 def indices(names: Sequence[str]) -> list[int]:
     """Positions of joints in `JOINTS`."""
     return [INDEX[name] for name in names]

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
-from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
+from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor, joined
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
@@ -148,6 +148,40 @@ def _chunks(
             _check_shapes(batch, model, len(chunk.frame))
         yield chunk, batch.map(lambda values: values[:, rows][:, :, columns])
         progress(min(start + step, count))
+
+
+def predict_dataset(
+    dataset: xr.Dataset, model: Predictor, *, dataset_id: str | None = None, progress: Progress | None = None
+) -> Predictions:
+    """What a detector finds in every frame of a dataset or a selection of it, in order.
+
+    Parameters
+    ----------
+    dataset
+        The frames, with depth.
+    model
+        The detector.
+    dataset_id
+        What the predictions name their dataset by, see `store.schema.dataset_id`.
+    progress
+        Called with the number of frames done.
+
+    Returns
+    -------
+    Predictions
+        By the numbers of the frames.
+    """
+    count, batches = dataset.sizes["frame"], []
+    for start in range(0, count, BATCH):
+        batches.append(model.predict(frame_batch(dataset, slice(start, start + BATCH))))
+        if progress is not None:
+            progress(min(start + BATCH, count))
+    found = joined(batches)
+    return Predictions(
+        found.joints_2d, found.joints_3d, found.score, found.presence, frame=dataset["frame"].values.astype(np.int64),
+        persons=model.persons, joints=model.joints, model=model.name, skeleton=getattr(model, "skeleton", "cabinpose"),
+        dataset=dataset_id,
+    )  # fmt: skip
 
 
 def frame_batch(dataset: xr.Dataset, frames: slice) -> FrameBatch:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, LIMBS, SYMMETRIC_PAIRS, oks_sigma
+from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, LIMBS, SYMMETRIC_PAIRS, index_pairs, oks_sigma
 
 _ITOP_GROUPS = MappingProxyType(
     {
@@ -55,8 +55,8 @@ def evaluated_skeleton(joints: Sequence[str]) -> EvaluatedSkeleton:
     return EvaluatedSkeleton(
         joints=tuple(joints),
         groups=MappingProxyType({name: members for name, members in chosen.items() if members}),
-        limbs=tuple((index[a], index[b]) for a, b in limbs if a in index and b in index),
-        pairs=tuple((index[a], index[b]) for a, b in pairs if a in index and b in index),
+        limbs=index_pairs(joints, limbs),
+        pairs=index_pairs(joints, pairs),
         sigma=np.array([oks_sigma(name) for name in joints]),
         head=(index["head"], index["neck"]) if {"head", "neck"} <= index.keys() else None,
     )

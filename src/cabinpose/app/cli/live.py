@@ -180,8 +180,7 @@ def _write_predictions(command: LiveCommand, live: Live) -> None:
     assert command.predictions is not None
     (model,) = live.models
     dataset = dataset_id(read_manifest(Path(command.source))) if isinstance(live.feed, DatasetFeed) else None
-    skeleton = getattr(getattr(model, "config", None), "skeleton", "cabinpose")
-    found = live.predictions(model, skeleton=skeleton, dataset=dataset)
+    found = live.predictions(model, dataset=dataset)
     write_predictions(command.predictions, found, overwrite=command.overwrite)
 
 

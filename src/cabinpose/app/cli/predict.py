@@ -28,14 +28,11 @@ COMMAND = Predict
 
 def run(command: Predict) -> None:
     """Run the model over the frames in their order and write the predictions."""
-    import numpy as np
-
     from cabinpose.app.cli.selection import selected
-    from cabinpose.core.ports import joined
     from cabinpose.estimate.remote import open_predictor
-    from cabinpose.evaluate.offline import BATCH, frame_batch
+    from cabinpose.evaluate.offline import predict_dataset
     from cabinpose.store import open_dataset, read_manifest
-    from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
+    from cabinpose.store.predictions import check_new_predictions, write_predictions
     from cabinpose.store.schema import dataset_id
 
     check_new_predictions(command.out, overwrite=command.overwrite)  # before the work, not at its end
@@ -49,18 +46,10 @@ def run(command: Predict) -> None:
             file=sys.stderr,
         )
     count = dataset.sizes["frame"]
-    batches = []
     with progress(count, "frames") as report:
-        for start in range(0, count, BATCH):
-            batches.append(model.predict(frame_batch(dataset, slice(start, start + BATCH))))
-            report(min(start + BATCH, count))
+        name = dataset_id(read_manifest(command.dataset))
+        predictions = predict_dataset(dataset, model, dataset_id=name, progress=report)
     tell_failed(model)
-    found = joined(batches)
-    predictions = Predictions(
-        found.joints_2d, found.joints_3d, found.score, found.presence, frame=dataset["frame"].values.astype(np.int64),
-        persons=model.persons, joints=model.joints, model=model.name, skeleton=model.skeleton,
-        dataset=dataset_id(read_manifest(command.dataset)),
-    )  # fmt: skip
     write_predictions(command.out, predictions, overwrite=command.overwrite)
     if command.as_json:
         print_json({"predictions": str(command.out), "model": model.name, "frames": count})

@@ -130,7 +130,7 @@ class Live:
             feed=self.feed.status(),
         )
 
-    def predictions(self, model: Predictor, *, skeleton: str = "cabinpose", dataset: str | None = None) -> Predictions:
+    def predictions(self, model: Predictor, *, dataset: str | None = None) -> Predictions:
         """All answers of a detector, by the numbers of the frames."""
         answers = self._answers[model.name]
         found = joined([empty_batch(0, len(model.persons), len(model.joints)), *answers.batches])
@@ -138,5 +138,5 @@ class Live:
         return Predictions(
             found.joints_2d[order], found.joints_3d[order], found.score[order], found.presence[order],
             frame=np.array(answers.numbers, np.int64)[order], persons=model.persons, joints=model.joints, model=model.name,
-            skeleton=skeleton, dataset=dataset,
+            skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset,
         )  # fmt: skip

@@ -155,7 +155,7 @@ def _frame(frame: ToFFrame) -> Image:
     """Depth and amplitude beside each other, as high as a picture is."""
     pictures = []
     if frame.depth.size:
-        depth = np.where(frame.depth == 0, np.nan, frame.depth * frame.depth_unit_m).astype(np.float32)
+        depth = frame.depth_m()
         pictures.append(depth_image(depth, *depth_range(depth)))
     if frame.amplitude.size:
         pictures.append(amplitude_image(frame.amplitude, float(np.percentile(frame.amplitude, 99.5))))

@@ -10,6 +10,8 @@ from nicegui.events import GenericEventArguments
 
 from cabinpose.app.view.draw import colour_map
 
+GREY = [[value, value, value] for value in range(256)]  # a palette: black to white
+
 
 class FrameCanvas(Element, component="canvas.js"):
     """An image of a frame and the joints of its people; zoomed by the wheel, moved with Shift or the middle button."""

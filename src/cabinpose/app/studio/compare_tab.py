@@ -18,11 +18,11 @@ from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.models import detectors, load_choice
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core.errors import CabinposeError
-from cabinpose.core.ports import PoseBatch, joined
-from cabinpose.core.skeleton import LIMBS
-from cabinpose.evaluate.offline import BATCH, common_joints, evaluate, frame_batch, samples_of, shared_places
+from cabinpose.core.ports import PoseBatch
+from cabinpose.core.skeleton import index_pairs
+from cabinpose.evaluate.offline import common_joints, predict_dataset, samples_of, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import Report
+from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples
 from cabinpose.store.predictions import Predictions
 from cabinpose.store.schema import dataset_id
@@ -54,8 +54,8 @@ class Judged:
 
 def judged(dataset: xr.Dataset, model: Predictions, options: EvaluationOptions, space: str, joints: Any, persons: Any) -> Judged:
     """What `evaluate` says of a model, and how far its joints are off in each frame."""
-    samples, _ = samples_of(dataset, model, options, joints=joints, persons=persons)
-    report = evaluate(dataset, model, options, joints=joints, persons=persons)
+    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)
+    report = make_report(samples, options, model.model, "", notes)
     where = samples.px if space == "2d" else samples.m
     error = np.where(samples.counts & where.found, where.error, np.nan) * (1.0 if space == "2d" else 100.0)
     sums, counts = np.zeros(len(samples.frames)), np.zeros(len(samples.frames))
@@ -147,16 +147,11 @@ class CompareTab:
         assert model is not None
         assert not isinstance(model, Predictions)
         count = workspace.dataset.sizes["frame"]
-        batches: list[PoseBatch] = []
-        for start in range(0, count, BATCH):
-            batches.append(model.predict(frame_batch(workspace.dataset, slice(start, start + BATCH))))
-            self._share = min(start + BATCH, count) / count  # the bar itself belongs to the browser's own thread
-        found = joined(batches)
-        return Predictions(
-            found.joints_2d, found.joints_3d, found.score, found.presence,
-            frame=workspace.dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints,
-            model=model.name, dataset=dataset_id(workspace.manifest),
-        )  # fmt: skip
+
+        def done(frames: int) -> None:
+            self._share = frames / count  # the bar itself belongs to the browser's own thread
+
+        return predict_dataset(workspace.dataset, model, dataset_id=dataset_id(workspace.manifest), progress=done)
 
     # ------------------------------------------------------------------------------------------------ what is shown
 
@@ -311,14 +306,14 @@ class CompareTab:
         frame = small.isel(frame=row).load()
         number_ = int(frame["frame"])
         joints = [str(name) for name in frame["joint"].values]
-        limbs = [[joints.index(a), joints.index(b)] for a, b in LIMBS if {a, b} <= set(joints)]
+        limbs = index_pairs(joints)
         people: list[dict[str, Any]] = [{**person, "colour": "#ffffff", "fixed": True} for person in people_of(frame)]
         for person in people:
             for joint in person["joints"]:
                 joint["colour"] = "#ffffff"
         for index, model in enumerate(workspace.predictions.values()):
             batch = model.take(np.array([number_]))
-            own = [[model.joints.index(a), model.joints.index(b)] for a, b in LIMBS if {a, b} <= set(model.joints)]
+            own = index_pairs(model.joints)
             for p in range(len(model.persons)):
                 seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
                 people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})

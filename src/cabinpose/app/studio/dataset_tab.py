@@ -8,7 +8,7 @@ import numpy as np
 from nicegui import ui
 from numpy.typing import NDArray
 
-from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
@@ -18,12 +18,11 @@ from cabinpose.app.view.summary import BIN_M, summarise
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.frames import apply
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import LIMBS
+from cabinpose.core.skeleton import index_pairs
 from cabinpose.store.frames import label_colours
 
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
-_GREY = [[value, value, value] for value in range(256)]
 _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
 
 
@@ -44,7 +43,7 @@ class DatasetTab:
         self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
         self._visibility = self._dataset["visibility"].values
         self._joints = [str(name) for name in self._dataset["joint"].values]
-        self._limbs = [[self._joints.index(a), self._joints.index(b)] for a, b in LIMBS if {a, b} <= set(self._joints)]
+        self._limbs = index_pairs(self._joints)
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
         with ui.row().classes("studio-tab no-wrap w-full"):
@@ -168,7 +167,7 @@ class DatasetTab:
             near, far = depth_range(self._dataset, row) if self._auto.value else (chosen["min"], chosen["max"])
             palette = None
         elif name in GREYS:
-            near, far, palette = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0, _GREY
+            near, far, palette = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0, GREY
         else:
             near, far = 0.0, 255.0
             palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES

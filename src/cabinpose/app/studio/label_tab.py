@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
-from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.labelling import Labelling, Shown
@@ -18,7 +18,7 @@ from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import LIMBS
+from cabinpose.core.skeleton import index_pairs
 
 _COLOUR = {state: "#{:02x}{:02x}{:02x}".format(*rgb) for state, rgb in VISIBILITY_COLOUR.items()}
 _STATE_KEYS = {
@@ -239,7 +239,7 @@ class LabelTab:
         labelling, row = self._labelling, self._row
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
-        limbs = [[labelling.joints.index(a), labelling.joints.index(b)] for a, b in LIMBS if {a, b} <= set(labelling.joints)]
+        limbs = index_pairs(labelling.joints)
         colour = person_colour(labelling.persons.index(self._person))
         whole = {"colour": colour, "joints": [_drawn(s) for s in shown], "dashed": not all(s.origin == "label" for s in shown)}
         self._canvas.joints([whole], limbs, (0, self._chosen))
@@ -252,7 +252,7 @@ class LabelTab:
         with self._list:
             for index, each in enumerate(shown):
                 self._joint_row(index, each)
-        whole_frames = sum(labelling.done(r, self._person) for r in range(len(labelling.numbers)))
+        whole_frames = len(labelling.key_frames(self._person))
         self._saved.text = (
             f"{whole_frames} of {len(labelling.numbers)} frames done; {len(labelling.labels.history)} changes in "
             f"{labelling.labels.path.name}"
@@ -283,8 +283,7 @@ class LabelTab:
         else:
             low, high = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0
         near, far = low + chosen["min"] * (high - low), low + chosen["max"] * (high - low)
-        grey = [[value, value, value] for value in range(256)] if name in GREYS else None
-        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=grey)
+        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=GREY if name in GREYS else None)
 
 
 def _drawn(shown: Shown) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -61,6 +62,7 @@ class Labelling:
         self._column = {name: i for i, name in enumerate(known)}
         self.persons = tuple(str(name) for name in self.dataset["person"].values)
         self.numbers: NDArray[np.int64] = self.dataset["frame"].values.astype(np.int64)
+        self._rows = {number: row for row, number in enumerate(self.numbers.tolist())}
         small = self.dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].load()
         self._uv, self._xyz, self._seen = (small[name].values for name in ("joints_2d", "joints_3d", "visibility"))
         self._sequence = small["sequence"].values
@@ -100,8 +102,8 @@ class Labelling:
 
     def key_frames(self, person: str) -> list[int]:
         """Rows in which the person is labelled whole."""
-        frames = self.labels.frames()
-        return [row for row, number in enumerate(self.numbers.tolist()) if number in frames and self.done(row, person)]
+        counts = Counter(frame for frame, who, joint in self.labels.now if who == person and joint in self.joints)
+        return sorted(self._rows[frame] for frame, count in counts.items() if count == len(self.joints) and frame in self._rows)
 
     # ------------------------------------------------------------------------------------------------ changes
 

@@ -10,21 +10,20 @@ from nicegui import run, ui
 
 from cabinpose.app.live.choose import parsed_settings
 from cabinpose.app.live.run import Found
-from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.live_session import LiveRoom, LiveSession, image_of
 from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import Predictor
-from cabinpose.core.skeleton import LIMBS
+from cabinpose.core.skeleton import index_pairs
 from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate.options import EvaluationOptions
 
 _PERIOD_S = 0.1  # between looks for a new frame
 _KINDS = ("simulated", "synth", "royale", "bta", "genicam", "orbbec")
 _PRESENT = EvaluationOptions().presence
-_GREY = [[value, value, value] for value in range(256)]
 
 
 def live_tab(workspace: Workspace, room: LiveRoom) -> None:
@@ -113,7 +112,7 @@ class LiveTab:
         self._depth.joints(people, limbs)
         if "amplitude" in frame.batch:
             white = float(np.quantile(image_of(frame, "amplitude")[::7], 0.995)) or 1.0
-            self._amplitude.show(f"/live/{frame.host_ns}/amplitude", near=0.0, far=white, palette=_GREY)
+            self._amplitude.show(f"/live/{frame.host_ns}/amplitude", near=0.0, far=white, palette=GREY)
             self._amplitude.joints(people, limbs)
         self._table(session.models, found)
 
@@ -143,12 +142,12 @@ class LiveTab:
                         ui.label(f"{person}: {count} joints, least sure {model.joints[least]} {sure[least]:.2f}")
 
 
-def _people(models: tuple[Predictor, ...], found: tuple[Found, ...]) -> tuple[list[dict[str, Any]], list[list[int]]]:
+def _people(models: tuple[Predictor, ...], found: tuple[Found, ...]) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], ...]]:
     people: list[dict[str, Any]] = []
-    limbs: list[list[int]] = []
+    limbs: tuple[tuple[int, int], ...] = ()
     for number, (model, answer) in enumerate(zip(models, found, strict=True)):
         names = list(model.joints)
-        limbs = [[names.index(a), names.index(b)] for a, b in LIMBS if {a, b} <= set(names)]
+        limbs = index_pairs(names)
         for p in range(len(model.persons)):
             there = answer.poses.presence[0, p] >= _PRESENT
             places = answer.poses.joints_2d[0, p]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from cabinpose.app.studio.canvas import FrameCanvas
+from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.scene_edit import Shown, camera_of
 from cabinpose.app.studio.scene_fields import SceneFields
@@ -20,7 +20,6 @@ from cabinpose.scene.labels import RGB
 from cabinpose.synth.profiles import dof_scale, limits_deg
 from cabinpose.synth.validate import Verdict
 
-_GREY = [[value, value, value] for value in range(256)]
 _LABELS = [[RGB.get(i, 0) >> 16 & 255, RGB.get(i, 0) >> 8 & 255, RGB.get(i, 0) & 255] for i in range(256)]
 _FADE_S = 0.5  # that an old shape stays until the browser has the new one
 _LOOK_S = 0.4
@@ -351,7 +350,7 @@ class SceneTab:
         white = float(np.quantile(shown.frame["amplitude"][::3], 0.995)) or 1.0
         url = f"/scene/{shown.number}/"
         self._canvases["depth"].show(url + "depth", near=near, far=far)
-        self._canvases["amplitude"].show(url + "amplitude", near=0.0, far=white, palette=_GREY)
+        self._canvases["amplitude"].show(url + "amplitude", near=0.0, far=white, palette=GREY)
         self._canvases["labels"].show(url + "labels", near=0.0, far=255.0, palette=_LABELS)
 
     def _show_meshes(self, shown: Shown) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from cabinpose.app.view import draw
 from cabinpose.app.view.complete import completed
 from cabinpose.core.errors import ConfigError
 from cabinpose.evaluate.offline import check_predictions
@@ -100,10 +99,8 @@ def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str 
 
 
 def depth_range(dataset: xr.Dataset, row: int) -> tuple[float, float]:
-    """Near and far end of the colours for a frame's depth, m: all but the outermost hundredths."""
-    depth: NDArray[np.float32] = dataset["depth"][row].values
-    valid = depth[np.isfinite(depth)]
-    return (0.0, 1.0) if not valid.size else (float(np.quantile(valid, 0.01)), float(np.quantile(valid, 0.99)))
+    """Near and far end of the colours for a frame's depth, m."""
+    return draw.depth_range(dataset["depth"][row].values)
 
 
 def _is_predictions(path: Path) -> bool:
