@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -149,6 +152,38 @@ def test_camera_is_dragged(studio: Any) -> None:
     studio.mouse.move(place[0] + 30, place[1] - 10, steps=6)
     assert after(studio, studio.mouse.up) != before
     assert find(studio, "camera.jitter_m").input_value() == "0"
+
+
+@pytest.mark.slow
+def test_3d_view_is_drawn_only_when_it_changes(studio: Any) -> None:
+    studio.evaluate("""() => {
+      window.views = 0;
+      const draw = WebGL2RenderingContext.prototype.drawElements;
+      WebGL2RenderingContext.prototype.drawElements = function (...all) { views++; draw.apply(this, all); };
+    }""")
+    after(studio, press(studio, "Sample"))
+    studio.wait_for_function("views > 0")
+    counts = []
+    for _ in range(10):  # until all that follows the change is there
+        counts.append(studio.evaluate("views"))
+        studio.wait_for_timeout(1000)
+    count = counts[-1]
+    assert studio.evaluate("views") == count == counts[-2]
+    box = studio.locator(".nicegui-scene canvas").first.bounding_box()
+    studio.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 8)
+    studio.mouse.wheel(0, 200)
+    studio.wait_for_function(f"views > {count}")
+
+
+@pytest.mark.slow
+def test_small_bench_has_every_figure(browser: Any) -> None:
+    assert browser.is_connected()
+    command = [sys.executable, "-m", "cabinpose", "bench", "studio", "--changes", "2", "--frames", "1", "--json"]
+    figures = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    preview, labelling = figures["preview"], figures["labelling"]
+    assert 0 < preview["server_ms"]["median"] < preview["pictures_ms"]["median"] <= preview["pictures_ms"]["p95"]
+    assert 0 < labelling["drags_per_frame"] < 14
+    assert labelling["keystroke_level_s_per_frame"] == pytest.approx(1.63 + 3.75 * labelling["drags_per_frame"])
 
 
 @pytest.mark.slow

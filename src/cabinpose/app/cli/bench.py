@@ -99,13 +99,26 @@ class BenchLive(PrintsJson):
     """Threads of ONNX Runtime."""
 
 
-COMMAND = one_of(synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote, live=BenchLive)
+@dataclass(frozen=True, kw_only=True)
+class BenchStudio(PrintsJson):
+    """Measure the studio in headless Chromium: from a change of a scene to its pictures, and what labelling a frame takes."""
+
+    changes: int = 20
+    """Changes of the scene that are timed."""
+    frames: int = 12
+    """Frames that are labelled in the browser."""
 
 
-def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote | BenchLive) -> None:
+COMMAND = one_of(
+    synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote, live=BenchLive, studio=BenchStudio
+)
+
+
+def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote | BenchLive | BenchStudio) -> None:
     """Measure; stderr tells what is being measured."""
     name = type(command).__name__.removeprefix("Bench").lower()
-    require(*{"record": ("record", "bench"), "lab": ("record",), "remote": ("remote",), "live": ("record",)}.get(name, ()))
+    extras = {"record": ("record", "bench"), "lab": ("record",), "live": ("record",)}
+    require(*extras.get(name, (name,) if name in ("remote", "studio") else ()))
     flags = {key: value for key, value in vars(command).items() if key != "as_json"}
     result = _benchmark(name).run(**flags, say=lambda words: print(words, file=sys.stderr))
     if command.as_json:

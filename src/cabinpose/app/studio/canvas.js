@@ -66,6 +66,7 @@ export default {
         this.image = null;
         this.state = "this image cannot be had: " + error.message;
         this.draw();
+        this.$emit("loaded");
       }
     },
     recolour() { // once for all that changes together; not for an image that is on its way out
@@ -74,21 +75,21 @@ export default {
       this.$nextTick(() => { this.waiting = false; if (this.loaded === this.loads) this.colour(); });
     },
     colour() {
-      const image = this.image;
-      if (!image) return;
-      const picture = new ImageData(image.width, image.height), out = new Uint32Array(picture.data.buffer), grey = image.kind === "grey";
+      if (!this.image) return;
+      const { width, height, step, kind, values } = this.image; // out of Vue's proxy, which each pixel would ask again
+      const picture = new ImageData(width, height), out = new Uint32Array(picture.data.buffer);
       const palette = Uint32Array.from(this.palette || [], ([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r);
-      if (image.kind === "classes") {
-        for (let i = 0; i < out.length; i++) out[i] = palette[image.values[i] % palette.length];
+      if (kind === "classes") {
+        for (let i = 0; i < out.length; i++) out[i] = palette[values[i] % palette.length];
       } else {
-        const last = palette.length - 1, invalid = grey ? 255 << 24 : 0xff2e2826;
-        const low = this.near / image.step, scale = image.step / Math.max(this.far - this.near, 1e-9);
+        const last = palette.length - 1, grey = kind === "grey", invalid = grey ? 255 << 24 : 0xff2e2826;
+        const low = this.near / step, scale = step / Math.max(this.far - this.near, 1e-9);
         for (let i = 0; i < out.length; i++) {
-          const share = Math.min(Math.max((image.values[i] - low) * scale, 0), 1);
-          out[i] = image.values[i] ? palette[Math.round((grey ? Math.sqrt(share) : share) * last)] : invalid;
+          const share = Math.min(Math.max((values[i] - low) * scale, 0), 1);
+          out[i] = values[i] ? palette[Math.round((grey ? Math.sqrt(share) : share) * last)] : invalid;
         }
       }
-      this.bitmap = new OffscreenCanvas(image.width, image.height);
+      this.bitmap = new OffscreenCanvas(width, height);
       this.bitmap.getContext("2d").putImageData(picture, 0, 0);
       requestAnimationFrame(() => this.draw()); // what is drawn between frames is at times not shown
     },

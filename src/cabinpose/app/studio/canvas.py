@@ -24,10 +24,12 @@ class FrameCanvas(Element, component="canvas.js"):
         on_pick: Callable[[int, int], Any] | None = None,
         on_place: Callable[[Mapping[str, Any]], Any] | None = None,
         on_key: Callable[[Mapping[str, Any]], Any] | None = None,
+        on_loaded: Callable[[], Any] | None = None,
     ) -> None:
         """live: an image that cannot be had any more leaves the one before.
 
-        on_pick: person and joint · on_place: u, v, `dragged`, and the person and joint where one was dragged · on_key: key.
+        on_pick: person and joint · on_place: u, v, `dragged`, and the person and joint where one was dragged · on_key: key ·
+        on_loaded: the browser has an image, or knows that it cannot be had.
         """
         super().__init__()
         self.classes("w-full h-full")
@@ -38,6 +40,8 @@ class FrameCanvas(Element, component="canvas.js"):
         for event, handler in (("place", on_place), ("key", on_key)):
             if handler is not None:
                 self.on(event, _with_arguments(handler))
+        if on_loaded is not None:
+            self.on("loaded", lambda _: on_loaded(), args=[])
 
     def show(self, url: str, *, near: float, far: float, palette: Sequence[Sequence[int]] | None = None) -> None:
         """Show the image behind a URL of `pictures`, coloured from `near` to `far` in its unit."""

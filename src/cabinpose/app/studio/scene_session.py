@@ -194,7 +194,7 @@ def scene_routes(room: Callable[[], SceneRoom | None]) -> APIRouter:
         return opened().mesh(name)
 
     @router.get("/scene/{number}/{name}")
-    def image(number: int, name: str) -> Response:
+    async def image(number: int, name: str) -> Response:
         return opened().image(number, name)
 
     return router

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.scene_edit import Shown, camera_of
 from cabinpose.app.studio.scene_fields import SceneFields
 from cabinpose.app.studio.scene_session import SceneRoom
+from cabinpose.app.studio.view3d import view_3d
 from cabinpose.core.errors import CabinposeError
 from cabinpose.scene.body import DOFS
 from cabinpose.scene.labels import RGB
@@ -61,6 +63,7 @@ class SceneTab:
         self._handles: list[Any] = []
         self._state = self._editor.state
         self._drawn: Shown | None = None
+        self._coming: set[str] = set()  # images that the browser does not have yet
         self._looked = False
         with ui.row().classes("studio-tab no-wrap w-full"):
             side = ui.column().classes("studio-side no-wrap").style("width: 330px; min-width: 330px; overflow: hidden")
@@ -122,8 +125,7 @@ class SceneTab:
     def _build_main(self) -> None:
         with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
             with ui.element("div").classes("studio-pane").style("flex: 1.7; position: relative"):
-                self._scene = ui.scene(grid=False, background_color="#1b1e24", on_drag_end=self._dragged)
-                self._scene.style("width: 100%; height: 100%")
+                self._scene = view_3d(on_drag_end=self._dragged)
                 with ui.row().style("position: absolute; top: 6px; left: 8px; gap: 10px; color: #ccc; font-size: 12px"):
                     self._show_cabin = ui.checkbox("cabin", value=True, on_change=self._refresh).props("dense dark size=xs")
                     self._show_cloud = ui.checkbox("cloud", value=False, on_change=self._refresh).props("dense dark size=xs")
@@ -132,7 +134,7 @@ class SceneTab:
                 self._canvases = {}
                 for name in ("depth", "amplitude", "labels"):
                     with ui.element("div").classes("studio-pane w-full").style("position: relative"):
-                        self._canvases[name] = FrameCanvas()
+                        self._canvases[name] = FrameCanvas(on_loaded=partial(self._image_is_there, name))
                         ui.label(name).style(
                             "position: absolute; top: 4px; left: 8px; font-size: 12px; color: #eee; text-shadow: 0 0 3px #000"
                         )
@@ -328,6 +330,16 @@ class SceneTab:
         if shown is not self._drawn:
             self._drawn = shown
             self._show_images(shown)
+        if not self._coming:
+            self._show_view(shown)
+
+    def _image_is_there(self, name: str) -> None:
+        """Show the 3D view after the images: both at once would take the time from each other."""
+        self._coming.discard(name)
+        if not self._coming and self._drawn is not None:
+            self._show_view(self._drawn)
+
+    def _show_view(self, shown: Shown) -> None:
         self._show_meshes(shown)
         self._show_marks(shown)
         if not self._looked:
@@ -349,6 +361,7 @@ class SceneTab:
         near, far = np.quantile(valid[::5], (0.01, 0.99)).tolist() if valid.size else (0.0, 1.0)
         white = float(np.quantile(shown.frame["amplitude"][::3], 0.995)) or 1.0
         url = f"/scene/{shown.number}/"
+        self._coming = set(self._canvases)
         self._canvases["depth"].show(url + "depth", near=near, far=far)
         self._canvases["amplitude"].show(url + "amplitude", near=0.0, far=white, palette=GREY)
         self._canvases["labels"].show(url + "labels", near=0.0, far=255.0, palette=_LABELS)

@@ -1,0 +1,189 @@
+"""The bench of the studio in headless Chromium: from a change of a scene to its pictures, and what labelling a frame takes."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from playwright.sync_api import sync_playwright
+
+from benchmarks import Say
+from cabinpose.app.studio.labelling import PRESENT
+from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.estimate.predictor import load_model
+from cabinpose.evaluate.offline import frame_batch
+from cabinpose.store import open_dataset
+from cabinpose.store.labels import read_labels
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import generate
+
+_SCENE = "scene:\n  cars: [suv]\n  occupants: {driver: {subject: S03}, front_passenger: {subject: S05}}\n"
+_PANES = 3  # depth, amplitude, labels
+_WARM = 3
+_FAR_PX = 6.0  # from the truth: a joint that a person would drag
+_SEED = 11
+_COUNTED = 150  # frames of which the joints to drag are counted
+_KEY_S, _POINT_S, _BUTTON_S, _THOUGHT_S = 0.28, 1.1, 0.1, 1.35  # keystroke-level model: Card, Moran and Newell 1980
+_WATCH = """
+window.began = 0; window.put = [];
+addEventListener("keydown", () => { began = performance.now(); put = []; }, true);
+const image = OffscreenCanvasRenderingContext2D.prototype.putImageData;
+OffscreenCanvasRenderingContext2D.prototype.putImageData = function (...all) {
+  image.apply(this, all);
+  requestAnimationFrame(() => requestAnimationFrame(() => put.push(performance.now() - began)));  // once it is on the screen
+};
+"""
+
+
+@contextmanager
+def studio(*arguments: object) -> Iterator[str]:
+    """A studio that is serving, as its address."""
+    words = [sys.executable, "-m", "cabinpose", "studio", *map(str, arguments), "--port", "0"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        yield process.stdout.readline().strip()
+    finally:
+        process.terminate()
+        process.wait()
+
+
+@contextmanager
+def page_of(width: int, height: int, scheme: Literal["light", "dark"] = "light") -> Iterator[Any]:
+    """A page of headless Chromium, which draws 3D in software."""
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium"),
+            args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+        )
+        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
+        page.set_default_timeout(60_000)
+        yield page
+        browser.close()
+
+
+def run(*, changes: int, frames: int, say: Say) -> dict[str, Any]:
+    """Move a joint of one of two people in an SUV by keys, at 1280x800; then label generated frames.
+
+    Parameters
+    ----------
+    changes
+        Changes of the scene that are timed.
+    frames
+        Frames that are labelled in the browser.
+    say
+        Called with what is being measured.
+
+    Returns
+    -------
+    dict
+        preview: server_ms, that the server took to draw, and pictures_ms, from the key to all three pictures on the screen, as
+        median and p95 · labelling: drags_per_frame of 150 frames, machine_s_per_frame (the studio's own time, the script's moves
+        of the mouse included), keystroke_level_s_per_frame (what a person takes by the keystroke-level model).
+    """
+    return {"preview": _preview(changes, say), "labelling": _labelling(frames, say)}
+
+
+def _preview(changes: int, say: Say) -> dict[str, dict[str, float]]:
+    server, pictures = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.yaml"
+        scene.write_text(_SCENE)
+        with studio(scene) as address, page_of(1280, 800) as page:
+            page.add_init_script(_WATCH)
+            page.goto(address)
+            page.wait_for_function(f"put.length >= {_PANES}")
+            page.get_by_role("button", name="Accept").click()
+            page.get_by_role("tab", name="People").click()
+            page.get_by_text("driver: S03").click()
+            page.wait_for_timeout(3000)
+            slider = page.get_by_text("relbow.flexion", exact=True).locator("xpath=..").locator(".q-slider")
+            slider.scroll_into_view_if_needed()
+            slider.locator("[tabindex='0']").focus()
+            for number in range(_WARM + changes):
+                say(f"change {number + 1} of {_WARM + changes}")
+                page.keyboard.press("ArrowRight" if number // 4 % 2 else "ArrowLeft")
+                page.wait_for_function(f"put.length >= {_PANES}")
+                page.wait_for_timeout(1500)  # the 3D view follows
+                if number >= _WARM:
+                    pictures.append(max(page.evaluate("put")[:_PANES]))
+                    facts = str(page.get_by_text(re.compile(r"\d+ ms$")).last.text_content())
+                    server.append(float(facts.split(";")[-1].removesuffix(" ms")))
+    both = (("server_ms", server), ("pictures_ms", pictures))
+    return {name: dict(zip(("median", "p95"), np.percentile(values, (50, 95)).tolist(), strict=True)) for name, values in both}
+
+
+def _labelling(frames: int, say: Say) -> dict[str, float]:
+    """Label as a person would: drag each proposed joint that lies far from the truth, then Enter."""
+    model = load_model("in_car")
+    with tempfile.TemporaryDirectory() as folder:
+        dataset = Path(folder) / "dataset"
+        journal = dataset.with_name("dataset.labels.jsonl")
+        say(f"generating {max(frames, _COUNTED)} frames")
+        generate(SynthConfig(), max(frames, _COUNTED), dataset, seed=_SEED)
+        truth = open_dataset(dataset)
+        wrong = [_far_joints(truth, model, row) for row in range(truth.sizes["frame"])]
+        size = truth.sizes["x"], truth.sizes["y"]
+        took = []
+        with studio(dataset) as address, page_of(1280, 800) as page:
+            page.goto(address)
+            page.get_by_role("tab", name="Label").click()
+            page.get_by_label("proposals from").click()
+            page.get_by_role("option", name="in_car").click()
+            page.get_by_text("proposal", exact=True).first.wait_for()
+            shown = page.locator(".frame-canvas:visible").first
+            shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
+            for row in range(frames):
+                say(f"frame {row + 1} of {frames}")
+                began = time.monotonic()
+                for proposed, true in wrong[row]:
+                    page.mouse.move(*_on_screen(shown, proposed, size))
+                    page.mouse.down()
+                    page.mouse.move(*_on_screen(shown, true, size), steps=4)
+                    page.mouse.up()
+                    page.wait_for_timeout(50)
+                page.keyboard.press("Enter")
+                while len({key[0] for key in read_labels(journal)[1]} if journal.exists() else ()) <= row:
+                    page.wait_for_timeout(20)
+                page.wait_for_timeout(300)  # the next frame and its proposals
+                took.append(time.monotonic() - began)
+    drags = float(np.mean([len(joints) for joints in wrong]))
+    return {
+        "drags_per_frame": drags,
+        "machine_s_per_frame": float(np.median(took)),
+        "keystroke_level_s_per_frame": _THOUGHT_S + drags * (_THOUGHT_S + 2 * _POINT_S + 2 * _BUTTON_S) + _KEY_S,
+    }
+
+
+def _far_joints(truth: xr.Dataset, model: Any, row: int) -> list[tuple[Any, Any]]:
+    """Where the driver's joints were proposed and where they are (u, v) px, of those inside that lie too far from the truth."""
+    joints = [str(name) for name in truth["joint"].values]
+    found = model.predict(frame_batch(truth, slice(row, row + 1)))
+    far = []
+    for name in UPPER_BODY:
+        true = truth["joints_2d"].values[row, 0, joints.index(name)]
+        j = model.joints.index(name)
+        proposed, sure = found.joints_2d[0, 0, j], found.presence[0, 0, j] >= PRESENT
+        inside = 0 <= true[0] < truth.sizes["x"] and 0 <= true[1] < truth.sizes["y"]
+        if sure and inside and np.hypot(*(proposed - true)) > _FAR_PX:
+            far.append((proposed, true))
+    return far
+
+
+def _on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]:
+    """Where a pixel of the whole image is on the screen."""
+    box = shown.bounding_box()
+    scale = min(box["width"] / size[0], box["height"] / size[1])
+    x = box["x"] + (box["width"] - size[0] * scale) / 2 + (uv[0] + 0.5) * scale
+    y = box["y"] + (box["height"] - size[1] * scale) / 2 + (uv[1] + 0.5) * scale
+    return float(x), float(y)

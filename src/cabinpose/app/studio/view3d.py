@@ -1,0 +1,36 @@
+"""The 3D view of a tab, drawn only where something in it changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import ui
+
+# NiceGUI draws twenty times a second, also what nobody sees. Without a GPU that takes a whole core, and with it the time that
+# pictures need. What is drawn again: another place of camera or object, another shape, colour or size of the view.
+_ON_CHANGE = """() => {
+  const view = getElement(%s), renderer = view.renderer, render = renderer.render.bind(renderer);
+  let last = "";
+  renderer.render = (scene, camera) => {
+    const canvas = renderer.domElement;
+    if (!canvas.clientWidth) return;
+    camera.updateMatrixWorld();
+    const eye = [...camera.matrixWorld.elements, ...camera.projectionMatrix.elements];
+    const now = [canvas.width, canvas.height, ...eye.map((x) => Math.round(1e6 * x))]; // its controls turn it to and fro by 1e-16
+    scene.traverseVisible(({ id, position, quaternion, scale, geometry, material }) => now.push(id, ...position, ...quaternion,
+      ...scale, geometry?.id, material?.id, material?.version, material?.opacity, material?.color?.getHex()));
+    const key = now.join();
+    if (key === last) return;
+    last = key;
+    render(scene, camera);
+  };
+}"""
+
+
+def view_3d(**handlers: Callable[..., Any]) -> ui.scene:
+    """A dark view without a floor that fills its place; handlers: `on_click`, `on_drag_end` of `ui.scene`."""
+    view = ui.scene(grid=False, background_color="#1b1e24", **handlers)  # type: ignore[arg-type]
+    view.on("init", js_handler=_ON_CHANGE % view.id)
+    view.style("width: 100%; height: 100%")
+    return view
