@@ -26,17 +26,19 @@ def is_random_car(car: str) -> bool:
     return _RANDOM_CAR.fullmatch(car) is not None
 
 
-def _without_defaults(schema: dict[str, Any]) -> None:
-    """What is left out is the preset's."""
-    del schema["properties"][_OF_THE_PRESET]
-    for each in schema["properties"].values():
+def _as_changes(schema: dict[str, Any]) -> None:
+    """Without defaults: what is left out is the preset's."""
+    found = schema["properties"]
+    del found[_OF_THE_PRESET]
+    for each in found.values():
         each.pop("default", None)
+    schema["properties"] = {"preset": found.pop("preset"), "name": found.pop("name"), **found}
 
 
 class ChangedPreset(DimensionFields):
     """A preset some of whose dimensions are changed; what is left out is as in the preset."""
 
-    model_config = ConfigDict(json_schema_extra=_without_defaults, allow_inf_nan=False)
+    model_config = ConfigDict(json_schema_extra=_as_changes, allow_inf_nan=False)
 
     preset: str = Field(description=f"The preset it starts from: {', '.join(PRESETS)}.")
     name: str = Field(min_length=1, description="Name that the dataset records.")

@@ -262,6 +262,8 @@ class SceneTab:
             name = ui.input("file name", value=self._editor.file or "scene.yaml").props("dense outlined autofocus")
             over = ui.checkbox("overwrite it", value=False)
             over.set_visibility(False)
+            lost = ui.label("Its comments, and the order and form of its keys, are lost then.").style("color: #d33")
+            lost.set_visibility(False)
 
             def save() -> None:
                 try:
@@ -269,6 +271,7 @@ class SceneTab:
                 except CabinposeError as error:
                     name.error = error.in_one_line()
                     over.set_visibility("exists" in str(error))
+                    lost.set_visibility(over.visible and self._editor.has_comments(str(name.value)))
                     return
                 dialog.close()
                 ui.notify(f"saved {path.name}; `cabinpose synth --config {path.name} --seed {self._editor.state.seed}` makes it")
@@ -323,6 +326,7 @@ class SceneTab:
         self._seed.value, self._index.value = editor.state.seed, editor.state.index
         wrong = [f"{'.'.join(map(str, key)) or 'configuration'}: {words}" for key, words in editor.errors.items()]
         self._tell(shown, wrong + ([room.error] if room.error else []))
+        self._fields.show_errors()
         if shown is None:
             return
         if shown is not self._drawn:
