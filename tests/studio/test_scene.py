@@ -23,7 +23,7 @@ from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import is_rigid
 from cabinpose.scene.body import DOFS
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.cabin.car_draft import draft_car_file
 from cabinpose.scene.sensor import SENSORS
@@ -298,8 +298,33 @@ def test_dragged_hand_arrives_within_the_limits(accepted: tuple[SceneEditor, Sho
     assert (after.posed.q >= LOWER - 1e-9).all()
     assert (after.posed.q <= UPPER + 1e-9).all()
     far = editor.move_hand(shown, "driver", side, chest + (3.0, 0.0, 0.0))
-    assert 1.5 < far < 3.0  # an arm is no longer than that
+    assert 1.5 < far < 3.0  # nobody is as long as that
     assert editor.errors == {}
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+def test_trunk_follows_a_hand_beyond_the_arm(accepted: tuple[SceneEditor, Shown], preview: Preview, side: str) -> None:
+    """From the shoulder to the place it is 15 cm more than the arm is long; the other hand, the gaze and the pelvis stay."""
+    editor, shown = accepted
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    at = {name: driver.posed.joints[_joint(side + name)] for name in ("shoulder", "elbow", "wrist")}
+    palm = driver.posed.palms[side][:3, 3]
+    arm = sum(
+        np.linalg.norm(np.subtract(*pair))
+        for pair in ((at["shoulder"], at["elbow"]), (at["elbow"], at["wrist"]), (at["wrist"], palm))
+    )
+    ahead = np.array((0.9, 0.0, 0.1)) / np.linalg.norm((0.9, 0.0, 0.1))
+    goal = at["shoulder"] + (arm + 0.15) * ahead
+    assert editor.move_hand(shown, "driver", side, goal) < 0.01
+    after = next(person for person in draw(preview, editor).scene.people if person.slot == "driver")
+    np.testing.assert_allclose(after.posed.palms[side][:3, 3], goal, atol=0.01)
+    other = "rl"["lr".index(side)]
+    np.testing.assert_allclose(after.posed.palms[other][:3, 3], driver.posed.palms[other][:3, 3], atol=0.005)
+    turned = after.posed.bones[BONE_INDEX["head"], :3, :3].T @ driver.posed.bones[BONE_INDEX["head"], :3, :3]
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 15
+    np.testing.assert_array_equal(after.posed.vehicle_from_root, driver.posed.vehicle_from_root)
+    assert (after.posed.q >= LOWER - 1e-9).all()
+    assert (after.posed.q <= UPPER + 1e-9).all()
 
 
 def test_seat_takes_its_person_along(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:

@@ -28,7 +28,7 @@ from cabinpose.scene.cabin.car_file import read_car_file
 from cabinpose.synth.cars import is_car_file
 from cabinpose.synth.config import CabinScene, Camera, CameraPose, SynthConfig
 from cabinpose.synth.exact import exact_scene, without_defaults
-from cabinpose.synth.posture.goals import arm_to
+from cabinpose.synth.posture.goals import hand_to
 from cabinpose.synth.sample import Scene, SceneSampler
 from cabinpose.synth.streams import check_seed, frame_rng, noise_rng
 from cabinpose.synth.validate import Verdict
@@ -135,9 +135,9 @@ class SceneEditor:
         self.set(("scene", "occupants", slot, "pose", "angles_rad", axis), angle)
 
     def move_hand(self, shown: Shown, slot: str, side: str, place: Sequence[float]) -> float:
-        """Bring a palm as near to `place` (vehicle frame, m) as the arm's limits allow; by how much it misses it, m."""
+        """Bring a palm as near to `place` (vehicle frame, m) as arm and trunk allow; by how much it misses it, m."""
         person, q, root = _posed(shown, slot)
-        solved = arm_to(person, q, root, "lr".index(side), np.asarray(place, np.float64))
+        solved = hand_to(person, q, root, "lr".index(side), np.asarray(place, np.float64))
         data = copy.deepcopy(self.state.data)
         angles = data["scene"]["occupants"][slot]["pose"]["angles_rad"]
         for dof, value in zip(DOFS, solved.tolist(), strict=True):

@@ -236,7 +236,7 @@ class SceneTab:
             missed: list[float] = []
             await self._do(lambda: missed.append(self._editor.move_hand(shown, slot, side, place)))
             if missed and missed[0] > 0.01:
-                ui.notify(f"the arm ends {100 * missed[0]:.0f} cm before that place")
+                ui.notify(f"the hand ends {100 * missed[0]:.0f} cm before that place")
         elif kind == "camera":
             await self._do(lambda: self._editor.move_camera(shown, position=place))
         elif kind == "target":
