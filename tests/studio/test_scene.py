@@ -564,6 +564,9 @@ def test_what_is_wrong_with_an_own_car_is_told_at_its_field(room: SceneRoom, nam
     assert before is not None
     assert room.shown is not None
     assert room.shown.scene.place == before.scene.place
+    editor.set(("scene", "cars"), [name, "../other.yaml"])
+    asyncio.run(room.redraw())
+    assert "outside" in editor.errors[("scene", "cars")]  # the newest is told
     editor.undo()
     editor.undo()
     asyncio.run(room.redraw())

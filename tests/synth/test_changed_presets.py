@@ -152,3 +152,12 @@ def test_frame_is_kept_with_its_car() -> None:
     drawn, again = (SceneSampler(c, seed).sample(0, rng=frame_rng(seed, 0)) for c in (config, kept))
     np.testing.assert_array_equal(again.backdrop.vertices, drawn.backdrop.vertices)
     np.testing.assert_array_equal(again.people[0].posed.skin, drawn.people[0].posed.skin)
+
+
+def test_headrest_on_the_middle_place_is_a_dimension() -> None:
+    """Of the presets with three places the hatchback alone has none."""
+    having = {name for name in PRESETS if any(p.name == "rear_center headrest" for p in build_cabin(name).parts)}
+    assert having == {"sedan", "suv", "van", "shuttle"}  # the others have two places
+    assert not any(p.name == "rear_center headrest" for p in built(centre_headrest=False).parts)
+    hatchback = ChangedPreset(preset="hatchback", name="mine", centre_headrest=True).dimensions
+    assert any(p.name == "rear_center headrest" for p in build_cabin(hatchback).parts)

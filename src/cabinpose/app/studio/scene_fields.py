@@ -49,7 +49,8 @@ class SceneFields:
     def show_errors(self) -> None:
         """Show what is wrong at the fields."""
         for path, widget in self._shown.items():
-            wrong = [words for key, words in self._editor.errors.items() if key == path or (key[: len(path)] == path)]
+            found = [(key[len(path) :], words) for key, words in self._editor.errors.items() if key[: len(path)] == path]
+            wrong = [": ".join((*map(str, inside[-1:]), words)) for inside, words in found]
             if hasattr(widget, "error"):
                 widget.error = wrong[0] if wrong else None
 

@@ -119,7 +119,8 @@ class SceneRoom:
                     self.error = error.in_one_line()
                     of_car = isinstance(error, (ConfigError, MeshError)) and own_cars(config)
                     if of_car and self.editor.config is config:
-                        self.editor.errors[("scene", "cars")], self.error = self.error, ""
+                        self.editor.errors.setdefault(("scene", "cars"), self.error)
+                        self.error = ""
                 except Exception as error:  # noqa: BLE001 - the studio goes on with the scene before
                     self.error = f"the scene cannot be drawn: {error!r}"
                 for told in tuple(self.listeners):
