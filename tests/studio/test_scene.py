@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
+import os
+import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from pydantic import BaseModel
 
 from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, State, camera_of, read_state
-from cabinpose.app.studio.scene_form import Field, form
+from cabinpose.app.studio.scene_form import Field, form, with_changed_preset
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import is_rigid
 from cabinpose.scene.body import DOFS
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
+from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.cabin.car_draft import draft_car_file
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import open_dataset
 from cabinpose.store.part import PartWriter
@@ -28,6 +34,7 @@ from cabinpose.synth.generate import build_manifest
 
 SEED, INDEX = 3, 1
 SUV: dict[str, Any] = {"scene": {"kind": "cabin", "cars": ["suv"]}, "noise": {"kind": "physical"}}
+MINE = {"preset": "suv", "name": "my_suv"}
 
 
 def draw(preview: Preview, editor: SceneEditor) -> Shown:
@@ -66,6 +73,8 @@ def keys_of(value: Any, path: str = "") -> set[str]:
         items = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
     elif isinstance(value, dict):
         items = list(value.items())
+    elif isinstance(value, tuple) and any(isinstance(each, BaseModel) for each in value):
+        items = [(str(i), each) for i, each in enumerate(value) if isinstance(each, BaseModel)]
     else:
         return {path}
     return {path, *(key for name, each in items for key in keys_of(each, f"{path}.{name}".lstrip(".")))}
@@ -75,6 +84,7 @@ def test_every_key_is_a_field() -> None:
     data = {
         "scene": {
             "kind": "cabin",
+            "cars": ["suv", {"preset": "van", "name": "mine"}],
             "occupants": {"driver": {"profile": {"kind": "gaussian", "axes": {"lelbow.flexion": {"sigma_deg": 3}}}}},
             "occupancy": {"rear_left": 0.5},
             "factorial": {"poses": 2, "seat": "rear_left"},
@@ -85,7 +95,8 @@ def test_every_key_is_a_field() -> None:
         "noise": {"kind": "empirical"},
     }
     config = SynthConfig.parse(data)
-    expected = {key for key in keys_of(config) if not key.endswith("kind") and key != "version"}
+    expected = {key for key in keys_of(config) if not key.endswith(("kind", ".layout")) and key != "version"}
+    assert "scene.cars.1.w3_mm" in expected
     shown = set(by_path(data))
     assert expected - shown == set()
 
@@ -97,6 +108,8 @@ def test_every_key_is_a_field() -> None:
         ("camera.sensor.integration_s", "s", 0, None),
         ("camera.sensor.camera.fx", "px", None, None),
         ("scene.people_jitter_m", "m", 0.0, 0.1),
+        ("scene.cars.0.w3_mm", "mm", 1200, 1900),
+        ("scene.cars.0.a40_2_deg", "°", 8, 35),
         ("scene.occupants.driver.initial_pose_deg.lelbow.flexion", "°", 0.0, 150.0),
         ("scene.occupants.driver.initial_pose_deg.lhand.grip", "", 0.0, 1.0),
     ],
@@ -105,7 +118,11 @@ def test_fields_have_units_and_ranges(key: str, unit: str, low: float | None, hi
     sensor = SynthConfig.parse({"camera": {"sensor": "pico_monstar_105/5"}}).camera.sensor_model
     own = SynthConfig.parse({"camera": {"sensor": dataclasses.asdict(sensor) if dataclasses.is_dataclass(sensor) else sensor}})
     data = {**SUV, "camera": own.camera.model_dump(mode="json")}
-    data["scene"] = {**SUV["scene"], "occupants": {"driver": {"initial_pose_deg": {"lelbow.flexion": 40, "lhand.grip": 1}}}}
+    data["scene"] = {
+        **SUV["scene"],
+        "cars": [MINE],
+        "occupants": {"driver": {"initial_pose_deg": {"lelbow.flexion": 40, "lhand.grip": 1}}},
+    }
     field = by_path(data)[key]
     assert (field.unit, field.low, field.high) == (unit, low, pytest.approx(high) if high is not None else None)
 
@@ -129,6 +146,30 @@ def test_names_that_exist_are_offered() -> None:
     assert set(fields["camera.sensor"].choices) == set(SENSORS)
     assert "suv" in fields["scene.cars"].choices
     assert fields["scene.occupants.driver.initial_pose_deg"].choices == tuple(dof.name for dof in DOFS)
+
+
+def test_fields_of_a_changed_preset_show_what_the_preset_has() -> None:
+    cars = ["sedan", {"preset": "van", "name": "mine", "w3_mm": 1500}]
+    fields = by_path({"scene": {"kind": "cabin", "cars": cars}})
+    shown = {
+        name: fields[f"scene.cars.1.{name}"].value for name in ("preset", "name", "w3_mm", "l50_mm", "rear_places", "clutch")
+    }
+    assert shown == {"preset": "van", "name": "mine", "w3_mm": 1500, "l50_mm": 1000.0, "rear_places": 3, "clutch": True}
+    assert (fields["scene.cars.1"].name, fields["scene.cars"].kind) == ("mine", "names")
+    assert fields["scene.cars.1.dash_style"].choices[:2] == ("simple", "wave")
+
+
+@pytest.mark.parametrize(
+    ("cars", "expected", "at"),
+    [
+        (["sedan", "suv"], ["sedan", MINE], 1),  # in its place
+        (["sedan"], ["sedan", MINE], 1),
+        ([MINE, "suv"], [MINE, MINE | {"name": "my_suv_2"}], 1),
+        ([{"preset": "suv"}, 3], [{"preset": "suv"}, 3, MINE], 2),  # what is wrong stays, and is told
+    ],
+)
+def test_preset_is_made_a_car_of_ones_own(cars: list[Any], expected: list[Any], at: int) -> None:
+    assert with_changed_preset(cars, "suv") == (expected, at)
 
 
 # ------------------------------------------------------------------------------------------------------------ changes
@@ -193,6 +234,24 @@ def test_an_occupant_does_not_take_the_others_out(editor: SceneEditor) -> None:
     assert editor.config.scene.occupants["driver"].subject == "S03"  # type: ignore[union-attr]
 
 
+def test_changed_dimension_is_shown_and_undone(editor: SceneEditor, preview: Preview) -> None:
+    editor.set(("scene", "cars"), [MINE])
+    before = draw(preview, editor)
+    editor.set(("scene", "cars", 0, "w20_mm"), 440)
+    after = draw(preview, editor)
+    assert after.scene.cabin is not None
+    assert abs(after.scene.cabin.seats["driver"].design_h_point[1]) == 0.44
+    editor.undo()
+    np.testing.assert_array_equal(draw(preview, editor).frame["depth"], before.frame["depth"])
+    editor.set(("scene", "cars", 0, "w20_mm"), 900)
+    editor.set(("scene", "cars", 0, "h30_mm"), 3)
+    assert set(editor.errors) == {("scene", "cars", 0, "w20_mm"), ("scene", "cars", 0, "h30_mm")}
+    editor.remove(("scene", "cars", 0, "h30_mm"))
+    editor.set(("scene", "cars", 0, "w20_mm"), 480)
+    editor.set(("scene", "cars", 0, "w3_mm"), 1200)
+    assert "two seats" in editor.errors[("scene", "cars", 0, "w3_mm")]
+
+
 def test_accepted_scene_is_the_same_frame(editor: SceneEditor, preview: Preview) -> None:
     drawn = draw(preview, editor)
     editor.accept(drawn)
@@ -239,8 +298,33 @@ def test_dragged_hand_arrives_within_the_limits(accepted: tuple[SceneEditor, Sho
     assert (after.posed.q >= LOWER - 1e-9).all()
     assert (after.posed.q <= UPPER + 1e-9).all()
     far = editor.move_hand(shown, "driver", side, chest + (3.0, 0.0, 0.0))
-    assert 1.5 < far < 3.0  # an arm is no longer than that
+    assert 1.5 < far < 3.0  # nobody is as long as that
     assert editor.errors == {}
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+def test_trunk_follows_a_hand_beyond_the_arm(accepted: tuple[SceneEditor, Shown], preview: Preview, side: str) -> None:
+    """From the shoulder to the place it is 15 cm more than the arm is long; the other hand, the gaze and the pelvis stay."""
+    editor, shown = accepted
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    at = {name: driver.posed.joints[_joint(side + name)] for name in ("shoulder", "elbow", "wrist")}
+    palm = driver.posed.palms[side][:3, 3]
+    arm = sum(
+        np.linalg.norm(np.subtract(*pair))
+        for pair in ((at["shoulder"], at["elbow"]), (at["elbow"], at["wrist"]), (at["wrist"], palm))
+    )
+    ahead = np.array((0.9, 0.0, 0.1)) / np.linalg.norm((0.9, 0.0, 0.1))
+    goal = at["shoulder"] + (arm + 0.15) * ahead
+    assert editor.move_hand(shown, "driver", side, goal) < 0.01
+    after = next(person for person in draw(preview, editor).scene.people if person.slot == "driver")
+    np.testing.assert_allclose(after.posed.palms[side][:3, 3], goal, atol=0.01)
+    other = "rl"["lr".index(side)]
+    np.testing.assert_allclose(after.posed.palms[other][:3, 3], driver.posed.palms[other][:3, 3], atol=0.005)
+    turned = after.posed.bones[BONE_INDEX["head"], :3, :3].T @ driver.posed.bones[BONE_INDEX["head"], :3, :3]
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 15
+    np.testing.assert_array_equal(after.posed.vehicle_from_root, driver.posed.vehicle_from_root)
+    assert (after.posed.q >= LOWER - 1e-9).all()
+    assert (after.posed.q <= UPPER + 1e-9).all()
 
 
 def test_seat_takes_its_person_along(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
@@ -304,6 +388,8 @@ def test_saved_scene_is_generated_with_the_same_bytes(
     """What `cabinpose synth` stores of the saved file is, bit by bit, the frame that the studio shows."""
     editor.set(("scene", "occupants", "driver"), {"subject": "S03"})
     editor.set(("noise", "blur"), 0.2)
+    editor.set(("scene", "cars"), [MINE])
+    editor.set(("scene", "cars", 0, "w3_mm"), 1650)
     if given:
         editor.accept(draw(preview, editor))
         editor.turn_joint("driver", "head.rotation", 0.1 + 0.2)
@@ -390,8 +476,127 @@ def test_broken_file_changes_nothing(editor: SceneEditor, text: str) -> None:
     assert not editor.undo()
 
 
+@pytest.mark.parametrize(
+    ("text", "comments"),
+    [
+        ("# mine\nscene: {cars: [suv]}\n", True),
+        ("scene:\n  cars: [suv]  # the big one\n", True),
+        ("# seed 3, frame 1\nscene: {cars: [suv]}\n", False),
+        ("people:\n  own: {'a # b': {years: 30}, c: {years: 3}}\n", False),
+        ("scene: [", False),
+    ],
+)
+def test_comments_that_would_be_lost_are_known(editor: SceneEditor, text: str, comments: bool) -> None:
+    (editor.folder / "mine.yaml").write_text(text)
+    assert editor.has_comments("mine.yaml") == comments
+    assert not editor.has_comments("other.yaml")
+    assert not editor.has_comments("../mine.yaml")
+
+
+# ----------------------------------------------------------------------------------------------------------- own cars
+
+
+@pytest.fixture(scope="module")
+def own_car(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the SUV as a user's own mesh, `mine.yaml`; read only."""
+    folder = tmp_path_factory.mktemp("cars")
+    surface = build_cabin("suv").surface()
+    trimesh.Trimesh(surface.vertices[:, (1, 2, 0)], surface.faces, process=False).export(folder / "mine.glb")
+    (folder / "mine.yaml").write_text(draft_car_file(folder / "mine.glb", folder / "mine.yaml").text, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def room(own_car: Path, tmp_path: Path) -> Iterator[SceneRoom]:
+    """A scene in a folder with that car, which may be changed."""
+    folder = Path(shutil.copytree(own_car, tmp_path / "scenes"))
+    (folder / "scene.yaml").write_text("scene: {cars: [suv], occupants: {driver: {subject: S03}}}\n")
+    made = SceneRoom(folder / "scene.yaml")
+    yield made
+    made.stop()
+
+
+def test_own_car_is_offered_shown_and_loaded_anew(room: SceneRoom) -> None:
+    editor = room.editor
+    assert editor.car_files() == ["mine.yaml"]
+    assert "mine.yaml" in next(f for f in form(editor.state.data, cars=editor.car_files()).walk() if f.name == "cars").choices
+    editor.set(("scene", "cars"), ["mine.yaml"])
+    asyncio.run(room.redraw())
+    assert (editor.errors, room.error) == ({}, "")
+    assert room.shown is not None
+    assert room.shown.scene.place == "mine"
+    triangles = len(room.shown.scene.backdrop.faces)
+    assert triangles > 10_000
+    meshes = room.meshes(room.shown)
+    car = editor.folder / "mine.yaml"
+    car.write_text(car.read_text("utf-8") + "rules: [{pattern: '*', within: [[-0.3, -2, -1], [2, 2, 3]], hide: true}]\n", "utf-8")
+    os.utime(car, ns=(1, 1))
+    asyncio.run(room.redraw())
+    assert len(room.shown.scene.backdrop.faces) < triangles
+    assert room.meshes(room.shown)["cabin"] != meshes["cabin"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("none.yaml", None, "cannot read"),
+        ("wrong.yaml", "mesh: mine.glb\nseats: {driver: {h_pint: [0, 0, 0]}}\n", "seats.driver"),
+        ("wrong.yaml", "mesh: none.glb\nseats: {driver: {h_point: [0, 0, 0]}}\n", "none.glb"),
+        ("wrong.yaml", "mesh: mine.glb\nseats: {driver: {h_point: [0, 0, 9]}}\n", "outside the mesh"),
+        ("../mine.yaml", None, "is outside of"),
+        ("/mine.yaml", None, "is outside of"),
+        ("link.yaml", None, "is outside of"),
+    ],
+)
+def test_what_is_wrong_with_an_own_car_is_told_at_its_field(room: SceneRoom, name: str, text: str | None, words: str) -> None:
+    editor = room.editor
+    asyncio.run(room.redraw())
+    before = room.shown
+    (editor.folder.parent / "mine.yaml").write_text((editor.folder / "mine.yaml").read_text("utf-8"))
+    (editor.folder / "link.yaml").symlink_to(editor.folder.parent / "mine.yaml")
+    if text is not None:
+        (editor.folder / name).write_text(text)
+    editor.set(("scene", "cars"), ["suv", name])
+    editor.set(("scene", "cars"), [name])
+    asyncio.run(room.redraw())
+    assert words in editor.errors[("scene", "cars")]
+    assert room.error == ""
+    assert before is not None
+    assert room.shown is not None
+    assert room.shown.scene.place == before.scene.place
+    editor.set(("scene", "cars"), [name, "../other.yaml"])
+    asyncio.run(room.redraw())
+    assert "outside" in editor.errors[("scene", "cars")]  # the newest is told
+    editor.undo()
+    editor.undo()
+    asyncio.run(room.redraw())
+    assert editor.errors == {}
+
+
+def test_recordings_of_a_browser_are_in_the_folder(room: SceneRoom) -> None:
+    editor = room.editor
+    for owner in (("scene",), ("scene", "occupants", "driver")):
+        editor.set((*owner, "profile"), {"kind": "mocap", "path": "../secret.bvh"})
+        assert "is outside of" in editor.errors[(*owner, "profile", "path")]
+        editor.set((*owner, "profile"), {"kind": "mocap", "path": "walk.bvh"})
+        assert editor.errors == {}
+
+
+def test_file_on_the_disk_may_name_a_car_elsewhere(own_car: Path, tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(f"scene: {{cars: [{own_car / 'mine.yaml'}]}}\n")
+    editor = SceneEditor(tmp_path, read_state(tmp_path / "scene.yaml"))
+    assert editor.errors == {}
+    other = SceneEditor(tmp_path)
+    other.load("scene.yaml")
+    assert other.errors == {}
+    other.set(("scene", "belted"), 0.5)
+    assert other.config.scene.belted == 0.5  # type: ignore[union-attr]
+
+
 def test_relative_paths_stay_as_they_are(editor: SceneEditor) -> None:
     """A configuration with a car of the user's own can be moved with its folder."""
+    (editor.folder / "mine").mkdir()
+    (editor.folder / "mine" / "car.yaml").write_text("mesh: car.glb\nseats: {driver: {h_point: [0, 0, 0]}}\n")
     editor.set(("scene", "cars"), ["mine/car.yaml"])
     assert editor.config.scene.cars == (str(editor.folder / "mine" / "car.yaml"),)  # type: ignore[union-attr]
     assert yaml.safe_load(editor.save("mine.yaml").read_text())["scene"]["cars"] == ["mine/car.yaml"]

@@ -81,7 +81,7 @@ def test_change_undo_save_and_open(studio: Any, scene: Path) -> None:
     assert changed != before
     studio.wait_for_timeout(1200)  # what follows is another step of undo
     assert after(studio, lambda: field.fill("3")) == changed  # the last valid one stays
-    studio.get_by_text("noise.blur: Input should be less than or equal to 0.25").wait_for()
+    studio.get_by_text("noise.blur: must be less than or equal to 0.25").wait_for()
     assert after(studio, press(studio, "Undo")) == changed
     studio.get_by_text("holds: nothing collides").wait_for()
     assert after(studio, press(studio, "Undo")) == before
@@ -103,6 +103,25 @@ def test_change_undo_save_and_open(studio: Any, scene: Path) -> None:
     for name, expected in (("mine.yaml", before), ("other.yaml", kept)):
         studio.get_by_role("button", name="Open").click()
         assert after(studio, press(studio, name)) == expected
+
+
+@pytest.mark.slow
+def test_dimensions_of_a_preset_are_changed(studio: Any, scene: Path) -> None:
+    """A preset is made a car of one's own, which is the same; one that is wider is not; the cross makes it the same again."""
+    before = last_images(studio)
+    studio.get_by_label("change the dimensions of").click()
+    assert after(studio, studio.get_by_role("option", name="suv").click) == before
+    studio.get_by_text("my_suv · dimensions").wait_for()
+    field = find(studio, "scene.cars.0.w3_mm")
+    assert field.input_value() == "1490"
+    assert after(studio, lambda: field.fill("1700")) != before
+    studio.get_by_placeholder("find a key").fill("shoulder room door")
+    assert after(studio, studio.get_by_role("button", name="as in the preset").click) == before
+    scene.write_text("# a note\n" + scene.read_text())
+    studio.get_by_role("button", name="Save").click()
+    studio.get_by_role("button", name="Save it").click()
+    studio.get_by_text("mine.yaml exists").wait_for()
+    studio.get_by_text("Its comments, and the order").wait_for()
 
 
 @pytest.mark.slow

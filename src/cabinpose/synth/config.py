@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import difflib
-import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -25,19 +24,14 @@ from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
+from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
 
 Vector = tuple[float, float, float]
-_RANDOM_CAR = re.compile(r"C\d{4,}")
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
 _LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
-
-
-def is_car_file(car: str) -> bool:
-    """Whether a car of the configuration is a user's own mesh."""
-    return car.endswith((".yaml", ".yml"))
 
 
 def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
@@ -178,8 +172,10 @@ class CabinScene(Model):
     """People in cars."""
 
     kind: Literal["cabin"] = "cabin"
-    cars: tuple[str, ...] = Field(
-        PRESETS, description="Presets, paths to YAML files of own car meshes, or random cars by name (C0007)."
+    cars: tuple[Car, ...] = Field(
+        PRESETS,
+        description="Presets, also with dimensions changed ({preset: suv, name: wide_suv, w3_mm: 1600}), paths to YAML files of"
+        " own car meshes, or random cars by name (C0007).",
     )
     random_cars: int = Field(
         0, ge=0, le=10_000, description="Cars drawn at random for the dataset beside them: C0000, C0001, ..."
@@ -231,14 +227,7 @@ class CabinScene(Model):
 
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
-        some_random = self.random_cars or any(_RANDOM_CAR.fullmatch(car) for car in self.cars)
-        for car in self.cars:
-            if car not in PRESETS and not is_car_file(car) and not _RANDOM_CAR.fullmatch(car):
-                raise unknown_name("car", car, [*PRESETS, "<path to a .yaml of your own mesh>"])
-            if some_random and is_car_file(car) and _RANDOM_CAR.fullmatch(Path(car).stem):
-                raise ConfigError(f"{Path(car).name} would be taken for a random car", hint="give the file another name")
-        if not self.cars and not self.random_cars:
-            raise ConfigError("there is no car", hint="name cars, or ask for random_cars")
+        check_cars(self.cars, self.random_cars)
         for slot in (*self.occupancy, *self.motion, *self.always_taken):
             if slot not in OCCUPANT_SLOTS:
                 raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
@@ -430,9 +419,11 @@ def explain(error: ValidationError, model: type[BaseModel]) -> ConfigError:
         where = ".".join(str(p) for p in finding["loc"]) or "configuration"
         if finding["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             key = str(finding["loc"][-1])
-            close = _MEANT.get(key) or difflib.get_close_matches(key, sorted(_keys(model)), n=3)
+            close = _MEANT.get(key) or difflib.get_close_matches(key, sorted(_keys(model) - {key}), n=3)
             lines.append(f"{where}: unknown key")
             hint = hint or (f"did you mean {' or '.join(close)}?" if close else "`cabinpose config schema` lists the keys")
+        elif finding["type"] == "missing":
+            lines.append(f"{where}: this key is required")
         else:
             lines.append(f"{where}: {finding['msg'][0].lower()}{finding['msg'][1:]}, not {finding['input']!r}")
     return ConfigError("; ".join(lines), hint=hint or "`cabinpose config schema` lists what each key takes")

@@ -7,8 +7,8 @@ from typing import Any
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
+from cabinpose.synth.cars import place_name
 from cabinpose.synth.config import CabinScene, ExactCameraPose, ExactPose, Matrix4, Occupant, SynthConfig
-from cabinpose.synth.plan import car_names, place_name
 from cabinpose.synth.sample import Scene, SceneSampler
 from cabinpose.synth.streams import frame_rng
 
@@ -52,7 +52,8 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         )
         belted = len(person.surfaces) > 1
         occupants[person.slot] = Occupant(subject=person.subject, action=person.action, belted=belted, pose=pose)
-    car = next(car for car in car_names(config) if place_name(car) == scene.place)
+    named = config.scene.cars if isinstance(config.scene, CabinScene) else ()
+    car = next((car for car in named if place_name(car) == scene.place), scene.place)
     camera = {scene.pov: ExactCameraPose(vehicle_from_camera=_rows(scene.world_from_camera))}
     return SynthConfig(
         scene=CabinScene(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,8 +18,9 @@ from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Phenotype
 from cabinpose.scene.body.phenotype import YEARS_LIMITS, age_of, usual_stature_m
-from cabinpose.scene.cabin import PRESETS, CabinDimensions, random_dimensions
-from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig, is_car_file
+from cabinpose.scene.cabin import CabinDimensions, random_dimensions
+from cabinpose.synth.cars import ChangedPreset, is_random_car
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.people import OwnPerson
 from cabinpose.synth.streams import frame_rng
 
@@ -82,21 +82,17 @@ def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:
 
 
 def car_names(config: SynthConfig) -> tuple[str, ...]:
-    """Every car of a dataset, those that its configuration names first; none in a room."""
+    """Every car of a dataset, those that its configuration names first; none in a room. Own meshes go by their paths."""
     scene = config.scene
     if not isinstance(scene, CabinScene):
         return ()
-    return (*scene.cars, *(car for i in range(scene.random_cars) if (car := f"C{i:04d}") not in scene.cars))
+    named = tuple(car.name if isinstance(car, ChangedPreset) else car for car in scene.cars)
+    return (*named, *(car for i in range(scene.random_cars) if (car := f"C{i:04d}") not in named))
 
 
 def car_dimensions(seed: int, car: str) -> CabinDimensions:
     """The dimensions of a random car, "C0000" ..., of the dataset of this seed, whatever was drawn before."""
     return random_dimensions(car, rng=frame_rng(seed, _CAR_STREAM + int(car[1:])))
-
-
-def is_random_car(car: str) -> bool:
-    """Whether a car of `car_names` is drawn from the dataset's seed."""
-    return car not in PRESETS and not is_car_file(car)
 
 
 class Cell(NamedTuple):
@@ -114,7 +110,7 @@ class Plan:
         self._config = config
         self._seed = seed
         self._subjects = config.people.names
-        self._cars = car_names(config)
+        self.cars = car_names(config)
         self._order = cached_once(4)(self._make_order)
         self._drives = cached_once(1024)(self._old_enough)
 
@@ -126,15 +122,15 @@ class Plan:
         views = tuple(self._config.camera.weights)
         rest, view = divmod(index // scene.factorial.poses, len(views))
         car, subject = divmod(rest, len(self._subjects))
-        return Cell(self._cars[car], self._subjects[subject], views[view])
+        return Cell(self.cars[car], self._subjects[subject], views[view])
 
     def car(self, index: int, *, rng: np.random.Generator) -> tuple[str, DriveSide]:
         """The car of frame `index`, and where its wheel is: one and the same side in all frames of a random car."""
         scene = self._config.scene
         assert isinstance(scene, CabinScene)
         cell = self.cell(index)
-        among = self._in_play(0, len(self._cars), CARS_IN_PLAY, _FRAMES_A_CAR, index)
-        car = self._cars[among[int(rng.integers(len(among)))]] if cell is None else cell.car
+        among = self._in_play(0, len(self.cars), CARS_IN_PLAY, _FRAMES_A_CAR, index)
+        car = self.cars[among[int(rng.integers(len(among)))]] if cell is None else cell.car
         chance = rng.random()
         if is_random_car(car):
             chance = frame_rng(self._seed, _CAR_STREAM - 1 - int(car[1:])).random()
@@ -182,8 +178,3 @@ class Plan:
 def room_rng(seed: int, number: int) -> np.random.Generator:
     """What the room of this number in the dataset of this seed is drawn with."""
     return frame_rng(seed, _ROOM_STREAM + number)
-
-
-def place_name(car: str) -> str:
-    """What a car is called in a dataset: the stem of an own mesh's file."""
-    return Path(car).stem if is_car_file(car) else car

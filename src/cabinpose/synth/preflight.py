@@ -9,10 +9,11 @@ import numpy as np
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError
-from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, build_cabin
+from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, CabinDimensions, build_cabin
 from cabinpose.scene.contact import ContactField
-from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig, is_car_file
-from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, is_random_car, subject_body
+from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
+from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, subject_body
 from cabinpose.synth.posture import actions_for
 
 LENS_M = 0.01  # free space a lens needs around it
@@ -36,16 +37,19 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         _check_drivers(config)
     unusual = not _every_car_has(config, scene)
     for car in scene.cars:
-        if is_car_file(car) or (unusual and not is_random_car(car)):
+        if isinstance(car, ChangedPreset):
+            _check_car(config, scene, car.name, (cabin := build_cabin(car.dimensions)), tuple(cabin.seats), ours=False)
+        elif is_car_file(car) or (unusual and not is_random_car(car)):
             cabin = open_cabin(car, "left")
             for warning in cabin.warnings:
                 warnings.warn(f"{Path(car).name}: {warning}", stacklevel=2)
-            _check_car(config, scene, car, cabin, tuple(cabin.seats))
+            _check_car(config, scene, car, cabin, tuple(cabin.seats), ours=not is_car_file(car))
     # The seats, actions and views of random cars are the same in all of them: one stands for all.
     if unusual and any(is_random_car(car) for car in car_names(config)):
         dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
         cabin = build_cabin(dimensions, drive_side="left")
-        _check_car(config, scene, "a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"))
+        sure = tuple(slot for slot in cabin.seats if slot != "rear_center")
+        _check_car(config, scene, "a random car", cabin, sure, ours=True)
 
 
 def _check_drivers(config: SynthConfig) -> None:
@@ -71,8 +75,8 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
-def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...]) -> None:
-    """Refuses what cannot be done in a car of this kind, of which every one has the seats `sure`."""
+def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...], *, ours: bool) -> None:
+    """Refuses what cannot be done in a car of this kind, of which every one has the seats `sure`; ours: with our dimensions."""
     lacking = [slot for slot in scene.always_taken if slot not in sure]
     if lacking:
         raise ConfigError(
@@ -91,11 +95,11 @@ def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, s
                 raise ConfigError(
                     f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
                 )
-    _check_views(config, car, cabin)
+    _check_views(config, car, cabin, ours=ours)
 
 
-def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
-    """Refuses a camera that stands inside a part of the car. The own views of cars that we build are known to be free."""
+def _check_views(config: SynthConfig, car: str, cabin: Cabin, *, ours: bool) -> None:
+    """Refuses a camera that stands inside a part of the car. The own views of cars with our dimensions are known to be free."""
     eyes: dict[str, Floats] = {}
     for name in config.camera.weights:
         view = config.camera.views[name]
@@ -108,7 +112,7 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
                     hint=f"give one in that file, as views: {{{name}: {{eye: [x, y, z], target: [x, y, z]}}}}",
                 )
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
-            if is_car_file(car):
+            if not ours:
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
     if not eyes:
         return
@@ -123,9 +127,9 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin) -> None:
             )
 
 
-def open_cabin(car: str, drive_side: DriveSide) -> Cabin:
-    """A preset by its name, or a user's own cabin by the path of its YAML file."""
-    if car in PRESETS:
+def open_cabin(car: str | CabinDimensions, drive_side: DriveSide) -> Cabin:
+    """A preset by its name, a cabin by its dimensions, or a user's own by the path of its YAML file."""
+    if isinstance(car, CabinDimensions) or car in PRESETS:
         return build_cabin(car, drive_side=drive_side)
     from cabinpose.scene.cabin import load_cabin  # noqa: PLC0415 - trimesh, for a user's own mesh alone
 

@@ -23,10 +23,11 @@ from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.cabin import PRESETS, Cabin, SeatSetting, belt_surface, build_cabin
+from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting, belt_surface
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
+from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car, place_name
 from cabinpose.synth.config import (
     CabinScene,
     CameraPose,
@@ -35,9 +36,8 @@ from cabinpose.synth.config import (
     Occupant,
     RoomScene,
     SynthConfig,
-    is_car_file,
 )
-from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, is_random_car, person_slots, place_name, room_rng, subject_body
+from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
 from cabinpose.synth.posture.neighbours import neighbours_of
@@ -161,6 +161,8 @@ class SceneSampler:
         self._model = BodyModel.load()
         self._plan = Plan(config, seed)
         self._slots = person_slots(config)
+        cars = config.scene.cars if isinstance(config.scene, CabinScene) else ()
+        self._changed = {car.name: car.dimensions for car in cars if isinstance(car, ChangedPreset)}
         self._bodies = Validator(None)
         self._person = cached_once(32)(self._make_person)
         self._cabin = cached_once(20)(self._make_cabin)
@@ -184,7 +186,7 @@ class SceneSampler:
             proposals += draws
             if found is not None:
                 return replace(found, proposals=proposals, rejections=causes)
-        own_car = next(filter(is_car_file, scene.cars), "") if isinstance(scene, CabinScene) else ""
+        own_car = next(filter(is_car_file, self._plan.cars), "")
         raise ImpossibleSceneError(index, proposals, causes, tried, own_car)
 
     def _make_person(self, subject: str) -> Person:
@@ -192,11 +194,10 @@ class SceneSampler:
             return _named_person(subject)
         return self._model.person(*subject_body(self._config, self._seed, subject))
 
-    def _make_cabin(self, car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-        if not is_random_car(car):
-            return judged_cabin(car, drive_side)
-        cabin = build_cabin(car_dimensions(self._seed, car), drive_side=drive_side)
-        return cabin, Validator(cabin)
+    def _make_cabin(self, car: str | CabinDimensions, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+        if isinstance(car, str) and is_random_car(car):
+            car = car_dimensions(self._seed, car)
+        return judged_cabin(car, drive_side)
 
     def _make_room(self, number: int) -> Room:
         return furnish_room(rng=room_rng(self._seed, number))
@@ -254,7 +255,7 @@ class SceneSampler:
     def _cast(self, scene: CabinScene, index: int, rng: np.random.Generator) -> _Cast:
         """Which car frame `index` shows, who sits where in it, and how the seats are set."""
         car, drive_side = self._plan.car(index, rng=rng)
-        cabin, validator = self._cabin(car, drive_side)
+        cabin, validator = self._cabin(self._changed.get(car, car), drive_side)
         names = self._who(scene, cabin, index, rng)
         people = {slot: self._person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
@@ -373,9 +374,9 @@ class SceneSampler:
         return None, self._config.limits.poses_per_person
 
 
-def judged_cabin(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
+def judged_cabin(car: str | CabinDimensions, drive_side: DriveSide) -> tuple[Cabin, Validator]:
     """A cabin and who judges scenes in it. A preset's are built once a process; a user's mesh may change between calls."""
-    if car in PRESETS:
+    if isinstance(car, str) and car in PRESETS:
         return _judged_preset(car, drive_side)
     cabin = open_cabin(car, drive_side)
     return cabin, Validator(cabin)

@@ -127,7 +127,8 @@ def _check(command: ConfigCheck, config: SynthConfig) -> None:
         return
     print(f"{command.file} is valid: {_TRIED_FRAMES} frames found their scene in {tried} poses")
     scene, people = config.scene, config.people
-    cars = ", ".join(Path(car).name for car in scene.cars) if scene.kind == "cabin" else ""
+    named = scene.cars if scene.kind == "cabin" else ()
+    cars = ", ".join(Path(car).name if isinstance(car, str) else f"{car.name} ({car.preset} changed)" for car in named)
     drawn = f"{scene.random_cars} drawn at random" if scene.kind == "cabin" and scene.random_cars else ""
     kinds = ((len(people.subjects), "named"), (len(people.own), "own"), (people.random.count if people.random else 0, "random"))
     rows = [("frames", f"{config.frames} combinations")] if config.frames is not None else []

@@ -26,7 +26,8 @@ body { font-family: system-ui, sans-serif; }
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
-.studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 18px; }
+.studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 0; }
+.studio-side .q-field__bottom { position: static; transform: none; min-height: 0; padding: 2px 12px; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """
 

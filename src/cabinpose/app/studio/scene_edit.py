@@ -7,7 +7,7 @@ import dataclasses
 import math
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,14 +19,16 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from cabinpose.app.studio.scene_form import Path as Key
-from cabinpose.core.errors import CabinposeError, ConfigError
+from cabinpose.core.errors import CabinposeError, ConfigError, SceneError
 from cabinpose.core.frames import Matrix, invert
 from cabinpose.core.yaml_text import read_yaml
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import SeatSetting
+from cabinpose.scene.cabin.car_file import read_car_file
+from cabinpose.synth.cars import is_car_file
 from cabinpose.synth.config import CabinScene, Camera, CameraPose, SynthConfig
 from cabinpose.synth.exact import exact_scene, without_defaults
-from cabinpose.synth.posture.goals import arm_to
+from cabinpose.synth.posture.goals import hand_to
 from cabinpose.synth.sample import Scene, SceneSampler
 from cabinpose.synth.streams import check_seed, frame_rng, noise_rng
 from cabinpose.synth.validate import Verdict
@@ -35,6 +37,7 @@ from cabinpose.synth.write import Frame, FrameMaker
 _SAME_STEP_S = 1.0  # changes of one key that follow so close are one step of undo, as a slider makes them
 _MOST_STEPS = 200
 _REMEMBERED = re.compile(r"^# seed (\d+), frame (\d+)$", re.MULTILINE)
+_MESH_KEY = re.compile(r"^mesh:", re.MULTILINE)
 _ROUND_M = 3  # digits of a dragged place: a millimetre
 _EMPTY: dict[str, Any] = {"scene": {"kind": "cabin"}, "noise": {"kind": "physical"}}
 
@@ -76,6 +79,7 @@ class SceneEditor:
         self.state = state or State(copy.deepcopy(_EMPTY))
         self.config = SynthConfig()
         self.errors: dict[Key, str] = {}
+        self._elsewhere = {path for _, path in _files(self.state.data)}  # named by files on the disk, not in the browser
         self.file = ""
         self.saved = self.state
         self._past: list[State] = []
@@ -131,9 +135,9 @@ class SceneEditor:
         self.set(("scene", "occupants", slot, "pose", "angles_rad", axis), angle)
 
     def move_hand(self, shown: Shown, slot: str, side: str, place: Sequence[float]) -> float:
-        """Bring a palm as near to `place` (vehicle frame, m) as the arm's limits allow; by how much it misses it, m."""
+        """Bring a palm as near to `place` (vehicle frame, m) as arm and trunk allow; by how much it misses it, m."""
         person, q, root = _posed(shown, slot)
-        solved = arm_to(person, q, root, "lr".index(side), np.asarray(place, np.float64))
+        solved = hand_to(person, q, root, "lr".index(side), np.asarray(place, np.float64))
         data = copy.deepcopy(self.state.data)
         angles = data["scene"]["occupants"][slot]["pose"]["angles_rad"]
         for dof, value in zip(DOFS, solved.tolist(), strict=True):
@@ -204,13 +208,27 @@ class SceneEditor:
     def _check(self, key: Key) -> None:
         """Check what was typed; where it is valid it comes into force."""
         try:
-            self.config, self.errors = SynthConfig.parse(self.state.data, base=self.folder), {}
+            config = SynthConfig.parse(self.state.data, base=self.folder)
+            self.errors = dict(self._wrong_files())
+            self.config = self.config if self.errors else config
         except ConfigError as error:
             cause = error.__cause__
             if isinstance(cause, ValidationError):
-                self.errors = {_place(self.state.data, each["loc"]): str(each["msg"]) for each in cause.errors()}
+                self.errors = {_place(self.state.data, each["loc"]): _must(each["msg"]) for each in cause.errors()}
             else:
                 self.errors = {key: error.in_one_line()}
+
+    def _wrong_files(self) -> Iterator[tuple[Key, str]]:
+        """What is wrong with the files that the configuration names: no browser leads out of the folder."""
+        for key, name in _files(self.state.data):
+            path = (self.folder / name).resolve()
+            if name not in self._elsewhere and not path.is_relative_to(self.folder.resolve()):
+                yield key, f"{name} is outside of {self.folder}"
+            elif key[-1] == "cars":
+                try:
+                    read_car_file(path)
+                except ConfigError as error:
+                    yield key, error.in_one_line()
 
     def _default(self, key: Key) -> Any:
         """What a key that is left out stands for, of the configuration in force."""
@@ -235,6 +253,10 @@ class SceneEditor:
         """The YAML files of the folder, by name."""
         return sorted(path.name for path in self.folder.glob("*.y*ml") if path.is_file() and path.suffix in (".yaml", ".yml"))
 
+    def car_files(self) -> list[str]:
+        """Those of them that describe a car's mesh."""
+        return [name for name in self.files() if _MESH_KEY.search((self.folder / name).read_text("utf-8", errors="replace"))]
+
     def save(self, name: str, *, overwrite: bool = False) -> Path:
         """Write the configuration to a file of the folder; `cabinpose synth --config` makes the same frames of it.
 
@@ -256,10 +278,21 @@ class SceneEditor:
         self.file, self.saved = path.name, self.state
         return path
 
+    def has_comments(self, name: str) -> bool:
+        """Whether there is a file of this name with comments, other than the studio's own: `save` writes none of them."""
+        try:
+            text = _REMEMBERED.sub("", self.place(name).read_text("utf-8"), count=1)
+            marks = [mark.index for token in yaml.scan(text) for mark in (token.start_mark, token.end_mark)]
+        except (OSError, UnicodeDecodeError, yaml.YAMLError, ConfigError):
+            return False
+        between = [0, *marks, len(text)]
+        return any("#" in text[end:start] for end, start in zip(between[::2], between[1::2], strict=True))
+
     def load(self, name: str) -> None:
         """Read a configuration from a file of the folder. Raises ConfigError; then everything stays as it was."""
         state = read_state(self.place(name))
         SynthConfig.parse(state.data, base=self.folder)
+        self._elsewhere |= {path for _, path in _files(state.data)}
         self._step(state, ())
         self.file, self.saved = name, state
 
@@ -293,6 +326,7 @@ class Preview:
 
     def __init__(self) -> None:
         self._sampler: SceneSampler | None = None
+        self._written: dict[Path, int] = {}
         self.shown: Shown | None = None
         self._number = 0
 
@@ -300,7 +334,9 @@ class Preview:
         """What a configuration looks like. Raises CabinposeError where there is nothing to show."""
         started = time.perf_counter()
         with threadpool_limits(1):  # as in `synth`: the bytes may depend on the libraries' number of threads
-            sampler = SceneSampler(config, seed, like=self._sampler)
+            written = {car: car.stat().st_mtime_ns for car in own_cars(config) if car.exists()}  # one that changed is loaded anew
+            sampler = SceneSampler(config, seed, like=self._sampler if self._written == written else None)
+            self._written = written
             self._sampler = sampler
             scene, verdicts, error = self._scene(sampler, config, seed, index)
             posed = time.perf_counter()
@@ -321,9 +357,20 @@ class Preview:
         except CabinposeError as error:
             if given:
                 return *sampler.as_given(index, rng=frame_rng(seed, index)), error.in_one_line()
-            if self.shown is None:
+            if self.shown is None or not isinstance(error, SceneError):
                 raise
             return self.shown.scene, (), error.in_one_line()
+
+
+def _must(words: str) -> str:
+    """What pydantic says of a value, as short as a field is wide."""
+    return f"must {words.removeprefix('Input should ')}" if words.startswith("Input should ") else words
+
+
+def own_cars(config: SynthConfig) -> list[Path]:
+    """The YAMLs of the user's own cars."""
+    cars = config.scene.cars if isinstance(config.scene, CabinScene) else ()
+    return [Path(car) for car in cars if isinstance(car, str) and is_car_file(car)]
 
 
 def camera_of(shown: Shown) -> tuple[list[float], list[float], float]:
@@ -355,6 +402,23 @@ def _rigid(matrix: Matrix) -> Matrix:
     result = matrix.copy()
     result[:3, :3], result[3] = u @ v, (0.0, 0.0, 0.0, 1.0)
     return result
+
+
+def _files(data: Mapping[str, Any]) -> Iterator[tuple[Key, str]]:
+    """The files that a configuration names, as they are written: cars and recordings, each with its key."""
+    scene = data.get("scene")
+    if not isinstance(scene, dict):
+        return
+    cars, seats = scene.get("cars"), scene.get("occupants")
+    for car in cars if isinstance(cars, list) else ():
+        if isinstance(car, str) and is_car_file(car):
+            yield ("scene", "cars"), car
+    owners: dict[Key, Any] = {("scene",): scene}
+    owners |= {("scene", "occupants", slot): who for slot, who in (seats.items() if isinstance(seats, dict) else ())}
+    for key, owner in owners.items():
+        profile = owner.get("profile") if isinstance(owner, dict) else None
+        if isinstance(profile, dict) and isinstance(profile.get("path"), str):
+            yield (*key, "profile", "path"), profile["path"]
 
 
 def _with_occupancy(data: dict[str, Any]) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 from nicegui import ui
 
 from cabinpose.app.studio.scene_edit import SceneEditor
-from cabinpose.app.studio.scene_form import Field, Path, form
+from cabinpose.app.studio.scene_form import Field, Path, form, with_changed_preset
+from cabinpose.scene.cabin import PRESETS
 
 _TYPED_MS = 60  # without a key before a number that is typed counts
 _MOST_FOUND = 60
@@ -31,11 +32,11 @@ class SceneFields:
         """Build the form anew from what is edited now."""
         self._body.clear()
         self._shown = {}
-        root = form(self._editor.state.data, starts=self._starts())
+        root = form(self._editor.state.data, starts=self._starts(), cars=self._editor.car_files())
         words = str(self._words.value or "").lower().split()
         with self._body:
             if words:
-                found = [f for f in root.walk() if f.path and not f.children and _matches(f, words)]
+                found = [f for f in root.walk() if f.path and (not f.children or f.kind == "names") and _matches(f, words)]
                 for each in found[:_MOST_FOUND]:
                     self._build(each, ".".join(map(str, each.path)))
                 if len(found) != len(found[:_MOST_FOUND]) or not found:
@@ -48,7 +49,8 @@ class SceneFields:
     def show_errors(self) -> None:
         """Show what is wrong at the fields."""
         for path, widget in self._shown.items():
-            wrong = [words for key, words in self._editor.errors.items() if key == path or (key[: len(path)] == path)]
+            found = [(key[len(path) :], words) for key, words in self._editor.errors.items() if key[: len(path)] == path]
+            wrong = [": ".join((*map(str, inside[-1:]), words)) for inside, words in found]
             if hasattr(widget, "error"):
                 widget.error = wrong[0] if wrong else None
 
@@ -75,6 +77,23 @@ class SceneFields:
                 self._group(field, title)
         else:
             self._leaf(field, title)
+            for child in field.children:
+                self._build(child, f"{child.name} · dimensions")
+            if field.path == ("scene", "cars"):
+                self._change_preset(field)
+
+    def _change_preset(self, field: Field) -> None:
+        """Where a preset is made a car of one's own."""
+        preset = (
+            ui.select(list(PRESETS), label="change the dimensions of").props("dense outlined options-dense").classes("w-full")
+        )
+
+        async def change() -> None:
+            cars, at = with_changed_preset(self._now(field), str(preset.value))
+            self._open.add((*field.path, at))
+            await self._set(field.path, cars, rebuild=True)
+
+        preset.on_value_change(change)
 
     def _group(self, field: Field, title: str) -> None:
         """A group that opens; what is in it is built when it does."""
@@ -152,7 +171,9 @@ class SceneFields:
             widget = make.get(field.kind, self._names if field.kind == "names" else self._text)(field, title)
             widget.style("flex: 1; min-width: 0")
             if self._is_entry(field.path):
-                ui.button(icon="close", on_click=lambda: self._remove(field.path)).props("flat round dense size=xs")
+                words = "as in the preset" if field.path[:2] == ("scene", "cars") else "take it out"
+                out = ui.button(icon="close", on_click=lambda: self._remove(field.path)).props("flat round dense size=xs")
+                out.props(f"aria-label='{words}'").tooltip(words)
         self._shown[field.path] = widget
         widget.mark(".".join(map(str, field.path)))
         if field.description:
@@ -197,15 +218,23 @@ class SceneFields:
         return self._select(chosen.props("clearable" if field.optional else ""), field)
 
     def _names(self, field: Field, title: str) -> Any:
-        options = list(dict.fromkeys((*field.choices, *field.value)))
-        chosen = ui.select(
-            options, value=list(field.value), label=title, multiple=True, with_input=True, new_value_mode="add-unique"
-        ).props("use-chips")
-        return self._select(chosen, field)
+        names = [each for each in field.value if isinstance(each, str)]
+        options = list(dict.fromkeys((*field.choices, *names)))
+        chosen = ui.select(options, value=names, label=title, multiple=True, with_input=True, new_value_mode="add-unique").props(
+            "use-chips"
+        )
 
-    def _select(self, chosen: ui.select, field: Field) -> ui.select:
+        def kept(chosen: list[str]) -> list[Any]:
+            """With the entries that are no names, everything in the order that it had."""
+            held = self._now(field)
+            return [e for e in held if not isinstance(e, str) or e in chosen] + [name for name in chosen if name not in held]
+
+        return self._select(chosen, field, kept)
+
+    def _select(self, chosen: ui.select, field: Field, value: Callable[[Any], Any] = lambda now: now) -> ui.select:
         chosen.props("dense outlined options-dense").classes("w-full")
-        chosen.on_value_change(lambda event: self._set(field.path, event.value))
+        rebuild = bool(field.children) or field.path[-1] == "preset"  # others show what follows from it
+        chosen.on_value_change(lambda event: self._set(field.path, value(event.value), rebuild=rebuild))
         return chosen
 
     def _holder(self, path: Path) -> Any:
@@ -214,13 +243,20 @@ class SceneFields:
             at = at.get(part) if isinstance(at, dict) else at[part] if isinstance(at, list) and isinstance(part, int) else None
         return at
 
+    def _now(self, field: Field) -> Any:
+        """The value that a field of a mapping has now; changes of what is within build no new field."""
+        return (self._holder(field.path) or {}).get(field.path[-1], field.value)
+
     def _is_entry(self, path: Path) -> bool:
-        """Whether this is an entry of a mapping or list, which can be taken out again."""
+        """Whether this is an entry of a mapping or list, or a changed dimension, which can be taken out again."""
+        if path[:2] == ("scene", "cars") and len(path) == 4:
+            return path[3] not in ("preset", "name") and path[3] in (self._holder(path) or ())
         return len(path) > 1 and (str(path[-2]) in _MAPPINGS or (path[:2] == ("scene", "motion") and len(path) == 4))
 
 
 _MAPPINGS = (
-    "occupants", "occupancy", "motion", "views", "own", "axes", "initial_pose_deg", "angles_rad", "ranges", "frequencies_hz"
+    "cars", "occupants", "occupancy", "motion", "views", "own", "axes", "initial_pose_deg", "angles_rad", "ranges",
+    "frequencies_hz",
 )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS
 from cabinpose.scene.body.phenotype import DEFAULT_RANGES
-from cabinpose.scene.cabin import PRESETS, VIEWS_OF_ALL
+from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, VIEWS_OF_ALL
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.posture import ACTIONS
@@ -35,11 +35,11 @@ _TITLES = {
 class Field:
     """One key of the configuration, with those within.
 
-    kind: group, mapping, list, names (any of `choices`, or others), number, integer, flag, choice, text or nothing · value: as
-    plain data, None where it is left out · low, high: bounds, None: none · above: whether `low` itself is excluded · choices:
-    values it may have, or keys a mapping may get, or usual ones of these · optional: whether it may be left out · options,
-    option: what it can be in place of this, and what it is · fresh: what each of these starts from · entry: what a new entry
-    starts from.
+    kind: group, mapping, list, names (any of `choices`, or others; what is no name is a child), number, integer, flag, choice,
+    text or nothing · value: as plain data, None where it is left out · low, high: bounds, None: none · above: whether `low`
+    itself is excluded · choices: values it may have, or keys a mapping may get, or usual ones of these · optional: whether it
+    may be left out · options, option: what it can be in place of this, and what it is · fresh: what each of these starts from ·
+    entry: what a new entry starts from.
     """
 
     path: Path
@@ -62,6 +62,8 @@ class Field:
     def name(self) -> str:
         """The last part of the path, as it is written."""
         last = self.path[-1] if self.path else "scene"
+        if isinstance(last, int) and isinstance(self.value, dict) and self.value.get("name"):
+            return str(self.value["name"])
         return _COORDINATES[last] if isinstance(last, int) and str(self.path[-2]).endswith("_m") and last < 3 else str(last)
 
     @property
@@ -81,12 +83,21 @@ class Field:
             yield from child.walk()
 
 
-def form(data: Mapping[str, Any], *, starts: Mapping[str, Any] | None = None) -> Field:
+def form(data: Mapping[str, Any], *, starts: Mapping[str, Any] | None = None, cars: Sequence[str] = ()) -> Field:
     """The fields of a configuration that is given as plain data, whether it is valid or not.
 
-    starts: what models start from where somebody chooses them, by their names ("CameraPose"); others start from their defaults.
+    starts: what models start from where somebody chooses them, by their names ("CameraPose"); others start from their defaults ·
+    cars: names that are offered for `scene.cars` beside the presets.
     """
-    return _Builder(data, starts or {}).field((), schema(), dict(data))
+    return _Builder(data, starts or {}, (*PRESETS, *cars)).field((), schema(), dict(data))
+
+
+def with_changed_preset(cars: Sequence[Any], preset: str) -> tuple[list[Any], int]:
+    """The cars with a preset whose dimensions can be changed, in the place of the preset or at the end; and where it is."""
+    called = {car["name"] if isinstance(car, dict) and "name" in car else str(car) for car in cars}
+    name = next(n for n in (f"my_{preset}", *(f"my_{preset}_{i}" for i in range(2, len(cars) + 3))) if n not in called)
+    at = cars.index(preset) if preset in cars else len(cars)
+    return [*cars[:at], {"preset": preset, "name": name}, *cars[at + 1 :]], at
 
 
 @cache
@@ -96,8 +107,8 @@ def schema() -> dict[str, Any]:
 
 
 class _Builder:
-    def __init__(self, data: Mapping[str, Any], starts: Mapping[str, Any]) -> None:
-        self._starts = starts
+    def __init__(self, data: Mapping[str, Any], starts: Mapping[str, Any], cars: tuple[str, ...]) -> None:
+        self._starts, self._cars = starts, cars
         people = data.get("people")
         own = people.get("own") if isinstance(people, dict) else None
         self._subjects = (*SUBJECTS, *(own if isinstance(own, dict) else ()))
@@ -119,6 +130,8 @@ class _Builder:
         part = _resolved(only)
         if "properties" in part:
             held = value if isinstance(value, dict) else {}
+            base = PRESET_DIMENSIONS.get(str(held.get("preset"))) if part.get("title") == "ChangedPreset" else None
+            held = (base.model_dump() if base is not None else {}) | held
             children = tuple(
                 self.field((*path, name), each, held[name] if name in held else self._start(each, entire=False))
                 for name, each in part["properties"].items()
@@ -144,8 +157,11 @@ class _Builder:
                 self.field((*path, i), each, held[i] if i < len(held) else 0.0, "") for i, each in enumerate(part["prefixItems"])
             )
             return Field(path, "group", held, unit, description, children=children)
-        if part["items"].get("type") == "string":
-            return Field(path, "names", held, description=description, choices=self._values(path))
+        variants = _variants(part["items"])
+        if any(_resolved(each).get("type") == "string" for each in variants.values()):
+            other = next((each for each in variants.values() if "properties" in _resolved(each)), {})
+            children = tuple(self.field((*path, i), other, each) for i, each in enumerate(held) if isinstance(each, dict))
+            return Field(path, "names", held, description=description, choices=self._values(path), children=children)
         children = tuple(self.field((*path, i), part["items"], each) for i, each in enumerate(held))
         return Field(path, "list", held, description=description, children=children, entry=self._start(part["items"]))
 
@@ -207,8 +223,8 @@ class _Builder:
     def _values(self, path: Path) -> tuple[str, ...]:
         """Usual values of a text; () for none."""
         known = {
-            "cars": PRESETS, "subjects": tuple(SUBJECTS), "sensor": tuple(SENSORS), "subject": self._subjects,
-            "action": tuple(ACTIONS), "seat": OCCUPANT_SLOTS,
+            "cars": self._cars, "preset": PRESETS, "subjects": tuple(SUBJECTS), "subject": self._subjects,
+            "sensor": tuple(SENSORS), "action": tuple(ACTIONS), "seat": OCCUPANT_SLOTS,
         }  # fmt: skip
         return tuple(known.get(str(path[-1]), ()))
 

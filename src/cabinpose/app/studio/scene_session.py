@@ -16,10 +16,10 @@ from fastapi import APIRouter, HTTPException, Response
 
 from cabinpose.app.studio.clouds import cloud_glb
 from cabinpose.app.studio.pictures import CLASSES, IMAGES, picture
-from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, read_state
+from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, own_cars, read_state
 from cabinpose.app.studio.scene_meshes import cabin_glb, person_glb
 from cabinpose.app.view.draw import cloud_colours
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core.errors import CabinposeError, ConfigError, MeshError
 from cabinpose.core.frames import apply
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.synth.config import SynthConfig
@@ -117,6 +117,10 @@ class SceneRoom:
                         self._recent.popitem(last=False)
                 except CabinposeError as error:
                     self.error = error.in_one_line()
+                    of_car = isinstance(error, (ConfigError, MeshError)) and own_cars(config)
+                    if of_car and self.editor.config is config:
+                        self.editor.errors.setdefault(("scene", "cars"), self.error)
+                        self.error = ""
                 except Exception as error:  # noqa: BLE001 - the studio goes on with the scene before
                     self.error = f"the scene cannot be drawn: {error!r}"
                 for told in tuple(self.listeners):

@@ -238,7 +238,7 @@ class SceneTab:
             missed: list[float] = []
             await self._do(lambda: missed.append(self._editor.move_hand(shown, slot, side, place)))
             if missed and missed[0] > 0.01:
-                ui.notify(f"the arm ends {100 * missed[0]:.0f} cm before that place")
+                ui.notify(f"the hand ends {100 * missed[0]:.0f} cm before that place")
         elif kind == "camera":
             await self._do(lambda: self._editor.move_camera(shown, position=place))
         elif kind == "target":
@@ -264,6 +264,8 @@ class SceneTab:
             name = ui.input("file name", value=self._editor.file or "scene.yaml").props("dense outlined autofocus")
             over = ui.checkbox("overwrite it", value=False)
             over.set_visibility(False)
+            lost = ui.label("Its comments, and the order and form of its keys, are lost then.").style("color: #d33")
+            lost.set_visibility(False)
 
             def save() -> None:
                 try:
@@ -271,6 +273,7 @@ class SceneTab:
                 except CabinposeError as error:
                     name.error = error.in_one_line()
                     over.set_visibility("exists" in str(error))
+                    lost.set_visibility(over.visible and self._editor.has_comments(str(name.value)))
                     return
                 dialog.close()
                 ui.notify(f"saved {path.name}; `cabinpose synth --config {path.name} --seed {self._editor.state.seed}` makes it")
@@ -325,6 +328,7 @@ class SceneTab:
         self._seed.value, self._index.value = editor.state.seed, editor.state.index
         wrong = [f"{'.'.join(map(str, key)) or 'configuration'}: {words}" for key, words in editor.errors.items()]
         self._tell(shown, wrong + ([room.error] if room.error else []))
+        self._fields.show_errors()
         if shown is None:
             return
         if shown is not self._drawn:

@@ -184,7 +184,7 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
         sides = (1.0, 1.0) if style != "bench" else {"rear_left": (2.4, 0.3), "rear_right": (0.3, 2.4)}.get(slot, (0.2, 0.2))
         made, shape = seat_parts(
             slot, style, cushion_angle=layout.cushion_2, seat_height=d.h30_2_mm / 1000, half_travel=0.0, leather=d.leather,
-            width=width, sides=sides, headrest="none" if slot == "rear_center" and d.name == "hatchback" else None, fine=False,
+            width=width, sides=sides, headrest="none" if slot == "rear_center" and not d.centre_headrest else None, fine=False,
         )  # fmt: skip
         parts.extend(made)
         h = np.array([layout.h_rear[0], y, layout.h_rear[2]])

@@ -7,7 +7,7 @@ shuttles), the defaults those of a mid-size sedan.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -25,8 +25,8 @@ ConsoleStyle = Literal["none", "low", "tunnel", "high"]
 DoorStyle = Literal["plain", "pocket", "sweep", "sport", "upright", "wall"]
 
 
-class CabinDimensions(BaseModel):
-    """Dimensions of a cabin and the styles of its parts; raises `ConfigError` where a value cannot be."""
+class DimensionFields(BaseModel):
+    """Dimensions of a cabin and the styles of its parts."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
@@ -79,36 +79,58 @@ class CabinDimensions(BaseModel):
     console_style: ConsoleStyle = Field("low", description="Shape of the centre console.")
     door_style: DoorStyle = Field("sweep", description="Shape of the door trim.")
     leather: bool = Field(False, description="Seats covered in leather instead of fabric.")
+    centre_headrest: bool = Field(True, description="A headrest on the middle place of the second row.")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        """Dimensions that exclude each other."""
+        rows, behind_wheel = self.layout == "rows", self.l53_mm - self.l11_mm
+        for wrong, words, hint in (
+            (
+                2 * self.w20_mm + 460 > self.w3_mm + 40,
+                f"two seats at W20 = {self.w20_mm:g} mm do not fit a shoulder room W3 of {self.w3_mm:g} mm",
+                "W3 must be at least 2 W20 + 420 mm",
+            ),
+            (
+                2 * self.w20_2_mm + 420 > self.w3_2_mm,
+                f"two rear seats at W20-2 = {self.w20_2_mm:g} mm do not fit a shoulder room W3-2 of {self.w3_2_mm:g} mm",
+                "W3-2 must be at least 2 W20-2 + 420 mm",
+            ),
+            (
+                rows and behind_wheel < 300,
+                f"the wheel (L11 = {self.l11_mm:g} mm) is within {behind_wheel:g} mm of the H-point",
+                "L53 - L11 must be at least 300 mm",
+            ),
+            (
+                not rows and self.l50_mm < 1150,
+                f"facing benches {self.l50_mm:g} mm apart leave no knee room",
+                "L50 must be at least 1150 mm",
+            ),
+            (
+                rows and self.l50_mm > 1300,
+                f"a couple distance L50 of {self.l50_mm:g} mm is too long",
+                "L50 must be at most 1300 mm",
+            ),
+            (
+                self.h25_mm + 250 > self.h61_mm - 102,
+                f"belt height H25 = {self.h25_mm:g} mm leaves no side glass under a head room H61 of {self.h61_mm:g} mm",
+                "H25 must be at most H61 - 352 mm",
+            ),
+            (rows and self.dash_style == "none", "two forward rows have a dashboard", "choose another dash_style than none"),
+        ):
+            if wrong:
+                raise ConfigError(f"car '{self.name}': {words}", hint=hint)
+        return self
+
+
+class CabinDimensions(DimensionFields):
+    """Dimensions of a cabin and the styles of its parts; raises `ConfigError` where a value cannot be."""
 
     def __init__(self, **values: Any) -> None:
         try:
             super().__init__(**values)
         except ValidationError as error:
             raise _config_error(error) from None
-
-    @model_validator(mode="after")
-    def _fits(self) -> CabinDimensions:
-        """Dimensions that exclude each other."""
-        if 2 * self.w20_mm + 460 > self.w3_mm + 40:
-            raise ConfigError(
-                f"two seats at W20 = {self.w20_mm:g} mm do not fit a shoulder room W3 of {self.w3_mm:g} mm",
-                hint="W3 must be at least 2 W20 + 420 mm",
-            )
-        if self.layout == "rows" and self.l53_mm - self.l11_mm < 300:
-            raise ConfigError(
-                f"the wheel (L11 = {self.l11_mm:g} mm) is within {self.l53_mm - self.l11_mm:g} mm of the H-point",
-                hint="L53 - L11 must be at least 300 mm",
-            )
-        if self.layout == "facing" and self.l50_mm < 1150:
-            raise ConfigError(f"facing benches {self.l50_mm:g} mm apart leave no knee room", hint="L50 must be at least 1150 mm")
-        if self.layout == "rows" and self.l50_mm > 1300:
-            raise ConfigError(f"a couple distance L50 of {self.l50_mm:g} mm is too long", hint="L50 must be at most 1300 mm")
-        if self.h25_mm + 250 > self.h61_mm - 102:
-            raise ConfigError(
-                f"belt height H25 = {self.h25_mm:g} mm leaves no side glass under a head room H61 of {self.h61_mm:g} mm",
-                hint="H25 must be at most H61 - 352 mm",
-            )
-        return self
 
 
 def _config_error(error: ValidationError) -> ConfigError:

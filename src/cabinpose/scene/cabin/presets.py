@@ -18,7 +18,7 @@ _ALL = (
         name="hatchback", h30_mm=275, l53_mm=820, w20_mm=355, a40_deg=24, a27_deg=14, h61_mm=980, w3_mm=1410, l50_mm=805,
         h30_2_mm=305, w20_2_mm=345, a40_2_deg=25, h61_2_mm=955, w3_2_mm=1390, w9_mm=368, a18_deg=25, l11_mm=400, h17_mm=665,
         clutch=True, h25_mm=450, a121_1_deg=60, a121_2_deg=42, a122_deg=18, tail_mm=430, roof_drop_mm=55, b_pillar_mm=230,
-        tunnel_mm=70, seat_style="comfort", dash_style="wave", console_style="low", door_style="pocket",
+        tunnel_mm=70, seat_style="comfort", dash_style="wave", console_style="low", door_style="pocket", centre_headrest=False,
     ),
     CabinDimensions(
         name="sedan", h30_mm=255, l53_mm=850, w20_mm=370, a40_deg=25, a27_deg=14.5, h61_mm=980, w3_mm=1450, l50_mm=870,

@@ -26,6 +26,9 @@ _ON_GROUND = np.array([4.0, 4.0, 4.0, 0.04, 0.05, 0.04])
 _ARM_STIFFER = 2.0  # than for an arm that follows its hand alone
 _ON_PLACE = np.array([5.0, 5.0, 5.0, 0.02, 0.02, 0.02])
 _DRAGGED_ARM = 0.004
+_IN_REACH_M = 0.01
+_STAYS = np.array([20.0, 20.0, 20.0, 0.5, 0.5, 0.5])
+_UPPER_BODY = [i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in _OF_JOINT]
 _ON_GAZE = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
 _ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in "lr")
 _LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in "lr")
@@ -116,18 +119,35 @@ def turn_head(person: Person, q: Floats, root: Matrix, head: Matrix) -> None:
     q[:] = at_goals(Sitter(person, "", goals, q, root))
 
 
-def arm_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -> Floats:
-    """The posture q (D,) rad with a palm (0 left, 1 right) brought to `place` (3,) m, vehicle frame, by its arm alone.
+def hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -> Floats:
+    """The posture q (D,) rad with a palm (0 left, 1 right) brought to `place` (3,) m, vehicle frame.
 
-    The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
+    Its arm alone goes there; where it is too short, the trunk bends after it, the other hand stays and the head looks where it
+    looked. The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
     """
-    arm = slice(_ARM[side], _ARM[side] + 7)
-    lower, upper, stiffness = q.copy(), q.copy(), np.zeros(len(q))
-    lower[arm], upper[arm], stiffness[arm] = LOWER[arm], UPPER[arm], _DRAGGED_ARM
+    alone = _hand_to(person, q, root, side, place, leaning=False)
+    missed = np.linalg.norm(person.pose(alone, root).palms["lr"[side]][:3, 3] - place)
+    return alone if missed < _IN_REACH_M else _hand_to(person, q, root, side, place, leaning=True)
+
+
+def _hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats, *, leaning: bool) -> Floats:
+    free = np.zeros(len(q), bool)
+    stiffness = np.zeros(len(q))
+    if leaning:
+        free[_UPPER_BODY] = True
+        stiffness[_UPPER_BODY] = _STIFFNESS[_UPPER_BODY]
+    arms = [slice(_ARM[s], _ARM[s] + 7) for s in ((0, 1) if leaning else (side,))]
+    for arm in arms:
+        free[arm], stiffness[arm] = True, _DRAGGED_ARM
     posed = person.pose(q, root)
     target = posed.palms["lr"[side]].copy()
     target[:3, 3] = place
     rows = [("lr"[side] + "hand", person.rest.palms[side], "", target, _ON_PLACE)]
+    if leaning:
+        other = "rl"[side]
+        rows.append((other + "hand", person.rest.palms[1 - side], "", posed.palms[other], _STAYS))
+        rows.append(("head", np.eye(4), "", posed.bones[BONE_INDEX["head"]], _ON_GAZE))
+    lower, upper = np.where(free, LOWER, q), np.where(free, UPPER, q)
     goals = Goals(q, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     return at_goals(Sitter(person, "", goals, q.copy(), root))
 
