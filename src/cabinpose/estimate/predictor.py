@@ -102,13 +102,16 @@ class OnnxPredictor(OnnxModel):
         seen = view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
         if "amplitude" in seen and not self._warned_of_light:
             amplitude, depth = (seen[name][..., ::_EVERY, ::_EVERY] for name in ("amplitude", "depth"))
-            lit = (depth > 0) & (amplitude > 0)
-            light = float(np.median(amplitude[lit] * depth[lit] ** 2)) if lit.any() else _USUAL_LIGHT
-            if not _USUAL_LIGHT / _FAINTER <= light <= _USUAL_LIGHT * _BRIGHTER:
+            light = amplitude * depth**2
+            light = light[light > 0]
+            # Counting tells on which side the median is, in less time than finding it takes.
+            fainter = np.count_nonzero(light < _USUAL_LIGHT / _FAINTER)
+            brighter = np.count_nonzero(light > _USUAL_LIGHT * _BRIGHTER)
+            if 2 * max(fainter, brighter) > light.size:
                 self._warned_of_light = True
                 warnings.warn(
-                    f"the median of amplitude x depth² is {light:.3g}, where {self.name} has learnt from {_USUAL_LIGHT:g}: joints"
-                    " will be far off. Scale the amplitudes to that",
+                    f"the median of amplitude x depth² is {np.median(light):.3g}, where {self.name} has learnt from"
+                    f" {_USUAL_LIGHT:g}: joints will be far off. Scale the amplitudes to that",
                     stacklevel=2,
                 )
         return seen
