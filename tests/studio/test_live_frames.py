@@ -28,9 +28,10 @@ from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.inputs import camera_of
 from cabinpose.estimate.predictor import load_model
-from cabinpose.store import open_dataset
+from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.labels import read_labels
 from cabinpose.store.predictions import Predictions, read_predictions
+from cabinpose.store.schema import dataset_id
 from tests.studio.test_browser import JOINTS, canvas, tab, until
 
 KEPT = 4, 1  # frames that are kept, in this order
@@ -68,10 +69,20 @@ def test_kept_frames_are_those_of_the_camera(kept: list[Shown], generated: Path,
     assert (written["visibility"].values == 0).all()  # what a model finds is no truth
 
 
+def test_depth_beyond_a_dataset_is_invalid(live: list[Shown], tmp_path: Path) -> None:
+    depth = live[0].frame.batch["depth"].copy()
+    depth[0, 5, 5:8] = 6.5535, 6.5536, 65.0
+    batch = dict(live[0].frame.batch) | {"depth": depth}
+    folder, _ = write_kept([Shown(replace(live[0].frame, batch=batch), ())], tmp_path)  # type: ignore[arg-type]
+    np.testing.assert_allclose(open_dataset(folder)["depth"].values[0, 5, 5:8], (6.5535, np.nan, np.nan))
+
+
 def test_answers_lie_beside_the_frames(kept: list[Shown], tmp_path: Path) -> None:
     folder, (file,) = write_kept(kept, tmp_path)
     assert file.parent == folder.parent == tmp_path
-    found = read_predictions(file).take(np.arange(len(KEPT)))
+    read = read_predictions(file)
+    assert read.dataset == dataset_id(read_manifest(folder))
+    found = read.take(np.arange(len(KEPT)))
     for row, shown in enumerate(kept):
         ((_, answer),) = shown.found
         sure = answer.poses.presence[0] > 0.5
@@ -164,6 +175,8 @@ def test_cloud_is_of_the_pixels(live: list[Shown]) -> None:
     u, v = np.rint(uv).astype(int).T
     np.testing.assert_allclose(uv, np.stack((u, v), 1), atol=1e-6)
     np.testing.assert_allclose(forward, depth[v, u], rtol=1e-6)
+    by_light = np.argsort(batch["amplitude"][0][v, u], kind="stable")
+    assert (np.diff(colours[by_light].astype(int), axis=0) >= 0).all()
 
 
 def test_skeleton_runs_through_the_joints(live: list[Shown]) -> None:
