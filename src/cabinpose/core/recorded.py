@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
-_NAN_BITS = np.float32(np.nan).view(np.uint32)
 
 
 @dataclass(frozen=True)
@@ -102,8 +101,8 @@ class ToFFrame:
     def depth_m(self) -> NDArray[np.float32]:
         """(H, W) depth along the optical axis, m, NaN = invalid: the same numbers as a dataset of the frame holds."""
         depth = self.depth * np.float32(self.depth_unit_m)
-        bits = depth.view(np.uint32)
-        bits |= (self.depth == 0) * _NAN_BITS  # half the time of setting NaN where a mask says so
+        with np.errstate(invalid="ignore"):
+            depth /= self.depth != 0  # 0 / 0 is NaN; takes half as long as setting it where a mask says so
         return depth
 
 

@@ -122,7 +122,7 @@ def view_inputs(
 
 def _seen(images: NDArray[Any], cameras: Sequence[Camera], look: Callable[[NDArray[Any], Camera], NDArray[Any]]) -> NDArray[Any]:
     """Images (N, H, W) of their cameras as a view sees them; at once where the camera is the same."""
-    if len(set(cameras)) == 1:
+    if all(camera is cameras[0] for camera in cameras):
         return look(images, cameras[0])
     return np.stack([look(image, camera) for image, camera in zip(images, cameras, strict=True)])
 
