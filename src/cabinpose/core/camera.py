@@ -76,9 +76,10 @@ class Camera:
         x, y = xy_[..., 0], xy_[..., 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack(
-            (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y), axis=-1
-        )
+        distorted = np.empty(xy_.shape)
+        distorted[..., 0] = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        distorted[..., 1] = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return distorted
 
     def undistort(self, xy: ArrayLike, iterations: int = 40) -> Array:
         """Distorted normalised coordinates (..., 2) to ideal ones, by Newton steps on `distort`.

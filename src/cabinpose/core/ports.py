@@ -52,6 +52,8 @@ class PoseBatch:
 
 def joined(batches: Sequence[PoseBatch]) -> PoseBatch:
     """The frames of several batches of the same persons and joints, in their order."""
+    if len(batches) == 1:
+        return batches[0]
     arrays = ((b.joints_2d, b.joints_3d, b.score, b.presence) for b in batches)
     return PoseBatch(*map(np.concatenate, zip(*arrays, strict=True)))
 

@@ -174,9 +174,10 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
     images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in ("depth", "amplitude", "labels")}
     for name in spec.images:
         source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[::-1])
-        images[name] = view.resample(frame[name], source)
-    if spec.depth:
-        images["depth"] = np.round(view.in_range(images["depth"]) / _TICK_M)
+        if name == "depth":
+            images[name] = np.round(view.depth(frame[name], source) / _TICK_M)
+        else:
+            images[name] = view.resample(frame[name], source)
     return Kept(
         images["depth"].astype(np.uint16),
         uvz[:, spec.columns].astype(np.float32),

@@ -8,7 +8,7 @@ real one through 3D. Needs numpy only: models run without torch.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ class InputView:
     focal: float = 80.0
     max_depth_m: float = 6.5
 
-    @property
+    @cached_property
     def camera(self) -> Camera:
         """The pinhole of this view."""
         return Camera(self.width, self.height, self.focal, self.focal, (self.width - 1) / 2, (self.height - 1) / 2)
@@ -50,13 +50,10 @@ class InputView:
 
     def depth(self, depth_m: NDArray[np.floating], source: Camera) -> F32:
         """Depth images (..., H, W) in metres, NaN or 0 where invalid, as this view's, 0 where invalid or out of range."""
-        return self.in_range(self.resample(depth_m, source))
-
-    def in_range(self, depth_m: NDArray[np.generic]) -> F32:
-        """Depths (...) in metres with 0 for what is invalid (NaN, infinite, 0) or out of the view's range."""
-        seen = np.asarray(depth_m, dtype=np.float32)
+        seen = np.asarray(self.resample(depth_m, source), dtype=np.float32)  # a copy, so that it can be changed in place
         valid = (seen > 0) & (seen <= self.max_depth_m)  # False for NaN and the infinities
-        return np.where(valid, seen, np.float32(0))
+        np.copyto(seen, np.float32(0), where=~valid)
+        return seen
 
     def to_source(self, images: NDArray[np.generic], source: Camera) -> NDArray[np.generic]:
         """Images (..., height, width) of this view as (..., H, W) of the source camera; 0 where the view does not look."""
@@ -66,7 +63,7 @@ class InputView:
         """Where the source camera sees what the view sees at (u, v) (..., 2), whatever its depth."""
         camera = self.camera
         xy = (np.asarray(uv, dtype=np.float64) - (camera.cx, camera.cy)) / self.focal
-        return source.project(np.concatenate((xy, np.ones((*xy.shape[:-1], 1))), axis=-1))
+        return source.distort(xy) * (source.fx, source.fy) + (source.cx, source.cy)
 
     def to_view(self, p_camera: Joints) -> Joints:
         """Points (..., 3) in the camera frame (m) to (u, v, z): pixels of this view and depth in metres."""
@@ -74,14 +71,24 @@ class InputView:
 
     def from_view(self, uvz: NDArray[np.floating]) -> Joints:
         """The inverse of `to_view`: (u, v, z) to points (..., 3) in the camera frame (m)."""
-        uvz_ = np.asarray(uvz, dtype=np.float64)
-        return self.camera.unproject(uvz_[..., :2], uvz_[..., 2])
+        points = np.array(uvz, dtype=np.float64)
+        xy = points[..., :2]
+        xy -= self.camera.cx, self.camera.cy
+        xy /= self.focal
+        xy *= points[..., 2:]
+        return points
 
 
 def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The camera of one frame's `camera_k` (3, 3) and `camera_dist` (5,)."""
-    k1, k2, p1, p2, k3 = (float(c) for c in dist)
-    return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), (k1, k2, p1, p2, k3))
+    """The camera of one frame's `camera_k` (3, 3) and `camera_dist` (5,); the same object for the same numbers."""
+    return _camera(np.asarray(k, np.float64).tobytes(), np.asarray(dist, np.float64).tobytes(), width, height)
+
+
+@lru_cache(maxsize=64)
+def _camera(k: bytes, dist: bytes, width: int, height: int) -> Camera:
+    (fx, _, cx), (_, fy, cy), _ = np.frombuffer(k).reshape(3, 3).tolist()
+    k1, k2, p1, p2, k3 = np.frombuffer(dist).tolist()
+    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
 class _Nearest(NamedTuple):

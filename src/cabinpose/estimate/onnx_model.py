@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -100,9 +100,9 @@ def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
     depth = frames["depth"][which]
     count, height, width = depth.shape
     k, dist = np.asarray(frames["camera_k"]), np.asarray(frames["camera_dist"])
-    k = np.broadcast_to(k if k.ndim == 2 else k[which], (count, 3, 3))
-    dist = np.broadcast_to(dist if dist.ndim == 1 else dist[which], (count, 5))
-    return [camera_of(m, d, width, height) for m, d in zip(k, dist, strict=True)]
+    each_k = [k] * count if k.ndim == 2 else k[which]
+    each_dist = [dist] * count if dist.ndim == 1 else dist[which]
+    return [camera_of(m, d, width, height) for m, d in zip(each_k, each_dist, strict=True)]
 
 
 def view_inputs(
@@ -112,13 +112,19 @@ def view_inputs(
     empty = np.zeros((0, view.height, view.width), np.float32)
     if not cameras:
         return {"depth": empty, "amplitude": empty} if amplitude else {"depth": empty}
-    inputs = {"depth": np.stack([view.depth(d, c) for d, c in zip(frames["depth"][which], cameras, strict=True)])}
+    inputs = {"depth": _seen(frames["depth"][which], cameras, view.depth)}
     if amplitude:
         if "amplitude" not in frames:
             raise ConfigError("this model reads amplitudes, and the frames have none", hint="take a model of depth alone")
-        seen = [view.resample(a, c) for a, c in zip(frames["amplitude"][which], cameras, strict=True)]
-        inputs["amplitude"] = np.stack(seen).astype(np.float32)
+        inputs["amplitude"] = _seen(frames["amplitude"][which], cameras, view.resample).astype(np.float32, copy=False)
     return inputs
+
+
+def _seen(images: NDArray[Any], cameras: Sequence[Camera], look: Callable[[NDArray[Any], Camera], NDArray[Any]]) -> NDArray[Any]:
+    """Images (N, H, W) of their cameras as a view sees them; at once where the camera is the same."""
+    if all(camera is cameras[0] for camera in cameras):
+        return look(images, cameras[0])
+    return np.stack([look(image, camera) for image, camera in zip(images, cameras, strict=True)])
 
 
 def packaged_models() -> dict[str, Path]:

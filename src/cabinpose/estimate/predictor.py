@@ -102,13 +102,16 @@ class OnnxPredictor(OnnxModel):
         seen = view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
         if "amplitude" in seen and not self._warned_of_light:
             amplitude, depth = (seen[name][..., ::_EVERY, ::_EVERY] for name in ("amplitude", "depth"))
-            lit = (depth > 0) & (amplitude > 0)
-            light = float(np.median(amplitude[lit] * depth[lit] ** 2)) if lit.any() else _USUAL_LIGHT
-            if not _USUAL_LIGHT / _FAINTER <= light <= _USUAL_LIGHT * _BRIGHTER:
+            light = amplitude * depth**2
+            # Counting tells on which side the median is, in less time than finding it takes.
+            above = (0.0, _USUAL_LIGHT / _FAINTER, _USUAL_LIGHT * _BRIGHTER)
+            lit, enough, brighter = (np.count_nonzero(light > least) for least in above)
+            if 2 * max(lit - enough, brighter) > lit:
                 self._warned_of_light = True
+                median = float(np.median(light[light > 0]))
                 warnings.warn(
-                    f"the median of amplitude x depth² is {light:.3g}, where {self.name} has learnt from {_USUAL_LIGHT:g}: joints"
-                    " will be far off. Scale the amplitudes to that",
+                    f"the median of amplitude x depth² is {median:.3g}, where {self.name} has learnt from"
+                    f" {_USUAL_LIGHT:g}: joints will be far off. Scale the amplitudes to that",
                     stacklevel=2,
                 )
         return seen

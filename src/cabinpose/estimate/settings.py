@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -42,7 +43,7 @@ class ViewSettings(Settings):
     max_depth_m: Annotated[float, Field(gt=0, le=20, description="What lies farther counts as invalid (m).")] = 3.0
     slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places that people are predicted for.")] = OCCUPANT_SLOTS
 
-    @property
+    @cached_property
     def view(self) -> InputView:
         """The view of a model with these settings."""
         focal = self.focal if self.focal is not None else _FOCAL_PER_WIDTH * self.width

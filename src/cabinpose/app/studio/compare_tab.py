@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
-from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.empty import empty_state, no_dataset
 from cabinpose.app.studio.models import detectors, load_choice
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core.errors import CabinposeError
@@ -35,8 +35,8 @@ _METRICS = ("mAD", "mAD@d", "mAP@d (literal)", "mAR@d (literal)")
 def compare_tab(workspace: Workspace) -> None:
     """Build the tab."""
     if workspace.dataset is None:
-        empty_state(
-            "No dataset is open", "Open a dataset with its truth, and predictions to hold against it:",
+        no_dataset(
+            workspace.recording, "Open a dataset with its truth, and predictions to hold against it:",
             "cabinpose studio DATASET --predictions FILE",
         )  # fmt: skip
         return
@@ -318,7 +318,7 @@ class CompareTab:
                 seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
                 people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})
         near, far = depth_range(workspace.dataset, row)
-        self._canvas.show(f"/frames/{row}/depth", near=near, far=far)
+        self._canvas.show(f"/frames/{self._workspace.key}/{row}/depth", near=near, far=far)
         self._canvas.joints(people, limbs)
         self._title.text = f"frame {number_}"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.empty import no_dataset
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
@@ -29,7 +29,7 @@ _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
 def dataset_tab(workspace: Workspace) -> None:
     """Build the tab."""
     if workspace.dataset is None:
-        empty_state("No dataset is open", "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
+        no_dataset(workspace.recording, "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
         return
     DatasetTab(workspace)
 
@@ -171,14 +171,14 @@ class DatasetTab:
         else:
             near, far = 0.0, 255.0
             palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES
-        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=palette)
+        self._canvas.show(f"/frames/{self._workspace.key}/{row}/{name}", near=near, far=far, palette=palette)
 
     def _show_cloud(self, row: int, frame: Any) -> None:
         self._scene.clear()
         depth = self._image.value if self._image.value in DEPTHS else "depth"
         vehicle_from_camera = frame["vehicle_from_camera"].values
         with self._scene:
-            self._scene.gltf(f"/clouds/{row}/{depth}.glb")
+            self._scene.gltf(f"/clouds/{self._workspace.key}/{row}/{depth}.glb")
             for index, person in enumerate(frame["joints_3d"].values):
                 points = apply(vehicle_from_camera, person.astype(np.float64))
                 there = np.asarray(np.isfinite(points).all(axis=1))

@@ -10,9 +10,9 @@ from nicegui import run, ui
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.empty import empty_state, no_dataset
 from cabinpose.app.studio.labelling import Labelling, Shown
-from cabinpose.app.studio.models import choices, load_choice
+from cabinpose.app.studio.models import choices, first_choice, load_choice
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
@@ -40,7 +40,7 @@ _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled 
 def label_tab(workspace: Workspace) -> None:
     """Build the tab."""
     if workspace.dataset is None:
-        empty_state("No dataset is open", "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
+        no_dataset(workspace.recording, "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
         return
     try:
         labelling = Labelling(workspace)
@@ -81,7 +81,9 @@ class LabelTab:
         return self._queue[self._position]
 
     def _build_side(self) -> None:
-        self._model = ui.select(choices(self._workspace), value="", label="proposals from", on_change=self._use_model)
+        begin = first_choice(self._workspace)
+        self._labelling.use(load_choice(self._workspace, begin))
+        self._model = ui.select(choices(self._workspace), value=begin, label="proposals from", on_change=self._use_model)
         self._model.props("dense outlined").classes("w-full").mark("proposals")
         people = ui.select(list(self._labelling.persons), value=self._person, label="person", on_change=self._set_person)
         people.props("dense outlined").classes("w-full")
@@ -283,7 +285,9 @@ class LabelTab:
         else:
             low, high = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0
         near, far = low + chosen["min"] * (high - low), low + chosen["max"] * (high - low)
-        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=GREY if name in GREYS else None)
+        self._canvas.show(
+            f"/frames/{self._workspace.key}/{row}/{name}", near=near, far=far, palette=GREY if name in GREYS else None
+        )
 
 
 def _drawn(shown: Shown) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
@@ -17,8 +17,17 @@ from cabinpose.app.live.run import Found, Live, LiveStatus
 from cabinpose.app.studio.pictures import picture
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import Predictor
+from cabinpose.evaluate.options import EvaluationOptions
 
+PRESENT = EvaluationOptions().presence
 _RECENT = 64  # frames kept for browsers that have been told of them and come for their images
+
+
+class Shown(NamedTuple):
+    """A frame, and each detector with what it found in it."""
+
+    frame: LiveFrame
+    found: tuple[tuple[Predictor, Found], ...]
 
 
 class LiveSession:
@@ -30,8 +39,8 @@ class LiveSession:
         """Raises ConfigError for a source that is not there or outside of `within`; the thread connects, see `error`."""
         self.source, self.record = source, record
         self._live = Live(open_feed(source, settings, realtime=True, out=record, within=within), models, skip_errors=True)
-        self.models = tuple(models)
-        self.latest: tuple[LiveFrame, tuple[Found, ...]] | None = None
+        self._models = tuple(models)
+        self.latest: Shown | None = None
         self.recent: deque[LiveFrame] = deque(maxlen=_RECENT)
         self.error = ""
         self._stop = threading.Event()
@@ -58,7 +67,7 @@ class LiveSession:
             try:
                 for frame, found in self._live.run(lambda: not self._stop.is_set()):
                     self.recent.append(frame)
-                    self.latest = frame, found
+                    self.latest = Shown(frame, tuple(zip(self._models, found, strict=True)))
             finally:
                 self._live.feed.stop()
         except CabinposeError as error:
@@ -74,13 +83,14 @@ def image_of(frame: LiveFrame, name: str) -> NDArray[Any]:
 
 
 class LiveRoom:
-    """The one live run of a studio, and the frame that a browser froze."""
+    """The one live run of a studio, the frame that a browser froze, and those that are kept to be labelled."""
 
     def __init__(self) -> None:
         self.session: LiveSession | None = None
-        self.frozen: tuple[LiveFrame, tuple[Found, ...]] | None = None
+        self.frozen: Shown | None = None
+        self.kept: list[Shown] = []
 
-    def shown(self) -> tuple[LiveFrame, tuple[Found, ...]] | None:
+    def shown(self) -> Shown | None:
         """The frozen frame, else the newest."""
         if self.frozen is not None:
             return self.frozen

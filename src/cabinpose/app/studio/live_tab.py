@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
@@ -9,43 +10,45 @@ import numpy as np
 from nicegui import run, ui
 
 from cabinpose.app.live.choose import parsed_settings
-from cabinpose.app.live.run import Found
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.live_session import LiveRoom, LiveSession, image_of
+from cabinpose.app.studio.live_cloud import LiveCloud
+from cabinpose.app.studio.live_keep import keep, write_kept
+from cabinpose.app.studio.live_session import PRESENT, LiveRoom, LiveSession, Shown, image_of
 from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import Predictor
 from cabinpose.core.skeleton import index_pairs
 from cabinpose.estimate.remote import open_predictor
-from cabinpose.evaluate.options import EvaluationOptions
 
 _PERIOD_S = 0.1  # between looks for a new frame
 _KINDS = ("simulated", "synth", "royale", "bta", "genicam", "orbbec")
-_PRESENT = EvaluationOptions().presence
 
 
-def live_tab(workspace: Workspace, room: LiveRoom) -> None:
-    """Build the tab."""
-    LiveTab(workspace, room)
+def live_tab(workspace: Workspace, room: LiveRoom, label: Callable[[], None]) -> None:
+    """Build the tab. label: shows the dataset that was opened in the tab Label."""
+    LiveTab(workspace, room, label)
 
 
 class LiveTab:
     """The tab of one browser; the run itself is the studio's, shared by all."""
 
-    def __init__(self, workspace: Workspace, room: LiveRoom) -> None:
-        self._workspace, self._room = workspace, room
+    def __init__(self, workspace: Workspace, room: LiveRoom, label: Callable[[], None]) -> None:
+        self._workspace, self._room, self._label = workspace, room, label
         self._drawn: Any = None
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
             with ui.column().classes("studio-main"):
                 with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
-                    with ui.element("div").classes("studio-pane"):
-                        self._depth = FrameCanvas(live=True)
-                    with ui.element("div").classes("studio-pane"):
-                        self._amplitude = FrameCanvas(live=True)
+                    self._images = ui.row().classes("no-wrap").style("flex: 1; min-width: 0; gap: 10px; align-items: stretch")
+                    with self._images:
+                        with ui.element("div").classes("studio-pane"):
+                            self._depth = FrameCanvas(live=True)
+                        with ui.element("div").classes("studio-pane"):
+                            self._amplitude = FrameCanvas(live=True)
+                    self._space = ui.element("div").classes("studio-pane").bind_visibility_from(self._cloud, "value")
                 self._rates = ui.label("Choose a source and a model, then start.").mark("rates")
                 self._trouble = ui.label().style("color: #d33")
         ui.timer(_PERIOD_S, self._look)
@@ -62,11 +65,18 @@ class LiveTab:
             detectors(), value=["in_car"], label="models, or grpc://HOST:PORT/MODEL", multiple=True, new_value_mode="add-unique"
         ).props("dense outlined use-chips")
         self._models.classes("w-full")
-        self._recording = ui.checkbox("record meanwhile")
+        with ui.row().classes("no-wrap w-full").style("gap: 6px"):
+            self._recording = ui.checkbox("record meanwhile")
+            self._cloud = ui.checkbox("cloud", on_change=self._show_cloud)
         with ui.row().classes("no-wrap w-full").style("gap: 6px"):
             self._start = ui.button("Start", icon="play_arrow", on_click=self._begin).props("dense no-caps").style("flex: 1")
             ui.button("Stop", icon="stop", on_click=self._end).props("dense no-caps outline").style("flex: 1")
         self._freeze = ui.button("Freeze", icon="ac_unit", on_click=self._toggle).props("dense no-caps outline").classes("w-full")
+        with ui.row().classes("no-wrap w-full").style("gap: 6px"):
+            words = "Keep this frame, to be labelled later"
+            ui.button("Keep", icon="bookmark_add", on_click=self._keep).props("dense no-caps outline").tooltip(words)
+            self._to_label = ui.button("Label this frame", icon="edit", on_click=self._open).props("dense no-caps outline")
+            self._to_label.style("flex: 1")
         self._joints = ui.column().classes("w-full").style("gap: 0; font-size: 13px")
 
     async def _begin(self) -> None:
@@ -91,30 +101,73 @@ class LiveTab:
     def _toggle(self) -> None:
         room = self._room
         room.frozen = None if room.frozen is not None else room.shown()
-        self._freeze.props("color=primary" if room.frozen is not None else "color=default")
-        self._freeze.text = "Go on" if room.frozen is not None else "Freeze"
+        self._tell_buttons()
+
+    def _tell_buttons(self) -> None:
+        """Say what the buttons do now; another browser may have frozen or kept a frame."""
+        frozen, kept = self._room.frozen is not None, len(self._room.kept)
+        self._freeze.text = "Go on" if frozen else "Freeze"
+        self._to_label.text = f"Label this and {kept} kept" if kept else "Label this frame"
+
+    def _keep(self) -> bool:
+        """Keep the frame that is shown; False where that cannot be."""
+        shown = self._room.shown()
+        if shown is None:
+            ui.notify("there is no frame yet: start a run")
+            return False
+        try:
+            keep(self._room.kept, shown)
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            return False
+        self._tell_buttons()
+        return True
+
+    async def _open(self) -> None:
+        """Write the frame that is shown, with those that are kept, as a dataset, and open that to be labelled."""
+        if not self._keep():
+            return
+        room, workspace = self._room, self._workspace
+        kept, room.kept = room.kept, []
+        try:
+            written = await run.io_bound(write_kept, kept, workspace.root)
+            if written is None:  # the studio is ending
+                return
+            workspace.open(*written)
+        except (CabinposeError, OSError) as error:
+            room.kept = kept
+            ui.notify(str(error), type="negative", multi_line=True, timeout=10_000)
+            return
+        self._label()
+
+    def _show_cloud(self) -> None:
+        self._images.style("flex-direction: column" if self._cloud.value else "flex-direction: row")
+        if self._cloud.value and not self._space.default_slot.children:
+            with self._space:
+                LiveCloud(lambda: self._room.shown() if self._cloud.value else None)
 
     def _look(self) -> None:
         """Show the newest frame, and how the run does."""
+        self._tell_buttons()
         session, shown = self._room.session, self._room.shown()
         if session is not None:
             self._trouble.text = session.error
             self._tell(session)
-        if shown is None or shown is self._drawn or session is None:
+        if shown is None or shown is self._drawn:
             return
         self._drawn = shown
-        frame, found = shown
+        frame = shown.frame
         depth = image_of(frame, "depth")
         valid = depth[np.isfinite(depth)]
         near, far = np.quantile(valid[::7], (0.01, 0.99)).tolist() if valid.size else (0.0, 1.0)
-        people, limbs = _people(session.models, found)
+        people, limbs = _people(shown)
         self._depth.show(f"/live/{frame.host_ns}/depth", near=near, far=far)
         self._depth.joints(people, limbs)
         if "amplitude" in frame.batch:
             white = float(np.quantile(image_of(frame, "amplitude")[::7], 0.995)) or 1.0
             self._amplitude.show(f"/live/{frame.host_ns}/amplitude", near=0.0, far=white, palette=GREY)
             self._amplitude.joints(people, limbs)
-        self._table(session.models, found)
+        self._table(shown)
 
     def _tell(self, session: LiveSession) -> None:
         status = session.status()
@@ -127,29 +180,29 @@ class LiveTab:
             f"{status.feed.passed_over} left out, {status.feed.counts.lost} lost{recorded}{trouble}"
         )
 
-    def _table(self, models: tuple[Predictor, ...], found: tuple[Found, ...]) -> None:
+    def _table(self, shown: Shown) -> None:
         """How long each model took, and how many joints of whom it found."""
         self._joints.clear()
         with self._joints:
-            for model, answer in zip(models, found, strict=True):
+            for model, answer in shown.found:
                 trouble = f"; {answer.error}" if answer.error else ""
                 ui.label(f"{model.name}: {answer.ms:.1f} ms{trouble}").style("font-weight: 600")
                 for p, person in enumerate(model.persons):
                     sure = answer.poses.presence[0, p]
-                    count = int((sure >= _PRESENT).sum())
+                    count = int((sure >= PRESENT).sum())
                     if count:
-                        least = int(np.argmin(np.where(sure >= _PRESENT, sure, 2)))
+                        least = int(np.argmin(np.where(sure >= PRESENT, sure, 2)))
                         ui.label(f"{person}: {count} joints, least sure {model.joints[least]} {sure[least]:.2f}")
 
 
-def _people(models: tuple[Predictor, ...], found: tuple[Found, ...]) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], ...]]:
+def _people(shown: Shown) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], ...]]:
     people: list[dict[str, Any]] = []
     limbs: tuple[tuple[int, int], ...] = ()
-    for number, (model, answer) in enumerate(zip(models, found, strict=True)):
+    for number, (model, answer) in enumerate(shown.found):
         names = list(model.joints)
         limbs = index_pairs(names)
         for p in range(len(model.persons)):
-            there = answer.poses.presence[0, p] >= _PRESENT
+            there = answer.poses.presence[0, p] >= PRESENT
             places = answer.poses.joints_2d[0, p]
             seen = there & np.isfinite(places).all(axis=1)
             joints = [

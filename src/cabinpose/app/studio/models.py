@@ -17,6 +17,11 @@ def choices(workspace: Workspace) -> dict[str, str]:
     return {"": "nothing", **files, **{name: name for name in detectors()}}
 
 
+def first_choice(workspace: Workspace) -> str:
+    """The value of `choices` that labelling begins with."""
+    return _FILE + workspace.proposals if workspace.proposals else ""
+
+
 def detectors() -> list[str]:
     """Names of the packaged models."""
     return list(packaged_models())

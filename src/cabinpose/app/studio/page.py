@@ -32,6 +32,9 @@ body { font-family: system-ui, sans-serif; }
 """
 
 
+_OF_DATASET = ("Dataset", "Label", "Compare")
+
+
 def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneRoom]) -> None:
     """Build the page for one browser."""
     ui.add_css(_STYLE)
@@ -41,32 +44,52 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
         "Dataset": lambda: dataset_tab(workspace),
         "Label": lambda: label_tab(workspace),
         "Compare": lambda: compare_tab(workspace),
-        "Live": lambda: live_tab(workspace, live),
+        "Live": lambda: live_tab(workspace, live, lambda: renew("Label")),
     }
+    shown = workspace.key
+    panels: dict[str, ui.tab_panel] = {}
+
+    def renew(tab: str = "") -> None:
+        """Build the tabs that show the dataset anew, where another one was opened; go to a tab."""
+        nonlocal shown
+        if shown != workspace.key:
+            shown = workspace.key
+            opened.text = _opened(workspace)
+            for name in _OF_DATASET:
+                panels[name].clear()
+                with panels[name]:
+                    tabs[name]()
+        if tab:
+            bar.value = tab
+
     ui.colors(primary="#2f6f9f")
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
         with ui.tabs().props("dense align=left no-caps inline-label") as bar:
             for name in tabs:
                 ui.tab(name)
-        ui.label(_opened(workspace)).classes("studio-opened")
+        opened = ui.label(_opened(workspace)).classes("studio-opened")
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
-    panels = ui.tab_panels(bar, value=_first(workspace, list(tabs)), keep_alive=True, animated=False)
-    with panels.classes("w-full").style("width: 100%"):
+    with ui.tab_panels(bar, value=_first(workspace), keep_alive=True, animated=False).classes("w-full"):
         for name, build in tabs.items():
-            with ui.tab_panel(name):
+            panels[name] = ui.tab_panel(name)
+            with panels[name]:
                 build()
+    ui.timer(1.0, renew)  # another browser may have opened a dataset
 
 
 def _opened(workspace: Workspace) -> str:
     thing = workspace.folder or workspace.recording or workspace.scene
     if workspace.dataset is not None and workspace.folder is not None:
-        return f"{workspace.folder.resolve().name}: {workspace.dataset.sizes['frame']} frames"
+        count = workspace.dataset.sizes["frame"]
+        return f"{workspace.folder.resolve().name}: {count} frame{'s' * (count != 1)}"
     return thing.name if thing is not None else "nothing is open"
 
 
-def _first(workspace: Workspace, tabs: list[str]) -> str:
-    wanted = "Scene" if workspace.scene is not None else "Live" if workspace.recording is not None else "Dataset"
-    return wanted if wanted in tabs else tabs[0]
+def _first(workspace: Workspace) -> str:
+    """The tab of what was opened last."""
+    if workspace.dataset is not None:
+        return "Dataset"
+    return "Scene" if workspace.scene is not None else "Live" if workspace.recording is not None else "Dataset"

@@ -52,13 +52,13 @@ def picture(name: str, image: NDArray[np.generic]) -> Picture:
     return Picture(image.astype(np.uint8), "classes")
 
 
-def image_routes(dataset: Callable[[], xr.Dataset | None]) -> APIRouter:
-    """`/frames/{row}/{variable}`: an image of the dataset that is open."""
+def image_routes(dataset: Callable[[str], xr.Dataset | None]) -> APIRouter:
+    """`/frames/{key}/{row}/{variable}`: an image of the dataset that is open and has this key."""
     router = APIRouter()
 
-    @router.get("/frames/{row}/{name}")
-    def image(row: int, name: str) -> Response:
-        opened = dataset()
+    @router.get("/frames/{key}/{row}/{name}")
+    def image(key: str, row: int, name: str) -> Response:
+        opened = dataset(key)
         if opened is None or name not in IMAGES or name not in opened:
             raise HTTPException(404, "there is no such image")
         if not 0 <= row < opened.sizes["frame"]:

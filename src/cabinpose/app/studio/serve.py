@@ -54,8 +54,8 @@ def serve(
 def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     """The web application of a workspace."""
     app = FastAPI(openapi_url=None)
-    app.include_router(image_routes(lambda: workspace.dataset))
-    app.include_router(cloud_routes(lambda: workspace.dataset))
+    app.include_router(image_routes(workspace.of_key))
+    app.include_router(cloud_routes(workspace.of_key))
     live = LiveRoom()
     app.include_router(live.routes())
     nicegui_app.on_shutdown(live.stop)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,17 +20,40 @@ from cabinpose.store.schema import MANIFEST_NAME, dataset_id
 
 @dataclass
 class Workspace:
-    """What is open, shared by all tabs of all browsers."""
+    """What is open, shared by all tabs of all browsers.
+
+    key: a word for the dataset that is open, part of the addresses of its images, which browsers keep · proposals: name of the
+    predictions that labelling begins with.
+    """
 
     folder: Path | None = None
     dataset: xr.Dataset | None = None
     manifest: Manifest | None = None
+    key: str = ""
     recording: Path | None = None
     scene: Path | None = None
     labels_path: Path | None = None
     role: str = "annotator"
     predictions: dict[str, Predictions] = field(default_factory=dict)
+    proposals: str = ""
     _labels: Labels | None = None
+
+    def open(self, folder: Path, predictions: Sequence[Path] = ()) -> None:
+        """Open a dataset in place of the one that is open, with predictions whose first labelling begins with.
+
+        Raises DatasetError or PredictionsError.
+        """
+        dataset, manifest = completed(open_dataset(folder)), read_manifest(folder)
+        self.close()
+        self.folder, self.dataset, self.manifest, self.labels_path = folder, dataset, manifest, None
+        self.key = dataset_id(manifest)[-12:]
+        self.predictions, self.proposals = {}, ""
+        names = [self.add_predictions(path) for path in predictions]
+        self.proposals = next(iter(names), "")
+
+    def of_key(self, key: str) -> xr.Dataset | None:
+        """The dataset that is open, if it is the one of this key."""
+        return self.dataset if key == self.key else None
 
     @property
     def root(self) -> Path:
@@ -88,7 +112,10 @@ def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str 
     if thing.is_dir():
         if not (thing / MANIFEST_NAME).is_file():
             raise ConfigError(f"{thing} is no dataset: it has no {MANIFEST_NAME}", hint="give the folder of a dataset")
-        return Workspace(thing, completed(open_dataset(thing)), read_manifest(thing), labels_path=labels, role=role)
+        workspace = Workspace(role=role)
+        workspace.open(thing)
+        workspace.labels_path = labels
+        return workspace
     if not thing.is_file():
         raise ConfigError(f"there is no {thing}", hint="give a dataset, a recording (.mcap) or a scene (.yaml)")
     if thing.suffix == ".mcap":

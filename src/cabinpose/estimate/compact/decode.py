@@ -17,6 +17,8 @@ def decode(outputs: Mapping[str, NDArray[Any]], config: CompactConfig, seen: Map
 
     A joint is present with the probability that its person is there and the joint in the image.
     """
-    presence = sigmoid(outputs["present"])[..., None] * sigmoid(outputs["inside"])
+    count = outputs["inside"].shape[-1]
+    sure = sigmoid(np.concatenate((outputs["present"][..., None], outputs["inside"], outputs["visible"]), axis=-1))
+    presence = sure[..., :1] * sure[..., 1 : 1 + count]
     uvz = np.asarray(outputs["joints"], dtype=np.float64)
-    return Found(uvz[..., :2], config.view.from_view(uvz), presence * sigmoid(outputs["visible"]), presence)
+    return Found(uvz[..., :2], config.view.from_view(uvz), presence * sure[..., 1 + count :], presence)
