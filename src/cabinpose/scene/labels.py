@@ -35,9 +35,28 @@ _WORLD = (
     (67, "steering_wheel", 0xF0A030), (68, "seat_belt", 0xE03030), (69, "floor", 0x3C3228), (70, "pedal", 0xB4B43C),
     (71, "wall", 0xA0A8A0), (72, "furniture", 0x8C643C),
 )  # fmt: skip
+# Things that people bring along; by the words of SVIRO an infant seat looks back, a child seat forward.
+_THINGS = (
+    (80, "infant_seat", 0xF06EAA), (81, "child_seat", 0xA03CC8), (82, "box", 0xB98C50), (83, "bag", 0x963232),
+    (84, "backpack", 0x3264B4), (85, "bottle", 0x50C8F0), (86, "cup", 0xF0DC50), (87, "book", 0x78B45A), (88, "laptop", 0x64788C),
+    (89, "phone", 0xFF7828),
+)  # fmt: skip
+# Classes of TICaM (Katrolia et al. 2021), beside its 0 for the background and 1 for people; 8 is its "accessory".
+_TICAM = MappingProxyType(
+    {
+        "backpack": 2, "box": 4, "bottle": 5, "phone": 6, "cup": 8, "book": 9, "laptop": 10, "bag": 13, "child_seat": 14,
+        "infant_seat": 15,
+    }
+)  # fmt: skip
 
 BODY_PARTS: tuple[Label, ...] = tuple(Label(*row) for row in _BODY)
-LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD)))
+THINGS: tuple[Label, ...] = tuple(Label(*row) for row in _THINGS)
+LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD) + THINGS))
 ID = MappingProxyType({label.name: label.id for label in LABELS})
 RGB = MappingProxyType({label.id: label.rgb for label in LABELS})
 FIRST_BODY_ID, LAST_BODY_ID = 1, 63  # ids 1..63 belong to people, 64.. to the world
+
+
+def ticam_class(label: Label) -> int:
+    """The class of TICaM's masks that pixels of a class of ours have there: 0 for all that is part of the car."""
+    return 1 if FIRST_BODY_ID <= label.id <= LAST_BODY_ID else _TICAM.get(label.name, 0)

@@ -42,5 +42,8 @@ MATERIALS: tuple[Material, ...] = (
     Material(19, "painted_wall", 0.75),
     Material(20, "wood", 0.50),
     Material(21, "steering_leather", 0.15),
+    Material(40, "cardboard", 0.60),
+    Material(41, "paper", 0.75),
 )
+OF_THINGS = MATERIALS[-2:]  # of things that people bring along alone
 ID = MappingProxyType({material.name: material.id for material in MATERIALS})

@@ -86,6 +86,10 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("seed", ("frame",), "int64", "seed of the frame's generator, beside the frame's index", coordinate=True),
     Variable("subject", ("frame", "person"), "str", "who it is; empty = nobody in this place", coordinate=True),
     Variable("action", ("frame", "person"), "str", "what the person does; empty = nobody in this place", coordinate=True),
+    Variable(
+        "things", ("frame", "person"), "str", "what is brought along in this place: child seats and objects, divided by commas",
+        coordinate=True, default=False,
+    ),
     Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
     Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
 )  # fmt: skip
@@ -94,13 +98,18 @@ OPTIONAL = tuple(v.name for v in VARIABLES if v.is_image or not v.default)  # a 
 DEFAULT_VARIABLES = tuple(v.name for v in VARIABLES if v.is_image and v.default)
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class LabelRow(BaseModel):
-    """A pixel class: id, name and sRGB colour 0xRRGGBB."""
+    """A pixel class: id, name and sRGB colour 0xRRGGBB; ticam: the class of TICaM's masks, where there are things."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     id: Annotated[int, Field(ge=0, le=255)]
     name: Annotated[str, Field(pattern=r"^\S+$")]
     rgb: Annotated[int, Field(ge=0, le=0xFFFFFF)]
+    ticam: Annotated[int | None, Field(ge=0, le=16, exclude_if=_is_none)] = None
 
 
 @dataclass(frozen=True)
@@ -226,6 +235,7 @@ def label_attributes(manifest: Manifest) -> dict[str, Any]:
         "flag_values": tuple(row.id for row in rows),
         "flag_meanings": " ".join(row.name for row in rows),
         "flag_rgb": tuple(row.rgb for row in rows),
+        **({} if any(row.ticam is None for row in rows) else {"flag_ticam": tuple(row.ticam for row in rows)}),
     }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import difflib
+import operator
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -24,10 +25,12 @@ from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
+from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
+from cabinpose.synth.things import Choice, check_child_seats
 
 Vector = tuple[float, float, float]
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
@@ -122,6 +125,29 @@ class ExactPose(Model):
         return angles
 
 
+class ExactThing(Model):
+    """Where a child seat or an object is, to the last bit, as `cabinpose config frame` writes it."""
+
+    kind: str
+    variant: int = Field(ge=0, description="Which design of its kind.")
+    slot: str = Field(description="The seat on which it is, or of whose occupant it is.")
+    at: Literal["seat", "lap", "hand"]
+    vehicle_from_thing: Matrix4
+
+    @property
+    def placed(self) -> PlacedThing:
+        """The thing where it is."""
+        return PlacedThing(make_thing(self.kind, self.variant), np.array(self.vehicle_from_thing), self.slot, self.at)
+
+    @model_validator(mode="after")
+    def _known(self) -> ExactThing:
+        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS)):
+            raise unknown_name("thing", self.kind, known)
+        if self.slot not in OCCUPANT_SLOTS:
+            raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)
+        return self
+
+
 class Occupant(Model):
     """Who sits in a seat, and does what; what is left out is drawn as for anybody."""
 
@@ -207,6 +233,25 @@ class CabinScene(Model):
         3.0, ge=0.0, le=20.0, description="How far they are turned about the seat's vertical, and tilted by 0.3 of it: likewise."
     )
     belted: Probability = Field(0.9, description="Share of occupants who wear the seat belt.")
+    child_seats: Mapping[str, Choice] = Field(
+        {},
+        exclude_if=operator.not_,
+        description="By seat: infant, toddler, booster, any, or how likely each is. Nobody sits where one stands.",
+    )
+    objects: Mapping[str, Choice] = Field(
+        {},
+        exclude_if=operator.not_,
+        description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any, or how likely each is, on the seat or on"
+        " the lap of whoever sits there.",
+    )
+    things: tuple[ExactThing, ...] = Field(
+        (), exclude_if=operator.not_, description="Child seats and objects to the last bit, in place of drawn ones."
+    )
+
+    @property
+    def brings_things(self) -> bool:
+        """Whether there may be child seats or objects."""
+        return bool(self.child_seats or self.objects or self.things)
 
     @model_validator(mode="before")
     @classmethod
@@ -236,6 +281,7 @@ class CabinScene(Model):
                 f"people take turns in the {self.factorial.seat} seat of a factorial dataset, where {somebody.subject} is to sit",
                 hint="leave out the occupant's subject, or give factorial.seat another seat",
             )
+        check_child_seats(self.child_seats, self.always_taken, self.objects)
         if not any(self.occupancy.values()) and not self.always_taken:
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
         for weights in self.motion.values():

@@ -8,7 +8,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
 from cabinpose.synth.cars import place_name
-from cabinpose.synth.config import CabinScene, ExactCameraPose, ExactPose, Matrix4, Occupant, SynthConfig
+from cabinpose.synth.config import CabinScene, ExactCameraPose, ExactPose, ExactThing, Matrix4, Occupant, SynthConfig
 from cabinpose.synth.sample import Scene, SceneSampler
 from cabinpose.synth.streams import frame_rng
 
@@ -52,12 +52,23 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         )
         belted = len(person.surfaces) > 1
         occupants[person.slot] = Occupant(subject=person.subject, action=person.action, belted=belted, pose=pose)
+    things = tuple(
+        ExactThing(
+            kind=thing.thing.kind, variant=thing.thing.variant, slot=thing.slot, at=thing.at,
+            vehicle_from_thing=_rows(thing.vehicle_from_thing),
+        )
+        for thing in scene.things
+    )  # fmt: skip
     named = config.scene.cars if isinstance(config.scene, CabinScene) else ()
     car = next((car for car in named if place_name(car) == scene.place), scene.place)
     camera = {scene.pov: ExactCameraPose(vehicle_from_camera=_rows(scene.world_from_camera))}
     return SynthConfig(
         scene=CabinScene(
-            cars=(car,), right_hand_drive=1.0 if scene.cabin.drive_side == "right" else 0.0, occupants=occupants, occupancy={}
+            cars=(car,),
+            right_hand_drive=1.0 if scene.cabin.drive_side == "right" else 0.0,
+            occupants=occupants,
+            occupancy={},
+            things=things,
         ),
         people=config.people,
         camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),

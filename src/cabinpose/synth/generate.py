@@ -16,11 +16,11 @@ from typing import Literal, get_args
 import cabinpose
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.optional import optional_module
-from cabinpose.scene.labels import LABELS
-from cabinpose.scene.materials import MATERIALS
+from cabinpose.scene.labels import LABELS, THINGS, ticam_class
+from cabinpose.scene.materials import MATERIALS, OF_THINGS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.plan import person_slots
+from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
 from cabinpose.synth.validate import Rejection, by_cause
@@ -131,6 +131,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     """What `dataset.yaml` says of a run."""
     camera = config.camera.sensor_model.camera
     standing = config.scene.kind == "room"
+    things = brings_things(config)
     images = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
     return Manifest(
         generator="cabinpose.synth",
@@ -143,9 +144,11 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         height=camera.height,
         persons=person_slots(config),
         licence=config.output.licence,
-        labels=[label._asdict() for label in LABELS],
-        materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS],
-        variables=(*images, "itop_joints_3d") if standing else images,
+        labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS]
+        if things
+        else [label._asdict() for label in LABELS if label not in THINGS],
+        materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
+        variables=(*images, "itop_joints_3d") if standing else (*images, "things") if things else images,
     )
 
 

@@ -42,6 +42,11 @@ def person_slots(config: SynthConfig) -> tuple[str, ...]:
     return (STANDING_SLOT,) if config.scene.kind == "room" else OCCUPANT_SLOTS
 
 
+def brings_things(config: SynthConfig) -> bool:
+    """Whether frames may show child seats and objects, so that the dataset says which."""
+    return isinstance(config.scene, CabinScene) and config.scene.brings_things
+
+
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
     """Shape and clothes of a person of this dataset; a function of the arguments alone, whatever was drawn before."""
     if subject in SUBJECTS:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from cabinpose.core.errors import SceneError
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.posture.goals import given as as_given
 from cabinpose.synth.posture.neighbours import beside_each_other, close_seats, half_breadth
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, settled
@@ -66,6 +67,7 @@ def pose_people(
     poses_per_person: int,
     causes: Counter[Rejection],
     given: Mapping[str, OccupantPose] = MappingProxyType({}),
+    things: tuple[PlacedThing, ...] = (),
 ) -> tuple[Posed | None, int]:
     """Pose everybody in a car, row by row.
 
@@ -83,6 +85,8 @@ def pose_people(
         Counts the rejections, in place.
     given
         Poses by slot that are judged but not solved.
+    things
+        Child seats and objects on the seats.
 
     Returns
     -------
@@ -98,7 +102,7 @@ def pose_people(
     """
     poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root)) for slot, pose in given.items()}
     stay = {slot: as_given(people[slot], cabin.seats[slot], pose.q, pose.vehicle_from_root) for slot, pose in given.items()}
-    seated, sitting, draws = validator.empty(settings), list[Sitter](), 0
+    seated, sitting, draws = validator.empty(settings, things=things), list[Sitter](), 0
     for row in rows_of(tuple(people), cabin):
         fixed, free = [slot for slot in row if slot in given], [slot for slot in row if slot not in given]
         around = [*sitting, *(stay[slot] for slot in fixed)]

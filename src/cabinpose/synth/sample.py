@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting, 
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.surface import Surface, merge
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car, place_name
 from cabinpose.synth.config import (
     CabinScene,
@@ -44,6 +45,7 @@ from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.standing import sample_standing
+from cabinpose.synth.things import Blocked, Brought, SeatThings, draw_child_seats, draw_objects
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict, most_common, sits_too_deep
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
@@ -84,7 +86,7 @@ class Scene:
 
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
     cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
-    proposals, rejections: how many poses were tried for it and why they failed.
+    proposals, rejections: how many poses were tried for it and why they failed · things: child seats and objects.
     """
 
     backdrop: Surface
@@ -97,6 +99,7 @@ class Scene:
     wheel_angle: float = 0.0
     proposals: int = 0
     rejections: Mapping[Rejection, int] = field(default_factory=dict)
+    things: tuple[PlacedThing, ...] = ()
 
     @property
     def closed(self) -> bool:
@@ -105,7 +108,13 @@ class Scene:
 
     def surface(self) -> Surface:
         """Everything that can be seen, in the scene's frame."""
-        return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces)])
+        things = [thing.surface(self._instance(thing)) for thing in self.things]
+        return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces), *things])
+
+    @staticmethod
+    def _instance(thing: PlacedThing) -> int:
+        """Of whoever holds a thing or has it on the lap; 0 for what is on a seat."""
+        return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
 
 
 class ImpossibleSceneError(SceneError):
@@ -145,6 +154,7 @@ class _Cast(NamedTuple):
     people: Mapping[str, Person]
     settings: Mapping[str, SeatSetting]
     given: Mapping[str, OccupantPose]
+    brought: Brought
 
     def person(self, slot: str, pose: OccupantPose, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
@@ -167,6 +177,7 @@ class SceneSampler:
         self._person = cached_once(32)(self._make_person)
         self._cabin = cached_once(20)(self._make_cabin)
         self._room = cached_once(64)(self._make_room)
+        self._seat_things = cached_once(20)(SeatThings)
         if like is not None and like._seed == seed:
             self._cabin, self._room = like._cabin, like._room
             if like._config.people == config.people:
@@ -207,18 +218,24 @@ class SceneSampler:
     ) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
         cast = self._cast(scene, index, rng)
-        cabin, settings = cast.cabin, cast.settings
+        cabin, settings = cast.cabin, dict(cast.settings)
         tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
 
         def draw(slot: str) -> Drawn:
             return self._draw(scene, index, cast.people, cabin, slot, settings[slot], rng)
 
+        things = self._things(scene, cast, settings, rng)
+        if isinstance(things, Blocked):
+            causes[Rejection("thing", things.slot, things.kind, things.by.part)] += 1
+            return None, 1
         limit = self._config.limits.poses_per_person
         posed, draws = pose_people(
-            cast.people, cabin, cast.validator, settings, draw, poses_per_person=limit, causes=causes, given=cast.given
-        )
+            cast.people, cabin, cast.validator, settings, draw, poses_per_person=limit, causes=causes, given=cast.given,
+            things=things,
+        )  # fmt: skip
         if posed is None:
             return None, draws
+        cast = cast._replace(settings=settings)
         people_in = [cast.person(slot, pose, body) for slot, (pose, body) in posed.poses.items()]
         seated = posed.seated
         for _ in range(_CAMERA_DRAWS):
@@ -228,7 +245,8 @@ class SceneSampler:
         else:
             causes[Rejection("camera")] += len(people_in)
             return None, draws
-        return self._assembled(scene, cast, people_in, seated.wheel_angle, pov, camera, rng), draws
+        shown = self._assembled(scene, cast, people_in, seated.wheel_angle, pov, camera, rng)
+        return replace(shown, things=seated.things), draws
 
     def as_given(self, index: int, *, rng: np.random.Generator) -> tuple[Scene, tuple[Verdict, ...]]:
         """The people who have whole poses in frame `index`, and why it does not hold, the first reason for each of them.
@@ -240,7 +258,11 @@ class SceneSampler:
             raise ConfigError("only scenes in cars have given poses", hint="give a scene of people in a car")
         cast = self._cast(scene, index, rng)
         wheel = next((pose.wheel_angle for pose in cast.given.values() if pose.wheel_angle is not None), 0.0)
-        seated, verdicts, people_in = cast.validator.empty(cast.settings, wheel), [], []
+        things, verdicts, people_in = self._things(scene, cast, dict(cast.settings), rng), list[Verdict](), []
+        if isinstance(things, Blocked):
+            verdicts.append(Verdict(Rejection("thing", things.slot, things.kind, things.by.part)))
+            things = ()
+        seated = cast.validator.empty(cast.settings, wheel, things)
         for slot, pose in cast.given.items():
             body = cast.people[slot].pose(pose.q, pose.vehicle_from_root)
             people_in.append(cast.person(slot, pose, body))
@@ -249,14 +271,15 @@ class SceneSampler:
         pov, camera = self._cabin_camera(cast.cabin, index, rng)
         if _blocked(camera[:3, 3], people_in, seated):
             verdicts.append(Verdict(Rejection("camera"), where=camera[:3, 3]))
-        shown = self._assembled(scene, cast, people_in, wheel, pov, camera, rng)
+        shown = replace(self._assembled(scene, cast, people_in, wheel, pov, camera, rng), things=seated.things)
         return shown, tuple(verdict for verdict in verdicts if not verdict.ok)
 
     def _cast(self, scene: CabinScene, index: int, rng: np.random.Generator) -> _Cast:
         """Which car frame `index` shows, who sits where in it, and how the seats are set."""
         car, drive_side = self._plan.car(index, rng=rng)
         cabin, validator = self._cabin(self._changed.get(car, car), drive_side)
-        names = self._who(scene, cabin, index, rng)
+        child_seats = draw_child_seats(scene.child_seats, cabin, rng) if scene.child_seats and not scene.things else {}
+        names = self._who(scene, cabin, index, child_seats, rng)
         people = {slot: self._person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
         settings = {
@@ -268,7 +291,19 @@ class SceneSampler:
             for slot, seat in cabin.seats.items()
         }
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
-        return _Cast(car, cabin, validator, names, people, settings, given)
+        objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng) if not scene.things else {}
+        return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, objects))
+
+    def _things(
+        self, scene: CabinScene, cast: _Cast, settings: dict[str, SeatSetting], rng: np.random.Generator
+    ) -> tuple[PlacedThing, ...] | Blocked:
+        """What stands on the seats; may move empty ones, in place of their settings."""
+        if scene.things:
+            return tuple(thing.placed for thing in scene.things)
+        if not any(cast.brought) or cast.validator.contact is None:
+            return ()
+        found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng)
+        return found if isinstance(found, Blocked) else tuple(found)
 
     def _assembled(
         self,
@@ -285,9 +320,11 @@ class SceneSampler:
         backdrop = cast.cabin.surface(cast.settings, wheel_angle=wheel_angle)
         return Scene(backdrop, dressed, camera, place_name(cast.car), pov, cast.cabin, cast.settings, wheel_angle)
 
-    def _who(self, scene: CabinScene, cabin: Cabin, index: int, rng: np.random.Generator) -> dict[str, str]:
-        """The people of frame `index` by the seats they take: those that are named, others drawn."""
-        taken = _occupied(scene, cabin, rng)
+    def _who(
+        self, scene: CabinScene, cabin: Cabin, index: int, without: Collection[str], rng: np.random.Generator
+    ) -> dict[str, str]:
+        """The people of frame `index` by the seats they take, none of those `without`: those that are named, others drawn."""
+        taken = _occupied(scene, cabin, without, rng)
         named = {slot: o.subject for slot, o in scene.occupants.items() if o.subject is not None}
         cell = self._plan.cell(index)
         if cell is not None and scene.factorial is not None:
@@ -409,9 +446,12 @@ def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:
     return names[int(rng.choice(len(names), p=p / p.sum()))]
 
 
-def _occupied(scene: CabinScene, cabin: Cabin, rng: np.random.Generator) -> list[str]:
-    """The seats taken, in the standard's order: each by its own probability, at least one."""
-    chances = {slot: 1.0 if slot in scene.always_taken else scene.occupancy.get(slot, 0.0) for slot in cabin.seats}
+def _occupied(scene: CabinScene, cabin: Cabin, without: Collection[str], rng: np.random.Generator) -> list[str]:
+    """The seats taken, in the standard's order: each by its own probability, at least one; none of those `without`."""
+    chances = {
+        slot: 1.0 if slot in scene.always_taken else 0.0 if slot in without else scene.occupancy.get(slot, 0.0)
+        for slot in cabin.seats
+    }
     draws = rng.random(len(OCCUPANT_SLOTS))
     taken = [slot for i, slot in enumerate(OCCUPANT_SLOTS) if draws[i] < chances.get(slot, 0.0)]
     return taken or [_weighted(chances, rng)]

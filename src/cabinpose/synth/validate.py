@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from cabinpose.scene.contact import (
     self_contact,
     solid_topology,
 )
+from cabinpose.scene.things import PlacedThing
 
 AXIS_STEP_M = 0.02
 # Limb, its bone from and to a joint, and the first part of it left out: shoulders lean into the backrest.
@@ -45,7 +46,7 @@ _AXES = tuple(
 )
 _AXIS_ENDS = np.array([(INDEX[start], INDEX[end]) for _, start, end, _ in _AXES])
 _AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
-Cause = Literal["self", "person", "car", "reach", "camera"]
+Cause = Literal["self", "person", "car", "reach", "camera", "thing"]
 
 
 Occupant = tuple[str, Person, PosedBody]
@@ -63,8 +64,9 @@ class Rejection(NamedTuple):
     """Why a pose was refused, as codes; `str` gives it in words.
 
     cause: a body with itself, with another person or with the car; a hand or foot that misses its place ("reach"); somebody
-    before the lens ("camera") · slot: the occupant, other: the one who was met · what: the solid or task, into: the solid or part
-    that was in its way, "" where none was · bone: whether it is the limb's bone, to which foam does not give way.
+    before the lens ("camera"); a thing for which there is no place ("thing") · slot: the occupant, other: the one who was met ·
+    what: the solid, task or thing, into: the solid or part in its way, "" where none was · bone: whether it is the limb's bone, to
+    which foam does not give way.
     """
 
     cause: Cause
@@ -130,13 +132,14 @@ class Verdict(NamedTuple):
 class Seated:
     """People who hold together in a cabin so set: what `Validator.admit` need not test again. Made by `Validator.empty`.
 
-    placed: the cabin's fields there, None where only bodies are judged.
+    placed: the cabin's fields there with those of the things in it, None where only bodies are judged.
     """
 
     settings: Mapping[str, Any]
     wheel_angle: float
     placed: PlacedField | None
     bodies: tuple[_Body, ...] = ()
+    things: tuple[PlacedThing, ...] = ()
 
 
 # People share the faces of their model: one cut serves them all, in every cabin. Known by the array itself, which is kept.
@@ -158,9 +161,12 @@ class Validator:
             verdict = _in_car(self.contact.at(settings, wheel_angle), bodies)
         return verdict or Verdict()
 
-    def empty(self, settings: Mapping[str, Any], wheel_angle: float = 0.0) -> Seated:
-        """The cabin so set (wheel angle in rad) with nobody in it yet."""
-        return Seated(settings, wheel_angle, None if self.contact is None else self.contact.at(settings, wheel_angle))
+    def empty(self, settings: Mapping[str, Any], wheel_angle: float = 0.0, things: tuple[PlacedThing, ...] = ()) -> Seated:
+        """The cabin so set (wheel angle in rad) with things on its seats and nobody in it yet."""
+        if self.contact is None:
+            return Seated(settings, wheel_angle, None)
+        placed = self.contact.at(settings, wheel_angle).with_groups([thing.group() for thing in things])
+        return Seated(settings, wheel_angle, placed, things=things)
 
     def turned(self, seated: Seated, wheel_angle: float) -> Seated:
         """The empty cabin with the wheel at another angle (rad); ValueError where somebody sits already, whom it could touch."""
@@ -168,7 +174,7 @@ class Validator:
             return seated
         if seated.bodies:
             raise ValueError("the wheel is turned before people sit down")
-        return self.empty(seated.settings, wheel_angle)
+        return self.empty(seated.settings, wheel_angle, seated.things)
 
     def admit(self, seated: Seated, occupant: Occupant) -> tuple[Verdict, Seated]:
         """Whether one more person fits.
@@ -195,7 +201,7 @@ class Validator:
             verdict = _in_car(seated.placed, bodies[-1:])
         if verdict is not None:
             return verdict, seated
-        return Verdict(), Seated(seated.settings, seated.wheel_angle, seated.placed, bodies)
+        return Verdict(), replace(seated, bodies=bodies)
 
     def _body(self, occupant: Occupant) -> _Body:
         slot, person, posed = occupant

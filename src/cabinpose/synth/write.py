@@ -24,7 +24,7 @@ from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.plan import person_slots
+from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
 from cabinpose.synth.streams import frame_rng, noise_rng
@@ -98,7 +98,12 @@ class FrameMaker:
             "action": self._per_slot(scene, "action"),
             "car": scene.place,
             "pov": scene.pov,
+            **({"things": self._things(scene)} if brings_things(self._config) else {}),
         }
+
+    def _things(self, scene: Scene) -> list[str]:
+        """What is in each place, kinds divided by commas."""
+        return [",".join(sorted(thing.thing.kind for thing in scene.things if thing.slot == slot)) for slot in self._slots]
 
     def _per_slot(self, scene: Scene, attribute: str) -> list[str]:
         names = {person.slot: getattr(person, attribute) for person in scene.people}

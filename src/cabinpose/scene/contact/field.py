@@ -337,6 +337,20 @@ class PlacedField:
     low: Floats
     high: Floats
 
+    def with_groups(self, added: Sequence[tuple[GroupField, Matrix]]) -> PlacedField:
+        """The same with more groups, each with its `vehicle_from_group`: what was brought into the car."""
+        if not added:
+            return self
+        low, high, groups = [], [], []
+        for field, vehicle_from_group in added:
+            half = (np.array(field.values.shape) - 1) * field.step / 2.0
+            centre = apply(vehicle_from_group, (field.origin + half)[None])[0]
+            reach = np.abs(vehicle_from_group[:3, :3]) @ half
+            low.append(centre - reach)
+            high.append(centre + reach)
+            groups.append((field, vehicle_from_group, invert(vehicle_from_group)))
+        return PlacedField((*self.groups, *groups), np.vstack((self.low, *low)), np.vstack((self.high, *high)))
+
     def clearance(self, points: NDArray[np.floating]) -> Floats:
         """(N,) m that points (N, 3) m of the vehicle frame may still move before a part gives way no more.
 

@@ -1,0 +1,125 @@
+"""Child seats: a rearward-facing infant carrier, a forward-facing toddler seat, a booster with a back.
+
+Each stands in a frame with x forwards along the car's cushion, z off the cushion, and the origin below where it meets the
+backrest, which leans back by about ten degrees there. Outer measures stay within the fixtures that UN R16 (Annex 17, Appendix 2)
+and UN R129 hold car seats against: 440 mm wide, a forward-facing seat up to 720 mm high (ISO/F3), an infant carrier as ISO/R1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from cabinpose.core.arrays import Floats
+from cabinpose.scene.cabin.shapes import Solid, join, prism, rounded_box, slab, sweep, tube
+from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
+
+PADDING_M = 0.020  # of a child seat gives way, on which a hand or a neighbour's arm may lie
+_LINER, _SHELL = (0.0, 0.022), (0.020, 0.040)  # padding over the shell that carries it
+
+
+def _scaled(pieces: tuple[Piece, ...], scale: float) -> tuple[Piece, ...]:
+    return tuple(piece._replace(solid=Solid(piece.solid.vertices * scale, piece.solid.faces)) for piece in pieces)
+
+
+def _ribbon(path: list[tuple[float, float, float]], width: float) -> Solid:
+    """A strap along points (x, y, z) m, flat to the x-z plane's normal."""
+    half = np.array(((0.002, -width / 2), (0.002, width / 2), (-0.002, width / 2), (-0.002, -width / 2)))
+    return sweep(np.array(path), half[None], up=(1.0, 0.0, 0.4))
+
+
+def _hood(pivot: tuple[float, float], half_width: float, reach: float, low: float, high: float) -> Solid:
+    """A sunshade: bows of cloth that turn about a pivot (x, z) m, from angle `low` to `high` (rad above the car's forward)."""
+
+    def bows(shrink: float) -> Floats:
+        turn = np.linspace(low, high, 7)[:, None]
+        along = np.linspace(0.10, np.pi - 0.10, 13)[None]
+        out = (reach - shrink) * np.sin(along) ** 0.8
+        across = (half_width - shrink) * np.cos(along)
+        x, z = pivot[0] + np.cos(turn) * out, pivot[1] + np.sin(turn) * out
+        return np.stack((x, np.broadcast_to(across, x.shape), z), axis=-1)
+
+    return slab(bows(0.0), bows(0.006)).outward()
+
+
+def _infant(variant: int) -> tuple[Piece, ...]:
+    """A carrier of 0.62 to 0.67 m, with its handle up on every other design, and a sunshade that is open or half closed."""
+    tub = [(0.045, 0.330), (0.085, 0.215), (0.185, 0.135), (0.300, 0.135), (0.420, 0.195), (0.530, 0.275), (0.610, 0.380)]
+    half = (0.120, 0.140, 0.165, 0.175, 0.172, 0.165, 0.140)
+    wall = (0.020, 0.070, 0.130, 0.150, 0.160, 0.150, 0.060)
+    handle_up = variant % 2 == 0
+    turn = np.radians(78.0 if handle_up else 162.0)  # of the handle, above the car's forward: up, or put back over the feet
+    pivot, reach, wide = np.array((0.330, 0.285)), 0.275 if handle_up else 0.300, 0.205
+    bend = np.linspace(0.0, np.pi, 13)
+    out = reach * np.clip(1.35 * np.sin(bend), 0.0, 1.0)
+    across = wide * np.cos(bend)
+    handle = np.column_stack((pivot[0] + np.cos(turn) * out, across, pivot[1] + np.sin(turn) * out))
+    base = [(0.060, 0.0), (0.520, 0.0), (0.545, 0.060), (0.470, 0.130), (0.200, 0.105), (0.080, 0.120)]
+    closed = np.radians(of_design(70.0, 112.0, variant, 3))
+    pieces = (
+        Piece("shell", shell(tub, half, wall, _SHELL), "hard_plastic"),
+        Piece("padding", shell(tub, half, wall, _LINER), "seat_fabric", PADDING_M),
+        Piece("handle", tube(handle, 0.013, 8), "hard_plastic"),
+        Piece("sunshade", _hood((0.415, 0.315), 0.196, 0.285, np.radians(22.0), closed), "synthetic_fabric", PADDING_M),
+        Piece("base", prism(base, -0.165, 0.165), "hard_plastic"),
+    )
+    return _scaled(pieces, of_design(0.91, 1.0, variant, 1))
+
+
+def _toddler(variant: int) -> tuple[Piece, ...]:
+    """A seat of the sizes ISO/F2X to ISO/F3, with a harness of five points."""
+    seat = [(-0.020, 0.655), (0.012, 0.520), (0.045, 0.380), (0.080, 0.260), (0.130, 0.185), (0.230, 0.165), (0.340, 0.185),
+            (0.400, 0.205)]  # fmt: skip
+    half = (0.125, 0.150, 0.155, 0.150, 0.150, 0.160, 0.160, 0.140)
+    wall = (0.140, 0.165, 0.130, 0.080, 0.075, 0.100, 0.090, 0.030)
+    carrier = [(0.010, 0.0), (0.400, 0.0), (0.430, 0.040), (0.400, 0.160), (0.230, 0.130), (0.110, 0.150), (0.030, 0.300),
+               (-0.020, 0.500), (-0.060, 0.500), (-0.030, 0.200)]  # fmt: skip
+    straps = [
+        _ribbon([(0.036, s * 0.050, 0.475), (0.068, s * 0.052, 0.360), (0.108, s * 0.048, 0.265), (0.170, s * 0.030, 0.215),
+                 (0.215, s * 0.012, 0.200)], 0.036)
+        for s in (-1.0, 1.0)
+    ]  # fmt: skip
+    buckle = rounded_box((0.055, 0.050, 0.022), 0.008, (1, 1, 1), corner=1).shifted(0.235, 0.0, 0.196)
+    headrest = rounded_box((0.030, 0.200, 0.150), 0.014, (1, 2, 2), corner=1).turned("y", -0.22).shifted(0.018, 0.0, 0.560)
+    pieces = (
+        Piece("shell", shell(seat, half, wall, _SHELL), "hard_plastic"),
+        Piece("padding", shell(seat, half, wall, _LINER), "seat_fabric", PADDING_M),
+        Piece("headrest", headrest, "synthetic_fabric", PADDING_M),
+        Piece("harness", join(straps), "belt_webbing", PADDING_M),
+        Piece("buckle", buckle, "hard_plastic"),
+        Piece("base", prism(carrier, -0.150, 0.150), "hard_plastic"),
+    )
+    return _scaled(pieces, of_design(0.92, 1.04, variant, 1))
+
+
+def _booster(variant: int) -> tuple[Piece, ...]:
+    """A cushion of 0.10 to 0.14 m with a back whose wings stand beside shoulders and head."""
+    high = of_design(0.100, 0.140, variant, 2)
+    lift = high - 0.12
+    back = [(-0.048, 0.640), (-0.026, 0.560), (0.000, 0.450), (0.028, 0.330), (0.055, 0.200), (0.070, 0.120 + lift)]
+    half = (0.120, 0.140, 0.170, 0.160, 0.160, 0.160)
+    wall = (0.120, 0.150, 0.130, 0.070, 0.050, 0.030)
+    cushion = rounded_box((0.400, 0.380, high), (0.050, 0.045, 0.035), (4, 4, 1), corner=2).shifted(0.235, 0.0, high / 2.0)
+    rests = [
+        rounded_box((0.250, 0.045, 0.070), 0.022, (3, 1, 1), corner=1).shifted(0.215, s * 0.190, high + 0.028)
+        for s in (-1.0, 1.0)
+    ]
+    pieces = (
+        Piece("cushion", cushion, "seat_fabric", PADDING_M),
+        Piece("armrests", join(rests), "hard_plastic"),
+        Piece("back", shell(back, half, wall, _SHELL), "hard_plastic"),
+        Piece("padding", shell(back, half, wall, _LINER), "seat_fabric", PADDING_M),
+    )
+    return _scaled(pieces, of_design(0.93, 1.0, variant, 1))
+
+
+# Classes by the words of SVIRO: an infant seat looks back, a child seat forward.
+CHILD_SEATS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "infant": Kind("infant_seat", _infant),
+        "toddler": Kind("child_seat", _toddler),
+        "booster": Kind("child_seat", _booster),
+    }
+)

@@ -1,0 +1,97 @@
+"""A thing: closed parts in a frame of its own, and the distance field by which people and cars feel it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from cabinpose.core.arrays import Floats, Floats32
+from cabinpose.core.errors import unknown_name
+from cabinpose.core.frames import Matrix
+from cabinpose.scene.cabin.model import Part
+from cabinpose.scene.cabin.shading import to_surface
+from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, group_field
+from cabinpose.scene.contact.triangles import sampled_surface
+from cabinpose.scene.surface import Surface, merge
+from cabinpose.scene.things.child_seats import CHILD_SEATS
+from cabinpose.scene.things.objects import OBJECTS
+from cabinpose.scene.things.pieces import Piece
+
+VARIANTS = 4  # designs of each kind, of different sizes
+_POINTS_A_SIDE = 20  # by which a thing feels what is around it, along its longest side
+_SMALL_M = 0.12  # a thing thinner than this has a finer field
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """One design of a kind of thing, in its own frame: x forward as it stands on a seat, z up, origin on its underside.
+
+    kind: of `CHILD_SEATS` or `OBJECTS` · variant: the design, 0 to `VARIANTS` - 1 · pieces: closed solids with their materials.
+    """
+
+    kind: str
+    variant: int
+    label: str
+    pieces: tuple[Piece, ...]
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """The pieces as parts that are felt and seen, in the thing's frame."""
+        return tuple(
+            Part(f"{self.kind} {piece.name}", to_surface(piece.solid, self.label, piece.material), self.kind, piece.give_m)
+            for piece in self.pieces
+        )
+
+    @cached_property
+    def surface(self) -> Surface:
+        """What is seen of it, instance 0."""
+        return merge([part.surface for part in self.parts])
+
+    @cached_property
+    def field(self) -> GroupField:
+        """The clearance to its parts."""
+        extent = np.ptp(self.surface.vertices, axis=0).min()
+        return group_field(self.kind, self.parts, step=FINE_STEP_M if extent < _SMALL_M else STEP_M)
+
+    @cached_property
+    def points(self) -> Floats:
+        """(N, 3) m over its surface, no farther apart than a twentieth of its longest side."""
+        apart = float(np.ptp(self.box, axis=0).max()) / _POINTS_A_SIDE
+        return np.concatenate([sampled_surface(part.mesh.corners, apart) for part in self.field.parts])
+
+    @property
+    def box(self) -> Floats32:
+        """(2, 3) m, opposite corners around it."""
+        return np.stack((self.surface.vertices.min(axis=0), self.surface.vertices.max(axis=0)))
+
+
+@cache
+def make_thing(kind: str, variant: int) -> Thing:
+    """The design of this number of a kind of thing; the same object on every call. Raises ConfigError for an unknown kind."""
+    known = {**CHILD_SEATS, **OBJECTS}
+    if kind not in known:
+        raise unknown_name("thing", kind, tuple(known))
+    label, pieces = known[kind].label, known[kind].make(variant % VARIANTS)
+    return Thing(kind, variant % VARIANTS, label, pieces)
+
+
+class PlacedThing(NamedTuple):
+    """A thing somewhere in a car: on the seat `slot`, on the lap of whoever sits there, or in a hand of theirs."""
+
+    thing: Thing
+    vehicle_from_thing: Matrix
+    slot: str
+    at: Literal["seat", "lap", "hand"]
+
+    def group(self) -> tuple[GroupField, Matrix]:
+        """The field with its name here, and where it is. What somebody sits on counts as part of the seat."""
+        name = f"seat:{self.slot}/{self.thing.kind}" if self.thing.kind in CHILD_SEATS else f"{self.slot} {self.thing.kind}"
+        return replace(self.thing.field, name=name), self.vehicle_from_thing
+
+    def surface(self, instance: int) -> Surface:
+        """What is seen of it, vehicle frame; instance: whose it is."""
+        seen = self.thing.surface.moved(self.vehicle_from_thing)
+        return replace(seen, instance=np.full(len(seen.faces), instance, np.uint8))

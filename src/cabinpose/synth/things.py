@@ -1,0 +1,231 @@
+"""What is brought into a car: which child seats and objects a frame has, and where they come to stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.frames import Matrix, axis_rotation, invert
+from cabinpose.core.once import cached_once
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.contact import ContactField
+from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
+from cabinpose.scene.things.objects import LAP_OBJECTS
+from cabinpose.scene.things.placing import PRESSED_M, RESTING_M, Obstacle, in_the_way, stand_on_seat
+from cabinpose.scene.things.thing import VARIANTS
+from cabinpose.synth.people import Probability
+
+Choice = str | Mapping[str, Probability]  # a kind, "any", or how likely each is
+_PLACES = 6  # tried for an object before the scene is drawn anew
+_LYING = ("bottle", "cup")  # on a seat
+_LEANING = ("bag", "backpack")  # on the backrest
+_CUSHION_M = 0.40  # of a cushion's length is used, from the backrest
+_FORWARDS_M = (0.05, 0.10, 0.15, 0.20)  # an empty front seat is moved for what stands behind it
+
+
+def weights_of(choice: Choice, among: Sequence[str]) -> Mapping[str, float]:
+    """How likely each kind is; what is left to 1 is nothing."""
+    if isinstance(choice, str):
+        return dict.fromkeys(among, 1.0 / len(among)) if choice == "any" else {choice: 1.0}
+    return choice
+
+
+def check_choice(where: str, choice: Choice, known: Sequence[str]) -> None:
+    """Raises ConfigError for kinds that there are not, and for probabilities that are more than one together."""
+    weights = weights_of(choice, known)
+    for kind in weights:
+        if kind not in known:
+            raise unknown_name("child seat" if tuple(known) == tuple(CHILD_SEATS) else "object", kind, ["any", *known])
+    if sum(weights.values()) > 1.0 + 1e-9:
+        raise ConfigError(
+            f"{where}: the probabilities are {sum(weights.values()):g} together",
+            hint="give no more than 1 in all; what is left to 1 is nothing",
+        )
+
+
+def check_child_seats(child_seats: Mapping[str, Choice], occupied: Sequence[str], objects: Mapping[str, Choice]) -> None:
+    """Raises ConfigError for child seats and objects where none can be. occupied: seats in which somebody sits in every frame."""
+    for slot in (*child_seats, *objects):
+        if slot not in OCCUPANT_SLOTS:
+            raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
+    for slot, choice in child_seats.items():
+        check_choice(f"child_seats.{slot}", choice, tuple(CHILD_SEATS))
+        if slot == "driver":
+            raise ConfigError("no child seat stands in the driver's seat", hint="give it to another seat")
+        if slot in occupied:
+            raise ConfigError(
+                f"the {slot} seat has an occupant and a child seat", hint="leave out one of the two; child seats are empty"
+            )
+    for slot, choice in objects.items():
+        check_choice(f"objects.{slot}", choice, tuple(OBJECTS))
+
+
+class Brought(NamedTuple):
+    """What a frame is to have: kinds of child seats and of objects by seat."""
+
+    child_seats: Mapping[str, str]
+    objects: Mapping[str, str]
+
+
+NOTHING = Brought({}, {})
+
+
+def _drawn(weights: Mapping[str, float], rng: np.random.Generator) -> str | None:
+    left = rng.random()
+    for kind, weight in weights.items():
+        left -= weight
+        if left < 0.0:
+            return kind
+    return None
+
+
+def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, rng: np.random.Generator) -> dict[str, str]:
+    """The kinds of child seats of one frame, by seat."""
+    drawn = {
+        slot: _drawn(weights_of(child_seats[slot], tuple(CHILD_SEATS)), rng) for slot in OCCUPANT_SLOTS if slot in child_seats
+    }
+    return {slot: kind for slot, kind in drawn.items() if kind is not None and slot in cabin.seats}
+
+
+def draw_objects(
+    objects: Mapping[str, Choice], cabin: Cabin, taken: Sequence[str], child_seats: Mapping[str, str], rng: np.random.Generator
+) -> dict[str, str]:
+    """The kinds of objects of one frame, by seat: on laps where somebody sits, none where a child seat stands."""
+    result = {}
+    for slot in OCCUPANT_SLOTS:
+        if slot not in objects:
+            continue
+        kind = _drawn(weights_of(objects[slot], LAP_OBJECTS if slot in taken else tuple(OBJECTS)), rng)
+        if kind is not None and slot in cabin.seats and slot not in child_seats:
+            result[slot] = kind
+    return result
+
+
+class Blocked(NamedTuple):
+    """A thing for which there is no place: where, which kind, and what it stands in."""
+
+    slot: str
+    kind: str
+    by: Obstacle
+
+
+class SeatThings:
+    """Puts things onto the seats of one cabin; where child seats come to stand is worked out once."""
+
+    def __init__(self, cabin: Cabin, contact: ContactField) -> None:
+        """contact: the fields of this cabin."""
+        self._cabin, self._contact = cabin, contact
+        self._settled = cached_once(256)(self._settle)
+
+    def _settle(self, slot: str, kind: str, variant: int, torso_angle: float) -> Matrix:
+        """seat_from_thing of a child seat that leans on its backrest, wherever the seat is moved to."""
+        seat, setting = self._cabin.seats[slot], SeatSetting(torso_angle=torso_angle)
+        placed = self._contact.at({slot: setting})
+        at = stand_on_seat(make_thing(kind, variant), seat, setting, placed, np.eye(3), 0.0, 0.0, PRESSED_M)
+        return invert(seat.vehicle_from_seat(setting)) @ at
+
+    def place(
+        self,
+        brought: Brought,
+        taken: Sequence[str],
+        settings: dict[str, SeatSetting],
+        rng: np.random.Generator,
+    ) -> list[PlacedThing] | Blocked:
+        """Put everything onto seats that nobody has taken.
+
+        Parameters
+        ----------
+        brought
+            The kinds.
+        taken
+            Seats of people, whose objects are left out.
+        settings
+            Of the seats; an empty front seat that is in the way of what stands behind it is moved forwards, in place.
+        rng
+            Source of the designs and places.
+        """
+        result: list[PlacedThing] = []
+        for slot, kind in brought.child_seats.items():
+            found = self._child_seat(slot, kind, taken, settings, result, rng)
+            if isinstance(found, Blocked):
+                return found
+            result.append(found)
+        for slot, kind in brought.objects.items():
+            if slot in taken:
+                continue
+            put = self._object(slot, kind, settings, result, rng)
+            if isinstance(put, Blocked):
+                return put
+            result.append(put)
+        return result
+
+    def _child_seat(
+        self,
+        slot: str,
+        kind: str,
+        taken: Sequence[str],
+        settings: dict[str, SeatSetting],
+        others: Sequence[PlacedThing],
+        rng: np.random.Generator,
+    ) -> PlacedThing | Blocked:
+        blocked = Blocked(slot, kind, Obstacle("", 0.0))
+        seat, around = self._cabin.seats[slot], [other.group() for other in others]
+        for variant in rng.permutation(VARIANTS).tolist():
+            at = seat.vehicle_from_seat(settings[slot]) @ self._settled(slot, kind, variant, settings[slot].torso_angle)
+            thing = PlacedThing(make_thing(kind, variant), at, slot, "seat")
+            for change in self._front_seats(slot, taken, settings):
+                obstacle = in_the_way(thing, self._contact.at({**settings, **change}).with_groups(around), PRESSED_M)
+                if obstacle is None:
+                    settings.update(change)
+                    return thing
+                blocked = Blocked(slot, kind, obstacle)
+                if not any(obstacle.part.startswith(front) for front in ("driver ", "front_passenger ")):
+                    break
+        return blocked
+
+    def _front_seats(
+        self, slot: str, taken: Sequence[str], settings: Mapping[str, SeatSetting]
+    ) -> Iterator[Mapping[str, SeatSetting]]:
+        """Nothing, and then the empty front seats ever farther forwards."""
+        yield {}
+        empty = [s for s in ("driver", "front_passenger") if s in self._cabin.seats and s not in taken and s != slot]
+        for forwards in _FORWARDS_M if slot.startswith("rear") and empty else ():
+            moved = {s: min(settings[s].fore_aft_m + forwards, self._cabin.seats[s].ranges[1].fore_aft_m) for s in empty}
+            yield {s: SeatSetting(x, settings[s].height_m, settings[s].torso_angle) for s, x in moved.items()}
+
+    def _object(
+        self,
+        slot: str,
+        kind: str,
+        settings: Mapping[str, SeatSetting],
+        others: Sequence[PlacedThing],
+        rng: np.random.Generator,
+    ) -> PlacedThing | Blocked:
+        placed = self._contact.at(settings)
+        around = placed.with_groups([t.group() for t in others])
+        obstacle = Obstacle("", 0.0)
+        for _ in range(_PLACES):
+            thing = make_thing(kind, int(rng.integers(VARIANTS)))
+            ahead, aside, yaw = _somewhere(kind, float(np.ptp(thing.box, axis=0)[:2].max()), rng)
+            turn = axis_rotation("z", yaw) @ (axis_rotation("x", math.pi / 2.0) if kind in _LYING else np.eye(3))
+            at = stand_on_seat(thing, self._cabin.seats[slot], settings[slot], placed, turn, ahead, aside, RESTING_M)
+            put = PlacedThing(thing, at, slot, "seat")
+            found = in_the_way(put, around, RESTING_M)
+            if found is None:
+                return put
+            obstacle = found
+        return Blocked(slot, kind, obstacle)
+
+
+def _somewhere(kind: str, length_m: float, rng: np.random.Generator) -> tuple[float, float, float]:
+    """How far ahead of the backrest (0: leaning on it), how far aside (m), and how turned (rad) an object is put down."""
+    chance, aside, turn = rng.random(), rng.uniform(-0.06, 0.06), rng.normal()
+    leans = kind in _LEANING or chance < 0.4
+    ahead = 0.0 if leans else max(_CUSHION_M - length_m, 0.02) * rng.uniform(0.3, 1.0)
+    spread = math.radians(12.0 if kind in _LEANING else 25.0)
+    return ahead, aside, spread * turn + (0.0 if kind in _LEANING else math.pi / 2.0 * int(rng.integers(4)))
