@@ -18,10 +18,11 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.contact.field import ContactScene
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, FLESH_M, PAIRS, SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidTopology
+from cabinpose.scene.things import PlacedThing
 
 
 class Penetration(NamedTuple):
-    """One overlap: cause "self", "person" or "car", who and what, depth (m), the depth allowed (m), where (3,) m."""
+    """One overlap: cause "self", "person", "car" or "thing", who and what, depth (m), the depth allowed (m), where (3,) m."""
 
     cause: str
     detail: str
@@ -105,6 +106,7 @@ def exact_penetrations(
     topology: SolidTopology,
     settings: Mapping[str, Any],
     wheel_angle: float = 0.0,
+    things: Sequence[PlacedThing] = (),
 ) -> list[Penetration]:
     """Every overlap of a scene of occupants (slot, person, posed body), deepest point of each; takes seconds.
 
@@ -121,6 +123,12 @@ def exact_penetrations(
         for other_slot, other_skin, other in skins[:i]:
             found += _worst("person", f"{slot} in {other_slot}", other, skin, BOTH_YIELD_M)
             found += _worst("person", f"{other_slot} in {slot}", mesh, other_skin, BOTH_YIELD_M)
+    for thing in things:
+        for part in thing.thing.parts:
+            mesh = _closed(apply(thing.vehicle_from_thing, part.surface.vertices), part.surface.faces)
+            for slot, skin, body_mesh in skins:
+                found += _worst("thing", f"{slot} in {thing.slot} {part.name}", mesh, skin, part.give_m + FLESH_M)
+                found += _worst("thing", f"{thing.slot} {part.name} in {slot}", body_mesh, mesh.vertices, part.give_m + FLESH_M)
     if cabin is None:
         return found
     transforms = cabin.group_transforms(settings, wheel_angle=wheel_angle)

@@ -39,12 +39,13 @@ def judge(task: tuple[str, int, list[int]]) -> list[dict[str, Any]]:
         occupants = [(p.slot, p.person, p.posed) for p in scene.people]
         first = scene.people[0]
         topology = solid_topology(first.person.skin_faces, first.person.skin_segment, SEGMENTS, first.posed.skin)
-        found = exact_penetrations(scene.cabin, occupants, topology, scene.settings, scene.wheel_angle)
+        found = exact_penetrations(scene.cabin, occupants, topology, scene.settings, scene.wheel_angle, scene.things)
         deepest: dict[str, float] = {}
         for p in found:
             deepest[p.cause] = max(deepest.get(p.cause, -1.0), p.excess_m)
         beyond = [f"frame {index}: {p.cause}: {p.detail} {1000 * p.excess_m:.2f} mm" for p in found if p.excess_m > ROUNDING_M]
-        rows.append({"place": scene.place, "occupants": len(occupants), "deepest": deepest, "beyond": beyond})
+        things = [f"{thing.thing.kind} ({thing.at})" for thing in scene.things]
+        rows.append({"place": scene.place, "occupants": len(occupants), "things": things, "deepest": deepest, "beyond": beyond})
         print(f"frame {index} {scene.place}: {len(beyond)} beyond", file=sys.stderr)
     return rows
 
@@ -67,9 +68,10 @@ def main() -> None:
     result = {
         "scenes": len(rows),
         "occupants": sum(row["occupants"] for row in rows),
+        "things": dict(sorted(Counter(thing for row in rows for thing in row["things"]).items())),
         "places": dict(sorted(Counter(row["place"] for row in rows).items())),
         "deepest_excess_mm": {
-            cause: 1000 * max(row["deepest"].get(cause, -1.0) for row in rows) for cause in ("self", "person", "car")
+            cause: 1000 * max(row["deepest"].get(cause, -1.0) for row in rows) for cause in ("self", "person", "car", "thing")
         },
         "beyond_stated": len(beyond),
         "which": beyond,

@@ -38,7 +38,7 @@ _WORLD = (
 # Things that people bring along; by the words of SVIRO an infant seat looks back, a child seat forward.
 _THINGS = (
     (80, "infant_seat", 0xF06EAA), (81, "child_seat", 0xA03CC8), (82, "box", 0xB98C50), (83, "bag", 0x963232),
-    (84, "backpack", 0x3264B4), (85, "bottle", 0x50C8F0), (86, "cup", 0xF0DC50), (87, "book", 0x78B45A), (88, "laptop", 0x64788C),
+    (84, "backpack", 0x3264B4), (85, "bottle", 0xD2FF3C), (86, "cup", 0xE6AAFF), (87, "book", 0x78B45A), (88, "laptop", 0x64788C),
     (89, "phone", 0xFF7828),
 )  # fmt: skip
 # Classes of TICaM (Katrolia et al. 2021), beside its 0 for the background and 1 for people; 8 is its "accessory".

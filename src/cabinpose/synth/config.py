@@ -29,6 +29,7 @@ from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.posture import ACTIONS
+from cabinpose.synth.posture.actions import HOLDING
 from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
 from cabinpose.synth.things import Choice, check_child_seats
 
@@ -115,6 +116,11 @@ class ExactPose(Model):
     vehicle_from_root: Matrix4 = Field(description="The pelvis frame; its origin lies between the femur heads.")
     angles_rad: Mapping[str, float] = Field(description="By joint axis, e.g. lelbow.flexion (grips: 0..1); left out: 0.")
     wheel_angle_rad: float | None = Field(None, description="How a driver's wheel is turned, + left.")
+    fingers: tuple[tuple[float | None, ...], ...] | None = Field(
+        None,
+        exclude_if=lambda fingers: fingers is None,
+        description="Curl of the fingers of the left and the right hand, thumb first, where they do not follow the grip.",
+    )
 
     @field_validator("angles_rad")
     @classmethod
@@ -131,13 +137,13 @@ class ExactThing(Model):
     kind: str
     variant: int = Field(ge=0, description="Which design of its kind.")
     slot: str = Field(description="The seat on which it is, or of whose occupant it is.")
-    at: Literal["seat", "lap", "hand"]
+    where: Literal["seat", "lap", "hand"]
     vehicle_from_thing: Matrix4
 
     @property
     def placed(self) -> PlacedThing:
         """The thing where it is."""
-        return PlacedThing(make_thing(self.kind, self.variant), np.array(self.vehicle_from_thing), self.slot, self.at)
+        return PlacedThing(make_thing(self.kind, self.variant), np.array(self.vehicle_from_thing), self.slot, self.where)
 
     @model_validator(mode="after")
     def _known(self) -> ExactThing:
@@ -244,6 +250,12 @@ class CabinScene(Model):
         description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any, or how likely each is, on the seat or on"
         " the lap of whoever sits there.",
     )
+    in_hand: Probability = Field(
+        0.0,
+        exclude_if=operator.not_,
+        description="Share of people on the telephone who have one in the hand; above 0 people also drink and read, which always"
+        " have a bottle, a cup or a book in the hand.",
+    )
     things: tuple[ExactThing, ...] = Field(
         (), exclude_if=operator.not_, description="Child seats and objects to the last bit, in place of drawn ones."
     )
@@ -251,7 +263,8 @@ class CabinScene(Model):
     @property
     def brings_things(self) -> bool:
         """Whether there may be child seats or objects."""
-        return bool(self.child_seats or self.objects or self.things)
+        named = {action for weights in self.motion.values() for action in weights} | {o.action for o in self.occupants.values()}
+        return bool(self.child_seats or self.objects or self.things or self.in_hand or named & HOLDING)
 
     @model_validator(mode="before")
     @classmethod

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
@@ -49,12 +51,13 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             vehicle_from_root=_rows(person.posed.vehicle_from_root),
             angles_rad={dof.name: float(angle) for dof, angle in zip(DOFS, person.posed.q, strict=True)},
             wheel_angle_rad=scene.wheel_angle if person.slot == "driver" else None,
+            fingers=None if (fingers := person.posed.fingers) is None else _curls(fingers),
         )
         belted = len(person.surfaces) > 1
         occupants[person.slot] = Occupant(subject=person.subject, action=person.action, belted=belted, pose=pose)
     things = tuple(
         ExactThing(
-            kind=thing.thing.kind, variant=thing.thing.variant, slot=thing.slot, at=thing.at,
+            kind=thing.thing.kind, variant=thing.thing.variant, slot=thing.slot, where=thing.at,
             vehicle_from_thing=_rows(thing.vehicle_from_thing),
         )
         for thing in scene.things
@@ -83,6 +86,10 @@ def without_defaults(config: SynthConfig) -> dict[str, Any]:
     told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults[key]}
     told["scene"] = config.scene.model_dump(mode="json", exclude_defaults=True)
     return told
+
+
+def _curls(fingers: Floats) -> tuple[tuple[float | None, ...], ...]:
+    return tuple(tuple(None if math.isnan(curl) else curl for curl in hand) for hand in fingers.tolist())
 
 
 def _rows(matrix: Matrix) -> Matrix4:

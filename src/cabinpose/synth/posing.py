@@ -23,6 +23,7 @@ from cabinpose.synth.posture.solver import Sitter
 from cabinpose.synth.validate import Rejection, Seated, Validator
 
 Draw = Callable[[str], Drawn]
+Bring = Callable[[str, OccupantPose, PosedBody, Seated], tuple[Rejection | None, Seated]]
 
 
 class Posed(NamedTuple):
@@ -68,6 +69,7 @@ def pose_people(
     causes: Counter[Rejection],
     given: Mapping[str, OccupantPose] = MappingProxyType({}),
     things: tuple[PlacedThing, ...] = (),
+    bring: Bring | None = None,
 ) -> tuple[Posed | None, int]:
     """Pose everybody in a car, row by row.
 
@@ -87,6 +89,8 @@ def pose_people(
         Poses by slot that are judged but not solved.
     things
         Child seats and objects on the seats.
+    bring
+        Puts what somebody who sits has in hand and on the lap to the rest, or says why there is no room for it.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def pose_people(
     SceneError
         Where a given pose is not valid, whatever the other people do.
     """
-    poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root)) for slot, pose in given.items()}
+    poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)) for slot, pose in given.items()}
     stay = {slot: as_given(people[slot], cabin.seats[slot], pose.q, pose.vehicle_from_root) for slot, pose in given.items()}
     seated, sitting, draws = validator.empty(settings, things=things), list[Sitter](), 0
     for row in rows_of(tuple(people), cabin):
@@ -139,14 +143,17 @@ def pose_people(
                     causes[Rejection("reach", slot, pose.refused, pose.held_up_by)] += 1
                     wanted.append(slot)
                     continue
-                posed = people[slot].pose(pose.q, pose.vehicle_from_root)
-                verdict, after = validator.admit(after, (slot, people[slot], posed))
-                if verdict.rejection is None:
-                    poses[slot] = (pose, posed)
+                posed = people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)
+                verdict, admitted = validator.admit(after, (slot, people[slot], posed))
+                refused = verdict.rejection
+                if refused is None and bring is not None:
+                    refused, admitted = bring(slot, pose, posed, admitted)
+                if refused is None:
+                    poses[slot], after = (pose, posed), admitted
                     continue
-                causes[verdict.rejection] += 1
+                causes[refused] += 1
                 # Of two who do not fit the one who was drawn less often is drawn anew.
-                met = verdict.rejection.other
+                met = refused.other
                 wanted.append(met if met in free and tries[met] < tries[slot] else slot)
             wanted = list(dict.fromkeys(wanted))
             if not wanted:

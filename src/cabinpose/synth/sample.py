@@ -41,11 +41,12 @@ from cabinpose.synth.config import (
 from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
+from cabinpose.synth.posture.actions import HOLDING, TELEPHONING
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.standing import sample_standing
-from cabinpose.synth.things import Blocked, Brought, SeatThings, draw_child_seats, draw_objects
+from cabinpose.synth.things import Blocked, Brought, SeatThings, bring_along, draw_child_seats, draw_objects
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict, most_common, sits_too_deep
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
@@ -224,6 +225,9 @@ class SceneSampler:
         def draw(slot: str) -> Drawn:
             return self._draw(scene, index, cast.people, cabin, slot, settings[slot], rng)
 
+        def bring(slot: str, pose: OccupantPose, posed: PosedBody, seated: Seated) -> tuple[Rejection | None, Seated]:
+            return bring_along(cast.brought.objects.get(slot), slot, pose, posed, cast.validator, seated, rng=rng)
+
         things = self._things(scene, cast, settings, rng)
         if isinstance(things, Blocked):
             causes[Rejection("thing", things.slot, things.kind, things.by.part)] += 1
@@ -231,7 +235,7 @@ class SceneSampler:
         limit = self._config.limits.poses_per_person
         posed, draws = pose_people(
             cast.people, cabin, cast.validator, settings, draw, poses_per_person=limit, causes=causes, given=cast.given,
-            things=things,
+            things=things, bring=bring if cast.brought.objects or scene.brings_things else None,
         )  # fmt: skip
         if posed is None:
             return None, draws
@@ -264,7 +268,7 @@ class SceneSampler:
             things = ()
         seated = cast.validator.empty(cast.settings, wheel, things)
         for slot, pose in cast.given.items():
-            body = cast.people[slot].pose(pose.q, pose.vehicle_from_root)
+            body = cast.people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)
             people_in.append(cast.person(slot, pose, body))
             verdict, seated = cast.validator.admit(seated, (slot, cast.people[slot], body))
             verdicts.append(verdict)
@@ -351,11 +355,13 @@ class SceneSampler:
         occupant = scene.occupants.get(slot, _ANYBODY)
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
         left_out = frozenset[str]() if neighbours is None else neighbours.left_out
-        action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
+        action = _weighted(weights, rng) if weights else random_action(
+            seat, cabin, rng=rng, left_out=left_out, in_hand=scene.in_hand > 0.0
+        )  # fmt: skip
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
-            offset=offset, neighbours=neighbours, rng=rng,
+            offset=offset, neighbours=neighbours, in_hand=_in_hand(scene, action, rng), rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
@@ -436,7 +442,13 @@ def _exact_setting(pose: ExactPose) -> SeatSetting:
 
 def _exact_pose(pose: ExactPose, action: str) -> OccupantPose:
     q = np.array([pose.angles_rad.get(dof.name, 0.0) for dof in DOFS])
-    return OccupantPose(q, np.array(pose.vehicle_from_root), action, pose.wheel_angle_rad, {})
+    fingers = None if pose.fingers is None else np.array(pose.fingers, np.float64)
+    return OccupantPose(q, np.array(pose.vehicle_from_root), action, pose.wheel_angle_rad, {}, fingers=fingers)
+
+
+def _in_hand(scene: CabinScene, action: str, rng: np.random.Generator) -> bool:
+    """Whether somebody who does this has something in the hand."""
+    return action in HOLDING or (scene.in_hand > 0.0 and action in TELEPHONING and rng.random() < scene.in_hand)
 
 
 def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:

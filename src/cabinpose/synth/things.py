@@ -9,22 +9,28 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import Matrix, axis_rotation, invert
+from cabinpose.core.frames import Matrix, axis_rotation, invert, transform
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.skeleton import INDEX
+from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.contact import ContactField
+from cabinpose.scene.contact import ContactField, PosedSolids
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.scene.things.objects import LAP_OBJECTS
-from cabinpose.scene.things.placing import PRESSED_M, RESTING_M, Obstacle, in_the_way, stand_on_seat
-from cabinpose.scene.things.thing import VARIANTS
+from cabinpose.scene.things.placing import NOTHING_PLACED, PRESSED_M, RESTING_M, Obstacle, in_the_way, let_down, stand_on_seat
+from cabinpose.scene.things.thing import VARIANTS, Thing
 from cabinpose.synth.people import Probability
+from cabinpose.synth.posture.sampling import OccupantPose
+from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by
 
 Choice = str | Mapping[str, Probability]  # a kind, "any", or how likely each is
 _PLACES = 6  # tried for an object before the scene is drawn anew
 _LYING = ("bottle", "cup")  # on a seat
 _LEANING = ("bag", "backpack")  # on the backrest
 _CUSHION_M = 0.40  # of a cushion's length is used, from the backrest
+_LAP_PLACES, _FARTHER_M = 8, 0.015  # tried on a lap, each farther from the trunk
+_ABOVE_LAP_M = 0.20  # of the femurs' axes
 _FORWARDS_M = (0.05, 0.10, 0.15, 0.20)  # an empty front seat is moved for what stands behind it
 
 
@@ -95,13 +101,13 @@ def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, rng: np.ra
 def draw_objects(
     objects: Mapping[str, Choice], cabin: Cabin, taken: Sequence[str], child_seats: Mapping[str, str], rng: np.random.Generator
 ) -> dict[str, str]:
-    """The kinds of objects of one frame, by seat: on laps where somebody sits, none where a child seat stands."""
+    """The kinds of objects of one frame, by seat: where somebody sits those that lie on a lap, none where a child seat stands."""
     result = {}
     for slot in OCCUPANT_SLOTS:
         if slot not in objects:
             continue
         kind = _drawn(weights_of(objects[slot], LAP_OBJECTS if slot in taken else tuple(OBJECTS)), rng)
-        if kind is not None and slot in cabin.seats and slot not in child_seats:
+        if kind is not None and slot in cabin.seats and slot not in child_seats and (slot not in taken or kind in LAP_OBJECTS):
             result[slot] = kind
     return result
 
@@ -220,6 +226,72 @@ class SeatThings:
                 return put
             obstacle = found
         return Blocked(slot, kind, obstacle)
+
+
+def bring_along(
+    kind: str | None, slot: str, pose: OccupantPose, posed: PosedBody, validator: Validator, seated: Seated,
+    *, rng: np.random.Generator,
+) -> tuple[Rejection | None, Seated]:  # fmt: skip
+    """Put what somebody holds into the hand, and an object of this kind onto the lap (None: nothing).
+
+    Returns
+    -------
+    Rejection or None
+        Why there is no room.
+    Seated
+        With those things where there is room, else as it was.
+    """
+    result = seated
+    if pose.hold is not None:
+        at = pose.hold.placed(posed.palms["lr"[pose.hold.side]])
+        held = PlacedThing(make_thing(pose.hold.kind, pose.hold.variant), at, slot, "hand")
+        verdict, result = validator.bring(result, held)
+        if verdict.rejection is not None:
+            return verdict.rejection, seated
+    if kind is None:
+        return None, result
+    refused: Rejection | None = None
+    for number in range(_LAP_PLACES):
+        thing = make_thing(kind, int(rng.integers(VARIANTS)))
+        lap, length = _lap(posed)
+        ahead = rng.uniform(0.42, 0.60) * length - float(thing.box[0, 0]) + _FARTHER_M * number
+        turn = axis_rotation("z", math.radians(8.0) * rng.standard_normal())
+        lies = stand_on_lap(thing, lap @ transform(turn, (ahead, rng.uniform(-0.03, 0.03), 0.0)), seated.bodies[-1].solids)
+        if lies is None:
+            refused = refused or Rejection("thing", slot, kind, "torso")
+            continue
+        verdict, brought = validator.bring(result, PlacedThing(thing, lies, slot, "lap"))
+        if verdict.rejection is None:
+            return None, brought
+        refused = verdict.rejection
+    return refused, seated
+
+
+def _lap(posed: PosedBody) -> tuple[Matrix, float]:
+    """vehicle_from_lap, between the femur heads, x to the knees and z off the thighs; and how far the knees are, m."""
+    at = {name: posed.joints[INDEX[name]] for name in ("lpelvis", "rpelvis", "lknee", "rknee")}
+    hips = 0.5 * (at["lpelvis"] + at["rpelvis"])
+    to_knees = 0.5 * (at["lknee"] + at["rknee"]) - hips
+    length = float(np.linalg.norm(to_knees))
+    x = to_knees / length
+    up = np.cross(x, at["lknee"] - at["rknee"] + at["lpelvis"] - at["rpelvis"])
+    up /= np.linalg.norm(up)
+    return transform(np.column_stack((x, np.cross(up, x), up)), hips), length
+
+
+def stand_on_lap(thing: Thing, vehicle_from_lap: Matrix, body: PosedSolids) -> Matrix | None:
+    """vehicle_from_thing of a thing that is let down along the lap's z onto thighs, hands, arms; None where a trunk stops it."""
+
+    def at(z: float) -> Matrix:
+        return np.asarray(vehicle_from_lap @ transform(None, (0.0, 0.0, z)))
+
+    def met(z: float) -> str:
+        alone = NOTHING_PLACED.with_groups([PlacedThing(thing, at(z), "", "lap").group()])
+        touched = touched_by(alone, body, RESTING_M)
+        return "" if touched is None else touched[1]
+
+    z = let_down(lambda z: not met(z), _ABOVE_LAP_M, 0.0)
+    return None if met(z) or met(z - RESTING_M) in ("", "torso", "head") else at(z)
 
 
 def _somewhere(kind: str, length_m: float, rng: np.random.Generator) -> tuple[float, float, float]:

@@ -30,6 +30,7 @@ from cabinpose.scene.contact import (
     solid_topology,
 )
 from cabinpose.scene.things import PlacedThing
+from cabinpose.scene.things.placing import NOTHING_PLACED, RESTING_M, in_the_way
 
 AXIS_STEP_M = 0.02
 # Limb, its bone from and to a joint, and the first part of it left out: shoulders lean into the backrest.
@@ -65,8 +66,8 @@ class Rejection(NamedTuple):
 
     cause: a body with itself, with another person or with the car; a hand or foot that misses its place ("reach"); somebody
     before the lens ("camera"); a thing for which there is no place ("thing") · slot: the occupant, other: the one who was met ·
-    what: the solid, task or thing, into: the solid or part in its way, "" where none was · bone: whether it is the limb's bone, to
-    which foam does not give way.
+    what: the solid, task or thing, into: the solid or part in its way, "" where none was · bone: whether it is the limb's bone,
+    to which foam does not give way.
     """
 
     cause: Cause
@@ -203,6 +204,23 @@ class Validator:
             return verdict, seated
         return Verdict(), replace(seated, bodies=bodies)
 
+    def bring(self, seated: Seated, thing: PlacedThing) -> tuple[Verdict, Seated]:
+        """Whether a thing has room between the car, the people and the things that are there; if so it counts as there.
+
+        Returns what `admit` does.
+        """
+        if seated.placed is not None and (obstacle := in_the_way(thing, seated.placed, RESTING_M)) is not None:
+            return Verdict(Rejection("thing", thing.slot, thing.thing.kind, obstacle.part), obstacle.excess_m), seated
+        added = [thing.group()]
+        alone = NOTHING_PLACED.with_groups(added)
+        for slot, body, _ in seated.bodies:
+            found = touched_by(alone, body, FLESH_M)
+            if found is not None:
+                rejection = Rejection("thing", thing.slot, thing.thing.kind, found[1], slot if slot != thing.slot else "")
+                return Verdict(rejection, found[0]), seated
+        placed = None if seated.placed is None else seated.placed.with_groups(added)
+        return Verdict(), replace(seated, placed=placed, things=(*seated.things, thing))
+
     def _body(self, occupant: Occupant) -> _Body:
         slot, person, posed = occupant
         return _Body(slot, PosedSolids.of(self._topology(person, posed), posed.skin), posed.joints)
@@ -234,6 +252,16 @@ def _among(bodies: Sequence[_Body], first: int) -> Verdict | None:
 
 def _in_car(placed: PlacedField, bodies: Sequence[_Body]) -> Verdict | None:
     return next((v for body in bodies if (v := _against_car(placed, body)) is not None), None)
+
+
+def touched_by(alone: PlacedField, body: PosedSolids, tolerance_m: float) -> tuple[float, str] | None:
+    """How deep the parts of a field are in a body beyond what they give and `tolerance_m`, and in which solid; None: not."""
+    points, vertex = body.skin_points()
+    touched = alone.deepest(points, tolerance_m)
+    if touched is not None:
+        return touched.depth_m, body.solid_of(vertex[touched.point])
+    probed = alone.deepest_probe(body, tolerance_m)
+    return None if probed is None else (probed[1].depth_m, probed[1].solid)
 
 
 def _against_car(placed: PlacedField, somebody: _Body) -> Verdict | None:

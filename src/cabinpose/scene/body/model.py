@@ -21,7 +21,7 @@ from cabinpose.scene.body.dress import Dressed, dress
 from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
-from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOFS, N_MAIN
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
 from cabinpose.scene.body.skeleton import rest_arrays
 from cabinpose.scene.surface import Surface
@@ -102,9 +102,18 @@ class Person:
 
         return posed
 
-    def pose(self, q: Floats, vehicle_from_root: Matrix) -> PosedBody:
-        """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point."""
-        return PosedBody(self, checked(q), np.ascontiguousarray(vehicle_from_root, np.float64))
+    @property
+    def leading_bone(self) -> Bytes:
+        """(Vs,) the bone of `rig.BONES` that each vertex of the skin follows most."""
+        most = self._space.bone_weight.argmax(axis=1)
+        return np.asarray(self._space.bone_index[np.arange(len(most)), most])
+
+    def pose(self, q: Floats, vehicle_from_root: Matrix, fingers: Floats | None = None) -> PosedBody:
+        """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point.
+
+        fingers: (2, 5) curl of the left and right hand's fingers, thumb first, where they do not follow the grip (NaN: they do).
+        """
+        return PosedBody(self, checked(q), np.ascontiguousarray(vehicle_from_root, np.float64), fingers)
 
 
 def checked(q: Floats) -> Floats:
@@ -118,15 +127,21 @@ def checked(q: Floats) -> Floats:
 class PosedBody:
     """A person in a pose, vehicle frame. Skin, clothes and frames are computed here, once."""
 
-    def __init__(self, person: Person, q: Floats, vehicle_from_root: Matrix) -> None:
+    def __init__(self, person: Person, q: Floats, vehicle_from_root: Matrix, fingers: Floats | None = None) -> None:
         self.person = person
         self.q = q
+        self.fingers = fingers
         self.vehicle_from_root = vehicle_from_root
         self._rotation, self._position = np.empty((N_MAIN, 3, 3)), np.empty((N_MAIN, 3))
         self._vehicle_from_mesh, self.joints = np.empty((len(BONES), 3, 4)), np.empty((20, 3))
         palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
+        rest = person.rest
+        if fingers is not None:  # the kernel curls a finger by its hand's grip
+            grips = q[[DOF_INDEX["lhand.grip"], DOF_INDEX["rhand.grip"]], None]
+            share = np.where(np.isnan(fingers), 1.0, fingers / np.maximum(grips, 1e-6))
+            rest = rest._replace(finger_curl=(rest.finger_curl.reshape(2, 5, 3) * share[..., None]).reshape(-1))
         native.pose(
-            q, person.rest, vehicle_from_root, self._rotation, self._position, self._vehicle_from_mesh, self.joints, palms, soles
+            q, rest, vehicle_from_root, self._rotation, self._position, self._vehicle_from_mesh, self.joints, palms, soles
         )
         self.palms = {"l": palms[0], "r": palms[1]}
         self.soles = {"l": soles[0], "r": soles[1]}

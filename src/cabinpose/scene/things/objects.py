@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core.arrays import Floats
-from cabinpose.scene.cabin.shapes import join, rounded_box, smoothstep, tube
+from cabinpose.scene.cabin.shapes import Solid, join, rounded_box, smoothstep, tube
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, standing_box, turned_body
 
 CLOTH_M = 0.020  # cloth of a bag with what is soft in it gives way by this
@@ -99,6 +99,20 @@ def _book(variant: int) -> tuple[Piece, ...]:
     return (Piece("pages", block, "paper"), Piece("cover", join([*boards, spine]), "cardboard"))
 
 
+def _open_book(variant: int) -> tuple[Piece, ...]:
+    """A book that lies open on its back, its spine along y."""
+    wide, high, thick = of_design(0.11, 0.14, variant, 1), of_design(0.18, 0.22, variant, 2), of_design(0.006, 0.014, variant, 3)
+    rise = np.radians(of_design(12.0, 24.0, variant, 4))
+
+    def half(size: tuple[float, float, float], s: float, above: float) -> Solid:
+        lying = rounded_box(size, 0.001, (2, 2, 1), corner=1).shifted(s * size[0] / 2.0, 0.0, above + size[2] / 2.0)
+        return lying.turned("y", -s * rise)
+
+    pages = [half((wide - 0.004, high - 0.006, thick), s, 0.002) for s in (-1.0, 1.0)]
+    covers = [half((wide, high, 0.0025), s, 0.0) for s in (-1.0, 1.0)]
+    return (Piece("pages", join(pages), "paper"), Piece("cover", join(covers), "cardboard"))
+
+
 def _laptop(variant: int) -> tuple[Piece, ...]:
     """A laptop of 13 to 16 inches, open: its screen faces back, to whoever has it on the lap."""
     deep, wide = of_design(0.21, 0.25, variant, 1), of_design(0.30, 0.36, variant, 1)
@@ -133,4 +147,6 @@ OBJECTS: Mapping[str, Kind] = MappingProxyType(
         "phone": Kind("phone", _phone),
     }
 )
+# What hands hold beside them: a book that is read is open.
+HELD: Mapping[str, Kind] = MappingProxyType({"open_book": Kind("book", _open_book)})
 LAP_OBJECTS = ("box", "bag", "backpack", "book", "laptop")  # large enough to lie across two thighs

@@ -24,6 +24,9 @@ _UNDERSIDE_M = 0.10  # of a thing has to stay before the corner of cushion and b
 _FLOWN_M, _STEPS = 0.25, 9  # from where a thing is let down, and the halvings until it rests: 0.5 mm
 
 
+NOTHING_PLACED = PlacedField((), np.empty((0, 3)), np.empty((0, 3)))
+
+
 class Obstacle(NamedTuple):
     """What a thing stands in: the name of the part, and how deep beyond what gives way, m (negative: a gap)."""
 
@@ -66,7 +69,7 @@ def deepest_obstacle(
     return worst
 
 
-def _let_down(free: Callable[[float], bool], start: float, end: float) -> float:
+def let_down(free: Callable[[float], bool], start: float, end: float) -> float:
     """The last place on the way from `start` to `end` that is still free, of ways that are free up to some place."""
     if free(end):
         return end
@@ -132,11 +135,11 @@ def stand_on_seat(
     low = turned.min(axis=0)
     rear = turned[turned[:, 2] < low[2] + _UNDERSIDE_M, 0].min()
     x, lowest = (ahead_m if ahead_m > 0.0 else _BEFORE_BACK_M) - low[0], -low[2]
-    z = _let_down(lambda z: free(x, z), lowest + _FLOWN_M, lowest - _SUNK_M)
+    z = let_down(lambda z: free(x, z), lowest + _FLOWN_M, lowest - _SUNK_M)
     if ahead_m <= 0.0:
         for _ in range(2):
-            x = _let_down(lambda x, z=z: free(x, z + 0.001), x, -_SUNK_M - rear)  # type: ignore[misc]
-            z = _let_down(lambda z, x=x: free(x, z), z, lowest - _SUNK_M)  # type: ignore[misc]
+            x = let_down(lambda x, z=z: free(x, z + 0.001), x, -_SUNK_M - rear)  # type: ignore[misc]
+            z = let_down(lambda z, x=x: free(x, z), z, lowest - _SUNK_M)  # type: ignore[misc]
     return at(x, z)
 
 

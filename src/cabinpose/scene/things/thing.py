@@ -17,7 +17,7 @@ from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, group
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things.child_seats import CHILD_SEATS
-from cabinpose.scene.things.objects import OBJECTS
+from cabinpose.scene.things.objects import HELD, OBJECTS
 from cabinpose.scene.things.pieces import Piece
 
 VARIANTS = 4  # designs of each kind, of different sizes
@@ -71,7 +71,7 @@ class Thing:
 @cache
 def make_thing(kind: str, variant: int) -> Thing:
     """The design of this number of a kind of thing; the same object on every call. Raises ConfigError for an unknown kind."""
-    known = {**CHILD_SEATS, **OBJECTS}
+    known = {**CHILD_SEATS, **OBJECTS, **HELD}
     if kind not in known:
         raise unknown_name("thing", kind, tuple(known))
     label, pieces = known[kind].label, known[kind].make(variant % VARIANTS)

@@ -14,7 +14,7 @@ from typing import Literal
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
 
-Place = Literal["wheel", "thigh", "armrest", "ear", "chest", "belt", "reach", "either"]
+Place = Literal["wheel", "thigh", "armrest", "ear", "chest", "mouth", "book", "belt", "reach", "either"]
 Spread = tuple[float, float]  # mean and sigma, degrees
 
 
@@ -103,9 +103,15 @@ _ANYWHERE = (
         trunk={"thorax.flexion": (4.0, 3.0), "lumbar.flexion": (3.0, 2.0), "lumbar.lateral": (0.0, 3.0)},
     ),
 )  # fmt: skip
+_HOLDING = (
+    Action("drink", "mouth", "either", Gaze((0.0, 12.0), (4.0, 5.0))),
+    Action("read", "book", "thigh", _HAND),
+)
 _PASSENGER = (Action("reach_glovebox", "either", "reach", _HAND, ("glovebox",)),)
 
-ACTIONS: Mapping[str, Action] = MappingProxyType({a.name: a for a in _DRIVER + _REACH_FRONT + _ANYWHERE + _PASSENGER})
+ACTIONS: Mapping[str, Action] = MappingProxyType({a.name: a for a in _DRIVER + _REACH_FRONT + _ANYWHERE + _PASSENGER + _HOLDING})
+HOLDING = frozenset(action.name for action in _HOLDING)  # what nobody does without something in the hand
+TELEPHONING = frozenset({"phone_ear", "phone_ear_outer", "phone_text"})
 
 
 def inboard_side(seat: Seat) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, cross
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
-from cabinpose.scene.body.rig import LOWER
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person
@@ -33,6 +33,7 @@ class LimbTask(NamedTuple):
     stiffness: Floats
 
 
+_HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
 _OVER_THIGH_M = 0.028  # of the palm's skin: fingers and trousers lie between
@@ -177,6 +178,20 @@ def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: fl
     to_face = skeleton.bone("head")[:3, 3] - point
     fingers = thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35])
     return LimbTask(palm_frame(point, to_face, fingers), _FIRM, np.array([0.04, 0.04, 0.02]), FACE_ARM, _STIFFNESS)
+
+
+def before_mouth(person: Person, skeleton: Frames, side: int, forward: float, level: float) -> LimbTask:
+    """A hand that holds a drink `forward` m before its own mouth, its palm `level` m below it, thumb up."""
+    head = skeleton.bone("head")
+    s = 1.0 - 2.0 * side
+    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
+    nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
+    size = float(np.ptp(skin[:, 2])) / _HEAD_M
+    mouth = np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
+    point = head[:3, :3] @ (mouth + (forward, s * 0.035, -level)) + head[:3, 3]
+    inwards = head[:3, :3] @ np.array((-0.35, -s, 0.0))
+    fingers = head[:3, :3] @ np.array((1.0, -0.35 * s, 0.15))
+    return LimbTask(palm_frame(point, inwards, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), FACE_ARM, _STIFFNESS)
 
 
 def at_belt(person: Person, skeleton: Frames, side: int, upper: Floats) -> LimbTask:

@@ -17,10 +17,12 @@ from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.contact import PlacedField
+from cabinpose.scene.things.thing import VARIANTS
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     ACTIONS,
     BREATHING,
+    HOLDING,
     Action,
     Place,
     Spread,
@@ -34,6 +36,7 @@ from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
 from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
+from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.neighbours import Neighbours
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
@@ -43,7 +46,17 @@ from cabinpose.synth.profiles import Profile
 
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
-_GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
+_GRIP: Mapping[str, float] = {
+    "wheel": 0.36,
+    "thigh": 0.06,
+    "armrest": 0.06,
+    "ear": 0.5,
+    "chest": 0.5,
+    "mouth": 0.4,
+    "book": 0.1,
+    "belt": 0.6,
+    "reach": 0.25,
+}
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
@@ -51,8 +64,16 @@ _GRIP_SIGMA = 0.025
 _LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
+_HELD_GRIP = 0.5  # stands for the fingers of a hand that holds something: each has a curl of its own
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
-_CARRIED_BY: Mapping[str, str] = {"thigh": "{side}thigh", "ear": "head", "chest": "spine01", "belt": "spine01"}
+_CARRIED_BY: Mapping[str, str] = {
+    "thigh": "{side}thigh",
+    "ear": "head",
+    "chest": "spine01",
+    "mouth": "head",
+    "book": "spine01",
+    "belt": "spine01",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +83,8 @@ class OccupantPose:
     q: (D,) rad within the limits · vehicle_from_root: (4, 4) · action: its name, or the profile's kind · wheel_angle:
     rad, + left, None where there is no wheel before the seat · residuals_m: by how much feet and hands miss their places, and
     how far the femur heads' middle is from the H-point · refused: which of them is too far from its place, "" where none is ·
-    held_up_by: what was most in the way then, "" where nothing was.
+    held_up_by: what was most in the way then, "" where nothing was ·
+    fingers: (2, 5) as `Person.pose` takes them, hold: what is in a hand; None where nothing is.
     """
 
     q: Floats
@@ -72,6 +94,8 @@ class OccupantPose:
     residuals_m: Mapping[str, float]
     refused: str = ""
     held_up_by: str = ""
+    fingers: Floats | None = None
+    hold: Hold | None = None
 
 
 class _Hand(NamedTuple):
@@ -107,9 +131,14 @@ class _Situation:
         return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
 
 
-def random_action(seat: Seat, cabin: Cabin, *, rng: np.random.Generator, left_out: frozenset[str] = frozenset()) -> str:
-    """An action that makes sense in a seat, drawn by the actions' weights; none of those `left_out`, unless all are."""
-    everything = actions_for(seat, cabin)
+def random_action(
+    seat: Seat, cabin: Cabin, *, rng: np.random.Generator, left_out: frozenset[str] = frozenset(), in_hand: bool = False
+) -> str:
+    """An action that makes sense in a seat, drawn by the actions' weights; none of those `left_out`, unless all are.
+
+    in_hand: also those that need something in the hand.
+    """
+    everything = tuple(name for name in actions_for(seat, cabin) if in_hand or name not in HOLDING)
     known = tuple(name for name in everything if name not in left_out) or everything
     return known[int(rng.choice(len(known), p=_shares(known)))]
 
@@ -133,12 +162,14 @@ class Drawn:
     wheel_angle: float | None
     must: Floats
     h_point: Floats
+    hold: Hold | None = None
 
 
 def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
-    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, rng: np.random.Generator,
+    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, in_hand: bool = False,
+    rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
@@ -159,6 +190,8 @@ def draw_pose(
         Of the pelvis from the seat's place.
     neighbours
         What the people beside and opposite mean for this person; None where there is nobody.
+    in_hand
+        Whether a hand holds what the action speaks of: a telephone, a drink, a book.
     rng
         Source of all randomness.
 
@@ -172,6 +205,8 @@ def draw_pose(
         For an action that makes no sense in this seat.
     MocapError
         For a recording that cannot be used.
+    SceneError
+        Where a hand is too small for what it is to hold.
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
@@ -181,6 +216,7 @@ def draw_pose(
     if abs(float(seat.design_h_point[1])) < 0.05 and rng.random() < 0.5:
         inboard = 1 - inboard
     hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
+    hands, holds_it = _holding(person, hands, rng) if in_hand else (hands, None)
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
     lean = _draw(chosen.pelvis, rng)
@@ -219,6 +255,8 @@ def draw_pose(
         if wheel is not None and hand.place == "wheel":
             grip = at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
         q[DOF_INDEX["lr"[side] + "hand.grip"]] = _clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0)
+        if holds_it is not None and holds_it.side == side:
+            q[DOF_INDEX["lr"[side] + "hand.grip"]] = _HELD_GRIP
     must += [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
     head = _gaze(s, chosen, hands, side_sign, skeleton, rng)
     holds = hands[0].place == "wheel", hands[1].place == "wheel"
@@ -227,7 +265,7 @@ def draw_pose(
         who = _with_profile(who, initial, index, rng)
     if profile is not None:
         who, action = _with_profile(who, profile, index, rng), profile.kind if profile.followed else action
-    return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting))
+    return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting), holds_it)
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
@@ -255,7 +293,10 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
         missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - d.h_point))
         late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
         refused, held_up_by = (TASKS[late[0]], found.into) if len(late) else ("", "")
-        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by))
+        fingers = None if d.hold is None else d.hold.fingers
+        result.append(
+            OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold)
+        )  # fmt: skip
     return result
 
 
@@ -337,6 +378,20 @@ def _intents(
     return result[0], result[1]
 
 
+def _holding(person: Person, hands: tuple[_Hand, _Hand], rng: np.random.Generator) -> tuple[tuple[_Hand, _Hand], Hold | None]:
+    """What one of the hands holds, the first design that fits into it; a second hand beside it goes to the lap."""
+    able = [side for side in (0, 1) if hands[side].place in HANDED]
+    if not able:
+        return hands, None
+    side = able[int(rng.integers(len(able)))]
+    place = hands[side].place
+    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
+    order = [designs[n] for n in rng.permutation(len(designs)).tolist()]
+    kind, variant = next((d for d in order if can_hold(person, place, *d)), order[0])
+    rest = [h._replace(place="thigh") if s != side and s in able else h for s, h in enumerate(hands)]
+    return (rest[0], rest[1]), hold(person, place, kind, variant, side)
+
+
 def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     """+1 where the action turns or leans to the left: the side of the reaching hand, or a random one."""
     random = 1.0 if rng.random() < 0.5 else -1.0
@@ -391,7 +446,7 @@ def _gaze(
     if gaze.either_side:
         yaw *= side_sign
     if gaze.at_hand:
-        busy = [side for side in (0, 1) if hands[side].place in ("reach", "chest", "belt")]
+        busy = [side for side in (0, 1) if hands[side].place in ("reach", "chest", "book", "belt")]
         point = hands[busy[0]].point
         if point is None:
             point = _task(s, hands[busy[0]], busy[0], skeleton).target[:3, 3]
@@ -417,6 +472,10 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         return at.at_ear(s.person, skeleton, side, gap=0.048)
     if hand.place == "chest":
         return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.07 + 0.03 * c)
+    if hand.place == "book":
+        return at.before_chest(skeleton, side, 0.38 + 0.02 * a, 0.04 + 0.02 * b, 0.02 * c)
+    if hand.place == "mouth":
+        return at.before_mouth(s.person, skeleton, side, 0.085 + 0.02 * a, 0.13 + 0.02 * c)
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
     if hand.place == "reach" and hand.point is not None:

@@ -1,0 +1,168 @@
+"""How a hand closes around what it holds: where the thing is in the palm, and the curl of each finger.
+
+A grasp is found by trial: the thing is brought into the open hand until it touches it, at several places along the palm; then
+each finger closes by itself until it would be pressed in by more than `PRESSED_M`. The place at which most of the hand touches
+the thing is taken. A hand that hardly touches it cannot hold it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cabinpose.core.arrays import Floats, Ints
+from cabinpose.core.errors import SceneError
+from cabinpose.core.frames import Matrix, apply, axis_rotation, invert, transform
+from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER
+from cabinpose.scene.things import Thing, make_thing
+from cabinpose.synth.posture.memory import kept_with_person
+
+PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
+_AT_REST_M = 0.001  # the same while the hand is still open
+_TOUCHES_M = 0.005  # skin as near as this touches: fingers are not as smooth as the mesh
+_LEAST_TOUCHING = 12  # vertices of the skin, of those that are measured
+_CURLS = np.linspace(-0.4, 1.0, 57)  # a thumb opens wider than at rest
+_OPEN = np.array((-0.4, 0.0, 0.0, 0.0, 0.0))  # thumb to little finger
+_LOOSE = np.array((0.1, 0.35, 0.35, 0.35, 0.35))  # of fingers that meet nothing
+_ALONG_M = (-0.015, -0.005, 0.005, 0.015, 0.03)
+_FARTHEST_M, _NEAREST_M, _STEP_M = 0.075, -0.03, 0.002  # of the thing's middle before the palm's origin
+_ONE_SIDED = 0.85  # length of the mean direction to where a hand touches: 0.64 for half of a cylinder, 1 for one side
+_BOOK_UP_M = 0.055  # its middle beyond the palm's
+_EVERY = 2  # of the hand's vertices
+_SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
+HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "mouth": ("bottle", "cup"), "book": ("open_book",)}
+
+
+class Grasp(NamedTuple):
+    """The curl of each finger, thumb to little finger (5,), 1 a fist, and palm_from_thing (4, 4) of a left hand."""
+
+    curl: Floats
+    palm_from_thing: Matrix
+
+
+class Hold(NamedTuple):
+    """What somebody is to hold, and in which hand: kind, design, side (0 left, 1 right)."""
+
+    kind: str
+    variant: int
+    side: int
+    grasp: Grasp
+
+    @property
+    def fingers(self) -> Floats:
+        """(2, 5) curl of this hand's fingers, NaN for the other hand's; as `Person.pose` takes it."""
+        curl = np.full((2, 5), np.nan)
+        curl[self.side] = self.grasp.curl
+        return curl
+
+    def placed(self, vehicle_from_palm: Matrix) -> Matrix:
+        """vehicle_from_thing, (4, 4), of the thing in this hand. Things are their own mirror images in y = 0."""
+        mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
+        return np.asarray(vehicle_from_palm @ mirror @ self.grasp.palm_from_thing @ mirror)
+
+
+def can_hold(person: Person, place: str, kind: str, variant: int) -> bool:
+    """Whether a person's hand closes around a thing."""
+    return _grasp(person, place, kind, variant) is not None
+
+
+def hold(person: Person, place: str, kind: str, variant: int, side: int) -> Hold:
+    """How a person holds a thing; SceneError where the hand cannot."""
+    found = _grasp(person, place, kind, variant)
+    if found is None:
+        size = 1000.0 * np.ptp(make_thing(kind, variant).box, axis=0)
+        raise SceneError(
+            f"no hand of a person of {person.stature_m:.2f} m closes around a {kind} of {size[0]:.0f} x {size[1]:.0f} x"
+            f" {size[2]:.0f} mm",
+            hint="let somebody taller hold it, or choose another action",
+        )
+    return Hold(kind, variant, side, found)
+
+
+def _turned(thing: Thing, place: str) -> Matrix:
+    """palm_from_thing of a left hand, before it is brought near: its middle in the palm's origin."""
+    if place == "mouth":  # around the body of what stands, its top to the thumb
+        level = 0.42 * float(thing.box[1, 2])
+        return transform(np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))), (0.0, -level, 0.0))
+    # Its long side y along the fingers, its face out; a book rests on its lower edge's half.
+    return transform(axis_rotation("z", _SLANT[place] - math.pi / 2.0), (_BOOK_UP_M if place == "book" else 0.0, 0.0, 0.0))
+
+
+class _Hand(NamedTuple):
+    """Skin of a left hand and forearm, (N, 3) m of the palm frame, at each of `_CURLS`; finger: (N,) 0 to 4, -1 the rest."""
+
+    skin: Floats  # (C, N, 3)
+    finger: Ints
+
+    def at(self, curl: Floats) -> Floats:
+        """(N, 3) m with each finger at its curl (5,)."""
+        of_finger = np.searchsorted(_CURLS, curl - 1e-9)
+        rest = int(np.searchsorted(_CURLS, -1e-9))
+        which = np.where(self.finger >= 0, of_finger[self.finger], rest)
+        return self.skin[which, np.arange(len(self.finger))]
+
+
+@kept_with_person
+def _hand(person: Person) -> _Hand:
+    rows = np.flatnonzero(np.isin(person.skin_segment, [SEGMENTS.index(s) for s in ("lhand", "lforearm")]))[::_EVERY]
+    part, q = person.skin_part(rows), np.zeros(len(LOWER))
+    palm_from_root = invert(person.pose(q, np.eye(4)).palms["l"])
+    skin = []
+    for curl in _CURLS:
+        q[DOF_INDEX["lhand.grip"]] = curl
+        skin.append(apply(palm_from_root, part(q, np.eye(4))))
+    bone = person.leading_bone[rows]
+    finger = np.full(len(rows), -1)
+    for number in range(5):
+        finger[np.isin(bone, [BONE_INDEX[f"lfinger{number + 1}_{phalanx}"] for phalanx in (1, 2, 3)])] = number
+    return _Hand(np.stack(skin), finger)
+
+
+@kept_with_person
+def _grasp(person: Person, place: str, kind: str, variant: int) -> Grasp | None:
+    thing, hand = make_thing(kind, variant), _hand(person)
+    turned, best, most = _turned(thing, place), None, _LEAST_TOUCHING - 1
+    for along in _ALONG_M:
+        at = _brought_near(thing, turned, hand.at(_OPEN), along)
+        thing_from_palm = invert(at)
+        curl = _OPEN.copy()
+        for finger in range(5):
+            mine = hand.finger == finger
+            for tried in _CURLS[curl[finger] < _CURLS]:
+                skin = hand.skin[np.searchsorted(_CURLS, tried - 1e-9)][mine]
+                if _distance(thing, apply(thing_from_palm, skin)).min() < -PRESSED_M:
+                    break
+                curl[finger] = tried
+            else:
+                curl[finger] = _LOOSE[finger]
+        skin = apply(thing_from_palm, hand.at(curl))
+        touches = _distance(thing, skin) < _TOUCHES_M
+        touching = int(touches.sum())
+        if touching > most and (place != "mouth" or _encloses(skin[touches])):
+            most, best = touching, Grasp(curl, at)
+    return best
+
+
+def _encloses(touching: Floats) -> bool:
+    """Whether points (N, 3) that touch a thing lie all around its upright axis, and not on one side of it."""
+    around = touching[:, :2] / np.maximum(np.linalg.norm(touching[:, :2], axis=1, keepdims=True), 1e-9)
+    return float(np.linalg.norm(around.mean(axis=0))) < _ONE_SIDED
+
+
+def _brought_near(thing: Thing, turned: Matrix, hand: Floats, along: float) -> Matrix:
+    """palm_from_thing of a thing that is brought to the palm of a hand (N, 3), palm frame, as near as it lets it."""
+    at = turned
+    for off in np.arange(_FARTHEST_M, _NEAREST_M, -_STEP_M):
+        nearer = transform(None, (along, 0.0, off)) @ turned
+        if _distance(thing, apply(invert(nearer), hand)).min() < -_AT_REST_M:
+            break
+        at = nearer
+    return at
+
+
+def _distance(thing: Thing, points: Floats) -> Floats:
+    """(N,) m from points to the nearest piece, negative inside; cut at 20 mm."""
+    return np.min([part.mesh.signed_distance(points, 0.02) for part in thing.field.parts], axis=0)
