@@ -100,6 +100,19 @@ def self_penetrations(slot: str, body: PosedSolids, joints: NDArray[np.float64])
     return found
 
 
+def thing_penetrations(occupants: Sequence[tuple[str, Any, Any]], things: Sequence[PlacedThing]) -> list[Penetration]:
+    """The deepest overlap of each part of a thing with each occupant (slot, person, posed body), both ways."""
+    found: list[Penetration] = []
+    for thing in things:
+        for part in thing.thing.parts:
+            mesh = _closed(apply(thing.vehicle_from_thing, part.surface.vertices), part.surface.faces)
+            for slot, person, posed in occupants:
+                body = _closed(posed.skin, person.skin_faces)
+                found += _worst("thing", f"{slot} in {thing.slot} {part.name}", mesh, posed.skin, part.give_m + FLESH_M)
+                found += _worst("thing", f"{thing.slot} {part.name} in {slot}", body, mesh.vertices, part.give_m + FLESH_M)
+    return found
+
+
 def exact_penetrations(
     cabin: ContactScene | None,
     occupants: Sequence[tuple[str, Any, Any]],
@@ -123,12 +136,7 @@ def exact_penetrations(
         for other_slot, other_skin, other in skins[:i]:
             found += _worst("person", f"{slot} in {other_slot}", other, skin, BOTH_YIELD_M)
             found += _worst("person", f"{other_slot} in {slot}", mesh, other_skin, BOTH_YIELD_M)
-    for thing in things:
-        for part in thing.thing.parts:
-            mesh = _closed(apply(thing.vehicle_from_thing, part.surface.vertices), part.surface.faces)
-            for slot, skin, body_mesh in skins:
-                found += _worst("thing", f"{slot} in {thing.slot} {part.name}", mesh, skin, part.give_m + FLESH_M)
-                found += _worst("thing", f"{thing.slot} {part.name} in {slot}", body_mesh, mesh.vertices, part.give_m + FLESH_M)
+    found += thing_penetrations(occupants, things)
     if cabin is None:
         return found
     transforms = cabin.group_transforms(settings, wheel_angle=wheel_angle)

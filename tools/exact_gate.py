@@ -17,7 +17,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from exact_contact import exact_penetrations
+from exact_contact import exact_penetrations, thing_penetrations
 
 from cabinpose.scene.body import SEGMENTS
 from cabinpose.scene.contact import solid_topology
@@ -29,9 +29,9 @@ ROUNDING_M = 1e-6
 _APART = 17  # frames
 
 
-def judge(task: tuple[str, int, list[int]]) -> list[dict[str, Any]]:
+def judge(task: tuple[str, int, list[int], bool]) -> list[dict[str, Any]]:
     """The findings of some scenes: place, occupants, deepest excess by cause, and what goes beyond."""
-    config_json, seed, indices = task
+    config_json, seed, indices, only_things = task
     sampler = SceneSampler(SynthConfig.model_validate_json(config_json), seed)
     rows = []
     for index in indices:
@@ -39,7 +39,11 @@ def judge(task: tuple[str, int, list[int]]) -> list[dict[str, Any]]:
         occupants = [(p.slot, p.person, p.posed) for p in scene.people]
         first = scene.people[0]
         topology = solid_topology(first.person.skin_faces, first.person.skin_segment, SEGMENTS, first.posed.skin)
-        found = exact_penetrations(scene.cabin, occupants, topology, scene.settings, scene.wheel_angle, scene.things)
+        found = (
+            thing_penetrations(occupants, scene.things)
+            if only_things
+            else exact_penetrations(scene.cabin, occupants, topology, scene.settings, scene.wheel_angle, scene.things)
+        )
         deepest: dict[str, float] = {}
         for p in found:
             deepest[p.cause] = max(deepest.get(p.cause, -1.0), p.excess_m)
@@ -57,11 +61,12 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--config", type=Path, help="a configuration; left out: the default one")
+    parser.add_argument("--things", action="store_true", help="only child seats and objects against people")
     arguments = parser.parse_args()
     config = SynthConfig.load(arguments.config) if arguments.config else SynthConfig()
     # Frames of a block share their cars: far apart, they meet all of them.
     shares = [[_APART * i for i in range(w, arguments.scenes, arguments.workers)] for w in range(arguments.workers)]
-    tasks = [(config.model_dump_json(), arguments.seed, share) for share in shares]
+    tasks = [(config.model_dump_json(), arguments.seed, share, arguments.things) for share in shares]
     with get_context("spawn").Pool(arguments.workers) as pool:
         rows = [row for part in pool.map(judge, tasks) for row in part]
     beyond = [text for row in rows for text in row["beyond"]]

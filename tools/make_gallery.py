@@ -20,6 +20,7 @@ from PIL import Image as PilImage
 import cabinpose
 from cabinpose.app.view.draw import Image, amplitude_image, depth_image, draw_skeleton, resized, text
 from cabinpose.scene.cabin import PRESETS
+from cabinpose.scene.labels import LABELS
 
 WIDTH, HEIGHT, GAP, CAPTION = 264, 216, 6, 20
 SENSOR = "camera.sensor=pico_monstar_105/4"
@@ -66,6 +67,24 @@ def actions() -> list[Cell]:
     return [Cell(name.replace("_", " "), (*scene, f"scene.motion={{driver: {{{name}: 1}}}}")) for name in ACTIONS]
 
 
+def things() -> list[Cell]:
+    """Child seats, objects on seats and laps, and what people hold."""
+    rear = ("scene.cars=[suv]", LEFT, ALONE, "camera.views={rear: 1}", SENSOR)
+    pair = ("scene.cars=[sedan]", LEFT, PAIR, FRONT_ROW, SENSOR, "scene.in_hand=1")
+    full = ("scene.cars=[van]", LEFT, FULL, "camera.views={rear: 1}", SENSOR)
+    seats = "scene.child_seats={rear_left: infant, rear_right: toddler}"
+    around = "scene.objects={rear_left: {backpack: 1}, rear_center: {bottle: 1}, rear_right: {box: 1}}"
+    laps = "scene.objects={rear_left: {laptop: 1}, rear_center: {bag: 1}, rear_right: {box: 1}}"
+    return [
+        Cell("carrier, toddler seat", (*rear, seats), 2),
+        Cell("booster, bag", (*rear, "scene.child_seats={rear_right: booster}", "scene.objects={rear_left: {bag: 1}}"), 4),
+        Cell("on the seats", (*rear, around), 3),
+        Cell("on laps", (*full, laps), 6),
+        Cell("drink, read", (*pair, "scene.motion={driver: {drink: 1}, front_passenger: {read: 1}}"), 5),
+        Cell("text, telephone", (*pair, "scene.motion={driver: {phone_text: 1}, front_passenger: {phone_ear: 1}}"), 8),
+    ]
+
+
 def people() -> list[Cell]:
     """Twelve of the named people."""
     scene = ("scene.cars=[hatchback]", LEFT, ALONE, DRIVER, SENSOR)
@@ -99,6 +118,14 @@ def skeleton_panel(frame: dict[str, Any]) -> Image:
     return image
 
 
+def label_panel(frame: dict[str, Any]) -> Image:
+    """The classes in their colours."""
+    colours = np.zeros((256, 3), np.uint8)
+    for label in LABELS:
+        colours[label.id] = label.rgb >> 16 & 255, label.rgb >> 8 & 255, label.rgb & 255
+    return np.asarray(colours[frame["labels"]])
+
+
 def grid(rows: Sequence[Sequence[tuple[str, Image]]]) -> Image:
     """Captioned pictures in rows, on white."""
     tops = np.cumsum([CAPTION * any(caption for caption, _ in row) + (HEIGHT + GAP if r else 0) for r, row in enumerate(rows)])
@@ -123,6 +150,17 @@ def pair_rows(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
     return [[(name, depth_panel(f)) for name, f in frames], [("", skeleton_panel(f)) for _, f in frames]]
 
 
+def with_labels(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
+    """Rows of depth, amplitude and classes."""
+    frames = [(cell.caption, frame_of(cell)) for cell in cells]
+    plain = [amplitude_image(f["amplitude"], float(np.quantile(f["amplitude"], 0.97))) for _, f in frames]
+    return [
+        [(name, depth_panel(f)) for name, f in frames],
+        [("", picture) for picture in plain],
+        [("", label_panel(f)) for _, f in frames],
+    ]
+
+
 def room() -> Image:
     """People standing before a Kinect-class camera, by the configuration of `cabinpose config init --scene room`."""
     from cabinpose.synth.config import room_preset
@@ -142,6 +180,7 @@ def main() -> None:
         "views": grid([row for half in wrapped(views(), 3) for row in pair_rows(half)]),
         "actions": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in actions()])),
         "people": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in people()])),
+        "things": grid([row for half in wrapped(things(), 3) for row in with_labels(half)]),
         "sensors": grid(pair_rows(sensors())),
         "room": room(),
     }

@@ -25,6 +25,7 @@ from cabinpose.synth.posture import (
     random_action,
     sample_pose,
 )
+from cabinpose.synth.posture.actions import HOLDING
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.posture.seating import CENTRED
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile
@@ -210,12 +211,14 @@ def test_bad_input(people: dict[str, Person]) -> None:
         solve_posture(child, driver, far, cabin)
 
 
-def test_random_actions_follow_their_weights() -> None:
+@pytest.mark.parametrize("in_hand", [False, True])
+def test_random_actions_follow_their_weights(in_hand: bool) -> None:
     cabin = build_cabin("sedan")
     seat = cabin.seats["driver"]
     rng = np.random.default_rng(2)
-    drawn = [random_action(seat, cabin, rng=rng) for _ in range(4000)]
-    known = actions_for(seat, cabin)
+    drawn = [random_action(seat, cabin, rng=rng, in_hand=in_hand) for _ in range(4000)]
+    known = [name for name in actions_for(seat, cabin) if in_hand or name not in HOLDING]
+    assert set(drawn) == set(known)
     total = sum(ACTIONS[n].weight for n in known)
     for name in known:
         assert drawn.count(name) / 4000 == pytest.approx(ACTIONS[name].weight / total, abs=0.025)

@@ -282,7 +282,7 @@ class SceneSampler:
         """Which car frame `index` shows, who sits where in it, and how the seats are set."""
         car, drive_side = self._plan.car(index, rng=rng)
         cabin, validator = self._cabin(self._changed.get(car, car), drive_side)
-        child_seats = draw_child_seats(scene.child_seats, cabin, rng) if scene.child_seats and not scene.things else {}
+        child_seats = draw_child_seats(scene.child_seats, cabin, rng=rng) if scene.child_seats and not scene.things else {}
         names = self._who(scene, cabin, index, child_seats, rng)
         people = {slot: self._person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
@@ -295,7 +295,7 @@ class SceneSampler:
             for slot, seat in cabin.seats.items()
         }
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
-        objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng) if not scene.things else {}
+        objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
         return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, objects))
 
     def _things(
@@ -306,7 +306,7 @@ class SceneSampler:
             return tuple(thing.placed for thing in scene.things)
         if not any(cast.brought) or cast.validator.contact is None:
             return ()
-        found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng)
+        found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng=rng)
         return found if isinstance(found, Blocked) else tuple(found)
 
     def _assembled(

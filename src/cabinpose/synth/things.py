@@ -90,7 +90,7 @@ def _drawn(weights: Mapping[str, float], rng: np.random.Generator) -> str | None
     return None
 
 
-def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, rng: np.random.Generator) -> dict[str, str]:
+def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, *, rng: np.random.Generator) -> dict[str, str]:
     """The kinds of child seats of one frame, by seat."""
     drawn = {
         slot: _drawn(weights_of(child_seats[slot], tuple(CHILD_SEATS)), rng) for slot in OCCUPANT_SLOTS if slot in child_seats
@@ -99,7 +99,12 @@ def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, rng: np.ra
 
 
 def draw_objects(
-    objects: Mapping[str, Choice], cabin: Cabin, taken: Sequence[str], child_seats: Mapping[str, str], rng: np.random.Generator
+    objects: Mapping[str, Choice],
+    cabin: Cabin,
+    taken: Sequence[str],
+    child_seats: Mapping[str, str],
+    *,
+    rng: np.random.Generator,
 ) -> dict[str, str]:
     """The kinds of objects of one frame, by seat: where somebody sits those that lie on a lap, none where a child seat stands."""
     result = {}
@@ -140,6 +145,7 @@ class SeatThings:
         brought: Brought,
         taken: Sequence[str],
         settings: dict[str, SeatSetting],
+        *,
         rng: np.random.Generator,
     ) -> list[PlacedThing] | Blocked:
         """Put everything onto seats that nobody has taken.

@@ -21,7 +21,7 @@ from cabinpose.scene.things.objects import HELD, OBJECTS
 from cabinpose.scene.things.pieces import Piece
 
 VARIANTS = 4  # designs of each kind, of different sizes
-_POINTS_A_SIDE = 20  # by which a thing feels what is around it, along its longest side
+_POINTS_A_SIDE = 14  # by which a thing feels what is around it, along its longest side
 _SMALL_M = 0.12  # a thing thinner than this has a finer field
 
 

@@ -8,16 +8,18 @@ the thing is taken. A hand that hardly touches it cannot hold it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats, Ints
+from cabinpose.core.arrays import Bools, Floats, Ints
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, apply, axis_rotation, invert, transform
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER
 from cabinpose.scene.things import Thing, make_thing
+from cabinpose.scene.things.placing import let_down
 from cabinpose.synth.posture.memory import kept_with_person
 
 PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
@@ -28,9 +30,10 @@ _CURLS = np.linspace(-0.4, 1.0, 57)  # a thumb opens wider than at rest
 _OPEN = np.array((-0.4, 0.0, 0.0, 0.0, 0.0))  # thumb to little finger
 _LOOSE = np.array((0.1, 0.35, 0.35, 0.35, 0.35))  # of fingers that meet nothing
 _ALONG_M = (-0.015, -0.005, 0.005, 0.015, 0.03)
-_FARTHEST_M, _NEAREST_M, _STEP_M = 0.075, -0.03, 0.002  # of the thing's middle before the palm's origin
+_FARTHEST_M, _NEAREST_M = 0.075, -0.03  # of the thing's middle before the palm's origin
 _ONE_SIDED = 0.85  # length of the mean direction to where a hand touches: 0.64 for half of a cylinder, 1 for one side
 _BOOK_UP_M = 0.055  # its middle beyond the palm's
+_COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
 _SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
 HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "mouth": ("bottle", "cup"), "book": ("open_book",)}
@@ -131,17 +134,18 @@ def _grasp(person: Person, place: str, kind: str, variant: int) -> Grasp | None:
         curl = _OPEN.copy()
         for finger in range(5):
             mine = hand.finger == finger
-            for tried in _CURLS[curl[finger] < _CURLS]:
+
+            def closed(tried: float, mine: Bools = mine, thing_from_palm: Matrix = thing_from_palm) -> bool:
                 skin = hand.skin[np.searchsorted(_CURLS, tried - 1e-9)][mine]
-                if _distance(thing, apply(thing_from_palm, skin)).min() < -PRESSED_M:
-                    break
-                curl[finger] = tried
-            else:
-                curl[finger] = _LOOSE[finger]
+                return float(_distance(thing, apply(thing_from_palm, skin)).min()) >= -PRESSED_M
+
+            last = _last_free(closed, float(curl[finger]))
+            curl[finger] = _LOOSE[finger] if last == len(_CURLS) - 1 else _CURLS[last]
         skin = apply(thing_from_palm, hand.at(curl))
-        touches = _distance(thing, skin) < _TOUCHES_M
+        clear = _distance(thing, skin)
+        touches = clear < _TOUCHES_M
         touching = int(touches.sum())
-        if touching > most and (place != "mouth" or _encloses(skin[touches])):
+        if touching > most and clear.min() >= -PRESSED_M - _AT_REST_M and (place != "mouth" or _encloses(skin[touches])):
             most, best = touching, Grasp(curl, at)
     return best
 
@@ -154,13 +158,23 @@ def _encloses(touching: Floats) -> bool:
 
 def _brought_near(thing: Thing, turned: Matrix, hand: Floats, along: float) -> Matrix:
     """palm_from_thing of a thing that is brought to the palm of a hand (N, 3), palm frame, as near as it lets it."""
-    at = turned
-    for off in np.arange(_FARTHEST_M, _NEAREST_M, -_STEP_M):
-        nearer = transform(None, (along, 0.0, off)) @ turned
-        if _distance(thing, apply(invert(nearer), hand)).min() < -_AT_REST_M:
-            break
-        at = nearer
-    return at
+
+    def at(off: float) -> Matrix:
+        return np.asarray(transform(None, (along, 0.0, off)) @ turned)
+
+    def free(off: float) -> bool:
+        return float(_distance(thing, apply(invert(at(off)), hand)).min()) >= -_AT_REST_M
+
+    return at(let_down(free, _FARTHEST_M, _NEAREST_M))
+
+
+def _last_free(closed: Callable[[float], bool], start: float) -> int:
+    """The number of the last of `_CURLS` up to which a finger closes, of those from `start` on."""
+    low = int(np.searchsorted(_CURLS, start - 1e-9))
+    for coarse in (_COARSE, 1):  # a finger that is beyond a thin thing is free again
+        while low + coarse < len(_CURLS) and closed(float(_CURLS[low + coarse])):
+            low += coarse
+    return low
 
 
 def _distance(thing: Thing, points: Floats) -> Floats:
