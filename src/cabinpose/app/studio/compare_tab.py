@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from nicegui import run, ui
 from numpy.typing import NDArray
 
@@ -15,15 +14,13 @@ from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.empty import empty_state
-from cabinpose.app.studio.models import detectors, load_choice
+from cabinpose.app.studio.models import Judged, detectors, error_words, joint_distances, judged, load_choice, worst_first
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import PoseBatch
 from cabinpose.core.skeleton import index_pairs
-from cabinpose.evaluate.offline import common_joints, predict_dataset, samples_of, shared_places
+from cabinpose.evaluate.offline import common_joints, predict_dataset, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import Report, make_report
-from cabinpose.evaluate.samples import Samples
 from cabinpose.store.predictions import Predictions
 from cabinpose.store.schema import dataset_id
 
@@ -32,45 +29,24 @@ _NEAR_CM = 5.0  # of the thesis' three boxes a joint: all found, those nearer th
 _METRICS = ("mAD", "mAD@d", "mAP@d (literal)", "mAR@d (literal)")
 
 
-def compare_tab(workspace: Workspace) -> None:
-    """Build the tab."""
+def compare_tab(workspace: Workspace, label: Callable[[int], None]) -> None:
+    """Build the tab. label: opens a frame, by its number, to be labelled."""
     if workspace.dataset is None:
         empty_state(
             "No dataset is open", "Open a dataset with its truth, and predictions to hold against it:",
             "cabinpose studio DATASET --predictions FILE",
         )  # fmt: skip
         return
-    CompareTab(workspace)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A model's errors and numbers. d: (F,) mean distance of the joints found in each frame of `rows`, cm or px."""
-
-    samples: Samples
-    report: Report
-    d: NDArray[np.float64]
-
-
-def judged(dataset: xr.Dataset, model: Predictions, options: EvaluationOptions, space: str, joints: Any, persons: Any) -> Judged:
-    """What `evaluate` says of a model, and how far its joints are off in each frame."""
-    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)
-    report = make_report(samples, options, model.model, "", notes)
-    where = samples.px if space == "2d" else samples.m
-    error = np.where(samples.counts & where.found, where.error, np.nan) * (1.0 if space == "2d" else 100.0)
-    sums, counts = np.zeros(len(samples.frames)), np.zeros(len(samples.frames))
-    np.add.at(sums, samples.at, np.nansum(error, axis=1))
-    np.add.at(counts, samples.at, np.isfinite(error).sum(axis=1))
-    with np.errstate(invalid="ignore"):
-        return Judged(samples, report, sums / counts)
+    CompareTab(workspace, label)
 
 
 class CompareTab:
     """The tab of one browser."""
 
-    def __init__(self, workspace: Workspace) -> None:
-        self._workspace = workspace
+    def __init__(self, workspace: Workspace, label: Callable[[int], None]) -> None:
+        self._workspace, self._label = workspace, label
         self._judged: dict[str, Judged] = {}
+        self._frame = 0  # number of the one that is shown
         self._share = 0.0  # of the frames that a model has looked at
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
@@ -180,7 +156,7 @@ class CompareTab:
             with self._main:
                 empty_state("Nothing to compare yet", "Run a model on the left, or open a predictions file beside the dataset.")
             return
-        dataset = workspace.corrected() if self._corrected.value else workspace.dataset
+        dataset = workspace.corrected(workspace.dataset) if self._corrected.value else workspace.dataset
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         try:
             joints, persons = common_joints(dataset, models), shared_places(dataset, models)
@@ -199,8 +175,7 @@ class CompareTab:
 
     def _worst(self) -> list[int]:
         """Rows, worst first by the model whose mean distance is greatest there."""
-        d = np.nanmax(np.nan_to_num(np.array([each.d for each in self._judged.values()]), nan=-1.0), axis=0)
-        return np.argsort(-d, kind="stable").tolist()
+        return worst_first(np.fmax.reduce([each.d for each in self._judged.values()])).tolist()
 
     def _numbers(self) -> None:
         space = str(self._space.value)
@@ -259,11 +234,13 @@ class CompareTab:
             with ui.column().style("width: 260px; gap: 4px; overflow-y: auto"):
                 self._title = ui.label().style("font-weight: 600")
                 ui.label("white: truth").style("font-size: 12px; opacity: .7")
+                there = ui.button("Label this frame", icon="edit", on_click=lambda: self._label(self._frame))
+                there.props("outline dense no-caps")
                 ui.label("Worst frames").style("font-weight: 600; margin-top: 6px")
                 frames = next(iter(self._judged.values())).samples.frames
                 for row in self._worst()[:12]:
                     d = [each.d[row] for each in self._judged.values()]
-                    words = ", ".join("–" if not np.isfinite(x) else f"{x:.1f}" for x in d)
+                    words = ", ".join(error_words(x) for x in d)
                     ui.button(f"frame {frames[row]}: {words}", on_click=lambda row=row: self._show_frame(row)).props(
                         "flat dense no-caps align=left"
                     ).style("width: 100%")
@@ -272,8 +249,7 @@ class CompareTab:
         """For each joint, boxes of the distances of all that were found, of those below 5 cm and of those below Γt."""
         unit, threshold = ("cm" if self._space.value == "3d" else "px"), float(self._threshold.value)
         for index, (name, each) in enumerate(self._judged.items()):
-            where = each.samples.px if self._space.value == "2d" else each.samples.m
-            error = np.where(each.samples.counts & where.found, where.error, np.nan) * (1.0 if unit == "px" else 100.0)
+            error = joint_distances(each.samples, str(self._space.value))
             series: list[dict[str, Any]] = []
             limits = {"all found": np.inf, f"< {_NEAR_CM:g} {unit}": _NEAR_CM, f"< {threshold:g} {unit}": threshold}
             for words, limit in limits.items():
@@ -301,7 +277,7 @@ class CompareTab:
     def _show_frame(self, row: int) -> None:
         workspace = self._workspace
         assert workspace.dataset is not None
-        dataset = workspace.corrected() if self._corrected.value else workspace.dataset
+        dataset = workspace.corrected(workspace.dataset) if self._corrected.value else workspace.dataset
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         frame = small.isel(frame=row).load()
         number_ = int(frame["frame"])
@@ -320,7 +296,7 @@ class CompareTab:
         near, far = depth_range(workspace.dataset, row)
         self._canvas.show(f"/frames/{row}/depth", near=near, far=far)
         self._canvas.joints(people, limbs)
-        self._title.text = f"frame {number_}"
+        self._frame, self._title.text = number_, f"frame {number_}"
 
 
 _TITLE = {"fontSize": 13, "fontWeight": "normal", "color": "#888"}

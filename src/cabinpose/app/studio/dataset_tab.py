@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import run, ui
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
@@ -26,18 +28,18 @@ _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibil
 _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
 
 
-def dataset_tab(workspace: Workspace) -> None:
-    """Build the tab."""
+def dataset_tab(workspace: Workspace, label: Callable[[int], None]) -> None:
+    """Build the tab. label: opens a frame, by its number, to be labelled."""
     if workspace.dataset is None:
         empty_state("No dataset is open", "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
         return
-    DatasetTab(workspace)
+    DatasetTab(workspace, label)
 
 
 class DatasetTab:
     """The tab of one browser: which frames are chosen, and which one is shown."""
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, label: Callable[[int], None]) -> None:
         assert workspace.dataset is not None
         self._workspace, self._dataset = workspace, workspace.dataset
         self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
@@ -46,6 +48,8 @@ class DatasetTab:
         self._limbs = index_pairs(self._joints)
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
+        self._label = label
+        self._errors: FrameErrors | None = None  # of the predictions that are chosen
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
@@ -53,6 +57,7 @@ class DatasetTab:
                 self._build_main()
         ui.keyboard(on_key=self._key)
         self._show()
+        ui.timer(1.0, self._look)
 
     def _build_side(self) -> None:
         ui.label("Frames with").style("font-weight: 600")
@@ -69,6 +74,19 @@ class DatasetTab:
             self._joint.style("flex: 1; min-width: 0")
             self._state = ui.select(_STATES, label="seen", clearable=True, on_change=self._filter).props("dense outlined")
             self._state.style("flex: 1; min-width: 0")
+        self._predictions = (
+            ui.select(list(self._workspace.predictions), label="error of", clearable=True, on_change=self._judge)
+            .props("dense outlined")
+            .classes("w-full")
+            .mark("error of")
+        )
+        with ui.row().classes("no-wrap items-center w-full") as self._by_error:
+            self._over = ui.number("over, cm", min=0, on_change=self._filter).props("dense outlined clearable")
+            self._worst = ui.number("the worst", min=1, precision=0, on_change=self._filter).props("dense outlined clearable")
+            for field in (self._over, self._worst):
+                field.style("flex: 1; min-width: 0")
+            self._sorted = ui.checkbox("sort", value=True, on_change=self._filter)
+        self._by_error.visible = False
         self._count = ui.label()
         ui.separator()
         names = [name for name in IMAGES if name in self._dataset]
@@ -82,7 +100,8 @@ class DatasetTab:
         self._range.on_value_change(self._show)
         ui.separator()
         self._facts = ui.column().style("gap: 2px; font-size: 13px; width: 100%")
-        ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense").style("width: 100%")
+        ui.button("Label this frame", icon="edit", on_click=self._label_this).props("outline dense no-caps").classes("w-full")
+        ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense no-caps").classes("w-full")
 
     def _build_main(self) -> None:
         with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
@@ -104,6 +123,19 @@ class DatasetTab:
         if event.action.keydown and event.key in ("ArrowLeft", "ArrowRight"):
             self._go(self._position + (1 if event.key == "ArrowRight" else -1))
 
+    async def _judge(self) -> None:
+        """Find how far the chosen predictions are off, which is asked for again after each change of labels by choosing anew."""
+        name, self._errors = self._predictions.value, None
+        if name is not None:
+            try:
+                self._errors = await run.io_bound(frame_errors, self._workspace, self._dataset, str(name))
+            except CabinposeError as error:
+                ui.notify(error.in_one_line(), type="negative", multi_line=True)
+        self._by_error.visible = self._errors is not None
+        if self._errors is not None:
+            self._over.props(f'label="over, {self._errors.unit}"')
+        self._filter()
+
     def _filter(self) -> None:
         chosen = np.ones(self._dataset.sizes["frame"], bool)
         for name, select in self._filters.items():
@@ -115,6 +147,8 @@ class DatasetTab:
             columns = slice(None) if self._joint.value is None else [self._joints.index(self._joint.value)]
             chosen &= (self._visibility[:, :, columns] == self._state.value).any(axis=(1, 2))
         self._rows = np.flatnonzero(chosen)
+        if self._errors is not None:
+            self._rows = self._errors.choose(self._rows, self._over.value, self._worst.value, by_error=self._sorted.value)
         self._go(0)
 
     def _go(self, position: int) -> None:
@@ -122,12 +156,14 @@ class DatasetTab:
         self._position = position
         self._show()
 
-    def show_frame(self, number: int) -> None:
-        """Show the frame of this number, whatever the filters say."""
-        row = int(np.flatnonzero(self._dataset["frame"].values == number)[0])
-        if row not in self._rows:
-            self._rows = np.arange(self._dataset.sizes["frame"])
-        self._go(int(np.searchsorted(self._rows, row)))
+    def _label_this(self) -> None:
+        if len(self._rows):
+            self._label(int(self._dataset["frame"].values[self._rows[self._position]]))
+
+    def _look(self) -> None:
+        """Offer the predictions that Compare has opened or run since."""
+        if (names := list(self._workspace.predictions)) != self._predictions.options:
+            self._predictions.set_options(names)
 
     def _show(self) -> None:
         try:
@@ -155,7 +191,8 @@ class DatasetTab:
         self._show_cloud(row, frame)
         self._facts.clear()
         with self._facts:
-            for name, value in _facts(frame):
+            error = [] if self._errors is None else [("error", self._errors.words(row))]
+            for name, value in (*error, *_facts(frame)):
                 with ui.row().classes("no-wrap w-full").style("gap: 8px"):
                     ui.label(name).style("opacity: .65; min-width: 90px")
                     ui.label(value)

@@ -12,7 +12,7 @@ from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.labelling import Labelling, Shown
-from cabinpose.app.studio.models import choices, load_choice
+from cabinpose.app.studio.models import choices, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
@@ -35,19 +35,20 @@ _HELP = (
     ("wheel", "zoom; Shift and drag: move; double click: all"),
 )  # fmt: skip
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
+_WORST = "worst:"  # and the name of predictions
 
 
-def label_tab(workspace: Workspace) -> None:
-    """Build the tab."""
+def label_tab(workspace: Workspace) -> LabelTab | None:
+    """Build the tab; None where there is nothing to label."""
     if workspace.dataset is None:
         empty_state("No dataset is open", "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
-        return
+        return None
     try:
         labelling = Labelling(workspace)
     except CabinposeError as error:
         empty_state("The labels cannot be opened", str(error), error.hint or "")
-        return
-    LabelTab(workspace, labelling)
+        return None
+    return LabelTab(workspace, labelling)
 
 
 class LabelTab:
@@ -87,8 +88,8 @@ class LabelTab:
         people.props("dense outlined").classes("w-full")
         sets = list(self._labelling.sets)
         ui.select(sets, value=sets[0], label="joints", on_change=self._set_joints).props("dense outlined").classes("w-full")
-        self._order = ui.select(_ORDERS, value="order", label="frames", on_change=self._reorder).props("dense outlined")
-        self._order.classes("w-full")
+        self._order = ui.select(self._orders(), value="order", label="frames", on_change=self._reorder).props("dense outlined")
+        self._order.classes("w-full").mark("order")
         images = [name for name in (*DEPTHS, *GREYS) if name in self._dataset]
         with ui.row().classes("no-wrap w-full items-center"):
             self._image = ui.select(images, value="depth", on_change=self._show).props("dense outlined").style("flex: 1")
@@ -213,8 +214,29 @@ class LabelTab:
                 with_model.dismiss()
         elif self._order.value == "open":
             rows = [row for row in rows if not self._labelling.done(row, self._person)]
+        elif str(self._order.value).startswith(_WORST):
+            rows = await self._worst(str(self._order.value).removeprefix(_WORST)) or rows
         self._queue, self._position = rows or [0], 0
-        self._slider.props(f"max={max(len(self._queue) - 1, 1)}")
+        self._show()
+
+    async def _worst(self, predictions: str) -> list[int]:
+        """All rows, the one on which these predictions are worst first; none where they cannot be judged."""
+        try:
+            errors = await run.io_bound(frame_errors, self._workspace, self._dataset, predictions)
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            return []
+        return [] if errors is None else worst_first(errors.d).tolist()
+
+    def _orders(self) -> dict[str, str]:
+        return _ORDERS | {_WORST + name: f"worst of {name} first" for name in self._workspace.predictions}
+
+    def show_frame(self, number: int) -> None:
+        """Show the frame of this number, where it stands in the order of frames; here, where it does not."""
+        row = self._labelling.row(number)
+        if row not in self._queue:
+            self._queue.insert(self._position, row)
+        self._position, self._chosen = self._queue.index(row), 0
         self._show()
 
     def _slid(self, event: Any) -> None:
@@ -229,7 +251,10 @@ class LabelTab:
         self._show()
 
     def _look_for_others(self) -> None:
-        """Show what another tab has changed."""
+        """Show what another tab has changed, and offer the predictions that it opened."""
+        if (orders := self._orders()) != self._order.options:
+            self._order.set_options(orders)
+            self._model.set_options(choices(self._workspace))
         if len(self._labelling.labels.history) != self._changes_seen:
             self._show()
 
@@ -245,6 +270,7 @@ class LabelTab:
         self._canvas.joints([whole], limbs, (0, self._chosen))
         self._show_image(row)
         done = labelling.done(row, self._person)
+        self._slider.props(f"max={max(len(self._queue) - 1, 1)}")
         self._slider.value = self._position
         place = f"frame {labelling.numbers[row]}, {self._position + 1} of {len(self._queue)}"
         self._number.text = place + (", done" if done else "")

@@ -96,6 +96,10 @@ class Labelling:
         (u, v), (x, y, z) = self._uv[at].tolist(), self._xyz[at].tolist()
         return JointLabel((u, v), (x, y, z), state)
 
+    def row(self, number: int) -> int:
+        """The row of the frame of a number."""
+        return self._rows[number]
+
     def done(self, row: int, person: str) -> bool:
         """Whether every joint of a person has its label in this frame."""
         return all((int(self.numbers[row]), person, joint) in self.labels for joint in self.joints)

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from cabinpose.app.studio.compare_tab import compare_tab
 from cabinpose.app.studio.dataset_tab import dataset_tab
-from cabinpose.app.studio.label_tab import label_tab
+from cabinpose.app.studio.label_tab import LabelTab, label_tab
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.live_tab import live_tab
 from cabinpose.app.studio.scene_session import SceneRoom
@@ -35,11 +35,23 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
+    labels: list[LabelTab] = []  # the tab, if there is something to label
+
+    def label(number: int) -> None:
+        """Open a frame, by its number, to be labelled."""
+        bar.set_value("Label")
+        for each in labels:
+            each.show_frame(number)
+
+    def build_label() -> None:
+        if made := label_tab(workspace):
+            labels.append(made)
+
     tabs: dict[str, Callable[[], None]] = {
         "Scene": lambda: scene_tab(scene, opened=workspace.scene is not None),
-        "Dataset": lambda: dataset_tab(workspace),
-        "Label": lambda: label_tab(workspace),
-        "Compare": lambda: compare_tab(workspace),
+        "Dataset": lambda: dataset_tab(workspace, label),
+        "Label": build_label,
+        "Compare": lambda: compare_tab(workspace, label),
         "Live": lambda: live_tab(workspace, live),
     }
     ui.colors(primary="#2f6f9f")

@@ -49,12 +49,11 @@ class Workspace:
             self._labels = Labels(path, dataset_id(self.manifest), persons, joints)
         return self._labels
 
-    def corrected(self) -> xr.Dataset:
-        """The dataset with the labels that were set; as it was while there are none."""
-        assert self.dataset is not None
+    def corrected(self, dataset: xr.Dataset) -> xr.Dataset:
+        """The dataset, as it was opened, with the labels that were set; as it was while there are none."""
         if self._labels is None or not self._labels.history:
-            return self.dataset
-        return with_labels(self.dataset, self._labels.now)
+            return dataset
+        return with_labels(dataset, dict(self._labels.now))  # a copy: another thread may set labels meanwhile
 
     def add_predictions(self, path: Path) -> str:
         """Open a predictions file of the dataset; the name it goes by. Raises PredictionsError."""

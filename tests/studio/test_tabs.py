@@ -1,0 +1,156 @@
+"""The tabs Dataset, Label and Compare, built and used without a browser."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nicegui import ui
+from nicegui.testing import User, user_simulation
+
+from cabinpose.app.studio.live_session import LiveRoom
+from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
+from cabinpose.app.studio.page import studio_page
+from cabinpose.app.studio.workspace import Workspace, open_workspace
+from cabinpose.core.pose import Visibility
+from cabinpose.store.predictions import Predictions, empty_batch
+
+SHIFT_CM = (3.0, 9.0, 1.0, 27.0, 6.0, 12.0)  # by which all joints of a frame are off
+
+
+@pytest.fixture
+def workspace(dataset_folder: Path) -> Iterator[Workspace]:
+    """A dataset with the predictions of an oracle that is off by `SHIFT_CM`."""
+    opened = open_workspace(dataset_folder)
+    opened.predictions["oracle"] = off_by(opened, SHIFT_CM)
+    yield opened
+    opened.close()
+
+
+def off_by(workspace: Workspace, shift_cm: Any) -> Predictions:
+    """The dataset's joints, moved to the right, each frame by its own distance; nobody is found where that is infinite."""
+    dataset = workspace.dataset
+    assert dataset is not None
+    batch = empty_batch(dataset.sizes["frame"], dataset.sizes["person"], dataset.sizes["joint"])
+    there = (dataset["visibility"].values > Visibility.OUTSIDE_IMAGE) & np.isfinite(shift_cm)[:, None, None]
+    batch.joints_2d[there] = dataset["joints_2d"].values[there]
+    batch.joints_3d[there], batch.presence[there] = dataset["joints_3d"].values[there], 1.0
+    batch.joints_3d[..., 0] += np.where(np.isfinite(shift_cm), shift_cm, 0)[:, None, None] / 100
+    persons, joints = (tuple(str(n) for n in dataset[d].values) for d in ("person", "joint"))
+    return Predictions(
+        batch.joints_2d, batch.joints_3d, batch.score, batch.presence, dataset["frame"].values, persons, joints, "oracle"
+    )
+
+
+def used(workspace: Workspace, steps: Callable[[User], Awaitable[None]]) -> None:
+    """Open the page and take the steps of a user."""
+
+    async def simulate() -> None:
+        async with user_simulation(lambda: studio_page(workspace, LiveRoom(), lambda: pytest.fail("no scene"))) as user:
+            await user.open("/")
+            await steps(user)
+
+    asyncio.run(simulate())
+
+
+def marked(user: User, mark: str) -> Any:
+    """The only element with a mark."""
+    (found,) = user.find(marker=mark).elements
+    return found
+
+
+def test_error_of_a_frame_is_how_far_its_joints_are_off(workspace: Workspace) -> None:
+    assert workspace.dataset is not None
+    errors = frame_errors(workspace, workspace.dataset, "oracle")
+    np.testing.assert_allclose(errors.d, SHIFT_CM, rtol=1e-4)
+    assert errors.unit == "cm"
+    assert worst_first(errors.d).tolist() == [3, 5, 1, 4, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("over", "worst", "by_error", "rows"),
+    [
+        (None, None, True, [3, 5, 1, 4, 0, 2]),
+        (None, None, False, [0, 1, 2, 3, 4, 5]),
+        (6.5, None, True, [3, 5, 1]),
+        (6.5, None, False, [1, 3, 5]),
+        (None, 2, True, [3, 5]),
+        (6.5, 2, False, [3, 5]),
+        (99.0, None, True, []),
+    ],
+)
+def test_frames_are_chosen_by_error(over: float | None, worst: int | None, by_error: bool, rows: list[int]) -> None:
+    errors = FrameErrors(np.array(SHIFT_CM), "cm")
+    assert errors.choose(np.arange(6), over, worst, by_error=by_error).tolist() == rows
+
+
+def test_frame_in_which_nobody_is_found_is_the_worst(workspace: Workspace) -> None:
+    assert workspace.dataset is not None
+    workspace.predictions["oracle"] = off_by(workspace, (3.0, 9.0, np.inf, 27.0, 6.0, 12.0))
+    errors = frame_errors(workspace, workspace.dataset, "oracle")
+    assert worst_first(errors.d).tolist()[:2] == [2, 3]
+    assert errors.words(2) == "nobody found"
+    nobody = workspace.dataset.copy()
+    nobody["visibility"] = nobody["visibility"] * (nobody["frame"] != 2)
+    errors = frame_errors(workspace, nobody, "oracle")
+    assert np.isnan(errors.d[2])  # where nobody is, nothing is wrong
+    assert worst_first(errors.d).tolist()[-1] == 2
+
+
+def test_dataset_tab_goes_from_the_worst_frame_to_its_labels(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        marked(user, "error of").set_value("oracle")
+        await user.should_see("27.0 cm")
+        await user.should_see("frame 3")
+        user.find(kind=ui.number, content="over, cm").elements.pop().set_value(6.5)
+        await user.should_see("3 of 6 frames")
+        user.find("Label this frame").click()  # the first that is seen, that of the tab Dataset
+        await user.should_see("frame 3, 4 of 6")
+
+    used(workspace, steps)
+
+
+def test_worst_frames_of_predictions_are_labelled_first(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        marked(user, "order").set_value("worst:oracle")
+        await user.should_see("frame 3, 1 of 6")
+
+    used(workspace, steps)
+
+
+def test_predictions_that_come_later_are_offered(workspace: Workspace) -> None:
+    late = workspace.predictions.pop("oracle")
+
+    async def steps(user: User) -> None:
+        await user.should_see("6 of 6 frames")
+        workspace.predictions["late"] = late
+        for _ in range(40):
+            if "late" in marked(user, "error of").options:
+                return
+            await asyncio.sleep(0.1)
+        pytest.fail("they were not offered")
+
+    used(workspace, steps)
+
+
+def test_frame_that_is_not_in_the_order_is_shown_all_the_same(workspace: Workspace) -> None:
+    """Of the frames still to be labelled, one that is done is asked for."""
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        user.find("Accept").click()
+        await user.should_see("1 of 6 frames done")
+        marked(user, "order").set_value("open")
+        await user.should_see("frame 1, 1 of 5")
+        user.find("Dataset", kind=ui.tab).click()
+        user.find("Label this frame").click()
+        await user.should_see("frame 0, 1 of 6, done")
+
+    used(workspace, steps)
