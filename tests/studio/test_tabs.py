@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import zipfile
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from nicegui import ui
+from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import User, user_simulation
+from nicegui.testing.user_download import UserDownload
 
+from cabinpose.app.studio.exchange import MOST_BYTES
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
 from cabinpose.app.studio.page import studio_page
@@ -152,5 +157,38 @@ def test_frame_that_is_not_in_the_order_is_shown_all_the_same(workspace: Workspa
         user.find("Dataset", kind=ui.tab).click()
         user.find("Label this frame").click()
         await user.should_see("frame 0, 1 of 6, done")
+
+    used(workspace, steps)
+
+
+def test_coco_goes_out_and_comes_back_corrected(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Downloaded, one keypoint moved, uploaded: that joint is a label, and undo takes it back."""
+    given: list[Path] = []
+    monkeypatch.setattr(UserDownload, "file", lambda _, path, name: given.append(path) if name == "dataset-coco.zip" else None)
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("0 of 6 frames done")
+        user.find("Download frames and labels").click()
+        while not given:
+            await asyncio.sleep(0.1)
+        with zipfile.ZipFile(given[0]) as archive:
+            assert sum(name.endswith(".png") for name in archive.namelist()) == 6
+            coco = json.loads(archive.read("annotations/person_keypoints.json"))
+        person = coco["annotations"][0]
+        person["keypoints"][3] += 11
+        upload = marked(user, "corrected")
+        await upload.handle_uploads([SmallFileUpload("c.json", "application/json", json.dumps(coco).encode())])
+        await user.should_see("1 joints corrected in 1 frames")
+        assert list(workspace.labels.now) == [(person["image_id"], person["slot"], "neck")]
+        assert workspace.labels.history[-1].how == "imported"
+        await upload.handle_uploads([SmallFileUpload("c.json", "application/json", b"{}")])
+        await user.should_see("c.json has no category with keypoints")
+        assert len(workspace.labels.history) == 1
+        await upload.handle_uploads([SmallFileUpload("c.json", "application/json", b" " * (MOST_BYTES + 1))])
+        await user.should_see("of at most 64 MB")
+        user.find("Undo").click()
+        await user.should_see("2 changes")
+        assert workspace.labels.now == {}
 
     used(workspace, steps)

@@ -11,6 +11,7 @@ from nicegui import run, ui
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.exchange import Exchange
 from cabinpose.app.studio.labelling import Labelling, Shown
 from cabinpose.app.studio.models import choices, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
@@ -103,6 +104,7 @@ class LabelTab:
                 ).tooltip(key)
         with ui.row().classes("no-wrap w-full items-center"):
             self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
+            Exchange(self._workspace, self._labelling, self._show)
             ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("history of this frame")
         with ui.expansion("Keys", icon="keyboard").classes("w-full").props("dense"):
             for keys, what in _HELP:

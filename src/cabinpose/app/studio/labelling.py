@@ -59,7 +59,7 @@ class Labelling:
         known = [str(name) for name in self.dataset["joint"].values]
         self.sets = _joint_sets(known)
         self.joints = next(iter(self.sets.values()))
-        self._column = {name: i for i, name in enumerate(known)}
+        self.columns = {name: i for i, name in enumerate(known)}
         self.persons = tuple(str(name) for name in self.dataset["person"].values)
         self.numbers: NDArray[np.int64] = self.dataset["frame"].values.astype(np.int64)
         self._rows = {number: row for row, number in enumerate(self.numbers.tolist())}
@@ -84,17 +84,21 @@ class Labelling:
             return Shown(joint, label, "label", doubts.get(joint, ""))
         if joint in proposals:
             return Shown(joint, proposals[joint], "proposal")
-        held = self._held(row, person, joint)
+        held = self.held(row, person, joint)
         return Shown(joint, held, "dataset" if held is not None else "none")
 
-    def _held(self, row: int, person: str, joint: str) -> JointLabel | None:
+    def held(self, row: int, person: str, joint: str) -> JointLabel | None:
         """What the dataset says of a joint."""
-        at = row, self.persons.index(person), self._column[joint]
+        at = row, self.persons.index(person), self.columns[joint]
         state = Visibility(int(self._seen[at]))
         if state == Visibility.ABSENT or not np.isfinite(self._uv[at]).all():
             return None
         (u, v), (x, y, z) = self._uv[at].tolist(), self._xyz[at].tolist()
         return JointLabel((u, v), (x, y, z), state)
+
+    def has_frame(self, number: int) -> bool:
+        """Whether the dataset has a frame of this number."""
+        return number in self._rows
 
     def row(self, number: int) -> int:
         """The row of the frame of a number."""
@@ -114,25 +118,31 @@ class Labelling:
     def place(self, row: int, person: str, joint: str, u: float, v: float) -> JointLabel:
         """Put a joint at a pixel; in 3D as far behind the measured surface as it was held to be, else at its usual depth."""
         now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
-        frame = self._frame(row)
-        xyz = self._lifted(frame, joint, (u, v), now)
         state = now.visibility if now is not None and now.visibility > Visibility.OUTSIDE_IMAGE else Visibility.VISIBLE
-        label = JointLabel((u, v), xyz, state)
+        label = self.moved(row, joint, (u, v), now, state)
         self._set([((int(self.numbers[row]), person, joint), label)], "placed")
         return label
+
+    def moved(self, row: int, joint: str, uv: tuple[float, float], now: JointLabel | None, state: Visibility) -> JointLabel:
+        """The label of a joint at another pixel than now, see `place`."""
+        return JointLabel(uv, self._lifted(self._frame(row), joint, uv, now), state)
+
+    def take_in(self, changes: Sequence[tuple[Key, JointLabel | None]]) -> None:
+        """Make labels of what came from elsewhere; one step of undo."""
+        if changes:
+            self._set(changes, "imported")
 
     def mark(self, row: int, person: str, joint: str, state: Visibility) -> None:
         """Say how a joint is seen; absent: the person has no such joint here, and it loses its place."""
         now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
-        nowhere = JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), state)
-        label = nowhere if now is None or state == Visibility.ABSENT else replace(now, visibility=state)
+        label = nowhere(state) if now is None or state == Visibility.ABSENT else replace(now, visibility=state)
         self._set([((int(self.numbers[row]), person, joint), label)], "marked")
 
     def accept(self, row: int, person: str) -> int:
         """Take everything that is shown of a person as it is; the number of joints that became labels."""
         number = int(self.numbers[row])
         changes = [
-            ((number, person, shown.joint), shown.label or _nowhere())
+            ((number, person, shown.joint), shown.label or nowhere())
             for shown in self.shown(row, person)
             if shown.origin != "label"
         ]
@@ -298,8 +308,9 @@ class Labelling:
 _USUAL = 3.0  # REACH_M is the greatest depth of a joint below the surface of a heavy body; the usual one is about a third of it
 
 
-def _nowhere() -> JointLabel:
-    return JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), Visibility.ABSENT)
+def nowhere(state: Visibility = Visibility.ABSENT) -> JointLabel:
+    """Of a joint without a place."""
+    return JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), state)
 
 
 def _states(camera: Camera, depth: NDArray[np.float32], xyz: dict[str, NDArray[np.float64]]) -> dict[str, Visibility]:

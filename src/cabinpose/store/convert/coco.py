@@ -26,9 +26,9 @@ from cabinpose.store.convert.pictures import PICTURES, pictured
 from cabinpose.store.frames import PersonInFrame, file_stem, people, require_variables
 from cabinpose.store.source import Report
 
-_FLAG = np.zeros(256, np.int64)
-_FLAG[[Visibility.OCCLUDED, Visibility.SELF_OCCLUDED]] = 1
-_FLAG[Visibility.VISIBLE] = 2
+FLAG = np.zeros(256, np.int64)  # COCO's visibility by ours
+FLAG[[Visibility.OCCLUDED, Visibility.SELF_OCCLUDED]] = 1
+FLAG[Visibility.VISIBLE] = 2
 
 
 def export(parts: Mapping[str, xr.Dataset], folder: Path, report: Report, images: str) -> None:
@@ -92,7 +92,7 @@ def frame_annotations(frame: xr.Dataset) -> list[dict[str, Any]]:
 
 def annotation(person: PersonInFrame, mask: NDArray[np.bool_]) -> dict[str, Any]:
     """The COCO annotation of a person whose visible pixels are `mask` (H, W)."""
-    flags = _FLAG[person.visibility]
+    flags = FLAG[person.visibility]
     uv = np.where(flags[:, None] > 0, person.joints_2d, 0.0)
     keypoints = [x for (u, v), flag in zip(uv.tolist(), flags.tolist(), strict=True) for x in (round(u, 3), round(v, 3), flag)]
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
