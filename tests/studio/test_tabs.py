@@ -11,18 +11,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fastapi import FastAPI
 from nicegui import ui
 from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import User, user_simulation
 from nicegui.testing.user_download import UserDownload
+from starlette.testclient import TestClient
 
 from cabinpose.app.studio.exchange import MOST_BYTES
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
 from cabinpose.app.studio.page import studio_page
+from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.workspace import Workspace, open_workspace
+from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
+from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.predictions import Predictions, empty_batch
+from cabinpose.store.schema import DEPTH_SCALE_M, MANIFEST_NAME, manifest_yaml, with_checksum_line
 
 SHIFT_CM = (3.0, 9.0, 1.0, 27.0, 6.0, 12.0)  # by which all joints of a frame are off
 
@@ -192,3 +198,78 @@ def test_coco_goes_out_and_comes_back_corrected(workspace: Workspace, monkeypatc
         assert workspace.labels.now == {}
 
     used(workspace, steps)
+
+
+def test_frames_that_come_are_offered(dataset_folder: Path) -> None:
+    """The second of three parts comes last, as on a cluster: frames keep their numbers, and images their frames."""
+    part = dataset_folder / "part-00001.zarr"
+    part.rename(dataset_folder.parent / "later")
+    with pytest.warns(UserWarning, match="lacks 1 of 3 parts"):
+        workspace = open_workspace(dataset_folder)
+    server = FastAPI()
+    server.include_router(image_routes(lambda: workspace.dataset))
+
+    def seen(url: str) -> Any:
+        return np.frombuffer(TestClient(server).get(url).content, "<u2")
+
+    before = workspace.url(4, "depth")
+    seen_before = seen(before)
+    assert workspace.new_frames() == 0
+
+    async def steps(user: User) -> None:
+        await user.should_see("4 of 4 frames")
+        await user.should_not_see("Show them")
+        (dataset_folder.parent / "later").rename(part)
+        await user.should_see("2 frames have come since this was opened", retries=40)
+        user.find("Show them").click()
+        await user.should_see("6 of 6 frames", retries=40)
+        await user.should_not_see("Show them")
+
+    used(workspace, steps)
+    assert workspace.url(4, "depth") != before  # the browser has kept the images of the first opening
+    assert workspace.dataset is not None
+    assert workspace.dataset["frame"].values.tolist() == [0, 1, 2, 3, 4, 5]
+    whole = open_dataset(dataset_folder)
+    for image in (seen_before, seen(before)):
+        np.testing.assert_array_equal(image, np.rint(np.nan_to_num(whole["depth"].sel(frame=4).values) / DEPTH_SCALE_M).ravel())
+    workspace.close()
+
+
+def test_dataset_that_vanishes_is_told_and_comes_back(workspace: Workspace, dataset_folder: Path) -> None:
+    """All tabs go on; a page that is opened meanwhile says what to do."""
+    aside = dataset_folder.parent / "aside"
+
+    async def steps(user: User) -> None:
+        await user.should_see("6 of 6 frames")
+        dataset_folder.rename(aside)
+        await user.should_see("dataset has vanished", retries=40)
+        await user.should_see("bring it back to where it was")
+        user.find("Label", kind=ui.tab).click()
+        user.find("Accept").click()  # to the next frame, which cannot be shown
+        await user.should_see("this frame cannot be read")
+        user.find("Compare", kind=ui.tab).click()
+        user.notify.messages.clear()
+        user.find("frame 0: 3.0").click()
+        await user.should_see("this frame cannot be read")
+        await user.open("/")
+        await user.should_see("What was opened cannot be read")
+        await user.should_see("dataset has vanished")
+        aside.rename(dataset_folder)
+        await user.open("/")
+        await user.should_see("6 of 6 frames")
+        await user.should_not_see("has vanished")
+
+    used(workspace, steps)
+
+
+def test_part_that_goes_and_another_dataset_in_its_place_are_told(workspace: Workspace, dataset_folder: Path) -> None:
+    assert workspace.trouble() is None
+    (dataset_folder / "part-00002.zarr").rename(dataset_folder.parent / "aside")
+    with pytest.raises(DatasetError, match=r"has lost part-00002\.zarr"):
+        workspace.new_frames()
+    (dataset_folder.parent / "aside").rename(dataset_folder / "part-00002.zarr")
+    assert workspace.new_frames() == 0
+    manifest = read_manifest(dataset_folder).model_copy(update={"seed": 77})
+    (dataset_folder / MANIFEST_NAME).write_text(with_checksum_line(manifest_yaml(manifest)))
+    with pytest.raises(DatasetError, match="is another dataset now"):
+        workspace.new_frames()

@@ -10,6 +10,7 @@ import xarray as xr
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
+from cabinpose.app.studio.pictures import row_of
 from cabinpose.app.view.draw import PERSON_COLOUR, cloud_colours
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.frames import apply
@@ -39,18 +40,16 @@ def frame_cloud(frame: xr.Dataset, variable: str = "depth") -> tuple[NDArray[np.
 
 
 def cloud_routes(dataset: Callable[[], xr.Dataset | None]) -> APIRouter:
-    """`/clouds/{row}/{variable}.glb`: the cloud of a frame of the dataset that is open, in the vehicle's frame."""
+    """`/clouds/{number}/{variable}.glb`: the cloud of a frame of the dataset that is open, in the vehicle's frame."""
     router = APIRouter()
 
-    @router.get("/clouds/{row}/{variable}.glb")
-    def cloud(row: int, variable: str) -> Response:
+    @router.get("/clouds/{number}/{variable}.glb")
+    def cloud(number: int, variable: str) -> Response:
         opened = dataset()
         if opened is None or not variable.startswith("depth") or variable not in opened:
             raise HTTPException(404, "there is no such cloud")
-        if not 0 <= row < opened.sizes["frame"]:
-            raise HTTPException(404, "there is no such frame")
         try:
-            frame = opened.isel(frame=row).load()
+            frame = opened.isel(frame=row_of(opened, number)).load()
         except (CabinposeError, OSError) as error:  # the dataset vanished, or is damaged
             raise HTTPException(404, str(error)) from error
         return Response(cloud_glb(*frame_cloud(frame, variable)), media_type="model/gltf-binary")

@@ -44,7 +44,8 @@ class CompareTab:
     """The tab of one browser."""
 
     def __init__(self, workspace: Workspace, label: Callable[[int], None]) -> None:
-        self._workspace, self._label = workspace, label
+        assert workspace.dataset is not None
+        self._workspace, self._dataset, self._label = workspace, workspace.dataset, label
         self._judged: dict[str, Judged] = {}
         self._frame = 0  # number of the one that is shown
         self._share = 0.0  # of the frames that a model has looked at
@@ -117,17 +118,16 @@ class CompareTab:
 
     def _predict(self, name: str) -> Predictions:
         workspace = self._workspace
-        assert workspace.dataset is not None
         assert workspace.manifest is not None
         model = load_choice(workspace, name)
         assert model is not None
         assert not isinstance(model, Predictions)
-        count = workspace.dataset.sizes["frame"]
+        count = self._dataset.sizes["frame"]
 
         def done(frames: int) -> None:
             self._share = frames / count  # the bar itself belongs to the browser's own thread
 
-        return predict_dataset(workspace.dataset, model, dataset_id=dataset_id(workspace.manifest), progress=done)
+        return predict_dataset(self._dataset, model, dataset_id=dataset_id(workspace.manifest), progress=done)
 
     # ------------------------------------------------------------------------------------------------ what is shown
 
@@ -141,7 +141,6 @@ class CompareTab:
 
     def _refresh(self) -> None:
         workspace = self._workspace
-        assert workspace.dataset is not None
         models = list(workspace.predictions.values())
         self._list.clear()
         with self._list:
@@ -156,7 +155,7 @@ class CompareTab:
             with self._main:
                 empty_state("Nothing to compare yet", "Run a model on the left, or open a predictions file beside the dataset.")
             return
-        dataset = workspace.corrected(workspace.dataset) if self._corrected.value else workspace.dataset
+        dataset = workspace.corrected(self._dataset) if self._corrected.value else self._dataset
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         try:
             joints, persons = common_joints(dataset, models), shared_places(dataset, models)
@@ -171,7 +170,7 @@ class CompareTab:
             self._curve()
             self._frame_panes()
             self._boxes()
-        self._show_frame(self._worst()[0])
+        self._show(self._worst()[0])
 
     def _worst(self) -> list[int]:
         """Rows, worst first by the model whose mean distance is greatest there."""
@@ -223,7 +222,7 @@ class CompareTab:
                 "yAxis": {"type": "value"},
                 "series": series,
             },
-            on_point_click=lambda event: self._show_frame(int(event.data_index)),
+            on_point_click=lambda event: self._show(int(event.data_index)),
         )
         chart.classes("w-full").style("height: 230px; flex: none").mark("curve")
 
@@ -241,7 +240,7 @@ class CompareTab:
                 for row in self._worst()[:12]:
                     d = [each.d[row] for each in self._judged.values()]
                     words = ", ".join(error_words(x) for x in d)
-                    ui.button(f"frame {frames[row]}: {words}", on_click=lambda row=row: self._show_frame(row)).props(
+                    ui.button(f"frame {frames[row]}: {words}", on_click=lambda row=row: self._show(row)).props(
                         "flat dense no-caps align=left"
                     ).style("width: 100%")
 
@@ -274,10 +273,15 @@ class CompareTab:
                 }
             ).classes("w-full").style("height: 300px; flex: none")
 
+    def _show(self, row: int) -> None:
+        try:
+            self._show_frame(row)
+        except (CabinposeError, OSError) as error:
+            ui.notify(f"this frame cannot be read: {error}", type="negative", multi_line=True)
+
     def _show_frame(self, row: int) -> None:
         workspace = self._workspace
-        assert workspace.dataset is not None
-        dataset = workspace.corrected(workspace.dataset) if self._corrected.value else workspace.dataset
+        dataset = workspace.corrected(self._dataset) if self._corrected.value else self._dataset
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         frame = small.isel(frame=row).load()
         number_ = int(frame["frame"])
@@ -293,8 +297,8 @@ class CompareTab:
             for p in range(len(model.persons)):
                 seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
                 people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})
-        near, far = depth_range(workspace.dataset, row)
-        self._canvas.show(f"/frames/{row}/depth", near=near, far=far)
+        near, far = depth_range(self._dataset, row)
+        self._canvas.show(workspace.url(number_, "depth"), near=near, far=far)
         self._canvas.joints(people, limbs)
         self._frame, self._title.text = number_, f"frame {number_}"
 

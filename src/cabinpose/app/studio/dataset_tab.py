@@ -60,6 +60,12 @@ class DatasetTab:
         ui.timer(1.0, self._look)
 
     def _build_side(self) -> None:
+        with (
+            ui.column().classes("w-full").style("gap: 4px; padding: 6px; border-radius: 4px; background: #c9820033") as self._news
+        ):
+            self._told = ui.label().style("font-size: 13px")
+            self._again = ui.button("Show them", icon="refresh", on_click=self._reopen).props("outline dense no-caps")
+        self._news.visible = False
         ui.label("Frames with").style("font-weight: 600")
         self._filters = {}
         for name, values in self._coordinates.items():
@@ -161,9 +167,26 @@ class DatasetTab:
             self._label(int(self._dataset["frame"].values[self._rows[self._position]]))
 
     def _look(self) -> None:
-        """Offer the predictions that Compare has opened or run since."""
+        """Offer the frames that have come since, and the predictions that Compare has opened or run; say if the data are gone."""
+        assert self._workspace.dataset is not None
+        try:
+            new = self._workspace.new_frames() + self._workspace.dataset.sizes["frame"] - self._dataset.sizes["frame"]
+            self._told.text = f"{new} frames have come since this was opened"
+            self._again.visible = self._news.visible = new > 0
+        except CabinposeError as error:
+            self._told.text = error.in_one_line()
+            self._again.visible, self._news.visible = False, True
         if (names := list(self._workspace.predictions)) != self._predictions.options:
             self._predictions.set_options(names)
+
+    def _reopen(self) -> None:
+        try:
+            if self._workspace.new_frames():
+                self._workspace.reopen()
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            return
+        ui.navigate.reload()
 
     def _show(self) -> None:
         try:
@@ -188,7 +211,7 @@ class DatasetTab:
         self._number.text = f"frame {int(frame['frame'])}"
         self._show_image(row)
         self._canvas.joints(people_of(frame) if self._skeleton.value else [], self._limbs)
-        self._show_cloud(row, frame)
+        self._show_cloud(frame)
         self._facts.clear()
         with self._facts:
             error = [] if self._errors is None else [("error", self._errors.words(row))]
@@ -208,14 +231,15 @@ class DatasetTab:
         else:
             near, far = 0.0, 255.0
             palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES
-        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=palette)
+        number = int(self._dataset["frame"].values[row])
+        self._canvas.show(self._workspace.url(number, str(name)), near=near, far=far, palette=palette)
 
-    def _show_cloud(self, row: int, frame: Any) -> None:
+    def _show_cloud(self, frame: Any) -> None:
         self._scene.clear()
         depth = self._image.value if self._image.value in DEPTHS else "depth"
         vehicle_from_camera = frame["vehicle_from_camera"].values
         with self._scene:
-            self._scene.gltf(f"/clouds/{row}/{depth}.glb")
+            self._scene.gltf(f"/clouds/{int(frame['frame'])}/{depth}.glb")
             for index, person in enumerate(frame["joints_3d"].values):
                 points = apply(vehicle_from_camera, person.astype(np.float64))
                 there = np.asarray(np.isfinite(points).all(axis=1))

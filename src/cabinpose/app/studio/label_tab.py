@@ -263,6 +263,12 @@ class LabelTab:
     # ------------------------------------------------------------------------------------------------ what is shown
 
     def _show(self) -> None:
+        try:
+            self._show_frame()
+        except (CabinposeError, OSError) as error:
+            ui.notify(f"this frame cannot be read: {error}", type="negative", multi_line=True)
+
+    def _show_frame(self) -> None:
         labelling, row = self._labelling, self._row
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
@@ -311,7 +317,8 @@ class LabelTab:
         else:
             low, high = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0
         near, far = low + chosen["min"] * (high - low), low + chosen["max"] * (high - low)
-        self._canvas.show(f"/frames/{row}/{name}", near=near, far=far, palette=GREY if name in GREYS else None)
+        url = self._workspace.url(int(self._labelling.numbers[row]), str(name))
+        self._canvas.show(url, near=near, far=far, palette=GREY if name in GREYS else None)
 
 
 def _drawn(shown: Shown) -> dict[str, Any]:

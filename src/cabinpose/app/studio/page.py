@@ -8,12 +8,14 @@ from nicegui import ui
 
 from cabinpose.app.studio.compare_tab import compare_tab
 from cabinpose.app.studio.dataset_tab import dataset_tab
+from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.label_tab import LabelTab, label_tab
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.live_tab import live_tab
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.app.studio.scene_tab import scene_tab
 from cabinpose.app.studio.workspace import Workspace
+from cabinpose.core.errors import CabinposeError
 
 _STYLE = """
 body { font-family: system-ui, sans-serif; }
@@ -27,6 +29,7 @@ body { font-family: system-ui, sans-serif; }
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
 .studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 18px; }
+.studio-news { gap: 4px; padding: 6px 8px; border-radius: 4px; background: #c9820033; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """
 
@@ -67,8 +70,13 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
     panels = ui.tab_panels(bar, value=_first(workspace, list(tabs)), keep_alive=True, animated=False)
     with panels.classes("w-full").style("width: 100%"):
         for name, build in tabs.items():
-            with ui.tab_panel(name):
-                build()
+            with ui.tab_panel(name) as panel:
+                try:
+                    build()
+                except CabinposeError as error:
+                    panel.clear()
+                    cause = workspace.trouble() or error
+                    empty_state("What was opened cannot be read", str(cause), cause.hint or "")
 
 
 def _opened(workspace: Workspace) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import xarray as xr
 
 from cabinpose.app.view import draw
 from cabinpose.app.view.complete import completed
-from cabinpose.core.errors import ConfigError
+from cabinpose.core.errors import CabinposeError, ConfigError, DatasetError
 from cabinpose.evaluate.offline import check_predictions
 from cabinpose.store import Manifest, open_dataset, read_manifest
 from cabinpose.store.labels import Labels, with_labels
@@ -29,7 +30,11 @@ class Workspace:
     labels_path: Path | None = None
     role: str = "annotator"
     predictions: dict[str, Predictions] = field(default_factory=dict)
+    opening: str = ""  # another word for each time that a dataset is opened
     _labels: Labels | None = None
+    _parts: frozenset[str] = frozenset()  # those that were there then
+    _seen: tuple[int, int] = (0, 0)  # when manifest and folder were changed, as they were last looked at
+    _grown: int = 0
 
     @property
     def root(self) -> Path:
@@ -48,6 +53,46 @@ class Workspace:
             persons, joints = ([str(n) for n in self.dataset[name].values] for name in ("person", "joint"))
             self._labels = Labels(path, dataset_id(self.manifest), persons, joints)
         return self._labels
+
+    def new_frames(self) -> int:
+        """How many frames have come since the dataset was opened: those of its new parts. Costs two looks at the disk.
+
+        Raises DatasetError where the dataset has vanished or is another one now.
+        """
+        assert self.folder is not None
+        assert self.manifest is not None
+        try:
+            seen = (self.folder / MANIFEST_NAME).stat().st_mtime_ns, self.folder.stat().st_mtime_ns
+        except OSError as error:
+            raise DatasetError(f"{self.folder} has vanished", hint=_VANISHED) from error
+        if seen != self._seen:
+            if dataset_id(read_manifest(self.folder)) != dataset_id(self.manifest):
+                raise DatasetError(f"{self.folder} is another dataset now", hint="end the studio and open it again")
+            there = _parts(self.folder)
+            if lost := self._parts - there:
+                raise DatasetError(f"{self.folder} has lost {min(lost)}", hint=_VANISHED)
+            plans = {plan.name: plan.frames for plan in self.manifest.parts}
+            self._seen, self._grown = seen, sum(plans[name] for name in there - self._parts if name in plans)
+        return self._grown
+
+    def trouble(self) -> CabinposeError | None:
+        """Why the dataset that is open cannot be read any more, None where it is all there."""
+        try:
+            if self.dataset is not None:
+                self.new_frames()
+        except CabinposeError as error:
+            return error
+        return None
+
+    def reopen(self) -> None:
+        """Open the dataset again, with the frames that have come; tabs that hold it go on with what they have."""
+        fresh = open_workspace(self.folder)
+        self.dataset, self.manifest, self.opening = fresh.dataset, fresh.manifest, fresh.opening
+        self._parts, self._seen = fresh._parts, fresh._seen
+
+    def url(self, number: int, image: str) -> str:
+        """Where the browser finds an image of the frame of a number; another place once the dataset is opened again."""
+        return f"/frames/{number}/{image}?{self.opening}"
 
     def corrected(self, dataset: xr.Dataset) -> xr.Dataset:
         """The dataset, as it was opened, with the labels that were set; as it was while there are none."""
@@ -87,7 +132,11 @@ def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str 
     if thing.is_dir():
         if not (thing / MANIFEST_NAME).is_file():
             raise ConfigError(f"{thing} is no dataset: it has no {MANIFEST_NAME}", hint="give the folder of a dataset")
-        return Workspace(thing, completed(open_dataset(thing)), read_manifest(thing), labels_path=labels, role=role)
+        parts = _parts(thing)  # before it is opened: one that comes meanwhile is offered again
+        opened = completed(open_dataset(thing))
+        return Workspace(
+            thing, opened, read_manifest(thing), labels_path=labels, role=role, opening=secrets.token_hex(4), _parts=parts
+        )
     if not thing.is_file():
         raise ConfigError(f"there is no {thing}", hint="give a dataset, a recording (.mcap) or a scene (.yaml)")
     if thing.suffix == ".mcap":
@@ -100,6 +149,14 @@ def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str 
 def depth_range(dataset: xr.Dataset, row: int) -> tuple[float, float]:
     """Near and far end of the colours for a frame's depth, m."""
     return draw.depth_range(dataset["depth"][row].values)
+
+
+_VANISHED = "bring it back to where it was, or end the studio and open another; labels are kept beside it"
+
+
+def _parts(folder: Path) -> frozenset[str]:
+    """Names of the parts that are there."""
+    return frozenset(path.name for path in folder.glob("part-*.zarr"))
 
 
 def _is_predictions(path: Path) -> bool:
