@@ -135,6 +135,35 @@ def test_worst_frames_of_predictions_are_labelled_first(workspace: Workspace) ->
     used(workspace, steps)
 
 
+def test_frame_without_the_person_is_opened_with_somebody_who_is_there(workspace: Workspace) -> None:
+    assert workspace.dataset is not None
+    seen = workspace.dataset["visibility"].values.copy()
+    seen[2, 0] = Visibility.ABSENT
+    seen[2, 3, 5] = Visibility.VISIBLE
+    workspace.dataset["visibility"] = workspace.dataset["visibility"].copy(data=seen)
+    there = str(workspace.dataset["person"].values[np.flatnonzero(seen[2].any(axis=1))[0]])
+
+    async def steps(user: User) -> None:
+        marked(user, "frames").set_value(2)
+        user.find("Label this frame").click()
+        await user.should_see("frame 2, 3 of 6")
+        assert marked(user, "person").value == there != "driver"
+        await asyncio.sleep(0.3)
+        await user.should_see("frame 2, 3 of 6")
+
+    used(workspace, steps)
+
+
+def test_two_predictions_of_one_model_are_two(workspace: Workspace) -> None:
+    workspace.predictions["oracle (2.jsonl)"] = off_by(workspace, [2 * shift for shift in SHIFT_CM])
+
+    async def steps(user: User) -> None:
+        user.find("Compare", kind=ui.tab).click()
+        await user.should_see("frame 3: 27.0, 54.0")
+
+    used(workspace, steps)
+
+
 def test_predictions_that_come_later_are_offered(workspace: Workspace) -> None:
     late = workspace.predictions.pop("oracle")
 

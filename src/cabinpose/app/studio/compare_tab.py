@@ -144,10 +144,10 @@ class CompareTab:
         models = list(workspace.predictions.values())
         self._list.clear()
         with self._list:
-            for index, model in enumerate(models):
+            for index, name in enumerate(workspace.predictions):
                 with ui.row().classes("no-wrap items-center").style("gap: 8px"):
                     ui.element("div").style(f"width: 12px; height: 12px; border-radius: 3px; background: {_colour(index)}")
-                    ui.label(model.model)
+                    ui.label(name)
             if not models:
                 ui.label("none yet").style("opacity: .6")
         self._main.clear()
@@ -160,7 +160,8 @@ class CompareTab:
         try:
             joints, persons = common_joints(dataset, models), shared_places(dataset, models)
             options, space = self._options(), str(self._space.value)
-            self._judged = {m.model: judged(small, m, options, space, joints, persons) for m in models}
+            each = workspace.predictions.items()
+            self._judged = {name: judged(small, model, options, space, joints, persons) for name, model in each}
         except CabinposeError as error:
             with self._main:
                 empty_state("These cannot be compared", str(error), error.hint or "")

@@ -87,8 +87,8 @@ class DatasetTab:
             .mark("error of")
         )
         with ui.row().classes("no-wrap items-center w-full") as self._by_error:
-            self._over = ui.number("over, cm", min=0, on_change=self._filter).props("dense outlined clearable")
-            self._worst = ui.number("the worst", min=1, precision=0, on_change=self._filter).props("dense outlined clearable")
+            self._over = ui.number("over, cm", min=0, on_change=self._filter).props("dense outlined")
+            self._worst = ui.number("the worst", min=1, precision=0, on_change=self._filter).props("dense outlined")
             for field in (self._over, self._worst):
                 field.style("flex: 1; min-width: 0")
             self._sorted = ui.checkbox("sort", value=True, on_change=self._filter)
@@ -120,7 +120,8 @@ class DatasetTab:
                 pane.on("resize", self._scene.update)
         with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
             ui.button(icon="chevron_left", on_click=lambda: self._go(self._position - 1)).props("flat round dense")
-            self._slider = ui.slider(min=0, max=1, value=0, on_change=lambda e: self._go(int(e.value))).style("flex: 1")
+            self._slider = ui.slider(min=0, max=1, value=0, on_change=lambda e: self._go(int(e.value))).mark("frames")
+            self._slider.style("flex: 1")
             ui.button(icon="chevron_right", on_click=lambda: self._go(self._position + 1)).props("flat round dense")
             self._number = ui.label().style("min-width: 150px; text-align: right; font-variant-numeric: tabular-nums")
         self._camera_set = False

@@ -85,8 +85,9 @@ class LabelTab:
     def _build_side(self) -> None:
         self._model = ui.select(choices(self._workspace), value="", label="proposals from", on_change=self._use_model)
         self._model.props("dense outlined").classes("w-full").mark("proposals")
-        people = ui.select(list(self._labelling.persons), value=self._person, label="person", on_change=self._set_person)
-        people.props("dense outlined").classes("w-full")
+        persons = list(self._labelling.persons)
+        self._people = ui.select(persons, value=self._person, label="person", on_change=self._set_person)
+        self._people.props("dense outlined").classes("w-full").mark("person")
         sets = list(self._labelling.sets)
         ui.select(sets, value=sets[0], label="joints", on_change=self._set_joints).props("dense outlined").classes("w-full")
         self._order = ui.select(self._orders(), value="order", label="frames", on_change=self._reorder).props("dense outlined")
@@ -175,6 +176,8 @@ class LabelTab:
         self._chosen = (self._chosen + step) % len(self._labelling.joints)
 
     async def _set_person(self, event: Any) -> None:
+        if str(event.value) == self._person:
+            return  # with the frame that was asked for
         self._person, self._chosen = str(event.value), 0
         await self._reorder()
 
@@ -234,8 +237,15 @@ class LabelTab:
         return _ORDERS | {_WORST + name: f"worst of {name} first" for name in self._workspace.predictions}
 
     def show_frame(self, number: int) -> None:
-        """Show the frame of this number, where it stands in the order of frames; here, where it does not."""
+        """Show the frame of this number, where it stands in the order of frames; here, where it does not.
+
+        Of somebody who is there, where the person that is labelled is not.
+        """
         row = self._labelling.row(number)
+        there = self._labelling.people(row)
+        if there and self._person not in there:
+            self._person = there[0]
+            self._people.value = there[0]
         if row not in self._queue:
             self._queue.insert(self._position, row)
         self._position, self._chosen = self._queue.index(row), 0

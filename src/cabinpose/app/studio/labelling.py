@@ -104,6 +104,13 @@ class Labelling:
         """The row of the frame of a number."""
         return self._rows[number]
 
+    def people(self, row: int) -> list[str]:
+        """Who is in a frame, by the dataset or by a label."""
+        number = int(self.numbers[row])
+        held = (self._seen[row] > Visibility.ABSENT).any(axis=1)
+        labelled = {person for frame, person, _ in self.labels.now if frame == number}
+        return [person for person, there in zip(self.persons, held, strict=True) if there or person in labelled]
+
     def done(self, row: int, person: str) -> bool:
         """Whether every joint of a person has its label in this frame."""
         return all((int(self.numbers[row]), person, joint) in self.labels for joint in self.joints)
