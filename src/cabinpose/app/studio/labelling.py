@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
@@ -27,6 +27,8 @@ Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed
 FAR_PX = 20.0  # a label so far from what a model sees there is suspicious: PCKh's threshold is 13 px for a whole head of 26
 LONG = 0.25  # and one whose bone differs so much, as a share, from the same bone of the subject in other frames
+_LIMBS_OF = {joint: [limb for limb in LIMBS if joint in limb] for joint in JOINTS}
+_FEWEST = 3  # other frames that tell how long a bone usually is
 _REMEMBERED = 512  # frames of proposals kept
 
 
@@ -66,6 +68,8 @@ class Labelling:
         small = self.dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].load()
         self._uv, self._xyz, self._seen = (small[name].values for name in ("joints_2d", "joints_3d", "visibility"))
         self._sequence = small["sequence"].values
+        self._bones: defaultdict[tuple[str, str, str], dict[int, float]] = defaultdict(dict)  # see `_measured_bones`
+        self._measured = 0  # changes of the journal that they hold
         self._undo: list[list[tuple[Key, JointLabel | None]]] = []
         self.model: Predictor | Predictions | None = None
         self._proposed = lru_cache(_REMEMBERED)(self._propose)
@@ -254,6 +258,7 @@ class Labelling:
         number = int(self.numbers[row])
         proposals = self.proposals(row).get(person, {})
         why: dict[str, str] = {}
+        bones = self._measured_bones()
         for joint in self.joints:
             label = self.labels.get(number, person, joint)
             if label is None or label.visibility <= Visibility.OUTSIDE_IMAGE:
@@ -263,15 +268,29 @@ class Labelling:
                 if apart > FAR_PX:
                     why[joint] = f"{apart:.0f} px from what the model sees"
         for parent, child in LIMBS:
-            length = self._bone(number, person, parent, child)
-            others = (self._bone(n, person, parent, child) for n in self.labels.frames() if n != number)
-            known = [bone for bone in others if bone is not None]
-            if length is None or len(known) < 3:
+            lengths = bones[person, parent, child]
+            length = lengths.get(number)
+            if length is None or len(lengths) <= _FEWEST:
                 continue
-            usual = float(np.median(known))
+            usual = float(np.median([other for frame, other in lengths.items() if frame != number]))
             if abs(length / usual - 1) > LONG:
                 why.setdefault(child, f"{parent} to {child} is {100 * length:.0f} cm, usually {100 * usual:.0f}")
         return why
+
+    def _measured_bones(self) -> Mapping[tuple[str, str, str], dict[int, float]]:
+        """Lengths (m) of each person's labelled bones (person, parent, child) by the number of the frame.
+
+        Only those of joints that were changed since are measured again.
+        """
+        new = self.labels.history[self._measured :]
+        self._measured += len(new)
+        for frame, person, (parent, child) in {(c.frame, c.person, limb) for c in new for limb in _LIMBS_OF.get(c.joint, ())}:
+            length = self._bone(frame, person, parent, child)
+            if length is None:
+                self._bones[person, parent, child].pop(frame, None)
+            else:
+                self._bones[person, parent, child][frame] = length
+        return self._bones
 
     def _bone(self, number: int, person: str, parent: str, child: str) -> float | None:
         a, b = self.labels.get(number, person, parent), self.labels.get(number, person, child)
