@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import xarray as xr
 from nicegui import run, ui
 from nicegui.events import UploadEventArguments
 
@@ -48,18 +49,12 @@ class Exchange:
             return
         self._download.disable()
         try:
-            if made := await run.io_bound(self._export):
+            if made := await run.io_bound(zipped, self._workspace, self._labelling.dataset, Path(self._folder.name)):
                 ui.download.file(made, f"{self._name}-coco.zip")
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True)
         finally:
             self._download.enable()
-
-    def _export(self) -> Path:
-        """The zip of an export of all frames with the labels that hold."""
-        folder = Path(self._folder.name) / "coco"
-        export_dataset(self._workspace.corrected(self._labelling.dataset), "coco", folder, overwrite=True)
-        return Path(shutil.make_archive(str(folder), "zip", folder))
 
     async def _take(self, event: UploadEventArguments) -> None:
         if event.file.size() > MOST_BYTES:  # the browser's own check can be got round
@@ -78,6 +73,15 @@ class Exchange:
         told = "; ".join([f"{len(found.changes)} joints corrected in {found.frames} frames", *found.notes()])
         ui.notify(told, type="positive", multi_line=True)
         self._changed()
+
+
+def zipped(workspace: Workspace, dataset: xr.Dataset, folder: Path) -> Path:
+    """The zip, in a folder, of a COCO export of all frames with the labels that hold."""
+    assert workspace.manifest is not None
+    stored = {variable.name for variable in workspace.manifest.stored}
+    filled = [name for name in ("labels", "instance") if name not in stored]  # for the eye, by `completed`
+    export = export_dataset(workspace.corrected(dataset).drop_vars(filled), "coco", folder / "coco", overwrite=True)
+    return Path(shutil.make_archive(str(export), "zip", export))
 
 
 _TOO_MUCH = f"a file of annotations (.json) of at most {MOST_BYTES // 1_000_000} MB is taken"
