@@ -278,7 +278,7 @@ class CompareTab:
         try:
             self._show_frame(row)
         except (CabinposeError, OSError) as error:
-            ui.notify(f"this frame cannot be read: {error}", type="negative", multi_line=True)
+            ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
 
     def _show_frame(self, row: int) -> None:
         workspace = self._workspace

@@ -276,7 +276,7 @@ class LabelTab:
         try:
             self._show_frame()
         except (CabinposeError, OSError) as error:
-            ui.notify(f"this frame cannot be read: {error}", type="negative", multi_line=True)
+            ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
 
     def _show_frame(self) -> None:
         labelling, row = self._labelling, self._row
