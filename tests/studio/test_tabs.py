@@ -275,7 +275,7 @@ def test_dataset_that_vanishes_is_told_and_comes_back(workspace: Workspace, data
         await user.should_see("bring it back to where it was")
         user.find("Label", kind=ui.tab).click()
         user.find("Accept").click()  # to the next frame, which cannot be shown
-        await user.should_see("this frame cannot be read")
+        await user.should_see("this frame cannot be read: ")
         user.find("Compare", kind=ui.tab).click()
         user.notify.messages.clear()
         user.find("frame 0: 3.0").click()
@@ -284,6 +284,7 @@ def test_dataset_that_vanishes_is_told_and_comes_back(workspace: Workspace, data
         await user.should_see("What was opened cannot be read")
         await user.should_see("dataset has vanished")
         aside.rename(dataset_folder)
+        user.notify.messages.clear()
         await user.open("/")
         await user.should_see("6 of 6 frames")
         await user.should_not_see("has vanished")
