@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.clouds import live_cloud, person_colour
 from cabinpose.app.studio.live_session import PRESENT, Shown
+from cabinpose.app.studio.view3d import view_3d
 from cabinpose.core.frames import FORWARD_FROM_CAMERA
 from cabinpose.core.skeleton import index_pairs
 
@@ -27,7 +28,7 @@ class LiveCloud:
         """shown: gives the frame to draw."""
         self._shown = shown
         self._drawn: Shown | None = None
-        self._scene = ui.scene(grid=False, background_color="#1b1e24").style("width: 100%; height: 100%")
+        self._scene = view_3d()
         self._scene.move_camera(*_CAMERA, duration=0)
         self._points: Any = None
         self._joints: Any = None

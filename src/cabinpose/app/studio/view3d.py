@@ -19,7 +19,8 @@ _ON_CHANGE = """() => {
     const eye = [...camera.matrixWorld.elements, ...camera.projectionMatrix.elements];
     const now = [canvas.width, canvas.height, ...eye.map((x) => Math.round(1e6 * x))]; // its controls turn it to and fro by 1e-16
     scene.traverseVisible(({ id, position, quaternion, scale, geometry, material }) => now.push(id, ...position, ...quaternion,
-      ...scale, geometry?.id, material?.id, material?.version, material?.opacity, material?.color?.getHex()));
+      ...scale, geometry?.id, geometry?.attributes?.position?.version,
+      material?.id, material?.version, material?.opacity, material?.color?.getHex()));
     const key = now.join();
     if (key === last) return;
     last = key;
