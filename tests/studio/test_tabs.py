@@ -99,6 +99,21 @@ def test_frames_are_chosen_by_error(over: float | None, worst: int | None, by_er
     assert errors.choose(np.arange(6), over, worst, by_error=by_error).tolist() == rows
 
 
+def test_error_of_one_person_is_theirs(workspace: Workspace) -> None:
+    """The order "worst first" of a person who is labelled: another one's errors do not count."""
+    assert workspace.dataset is not None
+    both = workspace.dataset.copy(deep=True)
+    for name in ("joints_2d", "joints_3d", "visibility"):
+        both[name].values[:, 1] = both[name].values[:, 0]  # somebody in the driver's place, in the next slot
+    predictions = workspace.predictions["oracle"]
+    for values in (predictions.joints_3d, predictions.joints_2d, predictions.presence, predictions.score):
+        values[:, 1] = values[:, 0]
+    predictions.joints_3d[:, 1, :, 0] += 0.3
+    driver, other = (str(name) for name in both["person"].values[:2])
+    np.testing.assert_allclose(frame_errors(workspace, both, "oracle", driver).d, SHIFT_CM, rtol=1e-4)
+    np.testing.assert_allclose(frame_errors(workspace, both, "oracle", other).d, np.array(SHIFT_CM) + 30, rtol=1e-4)
+
+
 def test_frame_in_which_nobody_is_found_is_the_worst(workspace: Workspace) -> None:
     assert workspace.dataset is not None
     workspace.predictions["oracle"] = off_by(workspace, (3.0, 9.0, np.inf, 27.0, 6.0, 12.0))

@@ -227,9 +227,9 @@ class LabelTab:
         self._show()
 
     async def _worst(self, predictions: str) -> list[int]:
-        """All rows, the one on which these predictions are worst first; none where they cannot be judged."""
+        """All rows, the one first in which these predictions of the person are worst; none where they cannot be judged."""
         try:
-            errors = await run.io_bound(frame_errors, self._workspace, self._dataset, predictions)
+            errors = await run.io_bound(frame_errors, self._workspace, self._dataset, predictions, self._person)
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True)
             return []

@@ -108,13 +108,13 @@ class FrameErrors(NamedTuple):
         return f"{error_words(self.d[row])} {self.unit}" if np.isfinite(self.d[row]) else error_words(self.d[row])
 
 
-def frame_errors(workspace: Workspace, opened: xr.Dataset, name: str) -> FrameErrors:
+def frame_errors(workspace: Workspace, opened: xr.Dataset, name: str, person: str = "") -> FrameErrors:
     """How far predictions that are open are off in each frame of `opened`: in 3D, or in the image where they know no space.
 
-    Held against the corrected labels, as in Compare. Raises PredictionsError.
+    Held against the corrected labels, as in Compare; person: only theirs. Raises PredictionsError.
     """
     model, dataset = workspace.predictions[name], workspace.corrected(opened)
-    options, persons = EvaluationOptions(resamples=0), shared_places(dataset, [model])
+    options, persons = EvaluationOptions(resamples=0), (person,) if person else shared_places(dataset, [model])
     samples, _ = samples_of(dataset, model, options, joints=common_joints(dataset, [model]), persons=persons)
     space = "3d" if "3d" in samples.spaces() else "2d"
     return FrameErrors(frame_distances(samples, space), "cm" if space == "3d" else "px")
