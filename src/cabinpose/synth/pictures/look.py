@@ -22,7 +22,8 @@ from cabinpose.scene.surface import Surface
 _SKIN: tuple[int, ...] = (
     0xF6EDE4, 0xF3E7DB, 0xF7EAD0, 0xEADABA, 0xD7BD96, 0xA07E56, 0x825C43, 0x604134, 0x3A312A, 0x292420,
 )  # fmt: skip
-_SKIN_GAIN = 0.72  # the scale is of printed patches under studio light; skin's luminous reflectance ends near 0.6
+_BLOOD = 1.0, 0.86, 0.8  # live skin is redder than the scale's patches
+_SKIN_GAIN = 0.8  # the scale is of printed patches under studio light; skin's luminous reflectance ends near 0.6
 _HAIR = ((0x1B1512, 0.35), (0x2E1F16, 0.25), (0x4A3020, 0.18), (0x7A5433, 0.1), (0xB08A55, 0.08), (0x6E3519, 0.04))
 _GREY_HAIR = 0xB5B1AB
 _TOPS = (
@@ -48,7 +49,7 @@ ROUGHNESS: Mapping[int, float] = MappingProxyType(
     {
         MATERIAL[name]: alpha
         for name, alpha in (
-            ("skin", 0.42), ("leather_shoe", 0.2), ("seat_leather", 0.32), ("soft_trim", 0.45), ("hard_plastic", 0.28),
+            ("skin", 0.55), ("leather_shoe", 0.2), ("seat_leather", 0.32), ("soft_trim", 0.45), ("hard_plastic", 0.28),
             ("metal", 0.15), ("rubber", 0.5), ("steering_leather", 0.35),
         )
     }
@@ -104,7 +105,7 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
     dressed, outfit = person.dressed, person.outfit
     at = rng.uniform(0.0, len(_SKIN) - 1.0)
     tones = np.array([linear(c) for c in _SKIN]) * _SKIN_GAIN
-    skin = np.array([np.interp(at, np.arange(len(_SKIN)), tones[:, k]) for k in range(3)])
+    skin = np.array([np.interp(at, np.arange(len(_SKIN)), tones[:, k]) for k in range(3)]) * _BLOOD
     hair = _weighted(_HAIR if at < 5 else _HAIR[:2], rng)
     grey = float(np.clip((person.phenotype.years - 40.0) / 35.0 + rng.normal(0, 0.2), 0.0, 1.0))
     hair = hair + grey**1.5 * (linear(_GREY_HAIR) - hair)
@@ -145,8 +146,8 @@ def _paint_face(colours: Floats, middle: Floats, person: Person, skin: Floats, h
     off_eye = y - _EYE_Y
     for where, colour in (
         ((np.abs(off_eye) < 0.026) & (np.abs(z - 0.019 + 0.4 * np.abs(off_eye)) < 0.0035), 0.35 * skin + 0.65 * 0.8 * hair),
-        ((off_eye / 0.014) ** 2 + (z / 0.0062) ** 2 < 1, np.minimum(0.55, 0.35 + 0.4 * skin) * (1.0, 0.95, 0.92)),
-        ((off_eye / 0.0062) ** 2 + (z / 0.0062) ** 2 < 1, np.array((0.03, 0.02, 0.015))),
+        ((off_eye / 0.0125) ** 2 + (z / 0.0048) ** 2 < 1, np.minimum(0.45, 0.25 + 0.4 * skin) * (1.0, 0.93, 0.9)),
+        ((off_eye / 0.0058) ** 2 + (z / 0.0058) ** 2 < 1, np.array((0.03, 0.02, 0.015))),
         ((y / 0.025) ** 2 + ((z + _MOUTH_Z) / 0.008) ** 2 < 1, skin * (0.85, 0.52, 0.5) + (0.02, 0.0, 0.0)),
     ):
         colours[face & where] = colour

@@ -25,7 +25,7 @@ from cabinpose.synth.sample import Scene
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 _KINDS: tuple[LightKind, ...] = ("day", "night", "garage")
 _COMMON = (0.6, 0.2, 0.2)
-_KEY: Mapping[LightKind, float] = MappingProxyType({"day": 0.24, "night": 0.08, "garage": 0.16})  # of what middle grey is 0.18
+_KEY: Mapping[LightKind, float] = MappingProxyType({"day": 0.24, "night": 0.06, "garage": 0.16})  # of what middle grey is 0.18
 _SATURATED = 65535
 _ROOM_LAMPS = tuple((np.array((2.0, y, 2.35)), np.array((2.2, 2.0, 1.7))) for y in (-0.9, 0.9))  # m, W/sr
 
