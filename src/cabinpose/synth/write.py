@@ -44,8 +44,10 @@ _SWITCH_S = 0.0005
 class FrameMaker:
     """Makes any frame of a dataset from its number, in one thread."""
 
-    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None) -> None:
-        """sampler: of the same configuration and seed, to share people and cars with; its own by default."""
+    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None, *, pictures: bool = True) -> None:
+        """sampler: of the same configuration and seed, to share people and cars with; its own by default · pictures: False
+        leaves out those that the configuration asks for, which nobody looks at.
+        """
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._config = config
         self._seed = seed
@@ -53,7 +55,7 @@ class FrameMaker:
         self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
         self._pictures: PictureMaker | None = None
-        if config.images is not None:
+        if pictures and config.images is not None:
             from cabinpose.synth.pictures.maker import PictureMaker  # noqa: PLC0415 - loaded where there are pictures
 
             self._pictures = PictureMaker(config.images, self._sensor, seed)
