@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from PIL import Image as PilImage
 from render_scenes import BARREL, ball, cabin_view, people_in_cars, person, room, small_camera, surface
 
 from cabinpose.core.camera import Camera
@@ -304,6 +306,39 @@ def test_pictures_change_nothing_else(tmp_path: Path) -> None:
     assert not {"rgb", "nir", "light", "renderer"} & set(plain.variables)
     for name in plain.variables:
         np.testing.assert_array_equal(seen[name].values, plain[name].values)
+
+
+def test_view_and_exports_show_the_pictures_and_say_what_made_them(tmp_path: Path) -> None:
+    from cabinpose.app.cli import main
+
+    data = tmp_path / "data"
+    generate(_config(variables=["rgb", "nir"], renderer="raster"), 2, data, workers=1)
+    for command in (
+        f"view {data} --out {tmp_path / 'view'}",
+        f"export {data} --format png-json --out {tmp_path / 'png'}",
+        f"export {data} --format coco --images rgb --out {tmp_path / 'coco'}",
+    ):
+        assert not main(command.split())
+    dataset = open_dataset(data)
+    first = next(iter(sorted((tmp_path / "coco" / "images").iterdir())))
+    np.testing.assert_array_equal(np.asarray(PilImage.open(first)), dataset.rgb[0].values)
+    for name in ("rgb", "nir"):
+        written = np.asarray(PilImage.open(next(iter(sorted((tmp_path / "png" / name).iterdir())))))
+        np.testing.assert_array_equal(written, dataset[name][0].values)
+    told = json.loads((tmp_path / "coco" / "annotations" / "person_keypoints.json").read_text())["images"][0]
+    pose = json.loads(next(iter(sorted((tmp_path / "png" / "pose").iterdir()))).read_text())
+    page = (tmp_path / "view" / "index.html").read_text()
+    assert told["renderer"] == pose["renderer"] == "raster preview"
+    assert told["light"] == pose["light"] == dataset.light[0].item()
+    assert '"renderer":"raster preview"' in page
+    sheet = np.asarray(PilImage.open(tmp_path / "view" / "contact_sheet.png"))
+    panel = dataset.rgb[0].values.repeat(6, axis=0).repeat(6, axis=1)
+    assert _contains(sheet, panel)
+
+
+def _contains(sheet: NDArray[np.uint8], panel: NDArray[np.uint8]) -> bool:
+    places = np.argwhere((sheet == panel[0, 0]).all(axis=-1))
+    return any(np.array_equal(sheet[y : y + panel.shape[0], x : x + panel.shape[1]], panel) for y, x in places.tolist())
 
 
 def test_path_tracing_without_mitsuba_stops_before_it_starts(
