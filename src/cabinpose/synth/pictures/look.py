@@ -23,7 +23,7 @@ _SKIN: tuple[int, ...] = (
     0xF6EDE4, 0xF3E7DB, 0xF7EAD0, 0xEADABA, 0xD7BD96, 0xA07E56, 0x825C43, 0x604134, 0x3A312A, 0x292420,
 )  # fmt: skip
 _BLOOD = 1.0, 0.86, 0.8  # live skin is redder than the scale's patches
-_SKIN_GAIN = 0.8  # the scale is of printed patches under studio light; skin's luminous reflectance ends near 0.6
+_SKIN_GAIN = 0.62  # the scale is of patches under studio light: skin reflects between some 4 and 60 % of red
 _HAIR = ((0x1B1512, 0.35), (0x2E1F16, 0.25), (0x4A3020, 0.18), (0x7A5433, 0.1), (0xB08A55, 0.08), (0x6E3519, 0.04))
 _GREY_HAIR = 0xB5B1AB
 _TOPS = (
@@ -104,7 +104,7 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
     """(F, 3) of the triangles of a dressed person, in the order of `PosedBody.surface`."""
     dressed, outfit = person.dressed, person.outfit
     at = rng.uniform(0.0, len(_SKIN) - 1.0)
-    tones = np.array([linear(c) for c in _SKIN]) * _SKIN_GAIN
+    tones = 0.02 + _SKIN_GAIN * np.array([linear(c) for c in _SKIN])
     skin = np.array([np.interp(at, np.arange(len(_SKIN)), tones[:, k]) for k in range(3)]) * _BLOOD
     hair = _weighted(_HAIR if at < 5 else _HAIR[:2], rng)
     grey = float(np.clip((person.phenotype.years - 40.0) / 35.0 + rng.normal(0, 0.2), 0.0, 1.0))
