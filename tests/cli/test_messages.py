@@ -151,7 +151,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (
             "export d --format yolo --images depth16 --out z",
             "yolo has no images of the kind depth16",
-            "choose one of depth8, amplitude8",
+            "choose one of depth8, amplitude8, rgb",
         ),
         (
             "export d --format yolo --splits splits.yaml --split test --out z",

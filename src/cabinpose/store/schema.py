@@ -67,6 +67,7 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("labels", _IMAGE, "uint8", "class of the pixel"),
     Variable("instance", _IMAGE, "uint8", "0 = nobody, else 1 + position of the person"),
     Variable("rgb", (*_IMAGE, "channel"), "uint8", "colour image, sRGB", default=False),
+    Variable("nir", _IMAGE, "uint16", "near-infrared image: electrons by active and ambient light", default=False),
     Variable("joints_3d", ("frame", "person", "joint", "xyz"), "float32", "joints in the camera frame", "m"),
     Variable("joints_2d", ("frame", "person", "joint", "uv"), "float32", "projection of joints_3d", "px"),
     Variable("visibility", ("frame", "person", "joint"), "uint8", f"state of the joint: {_STATES}"),
@@ -88,6 +89,8 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("action", ("frame", "person"), "str", "what the person does; empty = nobody in this place", coordinate=True),
     Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
     Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
+    Variable("light", ("frame",), "str", "the light of rgb and nir", coordinate=True, default=False),
+    Variable("renderer", ("frame",), "str", "what made rgb and nir", coordinate=True, default=False),
 )  # fmt: skip
 VARIABLE = {variable.name: variable for variable in VARIABLES}
 OPTIONAL = tuple(v.name for v in VARIABLES if v.is_image or not v.default)  # a manifest chooses among these

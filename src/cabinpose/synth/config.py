@@ -26,6 +26,7 @@ from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
+from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
 
@@ -278,6 +279,10 @@ class SynthConfig(Model):
     people: People = People()
     camera: Camera = Camera()
     noise: NoiseModel = PhysicalNoise()
+    # Left out of what is written where there is none, so that datasets without pictures stay what they were.
+    images: Images | None = Field(
+        None, exclude_if=lambda images: images is None, description="Colour and near-infrared pictures beside the depth."
+    )
     output: Output = Output()
     limits: Limits = Limits()
 

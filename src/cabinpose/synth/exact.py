@@ -62,6 +62,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         people=config.people,
         camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),
         noise=config.noise,
+        images=config.images,
         output=config.output,
     )
 
@@ -69,7 +70,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
 def without_defaults(config: SynthConfig) -> dict[str, Any]:
     """The configuration as plain data, of the keys of the top those that are not as by default; of the scene's likewise."""
     defaults = SynthConfig().model_dump(mode="json")
-    told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults[key]}
+    told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults.get(key)}
     told["scene"] = config.scene.model_dump(mode="json", exclude_defaults=True)
     return told
 

@@ -131,7 +131,9 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     """What `dataset.yaml` says of a run."""
     camera = config.camera.sensor_model.camera
     standing = config.scene.kind == "room"
-    images = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
+    images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
+    if config.images is not None:
+        images += (*config.images.variables, "light", "renderer")
     return Manifest(
         generator="cabinpose.synth",
         generator_version=cabinpose.__version__,

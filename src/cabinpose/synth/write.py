@@ -13,7 +13,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -30,6 +30,9 @@ from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
 from cabinpose.synth.streams import frame_rng, noise_rng
 from cabinpose.synth.validate import Rejection, by_cause
 
+if TYPE_CHECKING:
+    from cabinpose.synth.pictures.maker import PictureMaker
+
 Frame = dict[str, Any]
 Content = Literal["cars", "people", "seats", "views"]
 _AHEAD = 3  # frames that a thread may be ahead of what is written
@@ -41,14 +44,21 @@ _SWITCH_S = 0.0005
 class FrameMaker:
     """Makes any frame of a dataset from its number, in one thread."""
 
-    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None) -> None:
-        """sampler: of the same configuration and seed, to share people and cars with; its own by default."""
+    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None, *, pictures: bool = True) -> None:
+        """sampler: of the same configuration and seed, to share people and cars with; its own by default · pictures: False
+        leaves out those that the configuration asks for, which nobody looks at.
+        """
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._config = config
         self._seed = seed
         self._sampler = sampler or SceneSampler(config, seed)
         self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
+        self._pictures: PictureMaker | None = None
+        if pictures and config.images is not None:
+            from cabinpose.synth.pictures.maker import PictureMaker  # noqa: PLC0415 - loaded where there are pictures
+
+            self._pictures = PictureMaker(config.images, self._sensor, seed)
         self._slots = person_slots(config)
         self._instances = np.arange(1, len(self._slots) + 1, dtype=np.uint8)
 
@@ -78,8 +88,13 @@ class FrameMaker:
             )
         with self.stage("sensor"):
             seen = simulate(rendered.buffers, self._sensor, self._config.noise, rng=rng)
+        pictures: Frame = {}
+        if self._pictures is not None:
+            with self.stage("pictures"):
+                pictures = self._pictures.take(scene, surface, rng=rng)
         camera = self._sensor.camera
         return {
+            **pictures,
             "depth": seen.depth_m,
             "depth_clean": rendered.depth_clean,
             "amplitude": seen.amplitude,

@@ -340,7 +340,7 @@ class Preview:
             self._sampler = sampler
             scene, verdicts, error = self._scene(sampler, config, seed, index)
             posed = time.perf_counter()
-            frame = FrameMaker(config, seed, sampler).see(scene, rng=noise_rng(seed, index))
+            frame = FrameMaker(config, seed, sampler, pictures=False).see(scene, rng=noise_rng(seed, index))
         seconds = {"pose": posed - started, "see": time.perf_counter() - posed}
         self._number += 1
         self.shown = Shown(self._number, config, scene, frame, verdicts, error, seconds)

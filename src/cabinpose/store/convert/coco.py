@@ -82,7 +82,8 @@ def _place(frame: xr.Dataset) -> dict[str, Any]:
     """What an image says beyond COCO; the camera is left out where it is not known."""
     cameras = {name: frame[name].values for name in ("camera_k", "camera_dist", "vehicle_from_camera")}
     known = {name: values.tolist() for name, values in cameras.items() if np.isfinite(values).all()}
-    return {"car": str(frame["car"].values), "pov": str(frame["pov"].values), **known}
+    words = {name: str(frame[name].values) for name in ("car", "pov", "light", "renderer") if name in frame}
+    return {**words, **known}
 
 
 def frame_annotations(frame: xr.Dataset) -> list[dict[str, Any]]:
