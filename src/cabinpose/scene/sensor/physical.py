@@ -12,21 +12,22 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.random import Generator
-from pydantic import BaseModel, ConfigDict, Field
+from numpy.random import Generator, Philox
+from pydantic import Field
 
 from cabinpose._native import sensor as native
+from cabinpose.core.arrays import Floats32
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
+from cabinpose.scene.sensor.edges import EdgeRule, invalidate
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
+from cabinpose.scene.sensor.sun import sunlit
 
 
-class PhysicalNoise(BaseModel):
+class PhysicalNoise(EdgeRule):
     """Continuous-wave Time-of-Flight from geometry; every effect can be switched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["physical"] = "physical"
     shot_noise: bool = Field(default=True, description="Photon noise of signal and ambient light.")
@@ -59,6 +60,19 @@ class PhysicalNoise(BaseModel):
         default=0.01, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
     )
     daylight: float = Field(default=1.0, ge=0, description="The same outside the windows.")
+    sun: float = Field(
+        default=0.0,
+        ge=0,
+        description="The same in a beam of sunlight on a visible place inside, drawn for each frame; about 30 in full sun.",
+    )
+    sun_width_m: float = Field(default=0.3, gt=0, description="Diameter of the beam (m).")
+    fixed_pattern_mm: float = Field(
+        default=0.0, ge=0, description="Offset of each pixel's range, the same in all frames: standard deviation (mm)."
+    )
+    fixed_pattern_gain: float = Field(
+        default=0.0, ge=0, le=0.1, description="Error of each pixel's range that grows with it, the same in all frames: share."
+    )
+    fixed_pattern_seed: int = Field(default=0, ge=0, description="Which camera of its kind it is: the seed of the pattern.")
     reflectance: bool = Field(default=True, description="Materials reflect as at 850 nm; off: everything is white.")
     incidence: bool = Field(default=True, description="Light returned falls with the cosine of incidence.")
     vignetting: bool = Field(default=True, description="Lens and light source fall off towards the edge of the image.")
@@ -77,6 +91,8 @@ NO_EFFECTS = PhysicalNoise(
 # Of p t2 - q t1 from a whole number, in turns; half a turn is the most there can be, and makes the unwrapping wrong. Phases
 # at the sensor's floor are two sigma inside; mixtures of a dim near and a bright far surface may be outside.
 _PHASE_TOLERANCE = 0.25
+_LEAST_AMBIENT = 1e-3  # of the table of materials that sunlight multiplies
+_PATTERN_STREAM = 0xF1ED  # of a camera's seed: apart from the streams of frames
 
 
 # A sensor with the effects asked for: the members of `ContinuousWave` in sensor/continuous_wave.hpp.
@@ -131,8 +147,41 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
             hint="choose the noise model 'structured_light' or 'empirical'",
         )
     frame = SensorFrame.empty(buffers.shape)
+    camera = _continuous_wave(sensor, noise, buffers.supersample)
+    if noise.sun > 0:
+        camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)
     native.simulate_continuous_wave(
-        buffers.arrays, _continuous_wave(sensor, noise, buffers.supersample),
+        buffers.arrays, camera,
         random_words(buffers.shape, rng=rng).view(np.uint16), normal_quantiles(), frame,
     )  # fmt: skip
+    if noise.fixed_pattern_mm > 0 or noise.fixed_pattern_gain > 0:
+        _add_fixed_pattern(frame, camera, noise)
     return frame
+
+
+def _in_the_sun(
+    camera: _ContinuousWave, buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, *, rng: Generator
+) -> _ContinuousWave:
+    """A camera whose gain of ambient light is that of sunlight where a beam of it falls, as its centre is lit."""
+    ambient = max(noise.ambient, _LEAST_AMBIENT)
+    table = material_table(noise.reflectance, noise.glass, ambient, noise.daylight)
+    inside = (buffers.material > 0) & (table[buffers.material, 1] == 0.0)
+    lit = sunlit(buffers.depth_m, inside, sensor.camera, noise.sun_width_m, rng=rng)
+    share = np.where(inside, (noise.ambient + noise.sun * lit) / ambient, np.float32(1.0))
+    return camera._replace(table=table, ambient_gain=(camera.ambient_gain * share).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def _pattern(shape: tuple[int, int], seed: int) -> tuple[Floats32, Floats32]:
+    """Offset and gain of each pixel, standard normal."""
+    offset, gain = Generator(Philox(key=(seed, _PATTERN_STREAM))).standard_normal((2, *shape), np.float32)
+    return offset, gain
+
+
+def _add_fixed_pattern(frame: SensorFrame, camera: _ContinuousWave, noise: PhysicalNoise) -> None:
+    """Add each pixel's own error to its range; what it takes out of the range window becomes invalid."""
+    offset, gain = _pattern(frame.depth_m.shape, noise.fixed_pattern_seed)
+    frame.depth_m[:] *= 1 + np.float32(noise.fixed_pattern_gain) * gain
+    frame.depth_m[:] += np.float32(noise.fixed_pattern_mm * 1e-3) * offset / camera.range_over_depth
+    with np.errstate(invalid="ignore"):
+        invalidate(frame, (frame.depth_m < camera.near) | (frame.depth_m > camera.far) | (frame.depth_m <= 0))
