@@ -377,7 +377,7 @@ SWITCHES: dict[str, object] = {
     "second_frequency": False, "consistency": False, "wiggling": 0.0, "stray_light": 0.0, "ambient": 0.0, "daylight": 0.0,
     "reflectance": False, "incidence": False, "vignetting": False, "glass": False, "range_window": False,
     "low_amplitude": False, "circular_field": False, "remove_edges": True, "sun": 200.0, "fixed_pattern_mm": 5.0,
-    "fixed_pattern_gain": 0.01,
+    "fixed_pattern_gain": 0.01, "low_amplitude_spread": 0.4,
 }  # fmt: skip
 # Fields that only say how a switch of them acts, with that switch.
 DETAILS: dict[str, tuple[object, dict[str, object]]] = {
@@ -406,7 +406,7 @@ def test_every_switch_matters(switch: str) -> None:
     scene = busy_scene(sensor)
     value, others = DETAILS.get(switch) or (SWITCHES[switch], {})
     # A floor and a window that hide little, so that what lies under them shows.
-    default = PhysicalNoise(range_window=switch == "range_window", low_amplitude=switch == "low_amplitude", **others)
+    default = PhysicalNoise(range_window=switch == "range_window", low_amplitude=switch.startswith("low_amplitude"), **others)
     changed = default.model_copy(update={switch: value})
     a, b = (simulate(scene, sensor, noise, rng=generator(3, 3)) for noise in (default, changed))
     assert default != changed

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sensor_scenes import WHITE, generator, samples, small_sensor, step_edge, wall
+from scipy import stats
+from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_range, step_edge, wall
 
 from cabinpose.core.camera import Camera
 from cabinpose.scene.materials import ID, MATERIALS
@@ -61,6 +62,24 @@ def test_the_pattern_keeps_to_the_range_window() -> None:
     assert 0.2 < seen.mean() < 0.8
     assert frame.depth_m[seen].max() <= 1.0
     np.testing.assert_array_equal(frame.confidence == 0, ~seen)
+
+
+# ----------------------------------------------------------------------------------------------------------------- floor
+
+
+def test_the_floor_of_amplitudes_has_its_spread() -> None:
+    """Lost is the share of a log-normal floor that is above the amplitude: its normal distribution function, by amplitude."""
+    sensor = small_sensor(min_amplitude_e=300.0)
+    scene = sphere_of_range(sensor, np.linspace(1.0, 3.2, 72)[:, None] * np.ones((1, 96)))
+    noise = only(low_amplitude=True, low_amplitude_spread=0.4)
+    frames = [simulate(scene, sensor, noise, rng=generator(6, i)) for i in range(40)]
+    amplitude = frames[0].amplitude[:, 0].astype(float)  # the same all along a row, without noise
+    lost = np.mean([np.isnan(frame.depth_m) for frame in frames], axis=(0, 2))
+    expected = stats.norm.cdf(np.log(300.0 / amplitude) / 0.4)
+    assert expected.max() > 0.8
+    assert expected.min() < 0.01
+    np.testing.assert_allclose(lost, expected, atol=5 * np.sqrt(0.25 / (40 * 96)))
+    assert np.isnan(frames[0].depth_m).tobytes() != np.isnan(frames[1].depth_m).tobytes()
 
 
 # ------------------------------------------------------------------------------------------------------------------- sun

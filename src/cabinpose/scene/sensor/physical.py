@@ -79,6 +79,12 @@ class PhysicalNoise(EdgeRule):
     glass: bool = Field(default=True, description="Window panes return next to nothing; off: they are dim diffuse surfaces.")
     range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
     low_amplitude: bool = Field(default=True, description="Pixels below the sensor's minimum amplitude are invalid.")
+    low_amplitude_spread: float = Field(
+        default=0.0,
+        ge=0,
+        le=2,
+        description="Spread of that minimum over pixels and frames, of its logarithm: what is lost has a speckled border.",
+    )
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
@@ -128,7 +134,7 @@ def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> 
         contrast=sensor.contrast,
         read_noise=sensor.read_noise_e if noise.read_noise else 0.0,
         full_well=sensor.full_well_e if noise.full_well else np.inf,
-        min_amplitude=sensor.min_amplitude_e if noise.low_amplitude else 0.0,
+        min_amplitude=sensor.min_amplitude_e if noise.low_amplitude and not noise.low_amplitude_spread else 0.0,
         near=near,
         far=far,
         tolerance=_PHASE_TOLERANCE if noise.consistency else 0.5,
@@ -154,6 +160,11 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
         buffers.arrays, camera,
         random_words(buffers.shape, rng=rng).view(np.uint16), normal_quantiles(), frame,
     )  # fmt: skip
+    if noise.low_amplitude and noise.low_amplitude_spread > 0:
+        height, width = buffers.shape
+        ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]
+        floor = sensor.min_amplitude_e * np.exp(noise.low_amplitude_spread * normal_quantiles()[ranks])
+        invalidate(frame, frame.amplitude < floor)
     if noise.fixed_pattern_mm > 0 or noise.fixed_pattern_gain > 0:
         _add_fixed_pattern(frame, camera, noise)
     return frame
