@@ -378,6 +378,7 @@ SWITCHES: dict[str, object] = {
     "reflectance": False, "incidence": False, "vignetting": False, "glass": False, "range_window": False,
     "low_amplitude": False, "circular_field": False, "remove_edges": True, "sun": 200.0, "fixed_pattern_mm": 5.0,
     "fixed_pattern_gain": 0.01, "low_amplitude_spread": 0.4,
+    "light_offset_m": 0.05,
 }  # fmt: skip
 # Fields that only say how a switch of them acts, with that switch.
 DETAILS: dict[str, tuple[object, dict[str, object]]] = {

@@ -13,10 +13,11 @@ from cabinpose.scene.sensor.buffers import SensorFrame
 
 
 class EdgeRule(BaseModel):
-    """What is an abrupt edge of depth, and whether its pixels are taken out."""
+    """What is an abrupt edge of depth, and whether its pixels are taken out: the part that noise models share."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    kind: str
     edge_threshold_m: float = Field(default=0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
     edge_width_px: int = Field(default=1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
     remove_edges: bool = Field(

@@ -8,6 +8,7 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 from __future__ import annotations
 
 from collections import namedtuple
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
 
@@ -16,14 +17,14 @@ from numpy.random import Generator, Philox
 from pydantic import Field
 
 from cabinpose._native import sensor as native
-from cabinpose.core.arrays import Floats32
+from cabinpose.core.arrays import Bools, Floats32
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import EdgeRule, invalidate
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
-from cabinpose.scene.sensor.sun import sunlit
+from cabinpose.scene.sensor.shade import light_shadow, sunlit
 
 
 class PhysicalNoise(EdgeRule):
@@ -60,10 +61,16 @@ class PhysicalNoise(EdgeRule):
         default=0.01, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
     )
     daylight: float = Field(default=1.0, ge=0, description="The same outside the windows.")
+    light_offset_m: float = Field(
+        default=0.0,
+        ge=-0.5,
+        le=0.5,
+        description="The light source is this far to the right of the lens (m): what is near throws a shadow beside itself.",
+    )
     sun: float = Field(
         default=0.0,
         ge=0,
-        description="The same in a beam of sunlight on a visible place inside, drawn for each frame; about 30 in full sun.",
+        description="Ambient irradiance in a beam of sunlight on a visible place, drawn for each frame; about 30 in full sun.",
     )
     sun_width_m: float = Field(default=0.3, gt=0, description="Diameter of the beam (m).")
     fixed_pattern_mm: float = Field(
@@ -154,6 +161,8 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
         )
     frame = SensorFrame.empty(buffers.shape)
     camera = _continuous_wave(sensor, noise, buffers.supersample)
+    if noise.light_offset_m:
+        buffers = _unlit(buffers, light_shadow(buffers.depth_m, sensor.camera, noise.light_offset_m))
     if noise.sun > 0:
         camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)
     native.simulate_continuous_wave(
@@ -168,6 +177,12 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
     if noise.fixed_pattern_mm > 0 or noise.fixed_pattern_gain > 0:
         _add_fixed_pattern(frame, camera, noise)
     return frame
+
+
+def _unlit(buffers: GeometryBuffers, shadow: Bools) -> GeometryBuffers:
+    """Geometry of which the pixels (H, W) of a shadow, and their parts, return nothing of the camera's light."""
+    parts = np.where(shadow.ravel()[buffers.mixed][:, None], np.float32(0.0), buffers.parts_cos_incidence)
+    return replace(buffers, cos_incidence=np.where(shadow, np.float32(0.0), buffers.cos_incidence), parts_cos_incidence=parts)
 
 
 def _in_the_sun(

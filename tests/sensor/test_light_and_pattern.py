@@ -1,4 +1,4 @@
-"""Sunlight and fixed pattern noise against what they have to be in closed form."""
+"""Sunlight, the light source's shadow, the floor's spread and fixed pattern noise against what they are in closed form."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_ran
 from cabinpose.core.camera import Camera
 from cabinpose.scene.materials import ID, MATERIALS
 from cabinpose.scene.sensor import NO_EFFECTS, GeometryBuffers, PhysicalNoise, simulate
-from cabinpose.scene.sensor.sun import sunlit
+from cabinpose.scene.sensor.shade import light_shadow, sunlit
 
 C = 299_792_458.0
 
@@ -80,6 +80,59 @@ def test_the_floor_of_amplitudes_has_its_spread() -> None:
     assert expected.min() < 0.01
     np.testing.assert_allclose(lost, expected, atol=5 * np.sqrt(0.25 / (40 * 96)))
     assert np.isnan(frames[0].depth_m).tobytes() != np.isnan(frames[1].depth_m).tobytes()
+
+
+# ---------------------------------------------------------------------------------------------------------------- shadow
+
+
+@pytest.mark.parametrize("offset", [0.05, -0.05, 0.02])
+def test_a_bar_throws_a_shadow_of_its_width_beside_itself(offset: float) -> None:
+    """f b (1 / near - 1 / far) pixels beside a bar, away from the source, and as wide as the bar, whether it touches or not."""
+    camera = Camera(400, 20, 200.0, 200.0, 199.5, 9.5)
+    near, far, first, last = 0.4, 1.6, 180, 190
+    depth = np.full((20, 400), far, np.float32)
+    depth[:, first:last] = near
+    shadow = light_shadow(depth, camera, offset)
+    shift = 200 * offset * (1 / near - 1 / far)  # 18.75 px for 5 cm
+    columns = np.arange(400)
+    expected = (columns + shift > first - 0.5) & (columns + shift < last - 0.5) & ((columns < first) | (columns >= last))
+    assert (shadow == shadow[0]).all()
+    assert abs(int(shadow[0].sum()) - int(expected.sum())) <= 2
+    assert (np.abs(np.flatnonzero(shadow[0])[[0, -1]] - np.flatnonzero(expected)[[0, -1]]) <= 1).all()
+    assert not light_shadow(depth, camera, 0.0).any()
+
+
+def test_no_surface_shades_itself_in_the_light() -> None:
+    """A wall at a slant, and a ball: what faces the source is lit, all of it."""
+    camera = Camera.from_fov(320, 240, 1.2)
+    x, y = np.moveaxis(camera.rays, -1, 0)
+    wall_depth = (1.2 / (0.7 * x + 0.2 * y + 1.0)).astype(np.float32)
+    assert not light_shadow(wall_depth, camera, 0.06).any()
+    b, c = 0.8, 0.8**2 - 0.3**2  # a ball of 0.3 m at 0.8 m
+    root = b * b - (1 + x * x + y * y) * c
+    on = root > 0
+    depth = np.where(on, (b - np.sqrt(np.maximum(root, 0))) / (1 + x * x + y * y), 3.0).astype(np.float32)
+    shadow = light_shadow(depth, camera, 0.06)
+    points = camera.points(depth)
+    outward = (points - (0, 0, 0.8)) / 0.3
+    to_source = np.array((0.06, 0.0, 0.0)) - points
+    cosine = np.sum(outward * to_source, axis=-1) / np.linalg.norm(to_source, axis=-1)
+    assert not shadow[on & (cosine > 0.2)].any()
+    assert shadow[~on].sum() > 500  # on the wall behind
+
+
+def test_what_the_light_does_not_reach_has_no_depth() -> None:
+    sensor = small_sensor(min_amplitude_e=10.0)
+    edge = step_edge(sensor, 0.5, 1.4, 80)
+    shadow = light_shadow(edge.depth_m, sensor.camera, -0.03)
+    dark, bright = (
+        simulate(edge, sensor, only(light_offset_m=offset, incidence=True, low_amplitude=True), rng=generator(1, 1))
+        for offset in (-0.03, 0.0)
+    )
+    assert shadow.sum() > 72
+    assert np.isnan(dark.depth_m[shadow]).all()
+    assert (dark.amplitude[shadow] == 0).all()
+    np.testing.assert_array_equal(dark.depth_m[~shadow], bright.depth_m[~shadow])
 
 
 # ------------------------------------------------------------------------------------------------------------------- sun

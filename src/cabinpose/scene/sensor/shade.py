@@ -1,4 +1,7 @@
-"""A beam of sunlight on what the camera sees: ambient light that fills the wells of a patch."""
+"""Where light falls on what the camera sees, and where it does not: sunlight, and the shadow of the camera's own source.
+
+The camera's depth is all that is known of the scene: only what it sees gives shade.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,39 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Floats32
+from cabinpose.core.arrays import Bools, Floats32
 from cabinpose.core.camera import Camera
 
 _SLANT = 0.3  # least cosine between the beam and the surface that it is aimed at
+_SAME_SURFACE = 0.05  # share of the depth that a surface may slant within a column of what a light source sees
+_NOT_BETWEEN = 0.01  # of a column, that rounding may add
 _CELL_M = 0.02  # of the grid across the beam in which the first surface shades those behind it
 _LEAST_COSINE = 0.1  # of a surface whose rise in a cell is allowed for
 _DEEP_M = 0.02  # what is this much behind the first surface is in its shade
 
 
+def light_shadow(depth: Floats32, camera: Camera, offset_m: float) -> Bools:
+    """(H, W): what a light source `offset_m` to the right of the lens does not reach, for something nearer is in its way.
+
+    depth: (H, W) along the axis, m, 0 where nothing was hit. Each row is seen from the source, in steps of a pixel; where the
+    lens bends rows, the shadow is bent with them.
+    """
+    height, width = depth.shape
+    hit = depth > 0
+    # In a camera at the source, columns of the same width; a surface fills both that it lies between, so that it has no holes.
+    at = (camera.rays[..., 0] - offset_m / np.where(hit, depth, np.inf)) * camera.fx + camera.cx + width
+    at = np.nan_to_num(np.clip(at, 1, 3 * width))
+    row = np.arange(height)[:, None] * (3 * width + 2)
+    first = np.full(height * (3 * width + 2), np.inf, np.float32)
+    for column in (np.floor(at + _NOT_BETWEEN), np.ceil(at - _NOT_BETWEEN)):
+        np.minimum.at(first, (column.astype(np.int64) + row)[hit], depth[hit])
+    return np.asarray(hit & (depth > (1 + _SAME_SURFACE) * first[np.rint(at).astype(np.int64) + row]))
+
+
 def sunlit(depth: Floats32, candidates: NDArray[np.bool_], camera: Camera, width_m: float, *, rng: Generator) -> Floats32:
     """Cosine of the incidence of a beam of sunlight on each pixel's surface, 0 in the shade and outside the beam.
 
-    The beam has a width and falls on a visible place, from a side of the surface there, both drawn evenly. The camera's depth is
-    all that is known of the scene: only what it sees gives shade.
+    The beam has a width and falls on a visible place, from a side of the surface there, both drawn evenly.
 
     Parameters
     ----------
