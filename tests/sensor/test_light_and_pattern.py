@@ -121,12 +121,28 @@ def test_no_surface_shades_itself_in_the_light() -> None:
     assert shadow[~on].sum() > 500  # on the wall behind
 
 
-def test_what_the_light_does_not_reach_has_no_depth() -> None:
+def test_a_surface_that_turns_to_the_source_has_no_holes() -> None:
+    """Its pixels are wider for the source than for the camera: its shadow is one piece nevertheless."""
+    camera = Camera(400, 4, 200.0, 200.0, 199.5, 1.5)
+    depth = np.full((4, 400), 1.6, np.float32)
+    depth[:, 200:220] = np.linspace(0.35, 0.6, 20)
+    shadow = np.flatnonzero(light_shadow(depth, camera, 0.05)[0])
+    assert len(shadow) > 10
+    assert (np.diff(shadow) == 1).all()
+
+
+@pytest.mark.parametrize("parts", [False, True])
+def test_what_the_light_does_not_reach_has_no_depth(parts: bool) -> None:
     sensor = small_sensor(min_amplitude_e=10.0)
     edge = step_edge(sensor, 0.5, 1.4, 80)
     shadow = light_shadow(edge.depth_m, sensor.camera, -0.03)
     dark, bright = (
-        simulate(edge, sensor, only(light_offset_m=offset, incidence=True, low_amplitude=True), rng=generator(1, 1))
+        simulate(
+            edge,
+            sensor,
+            only(light_offset_m=offset, incidence=True, low_amplitude=True, flying_pixels=parts),
+            rng=generator(1, 1),
+        )
         for offset in (-0.03, 0.0)
     )
     assert shadow.sum() > 72
