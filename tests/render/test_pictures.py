@@ -119,10 +119,9 @@ def test_silhouettes_are_those_of_the_instance_image(
     assert (who == truth.instance)[seen].mean() >= 0.99  # edges included
 
 
+@pytest.mark.usefixtures("path_tracer")
 @pytest.mark.parametrize("dist", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
-def test_edges_lie_where_the_lens_images_them_to_a_part_of_a_pixel(
-    dist: tuple[float, float, float, float, float], path_tracer: None
-) -> None:
+def test_edges_lie_where_the_lens_images_them_to_a_part_of_a_pixel(dist: tuple[float, float, float, float, float]) -> None:
     """Black balls before a white sky: what is missing of a pixel's light is the share of it that they cover."""
     camera = Camera(80, 60, 40.0, 43.0, 35.3, 22.9, dist)
     balls = merge([ball((1, 0.1, -0.1), 0.2), ball((1, -0.4, 0), 0.1)])
@@ -139,7 +138,8 @@ def test_edges_lie_where_the_lens_images_them_to_a_part_of_a_pixel(
     assert np.abs(middle[0] - middle[1]).max() < 0.02  # px
 
 
-def test_a_wall_by_a_light_at_the_camera_has_the_radiance_of_the_law(path_tracer: None) -> None:
+@pytest.mark.usefixtures("path_tracer")
+def test_a_wall_by_a_light_at_the_camera_has_the_radiance_of_the_law() -> None:
     """Lambert: rho cos / r^2 in units of white at 1 m."""
     wall, colour = plane(0.6)
     camera = small_camera()
@@ -149,7 +149,8 @@ def test_a_wall_by_a_light_at_the_camera_has_the_radiance_of_the_law(path_tracer
     assert np.abs(image[..., 1] * r**3 / 1.2 - 1).mean() < 0.002
 
 
-def test_a_wall_under_an_even_sky_has_its_reflectance_of_the_skys_radiance(path_tracer: None) -> None:
+@pytest.mark.usefixtures("path_tracer")
+def test_a_wall_under_an_even_sky_has_its_reflectance_of_the_skys_radiance() -> None:
     wall, colour = plane(0.6)
     image = traced(wall, colour, small_camera(), look_at((0, 0, 0), (1, 0, 0)), GREY, samples=16)
     assert abs(image.mean() / (0.6 * 0.5) - 1) < 0.005
@@ -157,7 +158,8 @@ def test_a_wall_under_an_even_sky_has_its_reflectance_of_the_skys_radiance(path_
     np.testing.assert_allclose(traced(opaque, colour, small_camera(), look_at((0, 0, 0), (1, 0, 0)), GREY), 0.5, rtol=1e-5)
 
 
-def test_the_sun_lights_a_wall_by_the_cosine_from_where_it_stands(path_tracer: None) -> None:
+@pytest.mark.usefixtures("path_tracer")
+def test_the_sun_lights_a_wall_by_the_cosine_from_where_it_stands() -> None:
     wall, colour = plane(0.5)
     for towards in (np.array((-1.0, 0, 0)), np.array((-0.6, 0.0, 0.8)), np.array((0.6, 0.0, 0.8))):
         light = replace(DARK, sun=(towards, np.array((3.0, 2.0, 1.0))))
@@ -166,7 +168,8 @@ def test_the_sun_lights_a_wall_by_the_cosine_from_where_it_stands(path_tracer: N
         np.testing.assert_allclose(image, np.broadcast_to(expected, image.shape), rtol=1e-4, atol=1e-7)
 
 
-def test_the_dome_stands_as_it_is_painted_for_both_renderers(path_tracer: None) -> None:
+@pytest.mark.usefixtures("path_tracer")
+def test_the_dome_stands_as_it_is_painted_for_both_renderers() -> None:
     """Its colour is a smooth function of the direction, looked up where rays go."""
     directions = dome_directions(64, 128)
     light = replace(DARK, dome=(0.5 + 0.5 * directions).astype(np.float32))
