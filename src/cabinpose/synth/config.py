@@ -25,6 +25,7 @@ from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
 from cabinpose.synth.cars import Car, check_cars, is_car_file
+from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
@@ -32,6 +33,10 @@ from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, 
 Vector = tuple[float, float, float]
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
 _LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
+
+
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
@@ -194,6 +199,9 @@ class CabinScene(Model):
         {}, description="Weights of the actions by seat; left out: every action that makes sense there, by its usual weight."
     )
     profile: Profile | None = Field(None, description="A motion profile for everyone, in place of the actions' own.")
+    sequence: SequenceConfig | None = Field(
+        None, exclude_if=_is_none, description="Frames that follow each other; left out: every frame is a scene of its own."
+    )
     seat_variation: float = Field(
         1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
     )
@@ -225,6 +233,23 @@ class CabinScene(Model):
         occupant = self.occupants.get(slot)
         return occupant.profile if occupant is not None and occupant.profile is not None else self.profile
 
+    @property
+    def weights(self) -> Mapping[str, Mapping[str, float]]:
+        """The weights of the actions by seat, where they are not the usual ones."""
+        return {**self.motion, **{slot: {o.action: 1.0} for slot, o in self.occupants.items() if o.action is not None}}
+
+    @property
+    def _still(self) -> str:
+        """What of this scene holds for single frames only."""
+        occupants = self.occupants.values()
+        asked = {
+            "scene.factorial": self.factorial,
+            "profile": self.profile or any(o.profile for o in occupants),
+            "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
+            "pose": any(o.pose for o in occupants),
+        }
+        return next((name for name, value in asked.items() if value), "")
+
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
         check_cars(self.cars, self.random_cars)
@@ -238,6 +263,8 @@ class CabinScene(Model):
             )
         if not any(self.occupancy.values()) and not self.always_taken:
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
+        if self.sequence is not None and self._still:
+            raise ConfigError(f"people in motion have no {self._still}", hint="leave it out, or leave out scene.sequence")
         for weights in self.motion.values():
             for action in weights:
                 if action not in ACTIONS:
