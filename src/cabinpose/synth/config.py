@@ -35,10 +35,6 @@ _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm
 _LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
 
 
-def _is_none(value: object) -> bool:
-    return value is None
-
-
 def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     if len(rows) != 4 or not is_rigid(np.array(rows)):
         raise ValueError("Input should be a rigid transform: 4 rows of 4 numbers, the last 0 0 0 1")
@@ -200,7 +196,9 @@ class CabinScene(Model):
     )
     profile: Profile | None = Field(None, description="A motion profile for everyone, in place of the actions' own.")
     sequence: SequenceConfig | None = Field(
-        None, exclude_if=_is_none, description="Frames that follow each other; left out: every frame is a scene of its own."
+        None,
+        exclude_if=lambda value: value is None,
+        description="Frames that follow each other; left out: every frame is a scene of its own.",
     )
     seat_variation: float = Field(
         1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
@@ -287,6 +285,9 @@ class Output(Model):
     """What is written and how it is cut."""
 
     frames_per_part: int = Field(100, ge=1, le=1000)
+    gaze: bool = Field(
+        False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
+    )
     licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
 
 

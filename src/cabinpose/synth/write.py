@@ -24,6 +24,7 @@ from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.gaze import gaze_labels
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
@@ -98,6 +99,7 @@ class FrameMaker:
             "action": self._per_slot(scene, "action"),
             "car": scene.place,
             "pov": scene.pov,
+            **(gaze_labels(scene, self._slots) if self._config.output.gaze else {}),
         }
 
     def _per_slot(self, scene: Scene, attribute: str) -> list[str]:
