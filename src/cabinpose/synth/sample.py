@@ -174,7 +174,7 @@ class SceneSampler:
         self._person = cached_once(32)(self._make_person)
         self._cabin = cached_once(20)(self._make_cabin)
         self._room = cached_once(64)(self._make_room)
-        self._film = cached_once(4)(self._make_film)
+        self._film = cached_once(64)(self._make_film)
         if like is not None and like._seed == seed:
             self._cabin, self._room = like._cabin, like._room
             if like._config.people == config.people:
@@ -246,6 +246,10 @@ class SceneSampler:
             if not _blocked(camera[:3, 3], people(), seated):
                 return pov, camera
         return None
+
+    def plan_sequence(self, number: int) -> None:
+        """Plan a sequence before its first frame is asked for."""
+        self._film(number)
 
     def _moving(self, scene: CabinScene, sequence: SequenceConfig, index: int) -> Scene:
         """Frame `index` of the dataset as a frame of its sequence."""
