@@ -10,6 +10,7 @@ from synth_scenes import small_config
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import axis_rotation, invert, look_at
+from cabinpose.scene.body import SEGMENTS
 from cabinpose.scene.surface import Surface
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
@@ -33,17 +34,23 @@ def test_the_line_of_sight_is_the_gaze_that_turned_the_head(yaw: float, pitch: f
 
 def test_the_target_is_what_the_eye_sees_in_the_middle() -> None:
     """Every part rendered by itself, from between the eyes along the gaze: the nearest in the middle is the target."""
-    config = small_config(motion={"driver": {"look_mirror": 1.0, "drive": 1.0, "reach_infotainment": 1.0}})
+    config = small_config(motion={"driver": {"look_mirror": 0.3, "drive": 0.3, "phone_text": 1.0}})
     sampler = SceneSampler(config, 2)
     eye = Rasteriser(Camera.from_fov(65, 65, 0.5), supersample=1)
     told = set()
-    for index in range(8):
+    for index in range(12):
         scene = sampler.sample(index, rng=frame_rng(2, index))
         labels = gaze_labels(scene, SLOTS)
         (person,), target = scene.people, labels["gaze_target"][0]
-        if target == "hand":
-            continue
         start = person.posed.eyes_m
+        hands = person.posed.skin[np.isin(person.person.skin_segment, [SEGMENTS.index(s + "hand") for s in "lr"])]
+        ahead = (hands - start) @ labels["gaze"][0]
+        off = np.linalg.norm(hands - start - ahead[:, None] * labels["gaze"][0], axis=1)[ahead > 0].min()
+        if target == "hand":
+            assert off < 0.01  # points of the skin are closer than this
+            told.add(target)
+            continue
+        assert off > 0.001
         camera = invert(look_at(start, start + labels["gaze"][0].astype(np.float64)))
         transforms = scene.cabin.group_transforms(scene.settings, wheel_angle=scene.wheel_angle)
         seen = {}
@@ -57,7 +64,8 @@ def test_the_target_is_what_the_eye_sees_in_the_middle() -> None:
                 seen[part.name] = depth
         assert target == min(seen, key=seen.__getitem__)
         told.add(target)
-    assert len(told) > 1
+    assert len(told) > 2
+    assert "hand" in told
 
 
 def test_gaze_is_written_when_it_is_asked_for(tmp_path: Path) -> None:
