@@ -79,6 +79,14 @@ VARIABLES: tuple[Variable, ...] = (
         "head_residual", ("frame", "person"), "float32", "angle between the heads of suit and optical system", "rad",
         default=False,
     ),
+    Variable(
+        "gaze", ("frame", "person", "xyz"), "float32", "unit vector of the line of sight, vehicle frame; NaN = none",
+        default=False
+    ),
+    Variable(
+        "vehicle_from_head", ("frame", "person", "row", "column"), "float64",
+        "head pose: x to the front of the face, y left, origin at C1 (m)", default=False,
+    ),
     Variable("camera_k", ("frame", "k_row", "k_column"), "float64", "matrix of intrinsics", "px"),
     Variable("camera_dist", ("frame", "dist_coefficient"), "float64", "distortion k1 k2 p1 p2 k3 (OpenCV)"),
     Variable("vehicle_from_camera", ("frame", "row", "column"), "float64", "extrinsics; translation in metres"),
@@ -87,6 +95,10 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("seed", ("frame",), "int64", "seed of the frame's generator, beside the frame's index", coordinate=True),
     Variable("subject", ("frame", "person"), "str", "who it is; empty = nobody in this place", coordinate=True),
     Variable("action", ("frame", "person"), "str", "what the person does; empty = nobody in this place", coordinate=True),
+    Variable(
+        "gaze_target", ("frame", "person"), "str", "what the line of sight meets first; empty = nobody in this place",
+        coordinate=True, default=False,
+    ),
     Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
     Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
     Variable("light", ("frame",), "str", "the light of rgb and nir", coordinate=True, default=False),

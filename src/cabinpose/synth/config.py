@@ -25,6 +25,7 @@ from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
 from cabinpose.synth.cars import Car, check_cars, is_car_file
+from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
@@ -195,6 +196,11 @@ class CabinScene(Model):
         {}, description="Weights of the actions by seat; left out: every action that makes sense there, by its usual weight."
     )
     profile: Profile | None = Field(None, description="A motion profile for everyone, in place of the actions' own.")
+    sequence: SequenceConfig | None = Field(
+        None,
+        exclude_if=lambda value: value is None,
+        description="Frames that follow each other; left out: every frame is a scene of its own.",
+    )
     seat_variation: float = Field(
         1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
     )
@@ -226,6 +232,23 @@ class CabinScene(Model):
         occupant = self.occupants.get(slot)
         return occupant.profile if occupant is not None and occupant.profile is not None else self.profile
 
+    @property
+    def weights(self) -> Mapping[str, Mapping[str, float]]:
+        """The weights of the actions by seat, where they are not the usual ones."""
+        return {**self.motion, **{slot: {o.action: 1.0} for slot, o in self.occupants.items() if o.action is not None}}
+
+    @property
+    def _still(self) -> str:
+        """What of this scene holds for single frames only."""
+        occupants = self.occupants.values()
+        asked = {
+            "scene.factorial": self.factorial,
+            "profile": self.profile or any(o.profile for o in occupants),
+            "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
+            "pose": any(o.pose for o in occupants),
+        }
+        return next((name for name, value in asked.items() if value), "")
+
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
         check_cars(self.cars, self.random_cars)
@@ -239,6 +262,8 @@ class CabinScene(Model):
             )
         if not any(self.occupancy.values()) and not self.always_taken:
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
+        if self.sequence is not None and self._still:
+            raise ConfigError(f"people in motion have no {self._still}", hint="leave it out, or leave out scene.sequence")
         for weights in self.motion.values():
             for action in weights:
                 if action not in ACTIONS:
@@ -261,6 +286,9 @@ class Output(Model):
     """What is written and how it is cut."""
 
     frames_per_part: int = Field(100, ge=1, le=1000)
+    gaze: bool = Field(
+        False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
+    )
     licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
 
 

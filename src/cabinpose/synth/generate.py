@@ -20,6 +20,7 @@ from cabinpose.scene.labels import LABELS
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.gaze import GAZE_VARIABLES
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
@@ -147,7 +148,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         licence=config.output.licence,
         labels=[label._asdict() for label in LABELS],
         materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS],
-        variables=(*images, "itop_joints_3d") if standing else images,
+        variables=(*images, *(("itop_joints_3d",) if standing else ()), *(GAZE_VARIABLES if config.output.gaze else ())),
     )
 
 

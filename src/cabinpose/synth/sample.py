@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -37,6 +37,9 @@ from cabinpose.synth.config import (
     RoomScene,
     SynthConfig,
 )
+from cabinpose.synth.motion.config import SequenceConfig
+from cabinpose.synth.motion.film import Film, make_film
+from cabinpose.synth.motion.sequences import DrawGoals
 from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
@@ -44,6 +47,7 @@ from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.standing import sample_standing
+from cabinpose.synth.streams import sequence_rng
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict, most_common, sits_too_deep
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
@@ -83,6 +87,7 @@ class Scene:
     """A valid scene. Its frame is the vehicle's, or the room's world frame.
 
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
+    sequence, sync_ns: the sequence that it belongs to, and the time since its start; 0 where it is a scene of its own ·
     cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
     proposals, rejections: how many poses were tried for it and why they failed.
     """
@@ -97,6 +102,8 @@ class Scene:
     wheel_angle: float = 0.0
     proposals: int = 0
     rejections: Mapping[Rejection, int] = field(default_factory=dict)
+    sequence: int = 0
+    sync_ns: int = 0
 
     @property
     def closed(self) -> bool:
@@ -146,9 +153,9 @@ class _Cast(NamedTuple):
     settings: Mapping[str, SeatSetting]
     given: Mapping[str, OccupantPose]
 
-    def person(self, slot: str, pose: OccupantPose, body: PosedBody) -> ScenePerson:
+    def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
-        return ScenePerson(slot, self.names[slot], pose.action, self.people[slot], body)
+        return ScenePerson(slot, self.names[slot], action, self.people[slot], body)
 
 
 class SceneSampler:
@@ -167,6 +174,7 @@ class SceneSampler:
         self._person = cached_once(32)(self._make_person)
         self._cabin = cached_once(20)(self._make_cabin)
         self._room = cached_once(64)(self._make_room)
+        self._film = cached_once(64)(self._make_film)
         if like is not None and like._seed == seed:
             self._cabin, self._room = like._cabin, like._room
             if like._config.people == config.people:
@@ -175,6 +183,8 @@ class SceneSampler:
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
         """The scene of frame `index`. Raises SceneError where none is found within the configured limits."""
         scene = self._config.scene
+        if isinstance(scene, CabinScene) and scene.sequence is not None:
+            return self._moving(scene, scene.sequence, index)
         causes: Counter[Rejection] = Counter()
         tried: list[str] = []
         proposals = 0
@@ -219,16 +229,54 @@ class SceneSampler:
         )
         if posed is None:
             return None, draws
-        people_in = [cast.person(slot, pose, body) for slot, (pose, body) in posed.poses.items()]
+        people_in = [cast.person(slot, pose.action, body) for slot, (pose, body) in posed.poses.items()]
         seated = posed.seated
-        for _ in range(_CAMERA_DRAWS):
-            pov, camera = self._cabin_camera(cabin, index, rng)
-            if not _blocked(camera[:3, 3], people_in, seated):
-                break
-        else:
+        view = self._free_camera(cabin, index, lambda: people_in, seated, rng)
+        if view is None:
             causes[Rejection("camera")] += len(people_in)
             return None, draws
-        return self._assembled(scene, cast, people_in, seated.wheel_angle, pov, camera, rng), draws
+        return self._assembled(scene, cast, people_in, seated.wheel_angle, *view, rng), draws
+
+    def _free_camera(
+        self, cabin: Cabin, index: int, people: Callable[[], Iterable[ScenePerson]], seated: Seated, rng: np.random.Generator
+    ) -> tuple[str, Matrix] | None:
+        """A view and its camera that nobody comes before; None where none is found."""
+        for _ in range(_CAMERA_DRAWS):
+            pov, camera = self._cabin_camera(cabin, index, rng)
+            if not _blocked(camera[:3, 3], people(), seated):
+                return pov, camera
+        return None
+
+    def plan_sequence(self, number: int) -> None:
+        """Plan a sequence before its first frame is asked for."""
+        self._film(number)
+
+    def _moving(self, scene: CabinScene, sequence: SequenceConfig, index: int) -> Scene:
+        """Frame `index` of the dataset as a frame of its sequence."""
+        number, frame = divmod(index, sequence.frames)
+        film, time_s = self._film(number), frame / sequence.rate_hz
+        rng = sequence_rng(self._seed, number * sequence.frames, 0)  # the same belts in all frames
+        shown = self._assembled(scene, film.cast, film.people(time_s), film.wheel_angle(time_s), film.pov, film.camera, rng)
+        counts = (film.proposals, film.rejections) if frame == 0 else (0, {})
+        return replace(shown, proposals=counts[0], rejections=counts[1], sequence=number, sync_ns=round(1e9 * time_s))
+
+    def _make_film(self, number: int) -> Film:
+        """Sequence `number`. Raises SceneError where no scene is found in which everybody has a way."""
+        scene = self._config.scene
+        assert isinstance(scene, CabinScene)
+        assert scene.sequence is not None
+        first = number * scene.sequence.frames
+
+        def goals(cast: _Cast) -> DrawGoals:
+            return lambda slot, action, wheel_angle, rng: self._draw(
+                scene, first, cast.people, cast.cabin, slot, cast.settings[slot], rng, action=action, wheel_angle=wheel_angle
+            )
+
+        return make_film(
+            number, scene.sequence, self._seed, lambda rng: self._cast(scene, first, rng), goals,
+            lambda cast, people, empty, rng: self._free_camera(cast.cabin, first, people, empty, rng),
+            weights=scene.weights, poses_per_person=self._config.limits.poses_per_person,
+        )  # fmt: skip
 
     def as_given(self, index: int, *, rng: np.random.Generator) -> tuple[Scene, tuple[Verdict, ...]]:
         """The people who have whole poses in frame `index`, and why it does not hold, the first reason for each of them.
@@ -243,7 +291,7 @@ class SceneSampler:
         seated, verdicts, people_in = cast.validator.empty(cast.settings, wheel), [], []
         for slot, pose in cast.given.items():
             body = cast.people[slot].pose(pose.q, pose.vehicle_from_root)
-            people_in.append(cast.person(slot, pose, body))
+            people_in.append(cast.person(slot, pose.action, body))
             verdict, seated = cast.validator.admit(seated, (slot, cast.people[slot], body))
             verdicts.append(verdict)
         pov, camera = self._cabin_camera(cast.cabin, index, rng)
@@ -308,17 +356,22 @@ class SceneSampler:
         slot: str,
         setting: SeatSetting,
         rng: np.random.Generator,
+        *,
+        action: str | None = None,
+        wheel_angle: float | None = None,
     ) -> Drawn:
+        """Somebody's goals; action, wheel_angle: given, in place of what is drawn."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
         left_out = frozenset[str]() if neighbours is None else neighbours.left_out
-        action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
+        if action is None:
+            action = _weighted(weights, rng) if weights else random_action(seat, cabin, rng=rng, left_out=left_out)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
-            offset=offset, neighbours=neighbours, rng=rng,
+            offset=offset, neighbours=neighbours, wheel_angle=wheel_angle, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
@@ -417,7 +470,7 @@ def _occupied(scene: CabinScene, cabin: Cabin, rng: np.random.Generator) -> list
     return taken or [_weighted(chances, rng)]
 
 
-def _blocked(eye: Floats, people: Sequence[ScenePerson], seated: Seated) -> bool:
+def _blocked(eye: Floats, people: Iterable[ScenePerson], seated: Seated) -> bool:
     """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
     if seated.placed is not None and seated.placed.clearance(eye[None])[0] < LENS_M:
         return True

@@ -8,9 +8,10 @@ import threading
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -23,7 +24,8 @@ from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import CabinScene, SynthConfig
+from cabinpose.synth.gaze import gaze_labels
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
@@ -106,13 +108,14 @@ class FrameMaker:
             "camera_k": camera.k,
             "camera_dist": np.array(camera.dist),
             "vehicle_from_camera": scene.world_from_camera,
-            "sync_ns": 0,
-            "sequence": 0,
+            "sync_ns": scene.sync_ns,
+            "sequence": scene.sequence,
             "seed": self._seed,
             "subject": self._per_slot(scene, "subject"),
             "action": self._per_slot(scene, "action"),
             "car": scene.place,
             "pov": scene.pov,
+            **(gaze_labels(scene, self._slots) if self._config.output.gaze else {}),
         }
 
     def _per_slot(self, scene: Scene, attribute: str) -> list[str]:
@@ -212,7 +215,8 @@ def make_frames(
         return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(maker.seconds), _content(scene)))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
-    with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads)) as results:
+    indices, before = chain.from_iterable(map(_frames, plans)), _sequences_ahead(shared, config, plans, threads)
+    with threadpool_limits(1), closing(_in_order(make, indices, threads, before)) as results:
         for plan in plans:
             with PartWriter(folder, plan, manifest) as part:
                 total = FrameReport()
@@ -249,8 +253,32 @@ def _frames(plan: PartPlan) -> range:
     return range(plan.first, plan.first + plan.frames)
 
 
-def _in_order(function: Callable[[int], _Made], items: Iterable[int], threads: int) -> Generator[_Made]:
-    """Results in the order of the items, worked out by threads that are at most a few items ahead."""
+def _sequences_ahead(
+    sampler: SceneSampler, config: SynthConfig, plans: Sequence[PartPlan], threads: int
+) -> Callable[[int], Iterator[Callable[[], None]]]:
+    """What is to be done before a frame so that no thread waits: as many sequences are planned as there are threads."""
+    sequence = config.scene.sequence if isinstance(config.scene, CabinScene) else None
+    planned = -1
+
+    def before(index: int) -> Iterator[Callable[[], None]]:
+        nonlocal planned
+        if sequence is None:
+            return
+        number, last = index // sequence.frames, (plans[-1].first + plans[-1].frames - 1) // sequence.frames
+        for n in range(max(planned + 1, number), min(number + threads, last + 1)):
+            yield partial(sampler.plan_sequence, n)
+            planned = n
+
+    return before
+
+
+def _in_order(
+    function: Callable[[int], _Made],
+    items: Iterable[int],
+    threads: int,
+    before: Callable[[int], Iterable[Callable[[], None]]],
+) -> Generator[_Made]:
+    """Results in the order of the items, worked out by threads at most a few items ahead; `before` an item, more to do."""
     if threads == 1:
         yield from map(function, items)
         return
@@ -258,11 +286,17 @@ def _in_order(function: Callable[[int], _Made], items: Iterable[int], threads: i
     interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     with ThreadPoolExecutor(threads, "frames") as pool:
+
+        def submit(item: int) -> Future[_Made]:
+            for job in before(item):
+                pool.submit(job)  # what it raises is raised again where its result is needed
+            return pool.submit(function, item)
+
         try:
-            waiting = deque(pool.submit(function, item) for item in islice(coming, _AHEAD * threads))
+            waiting = deque(map(submit, islice(coming, _AHEAD * threads)))
             while waiting:
                 yield waiting.popleft().result()
-                waiting.extend(pool.submit(function, item) for item in islice(coming, 1))
+                waiting.extend(map(submit, islice(coming, 1)))
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
             sys.setswitchinterval(interval)

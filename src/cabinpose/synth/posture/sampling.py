@@ -43,7 +43,10 @@ from cabinpose.synth.profiles import Profile
 
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
-_GRIP: Mapping[str, float] = {"wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "chest": 0.5, "belt": 0.6, "reach": 0.25}
+_GRIP: Mapping[str, float] = {
+    "wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "mouth": 0.5, "shin": 0.06, "chest": 0.5,
+    "belt": 0.6, "reach": 0.25,
+}  # fmt: skip
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
@@ -52,7 +55,7 @@ _LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finge
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
-_CARRIED_BY: Mapping[str, str] = {"thigh": "{side}thigh", "ear": "head", "chest": "spine01", "belt": "spine01"}
+_CARRIED_BY: Mapping[str, str] = {"thigh": "{side}thigh", "ear": "head", "mouth": "head", "chest": "spine01", "belt": "spine01"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +141,8 @@ class Drawn:
 def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
-    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, rng: np.random.Generator,
+    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None,
+    rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
@@ -159,6 +163,8 @@ def draw_pose(
         Of the pelvis from the seat's place.
     neighbours
         What the people beside and opposite mean for this person; None where there is nobody.
+    wheel_angle
+        How the wheel is turned (rad, + left), in place of a drawn angle.
     rng
         Source of all randomness.
 
@@ -183,6 +189,7 @@ def draw_pose(
     hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
+    turned = turned if wheel_angle is None else wheel_angle
     lean = _draw(chosen.pelvis, rng)
     if neighbours is not None:
         lean = max(lean, neighbours.lean)
@@ -415,6 +422,12 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up)
     if hand.place == "ear":
         return at.at_ear(s.person, skeleton, side, gap=0.048)
+    if hand.place == "mouth":
+        return at.at_mouth(s.person, skeleton, side, 0.06 + 0.01 * a)
+    if hand.place == "shin":
+        left = np.array([-s.forward[1], s.forward[0], 0.0])
+        below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * s.up + (0.10 - 0.2 * side) * left
+        return at.at_point(below + 0.04 * a * s.forward, shoulder, s.up)
     if hand.place == "chest":
         return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.07 + 0.03 * c)
     if hand.place == "belt" and s.seat.belt is not None:
