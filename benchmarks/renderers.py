@@ -21,7 +21,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert
 from cabinpose.synth.render import Rasteriser, RenderedFrame
-from cabinpose.synth.sample import Scene
+from cabinpose.synth.scene import Scene
 
 REQUIREMENT = "bpy==4.5.*"  # the last version with wheels for Python 3.11; it pins numpy 1.26
 ROUNDS = 4  # through all scenes in a run, so that no thread waits long for the last one

@@ -155,7 +155,8 @@ def _labelling(frames: int, say: Say) -> dict[str, float]:
                 page.keyboard.press("Enter")
                 while len({key[0] for key in read_labels(journal)[1]} if journal.exists() else ()) <= row:
                     page.wait_for_timeout(20)
-                page.wait_for_timeout(300)  # the next frame and its proposals
+                page.locator(f".frame-canvas[data-seen$='/{min(row + 1, truth.sizes['frame'] - 1)}/depth']:visible").wait_for()
+                page.wait_for_timeout(300)  # the proposals of the next frame
                 took.append(time.monotonic() - began)
     drags = float(np.mean([len(joints) for joints in wrong]))
     return {

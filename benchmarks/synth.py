@@ -25,7 +25,7 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import PRESETS, build_cabin
 from cabinpose.synth.config import CabinScene, Camera, Output, SynthConfig
 from cabinpose.synth.generate import generate
-from cabinpose.synth.sample import Scene
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.write import FrameMaker
 
 _FRAMES_PER_PART = 50

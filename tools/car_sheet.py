@@ -25,7 +25,7 @@ from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.labels import ID, LAST_BODY_ID
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.render import Rasteriser
-from cabinpose.synth.sample import Scene
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.write import FrameMaker
 
 SEATS = ("driver", "front_passenger", "rear_left", "rear_right", "rear_center")  # the order in which --occupants fills a car

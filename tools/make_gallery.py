@@ -169,6 +169,30 @@ def room() -> Image:
     return grid([[("", depth_panel(f)) for f in frames], [("", skeleton_panel(f)) for f in frames]])
 
 
+def sequences() -> Image:
+    """Three activities, six moments of each."""
+    rows = []
+    for activity, slot, subject, first, seed in (
+        ("drink", "front_passenger", "S07", 2, 1),
+        ("look_over_shoulder", "front_passenger", "S05", 8, 3),
+        ("operate", "driver", "S06", 4, 2),
+    ):
+        overrides = (
+            "scene.cars=[suv]", LEFT, FRONT_ROW, SENSOR, f"scene.occupants={{{slot}: {{subject: {subject}}}}}",
+            f"scene.sequence={{frames: 60, rate_hz: 15, activities: [{activity}]}}",
+        )  # fmt: skip
+        frames = list(cabinpose.generate(*overrides, frames=40, seed=seed))[first : first + 36 : 6]
+        bright = float(np.quantile(frames[0]["amplitude"], 0.97))
+        row = []
+        for frame in frames:
+            image = amplitude_image(frame["amplitude"], bright)
+            draw_skeleton(image, *next((j, v) for j, v in zip(frame["joints_2d"], frame["visibility"], strict=True) if v.any()))
+            doing = next(action for action in frame["action"] if action)
+            row.append((f"{frame['sync_ns'] / 1e9:.1f} s  {doing.replace('_', ' ')}", image))
+        rows.append(row)
+    return grid(rows)
+
+
 def main() -> None:
     """Make all pictures."""
     parser = argparse.ArgumentParser(description="The pictures of docs/gallery.md.")
@@ -183,6 +207,7 @@ def main() -> None:
         "things": grid([row for half in wrapped(things(), 3) for row in with_labels(half)]),
         "sensors": grid(pair_rows(sensors())),
         "room": room(),
+        "sequences": sequences(),
     }
     for name, picture in pictures.items():
         path = arguments.out / f"{name}.webp"

@@ -1,6 +1,6 @@
 """The pictures of docs/studio.md: each tab in headless Chromium, light and dark.
 
-    python -m tools.make_studio_pictures DATASET OUT [--sizes 1280x800 1920x1080]
+    python -m tools.make_studio_pictures DATASET SCENE.yaml OUT [--sizes 1280x800 1920x1080]
 
 Needs Debian's chromium and playwright.
 """
@@ -17,8 +17,21 @@ SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 TABS = ("Dataset", "Label", "Compare", "Live")
 
 
-def picture(dataset: Path, out: Path, size: str, scheme: Literal["light", "dark"]) -> None:
-    """Every tab at one size."""
+def scene_picture(scene: Path, out: Path, size: str, scheme: Literal["light", "dark"]) -> None:
+    """The tab Scene with a person's joints."""
+    width, height = map(int, size.split("x"))
+    with studio(scene) as address, page_of(width, height, scheme) as page:
+        page.goto(address)
+        page.wait_for_timeout(5000)
+        page.get_by_role("button", name="Accept").click()
+        page.get_by_role("tab", name="People").click()
+        page.get_by_text("driver:").first.click()
+        page.wait_for_timeout(5000)
+        page.screenshot(path=out / f"studio-scene-{size}-{scheme}.png")
+
+
+def pictures(dataset: Path, out: Path, size: str, scheme: Literal["light", "dark"]) -> None:
+    """Every other tab at one size."""
     width, height = map(int, size.split("x"))
     with studio(dataset) as address, page_of(width, height, scheme) as page:
         page.goto(address)
@@ -32,6 +45,7 @@ def picture(dataset: Path, out: Path, size: str, scheme: Literal["light", "dark"
                 page.get_by_role("button", name="Run").click()
                 page.locator("tr", has_text="in_car").wait_for()
             elif name == "Live":
+                page.get_by_role("checkbox", name="cloud").click()
                 page.get_by_role("button", name="Start").click()
                 page.wait_for_timeout(6000)
             page.wait_for_timeout(3000)
@@ -42,13 +56,15 @@ def main() -> None:
     """Read the words behind the script and work."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dataset", type=Path)
+    parser.add_argument("scene", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--sizes", nargs="*", default=["1280x800", "1920x1080"])
     chosen = parser.parse_args()
     chosen.out.mkdir(parents=True, exist_ok=True)
     for size in chosen.sizes:
         for scheme in SCHEMES:
-            picture(chosen.dataset, chosen.out, size, scheme)
+            scene_picture(chosen.scene, chosen.out, size, scheme)
+            pictures(chosen.dataset, chosen.out, size, scheme)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,8 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SEGMENTS, Person, PosedBody
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng
 from cabinpose.synth.validate import by_cause
 

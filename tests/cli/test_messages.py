@@ -124,6 +124,14 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "two.jsonl is no whole JSON object (parse error: trailing garbage)",
             "it may be cut short; copy it again, or give another file",
         ),
+        ("import x --format coco --out z --role me", "--role is of --corrects", "leave out --role"),
+        ("import x --format itop --out z --corrects d", "--corrects is of the format coco, not itop", "leave out --corrects"),
+        (
+            "import x --format coco --out z.jsonl --corrects d --overwrite",
+            "--corrects adds to the labels of a dataset, without --overwrite",
+            "leave out --overwrite",
+        ),
+        ("import x --format coco --out z.jsonl --corrects nope", "nope does not exist", "give the folder of a dataset"),
         ("evaluate d", "there is nothing to evaluate", "give DATASET with --predictions or --model, or --itop-npz with --model"),
         (
             "train d --synth scene.yaml --out run",
@@ -143,7 +151,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (
             "export d --format yolo --images depth16 --out z",
             "yolo has no images of the kind depth16",
-            "choose one of depth8, amplitude8",
+            "choose one of depth8, amplitude8, rgb",
         ),
         (
             "export d --format yolo --splits splits.yaml --split test --out z",

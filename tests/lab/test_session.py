@@ -8,18 +8,23 @@ import numpy as np
 import pytest
 import yaml
 
+from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import align_take
 from cabinpose.align.session import Calibrated, Session, calibrate
 from cabinpose.app.cli import main
+from cabinpose.app.cli.selection import opened
 from cabinpose.app.lab.laboratory import PAIR, RIG, SESSION, Plan, drive_take, load_rig, load_truth, record_session
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.app.lab.takes import dress_up, write_action_take, write_head_take, write_pose_take
+from cabinpose.app.studio.labelling import Labelling
+from cabinpose.app.studio.workspace import open_workspace
 from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import invert
 from cabinpose.core.pose import Visibility
 from cabinpose.store import open_dataset
 from cabinpose.store.recording import Recording
+from cabinpose.store.source import import_source
 
 pytestmark = pytest.mark.slow
 PLAN = Plan(
@@ -158,3 +163,23 @@ def test_the_commands_do_the_same(folder: Path, tmp_path: Path, capsys: pytest.C
         assert main(again) == 2, again
         assert "hint: " in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
+
+
+def test_the_suits_wrists_and_hips_are_labelled(folder: Path, calibrated: Calibrated, tmp_path: Path) -> None:
+    """An aligned take opens in the studio's labelling, and a corrected wrist is what `evaluate --labels` reads."""
+    made = align_takes([folder / drive_take("S01")], calibrated.calibration)
+    dataset = import_source(made.source, tmp_path / "dataset")
+    workspace = open_workspace(dataset)
+    labelling = Labelling(workspace)
+    labelling.joints = labelling.sets["wrists and hips"]
+    shown = {each.joint: each.label for each in labelling.shown(3, "driver")}
+    assert set(shown) == {"rwrist", "lwrist", "hip", "rpelvis", "lpelvis"}
+    wrist = shown["lwrist"]
+    assert wrist is not None
+    placed = labelling.place(3, "driver", "lwrist", wrist.uv[0] + 2, wrist.uv[1])
+    labelling.accept(3, "driver")
+    assert labelling.done(3, "driver")
+    workspace.close()
+    corrected = opened(dataset, tmp_path / "dataset.labels.jsonl").isel(frame=3).sel(person="driver", joint="lwrist")
+    np.testing.assert_allclose(corrected["joints_2d"].values, placed.uv, rtol=1e-6)
+    np.testing.assert_allclose(corrected["joints_3d"].values, placed.xyz, rtol=1e-6)

@@ -376,7 +376,14 @@ SWITCHES: dict[str, object] = {
     "shot_noise": False, "read_noise": False, "full_well": False, "flying_pixels": False, "blur": 0.0, "wrapping": False,
     "second_frequency": False, "consistency": False, "wiggling": 0.0, "stray_light": 0.0, "ambient": 0.0, "daylight": 0.0,
     "reflectance": False, "incidence": False, "vignetting": False, "glass": False, "range_window": False,
-    "low_amplitude": False, "circular_field": False,
+    "low_amplitude": False, "circular_field": False, "remove_edges": True, "sun": 200.0, "fixed_pattern_mm": 5.0,
+    "fixed_pattern_gain": 0.01, "low_amplitude_spread": 0.4,
+    "light_offset_m": 0.05,
+}  # fmt: skip
+# Fields that only say how a switch of them acts, with that switch.
+DETAILS: dict[str, tuple[object, dict[str, object]]] = {
+    "edge_threshold_m": (0.9, {"remove_edges": True}), "edge_width_px": (3, {"remove_edges": True}),
+    "sun_width_m": (0.1, {"sun": 200.0}), "fixed_pattern_seed": (1, {"fixed_pattern_mm": 5.0}),
 }  # fmt: skip
 
 
@@ -394,20 +401,21 @@ def busy_scene(sensor: Sensor) -> GeometryBuffers:
     return GeometryBuffers.dense(2, depth, np.float32(0.8) * cosine, material)
 
 
-@pytest.mark.parametrize("switch", list(SWITCHES))
+@pytest.mark.parametrize("switch", [*SWITCHES, *DETAILS])
 def test_every_switch_matters(switch: str) -> None:
     sensor = use_case(3)
     scene = busy_scene(sensor)
+    value, others = DETAILS.get(switch) or (SWITCHES[switch], {})
     # A floor and a window that hide little, so that what lies under them shows.
-    default = PhysicalNoise(range_window=switch == "range_window", low_amplitude=switch == "low_amplitude")
-    changed = default.model_copy(update={switch: SWITCHES[switch]})
+    default = PhysicalNoise(range_window=switch == "range_window", low_amplitude=switch.startswith("low_amplitude"), **others)
+    changed = default.model_copy(update={switch: value})
     a, b = (simulate(scene, sensor, noise, rng=generator(3, 3)) for noise in (default, changed))
     assert default != changed
     assert not np.array_equal(a.depth_m, b.depth_m, equal_nan=True)
 
 
 def test_the_switches_are_all_there_are() -> None:
-    assert set(SWITCHES) == set(PhysicalNoise.model_fields) - {"kind"}
+    assert {*SWITCHES, *DETAILS} == set(PhysicalNoise.model_fields) - {"kind"}
 
 
 # --------------------------------------------------------------------------------------------------------- what it promises

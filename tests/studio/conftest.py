@@ -19,9 +19,10 @@ FRAMES = 6
 
 @pytest.fixture(scope="session")
 def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six generated frames of drivers; read only."""
+    """Six generated frames of drivers and others, in three parts; read only."""
     folder = tmp_path_factory.mktemp("studio") / "generated"
-    assert main(["synth", "--out", str(folder), "--frames", str(FRAMES), "--seed", "3", "scene.cars=[suv]"]) == 0
+    settings = ["scene.cars=[suv]", "output.frames_per_part=2"]
+    assert main(["synth", "--out", str(folder), "--frames", str(FRAMES), "--seed", "3", *settings]) == 0
     return folder
 
 

@@ -66,6 +66,7 @@ def test_label_drag_kill_and_go_on(page: Any, start: Callable[..., Any], dataset
     shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])  # only the keyboard's focus
     page.keyboard.press("Enter")
     page.get_by_text("1 of 6 frames done").wait_for()
+    page.locator(".frame-canvas[data-seen$='/1/depth']:visible").wait_for()
     dataset = open_dataset(dataset_folder)
     joints = [str(name) for name in dataset["joint"].values]
     size = dataset.sizes["x"], dataset.sizes["y"]
@@ -100,6 +101,28 @@ def test_labelling_a_frame_takes_few_seconds(page: Any, start: Callable[..., Any
     shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
     page.keyboard.press("Enter")
     until(lambda: len(labels_beside(dataset_folder)) == JOINTS)
+
+
+@pytest.mark.slow
+def test_frame_is_not_accepted_before_it_is_seen(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """Enter twice, while the second frame's image is still on its way: that frame is not labelled, until Enter comes again."""
+    page.goto(start(dataset_folder).address)
+    tab(page, "Label")
+    shown = canvas(page)
+    shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
+    held: list[Any] = []
+    page.route("**/frames/*/1/depth", lambda route: held.append(route))  # noqa: PLW0108 - it marks what it is given
+    page.keyboard.press("Enter")
+    page.get_by_text("1 of 6 frames done").wait_for()
+    page.wait_for_timeout(300)  # the image of the second frame is asked for
+    page.keyboard.press("Enter")
+    page.wait_for_timeout(1000)
+    assert {key[0] for key in labels_beside(dataset_folder)} == {0}
+    (waiting,) = held
+    waiting.continue_()
+    page.locator(".frame-canvas[data-seen$='/1/depth']:visible").wait_for()
+    page.keyboard.press("Enter")
+    page.get_by_text("2 of 6 frames done").wait_for()
 
 
 @pytest.mark.slow

@@ -172,6 +172,25 @@ def test_bone_of_an_unusual_length_is_suspicious(labelling: Labelling) -> None:
     assert "usually" in labelling.doubts(0, DRIVER)["neck"]
 
 
+def test_usual_lengths_follow_every_change(labelling: Labelling, workspace: Workspace) -> None:
+    """After placing, undoing and another tab's labels, the doubts are those of somebody who has just opened the journal."""
+    for row in range(5):
+        labelling.accept(row, DRIVER)
+        assert labelling.doubts(row, DRIVER) == Labelling(workspace).doubts(row, DRIVER)
+    labelling.place(0, DRIVER, "neck", 200.0, 20.0)
+    doubts = labelling.doubts(0, DRIVER)
+    assert "neck" in doubts
+    assert doubts == Labelling(workspace).doubts(0, DRIVER)
+    labelling.undo()
+    assert labelling.doubts(0, DRIVER) == {}
+    Labelling(workspace).mark(1, DRIVER, "neck", Visibility.ABSENT)
+    Labelling(workspace).place(0, DRIVER, "neck", 200.0, 20.0)
+    assert labelling.doubts(0, DRIVER) == Labelling(workspace).doubts(0, DRIVER)
+    for row in (2, 3, 4):
+        labelling.mark(row, DRIVER, "neck", Visibility.ABSENT)
+    assert labelling.doubts(0, DRIVER) == {}  # no other frame tells how long it should be
+
+
 def test_second_studio_on_the_same_labels_is_told(dataset_folder: Path, labelling: Labelling) -> None:
     other = open_workspace(dataset_folder)
     with pytest.raises(DatasetError, match="open in another studio"):

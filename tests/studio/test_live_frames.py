@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -118,12 +119,8 @@ def test_not_more_frames_are_kept_than_memory_bears(
 
 
 def test_nothing_is_overwritten(kept: list[Shown], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Clock(datetime):
-        @classmethod
-        def now(cls, tz: Any = None) -> Clock:
-            return cls(2026, 1, 2, 3, 4, 5)
-
-    monkeypatch.setattr(live_keep, "datetime", Clock)
+    clock = SimpleNamespace(now=lambda: datetime(2026, 1, 2, 3, 4, 5))  # noqa: DTZ001 - local
+    monkeypatch.setattr(live_keep, "datetime", clock)
     folder, _ = write_kept(kept, tmp_path)
     assert folder.name == "kept-20260102-030405"
     with pytest.raises(DatasetError, match="already holds a dataset"):

@@ -192,6 +192,15 @@ def test_3d_view_is_drawn_only_when_it_changes(studio: Any) -> None:
     studio.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 8)
     studio.mouse.wheel(0, 200)
     studio.wait_for_function(f"views > {count}")
+    studio.wait_for_timeout(1000)
+    count = studio.evaluate("views")
+    studio.evaluate("""() => {  // other points of the same shape, as those of a live cloud
+      const scene = getElement(document.querySelector('.nicegui-scene').id.slice(1)).scene, meshes = [];
+      scene.traverse((o) => o.isMesh && meshes.push(o));
+      const { geometry } = meshes[0];
+      geometry.setAttribute("position", geometry.attributes.position.clone());
+    }""")
+    studio.wait_for_function(f"views > {count}")
 
 
 @pytest.mark.slow

@@ -17,7 +17,8 @@ from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config
 from cabinpose.synth.plan import subject_body
 from cabinpose.synth.preflight import preflight
-from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng, noise_rng
 
 ANNA = {"years": 34, "stature_cm": 168, "mass_kg": 62, "gender": "female", "outfit": {"top": "jacket", "hair": "long"}}

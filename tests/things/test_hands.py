@@ -14,7 +14,8 @@ from cabinpose.scene.contact import solid_topology
 from cabinpose.scene.things import make_thing
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.posture.grasps import HANDED, PRESSED_M, can_hold, hold
-from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng
 
 HELD = [(place, kind) for place, kinds in HANDED.items() for kind in kinds]

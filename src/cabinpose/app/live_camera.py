@@ -43,7 +43,7 @@ class SynthCameraSource(SimulatedSource):
     def _connect(self) -> None:
         """The people and cars of the scenes are built before the camera's clock starts."""
         if self._maker is None:
-            self._maker = FrameMaker(SynthConfig.load(self._scenes.scenes), self._scenes.seed)
+            self._maker = FrameMaker(SynthConfig.load(self._scenes.scenes), self._scenes.seed, pictures=False)
             self._maker.make(0)
         super()._connect()
 

@@ -138,7 +138,7 @@ class _Maker:
 
     def __call__(self, index: int) -> dict[str, Any]:
         if self._maker is None:
-            self._maker = FrameMaker(self._config, self._seed)
+            self._maker = FrameMaker(self._config, self._seed, pictures=False)
         return dict(self._maker.make(index)[0])
 
     def __getstate__(self) -> dict[str, Any]:

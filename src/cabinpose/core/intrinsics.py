@@ -23,6 +23,59 @@ class CameraFit:
     max_px: float
 
 
+@dataclass(frozen=True)
+class RationalLens:
+    """A lens of the rational model, in px: fx fy cx cy, radial k1 to k6, tangential p1 p2.
+
+    tangential: the factor of the mixed term x y, 2 in Brown and Conrady's model (OpenCV's), 1 in Azure Kinect's Rational6KT.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    radial: tuple[float, float, float, float, float, float]
+    p1: float
+    p2: float
+    tangential: float = 2.0
+
+    def distort(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Ideal normalised coordinates (..., 2) to distorted ones."""
+        x, y = xy[..., 0], xy[..., 1]
+        k1, k2, k3, k4, k5, k6 = self.radial
+        r2 = x * x + y * y
+        scale = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        both = self.tangential * x * y
+        dx = self.p1 * both + self.p2 * (r2 + 2 * x * x)
+        dy = self.p2 * both + self.p1 * (r2 + 2 * y * y)
+        return np.stack((x * scale + dx, y * scale + dy), axis=-1)
+
+    def rays(self, width: int, height: int, every: int = 1) -> NDArray[np.float64]:
+        """(height, width, 2) ideal normalised coordinates of each `every`-th pixel, NaN elsewhere and where there are none.
+
+        Newton's method on `distort`, with numerical derivatives; steps are bounded, so that none leaves the lens' field.
+        """
+        u, v = np.meshgrid(np.arange(0, width, every, dtype=np.float64), np.arange(0, height, every, dtype=np.float64))
+        target = np.stack(((u - self.cx) / self.fx, (v - self.cy) / self.fy), axis=-1)
+        guess, eps = target.copy(), 1e-6
+        for _ in range(60):
+            residual = self.distort(guess) - target
+            dx = (self.distort(guess + (eps, 0)) - self.distort(guess - (eps, 0))) / (2 * eps)
+            dy = (self.distort(guess + (0, eps)) - self.distort(guess - (0, eps))) / (2 * eps)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                det = dx[..., 0] * dy[..., 1] - dx[..., 1] * dy[..., 0]
+                step_x = (residual[..., 0] * dy[..., 1] - residual[..., 1] * dy[..., 0]) / det
+                step_y = (residual[..., 1] * dx[..., 0] - residual[..., 0] * dx[..., 1]) / det
+            step = np.clip(np.nan_to_num(np.stack((step_x, step_y), axis=-1)), -0.2, 0.2)
+            guess = guess - step
+            if np.abs(step).max() < 1e-13:
+                break
+        guess[np.linalg.norm(self.distort(guess) - target, axis=-1) > 1e-7] = np.nan
+        rays = np.full((height, width, 2), np.nan)
+        rays[::every, ::every] = guess
+        return rays
+
+
 def fit_camera(xy: ArrayLike, *, start: Camera | None = None, distorted: bool = True) -> CameraFit | None:
     """The camera whose pixels see along given rays, by least squares in the image.
 
@@ -64,6 +117,32 @@ def fit_camera(xy: ArrayLike, *, start: Camera | None = None, distorted: bool = 
     camera = _camera(width, height, solved.x)
     error = np.linalg.norm(_pixels(camera, rays[known]) - np.stack((u, v), axis=-1), axis=-1)
     return CameraFit(camera, float(np.sqrt(np.mean(error**2))), float(error.max()))
+
+
+def fit_lens(lens: RationalLens, width: int, height: int, field: float) -> CameraFit:
+    """The camera of five coefficients that comes closest to a lens.
+
+    Parameters
+    ----------
+    lens
+        In pixels of the image.
+    width, height
+        Size of the image, px.
+    field
+        The rays that are fitted, as the radius x²+y² = field² (normalised); pixels outside it get no light.
+
+    Raises
+    ------
+    ValueError
+        Where no camera fits.
+    """
+    rays = lens.rays(width, height, every=max(width // 160, 1))
+    with np.errstate(invalid="ignore"):
+        rays[~(np.linalg.norm(rays, axis=-1) <= field)] = np.nan
+    fit = fit_camera(rays)
+    if fit is None:
+        raise ValueError("no camera fits the lens")
+    return fit
 
 
 def pixel_error(camera: Camera, xy: ArrayLike) -> float:

@@ -83,10 +83,6 @@ class Labels:
         """What holds for every joint that was set."""
         return self._now
 
-    def frames(self) -> set[int]:
-        """Numbers of the frames in which something was set."""
-        return {frame for frame, _, _ in self._now}
-
     def set(self, changes: Iterable[tuple[Key, JointLabel | None]], *, role: str, how: str) -> None:
         """Set joints, all or none of them, or take their labels away (None); returns when that is on the disk.
 

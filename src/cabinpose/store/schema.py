@@ -67,6 +67,7 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("labels", _IMAGE, "uint8", "class of the pixel"),
     Variable("instance", _IMAGE, "uint8", "0 = nobody, else 1 + position of the person"),
     Variable("rgb", (*_IMAGE, "channel"), "uint8", "colour image, sRGB", default=False),
+    Variable("nir", _IMAGE, "uint16", "near-infrared image: electrons by active and ambient light", default=False),
     Variable("joints_3d", ("frame", "person", "joint", "xyz"), "float32", "joints in the camera frame", "m"),
     Variable("joints_2d", ("frame", "person", "joint", "uv"), "float32", "projection of joints_3d", "px"),
     Variable("visibility", ("frame", "person", "joint"), "uint8", f"state of the joint: {_STATES}"),
@@ -77,6 +78,14 @@ VARIABLES: tuple[Variable, ...] = (
     Variable(
         "head_residual", ("frame", "person"), "float32", "angle between the heads of suit and optical system", "rad",
         default=False,
+    ),
+    Variable(
+        "gaze", ("frame", "person", "xyz"), "float32", "unit vector of the line of sight, vehicle frame; NaN = none",
+        default=False
+    ),
+    Variable(
+        "vehicle_from_head", ("frame", "person", "row", "column"), "float64",
+        "head pose: x to the front of the face, y left, origin at C1 (m)", default=False,
     ),
     Variable("camera_k", ("frame", "k_row", "k_column"), "float64", "matrix of intrinsics", "px"),
     Variable("camera_dist", ("frame", "dist_coefficient"), "float64", "distortion k1 k2 p1 p2 k3 (OpenCV)"),
@@ -90,8 +99,14 @@ VARIABLES: tuple[Variable, ...] = (
         "things", ("frame", "person"), "str", "what is brought along in this place: child seats and objects, divided by commas",
         coordinate=True, default=False,
     ),
+    Variable(
+        "gaze_target", ("frame", "person"), "str", "what the line of sight meets first; empty = nobody in this place",
+        coordinate=True, default=False,
+    ),
     Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
     Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
+    Variable("light", ("frame",), "str", "the light of rgb and nir", coordinate=True, default=False),
+    Variable("renderer", ("frame",), "str", "what made rgb and nir", coordinate=True, default=False),
 )  # fmt: skip
 VARIABLE = {variable.name: variable for variable in VARIABLES}
 OPTIONAL = tuple(v.name for v in VARIABLES if v.is_image or not v.default)  # a manifest chooses among these

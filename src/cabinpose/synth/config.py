@@ -10,41 +10,30 @@ import copy
 import difflib
 import operator
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import is_rigid
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
-from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.synth.cars import Car, check_cars, is_car_file
+from cabinpose.synth.motion.config import SequenceConfig
+from cabinpose.synth.occupant import ExactThing, Matrix4, Occupant
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
+from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.posture.actions import HOLDING
-from cabinpose.synth.profiles import IncrementalProfile, Profile, check_within, dof_scale, limits_deg, standing
+from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.things import Choice, check_child_seats
 
 Vector = tuple[float, float, float]
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
-_LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
-
-
-def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    if len(rows) != 4 or not is_rigid(np.array(rows)):
-        raise ValueError("Input should be a rigid transform: 4 rows of 4 numbers, the last 0 0 0 1")
-    return rows
-
-
-Matrix4 = Annotated[tuple[tuple[float, float, float, float], ...], AfterValidator(_rigid)]
 
 
 class CameraPose(Model):
@@ -107,89 +96,6 @@ class Camera(Model):
         return self.sensor if isinstance(self.sensor, Sensor) else SENSORS[self.sensor]
 
 
-class ExactPose(Model):
-    """How somebody sits, to the last bit, as `cabinpose config frame` writes it: nothing of it is solved, all of it is judged."""
-
-    fore_aft_m: float = Field(description="How the seat is set, from its design position.")
-    height_m: float
-    torso_angle_rad: float
-    vehicle_from_root: Matrix4 = Field(description="The pelvis frame; its origin lies between the femur heads.")
-    angles_rad: Mapping[str, float] = Field(description="By joint axis, e.g. lelbow.flexion (grips: 0..1); left out: 0.")
-    wheel_angle_rad: float | None = Field(None, description="How a driver's wheel is turned, + left.")
-    fingers: tuple[tuple[float | None, ...], ...] | None = Field(
-        None,
-        exclude_if=lambda fingers: fingers is None,
-        description="Curl of the fingers of the left and the right hand, thumb first, where they do not follow the grip.",
-    )
-
-    @field_validator("angles_rad")
-    @classmethod
-    def _within(cls, angles: Mapping[str, float]) -> Mapping[str, float]:
-        for name, angle in angles.items():
-            low, high = (limit * dof_scale(name) for limit in limits_deg(name))
-            check_within(name, angle, low, high, _LIMIT_SLACK)
-        return angles
-
-
-class ExactThing(Model):
-    """Where a child seat or an object is, to the last bit, as `cabinpose config frame` writes it."""
-
-    kind: str
-    variant: int = Field(ge=0, description="Which design of its kind.")
-    slot: str = Field(description="The seat on which it is, or of whose occupant it is.")
-    where: Literal["seat", "lap", "hand"]
-    vehicle_from_thing: Matrix4
-
-    @property
-    def placed(self) -> PlacedThing:
-        """The thing where it is."""
-        return PlacedThing(make_thing(self.kind, self.variant), np.array(self.vehicle_from_thing), self.slot, self.where)
-
-    @model_validator(mode="after")
-    def _known(self) -> ExactThing:
-        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS)):
-            raise unknown_name("thing", self.kind, known)
-        if self.slot not in OCCUPANT_SLOTS:
-            raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)
-        return self
-
-
-class Occupant(Model):
-    """Who sits in a seat, and does what; what is left out is drawn as for anybody."""
-
-    subject: str | None = Field(None, description="Named, own or random person (S03, anna, R0007).")
-    action: str | None = Field(None, description="The one thing that this person does.")
-    profile: Profile | None = Field(None, description="This person's motion profile, in place of the scene's.")
-    initial_pose_deg: Mapping[str, float] = Field(
-        {},
-        description="Joint axes that stand at an angle, e.g. lelbow.flexion: 40 (grips: 0..1), unless the profile moves them;"
-        " the rest of the body is solved around them.",
-    )
-    belted: bool | None = Field(None, description="Whether the seat belt is worn.")
-    pose: ExactPose | None = Field(None, description="A whole pose, in place of a solved one.")
-
-    @field_validator("initial_pose_deg")
-    @classmethod
-    def _within(cls, pose: Mapping[str, float]) -> Mapping[str, float]:
-        standing(pose)
-        return pose
-
-    @cached_property
-    def initial(self) -> Profile | None:
-        """The profile that holds the initial pose; None where there is none."""
-        return standing(self.initial_pose_deg) if self.initial_pose_deg else None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Occupant:
-        if self.pose is not None and (self.profile is not None or self.initial_pose_deg):
-            raise ConfigError(
-                "a whole pose leaves nothing to a profile or an initial pose", hint="leave `pose` or the others out"
-            )
-        if self.action is not None and self.action not in ACTIONS and self.pose is None:
-            raise unknown_name("action", self.action, list(ACTIONS))
-        return self
-
-
 class Factorial(Model):
     """Every car with every person from every view, each equally often, in place of a random draw of the three.
 
@@ -226,6 +132,11 @@ class CabinScene(Model):
         {}, description="Weights of the actions by seat; left out: every action that makes sense there, by its usual weight."
     )
     profile: Profile | None = Field(None, description="A motion profile for everyone, in place of the actions' own.")
+    sequence: SequenceConfig | None = Field(
+        None,
+        exclude_if=lambda value: value is None,
+        description="Frames that follow each other; left out: every frame is a scene of its own.",
+    )
     seat_variation: float = Field(
         1.0, ge=0.0, le=3.0, description="How much people differ in setting their seat; 0: each seat as its person's body asks."
     )
@@ -264,7 +175,9 @@ class CabinScene(Model):
     def brings_things(self) -> bool:
         """Whether there may be child seats or objects."""
         named = {action for weights in self.motion.values() for action in weights} | {o.action for o in self.occupants.values()}
-        return bool(self.child_seats or self.objects or self.things or self.in_hand or named & HOLDING)
+        return self.sequence is None and bool(
+            self.child_seats or self.objects or self.things or self.in_hand or named & HOLDING
+        )  # in sequences `drink` and `read` are activities with empty hands
 
     @model_validator(mode="before")
     @classmethod
@@ -283,6 +196,25 @@ class CabinScene(Model):
         occupant = self.occupants.get(slot)
         return occupant.profile if occupant is not None and occupant.profile is not None else self.profile
 
+    @property
+    def weights(self) -> Mapping[str, Mapping[str, float]]:
+        """The weights of the actions by seat, where they are not the usual ones."""
+        return {**self.motion, **{slot: {o.action: 1.0} for slot, o in self.occupants.items() if o.action is not None}}
+
+    @property
+    def _still(self) -> str:
+        """What of this scene holds for single frames only."""
+        occupants = self.occupants.values()
+        asked = {
+            "scene.factorial": self.factorial,
+            "profile": self.profile or any(o.profile for o in occupants),
+            "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
+            "pose": any(o.pose for o in occupants),
+            "child seats": self.child_seats,
+            "objects": self.objects or self.things or self.in_hand,
+        }
+        return next((name for name, value in asked.items() if value), "")
+
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
         check_cars(self.cars, self.random_cars)
@@ -297,6 +229,8 @@ class CabinScene(Model):
         check_child_seats(self.child_seats, self.always_taken, self.objects)
         if not any(self.occupancy.values()) and not self.always_taken:
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
+        if self.sequence is not None and self._still:
+            raise ConfigError(f"people in motion have no {self._still}", hint="leave it out, or leave out scene.sequence")
         for weights in self.motion.values():
             for action in weights:
                 if action not in ACTIONS:
@@ -319,6 +253,9 @@ class Output(Model):
     """What is written and how it is cut."""
 
     frames_per_part: int = Field(100, ge=1, le=1000)
+    gaze: bool = Field(
+        False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
+    )
     licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
 
 
@@ -337,6 +274,10 @@ class SynthConfig(Model):
     people: People = People()
     camera: Camera = Camera()
     noise: NoiseModel = PhysicalNoise()
+    # Left out of what is written where there is none, so that datasets without pictures stay what they were.
+    images: Images | None = Field(
+        None, exclude_if=lambda images: images is None, description="Colour and near-infrared pictures beside the depth."
+    )
     output: Output = Output()
     limits: Limits = Limits()
 

@@ -10,8 +10,10 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
 from cabinpose.synth.cars import place_name
-from cabinpose.synth.config import CabinScene, ExactCameraPose, ExactPose, ExactThing, Matrix4, Occupant, SynthConfig
-from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.config import CabinScene, ExactCameraPose, SynthConfig
+from cabinpose.synth.occupant import ExactPose, ExactThing, Matrix4, Occupant
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng
 
 
@@ -76,6 +78,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         people=config.people,
         camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),
         noise=config.noise,
+        images=config.images,
         output=config.output,
     )
 
@@ -83,7 +86,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
 def without_defaults(config: SynthConfig) -> dict[str, Any]:
     """The configuration as plain data, of the keys of the top those that are not as by default; of the scene's likewise."""
     defaults = SynthConfig().model_dump(mode="json")
-    told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults[key]}
+    told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults.get(key)}
     told["scene"] = config.scene.model_dump(mode="json", exclude_defaults=True)
     return told
 

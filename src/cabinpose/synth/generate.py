@@ -20,6 +20,7 @@ from cabinpose.scene.labels import LABELS, THINGS, ticam_class
 from cabinpose.scene.materials import MATERIALS, OF_THINGS
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.gaze import GAZE_VARIABLES
 from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
@@ -132,7 +133,9 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     camera = config.camera.sensor_model.camera
     standing = config.scene.kind == "room"
     things = brings_things(config)
-    images = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
+    images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
+    if config.images is not None:
+        images += (*config.images.variables, "light", "renderer")
     return Manifest(
         generator="cabinpose.synth",
         generator_version=cabinpose.__version__,
@@ -148,7 +151,12 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         if things
         else [label._asdict() for label in LABELS if label not in THINGS],
         materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
-        variables=(*images, "itop_joints_3d") if standing else (*images, "things") if things else images,
+        variables=(
+            *images,
+            *(("itop_joints_3d",) if standing else ()),
+            *(("things",) if things else ()),
+            *(GAZE_VARIABLES if config.output.gaze else ()),
+        ),
     )
 
 

@@ -13,6 +13,7 @@ from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, Ca
 from cabinpose.scene.contact import ContactField
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
+from cabinpose.synth.pictures.path_tracing import mitsuba
 from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, subject_body
 from cabinpose.synth.posture import actions_for
 
@@ -20,8 +21,12 @@ LENS_M = 0.01  # free space a lens needs around it
 
 
 def preflight(config: SynthConfig, *, frames: int) -> None:
-    """Raises ConfigError, MocapError or SceneError for what a run of `frames` frames would fail of; warns of open meshes."""
+    """Raises for what a run of `frames` frames would fail of: ConfigError, MocapError, SceneError, and DependencyError where
+    Mitsuba is needed and missing. Warns of open meshes.
+    """
     scene = config.scene
+    if config.images is not None and config.images.renderer == "path_traced":
+        mitsuba()
     if config.frames is not None and frames > config.frames:
         raise ConfigError(
             f"{frames} frames are asked for, but all combinations are {config.frames}",

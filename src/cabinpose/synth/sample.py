@@ -9,35 +9,29 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cabinpose._native import cabin as native
 from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
-from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
+from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting, belt_surface
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
-from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car, place_name
-from cabinpose.synth.config import (
-    CabinScene,
-    CameraPose,
-    ExactCameraPose,
-    ExactPose,
-    Occupant,
-    RoomScene,
-    SynthConfig,
-)
+from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, RoomScene, SynthConfig
+from cabinpose.synth.motion.config import SequenceConfig
+from cabinpose.synth.motion.film import Film, make_film
+from cabinpose.synth.motion.sequences import DrawGoals
+from cabinpose.synth.occupant import ExactPose, Occupant
 from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
@@ -45,104 +39,15 @@ from cabinpose.synth.posture.actions import HOLDING, TELEPHONING
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
+from cabinpose.synth.scene import ImpossibleSceneError, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
+from cabinpose.synth.streams import sequence_rng
 from cabinpose.synth.things import Blocked, Brought, SeatThings, bring_along, draw_child_seats, draw_objects
-from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict, most_common, sits_too_deep
+from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _ANYBODY = Occupant()
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
-
-
-@dataclass(frozen=True)
-class ScenePerson:
-    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included)."""
-
-    slot: str
-    subject: str
-    action: str
-    person: Person
-    posed: PosedBody
-    surfaces: tuple[Surface, ...] = ()
-
-    def itop_joints(self) -> Floats:
-        """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
-
-        ITOP's neck lies midway between the shoulders and its torso midway between neck and hips (both hold on its
-        ground truth to a few millimetres); its head is the middle of the head.
-        """
-        joints = self.posed.joints
-        at = {name: joints[INDEX[name]] for name in INDEX}
-        head = self.posed.skin[self.person.skin_segment == SEGMENTS.index("head")].mean(axis=0, dtype=np.float64)
-        neck = (at["lshoulder"] + at["rshoulder"]) / 2
-        hips = (at["lpelvis"] + at["rpelvis"]) / 2
-        special = {"head": head, "neck": neck, "torso": (neck + hips) / 2}
-        ours = {"hip": "pelvis", "foot": "ankle"}
-        return np.stack([special.get(n, at.get(n[0] + ours.get(n[1:], n[1:]), head)) for n in ITOP_JOINTS])
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A valid scene. Its frame is the vehicle's, or the room's world frame.
-
-    backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
-    cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
-    proposals, rejections: how many poses were tried for it and why they failed · things: child seats and objects.
-    """
-
-    backdrop: Surface
-    people: tuple[ScenePerson, ...]
-    world_from_camera: Matrix
-    place: str
-    pov: str
-    cabin: Cabin | None = None
-    settings: Mapping[str, SeatSetting] = field(default_factory=dict)
-    wheel_angle: float = 0.0
-    proposals: int = 0
-    rejections: Mapping[Rejection, int] = field(default_factory=dict)
-    things: tuple[PlacedThing, ...] = ()
-
-    @property
-    def closed(self) -> bool:
-        """Whether every part is closed, as people and the presets' parts are; a user's own mesh may be open."""
-        return self.cabin is not None and all(part.solid for part in self.cabin.parts)
-
-    def surface(self) -> Surface:
-        """Everything that can be seen, in the scene's frame."""
-        things = [thing.surface(self._instance(thing)) for thing in self.things]
-        return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces), *things])
-
-    @staticmethod
-    def _instance(thing: PlacedThing) -> int:
-        """Of whoever holds a thing or has it on the lap; 0 for what is on a seat."""
-        return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
-
-
-class ImpossibleSceneError(SceneError):
-    """No valid scene was found for a frame.
-
-    proposals, rejections: poses tried, and why they failed · tried: the scenes, in words · own_car: the YAML of a user's own
-    car that was among them.
-    """
-
-    def __init__(
-        self, index: int, proposals: int, rejections: Counter[Rejection], tried: Sequence[str], own_car: str = ""
-    ) -> None:
-        scenes = Counter(tried).most_common()
-        among = "; ".join(scene for scene, _ in scenes[:3]) + (f" and {len(scenes) - 3} more" if len(scenes) > 3 else "")
-        super().__init__(
-            f"frame {index}: none of {proposals} poses made a valid scene: {most_common(rejections, 4)}. Tried: {among}",
-            hint=f"people sink into what they sit on: `cabinpose car check {own_car}` says which give_mm it needs"
-            if own_car and sits_too_deep(rejections)
-            else f"`cabinpose car check {own_car}` says seat by seat what is in the way"
-            if own_car
-            else "narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
-        )
-        self.proposals = proposals
-        self.rejections = rejections
-
-    def __reduce__(self) -> tuple[Any, ...]:  # across process borders, where the other arguments are not needed
-        return SceneError, (str(self),), {"hint": self.hint}
 
 
 class _Cast(NamedTuple):
@@ -157,9 +62,9 @@ class _Cast(NamedTuple):
     given: Mapping[str, OccupantPose]
     brought: Brought
 
-    def person(self, slot: str, pose: OccupantPose, body: PosedBody) -> ScenePerson:
+    def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
-        return ScenePerson(slot, self.names[slot], pose.action, self.people[slot], body)
+        return ScenePerson(slot, self.names[slot], action, self.people[slot], body)
 
 
 class SceneSampler:
@@ -179,6 +84,7 @@ class SceneSampler:
         self._cabin = cached_once(20)(self._make_cabin)
         self._room = cached_once(64)(self._make_room)
         self._seat_things = cached_once(20)(SeatThings)
+        self._film = cached_once(64)(self._make_film)
         if like is not None and like._seed == seed:
             self._cabin, self._room = like._cabin, like._room
             if like._config.people == config.people:
@@ -187,6 +93,8 @@ class SceneSampler:
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
         """The scene of frame `index`. Raises SceneError where none is found within the configured limits."""
         scene = self._config.scene
+        if isinstance(scene, CabinScene) and scene.sequence is not None:
+            return self._moving(scene, scene.sequence, index)
         causes: Counter[Rejection] = Counter()
         tried: list[str] = []
         proposals = 0
@@ -240,17 +148,55 @@ class SceneSampler:
         if posed is None:
             return None, draws
         cast = cast._replace(settings=settings)
-        people_in = [cast.person(slot, pose, body) for slot, (pose, body) in posed.poses.items()]
+        people_in = [cast.person(slot, pose.action, body) for slot, (pose, body) in posed.poses.items()]
         seated = posed.seated
-        for _ in range(_CAMERA_DRAWS):
-            pov, camera = self._cabin_camera(cabin, index, rng)
-            if not _blocked(camera[:3, 3], people_in, seated):
-                break
-        else:
+        view = self._free_camera(cabin, index, lambda: people_in, seated, rng)
+        if view is None:
             causes[Rejection("camera")] += len(people_in)
             return None, draws
-        shown = self._assembled(scene, cast, people_in, seated.wheel_angle, pov, camera, rng)
+        shown = self._assembled(scene, cast, people_in, seated.wheel_angle, *view, rng)
         return replace(shown, things=seated.things), draws
+
+    def _free_camera(
+        self, cabin: Cabin, index: int, people: Callable[[], Iterable[ScenePerson]], seated: Seated, rng: np.random.Generator
+    ) -> tuple[str, Matrix] | None:
+        """A view and its camera that nobody comes before; None where none is found."""
+        for _ in range(_CAMERA_DRAWS):
+            pov, camera = self._cabin_camera(cabin, index, rng)
+            if not _blocked(camera[:3, 3], people(), seated):
+                return pov, camera
+        return None
+
+    def plan_sequence(self, number: int) -> None:
+        """Plan a sequence before its first frame is asked for."""
+        self._film(number)
+
+    def _moving(self, scene: CabinScene, sequence: SequenceConfig, index: int) -> Scene:
+        """Frame `index` of the dataset as a frame of its sequence."""
+        number, frame = divmod(index, sequence.frames)
+        film, time_s = self._film(number), frame / sequence.rate_hz
+        rng = sequence_rng(self._seed, number * sequence.frames, 0)  # the same belts in all frames
+        shown = self._assembled(scene, film.cast, film.people(time_s), film.wheel_angle(time_s), film.pov, film.camera, rng)
+        counts = (film.proposals, film.rejections) if frame == 0 else (0, {})
+        return replace(shown, proposals=counts[0], rejections=counts[1], sequence=number, sync_ns=round(1e9 * time_s))
+
+    def _make_film(self, number: int) -> Film:
+        """Sequence `number`. Raises SceneError where no scene is found in which everybody has a way."""
+        scene = self._config.scene
+        assert isinstance(scene, CabinScene)
+        assert scene.sequence is not None
+        first = number * scene.sequence.frames
+
+        def goals(cast: _Cast) -> DrawGoals:
+            return lambda slot, action, wheel_angle, rng: self._draw(
+                scene, first, cast.people, cast.cabin, slot, cast.settings[slot], rng, action=action, wheel_angle=wheel_angle
+            )
+
+        return make_film(
+            number, scene.sequence, self._seed, lambda rng: self._cast(scene, first, rng), goals,
+            lambda cast, people, empty, rng: self._free_camera(cast.cabin, first, people, empty, rng),
+            weights=scene.weights, poses_per_person=self._config.limits.poses_per_person,
+        )  # fmt: skip
 
     def as_given(self, index: int, *, rng: np.random.Generator) -> tuple[Scene, tuple[Verdict, ...]]:
         """The people who have whole poses in frame `index`, and why it does not hold, the first reason for each of them.
@@ -269,7 +215,7 @@ class SceneSampler:
         seated = cast.validator.empty(cast.settings, wheel, things)
         for slot, pose in cast.given.items():
             body = cast.people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)
-            people_in.append(cast.person(slot, pose, body))
+            people_in.append(cast.person(slot, pose.action, body))
             verdict, seated = cast.validator.admit(seated, (slot, cast.people[slot], body))
             verdicts.append(verdict)
         pov, camera = self._cabin_camera(cast.cabin, index, rng)
@@ -349,19 +295,24 @@ class SceneSampler:
         slot: str,
         setting: SeatSetting,
         rng: np.random.Generator,
+        *,
+        action: str | None = None,
+        wheel_angle: float | None = None,
     ) -> Drawn:
+        """Somebody's goals; action, wheel_angle: given, in place of what is drawn."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
         left_out = frozenset[str]() if neighbours is None else neighbours.left_out
-        action = _weighted(weights, rng) if weights else random_action(
-            seat, cabin, rng=rng, left_out=left_out, in_hand=scene.in_hand > 0.0
-        )  # fmt: skip
+        if action is None:
+            action = _weighted(weights, rng) if weights else random_action(
+                seat, cabin, rng=rng, left_out=left_out, in_hand=scene.in_hand > 0.0
+            )  # fmt: skip
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
-            offset=offset, neighbours=neighbours, in_hand=_in_hand(scene, action, rng), rng=rng,
+            offset=offset, neighbours=neighbours, wheel_angle=wheel_angle, in_hand=_in_hand(scene, action, rng), rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
@@ -469,7 +420,7 @@ def _occupied(scene: CabinScene, cabin: Cabin, without: Collection[str], rng: np
     return taken or [_weighted(chances, rng)]
 
 
-def _blocked(eye: Floats, people: Sequence[ScenePerson], seated: Seated) -> bool:
+def _blocked(eye: Floats, people: Iterable[ScenePerson], seated: Seated) -> bool:
     """Whether a camera's place lies inside the cabin's parts, or nearer to a person than a lens can be."""
     if seated.placed is not None and seated.placed.clearance(eye[None])[0] < LENS_M:
         return True

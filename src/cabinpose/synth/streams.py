@@ -24,3 +24,8 @@ def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
     So a scene that is given exactly, instead of drawn, has the same noise.
     """
     return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 1)))
+
+
+def sequence_rng(seed: int, first_frame: int, stream: int) -> np.random.Generator:
+    """A generator of a sequence: the key of its first frame, with a counter that neither scene nor noise reach."""
+    return np.random.Generator(np.random.Philox(key=np.array((seed, first_frame), dtype=np.uint64), counter=(0, 0, stream, 2)))

@@ -47,7 +47,7 @@ _AXES = tuple(
 )
 _AXIS_ENDS = np.array([(INDEX[start], INDEX[end]) for _, start, end, _ in _AXES])
 _AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
-Cause = Literal["self", "person", "car", "reach", "camera", "thing"]
+Cause = Literal["self", "person", "car", "reach", "way", "camera", "thing"]
 
 
 Occupant = tuple[str, Person, PosedBody]
@@ -64,10 +64,10 @@ class _Body(NamedTuple):
 class Rejection(NamedTuple):
     """Why a pose was refused, as codes; `str` gives it in words.
 
-    cause: a body with itself, with another person or with the car; a hand or foot that misses its place ("reach"); somebody
-    before the lens ("camera"); a thing for which there is no place ("thing") · slot: the occupant, other: the one who was met ·
-    what: the solid, task or thing, into: the solid or part in its way, "" where none was · bone: whether it is the limb's bone,
-    to which foam does not give way.
+    cause: a body with itself, with another person or with the car; a hand or foot that misses its place ("reach"); a way that is
+    too long ("way"); somebody before the lens ("camera"); a thing for which there is no place ("thing") · slot: the occupant,
+    other: the one who was met · what: the solid, task or thing, or the action that a way leads to, into: the solid or part that
+    was in its way, "" where none was · bone: whether it is the limb's bone, to which foam does not give way.
     """
 
     cause: Cause
@@ -80,6 +80,8 @@ class Rejection(NamedTuple):
     def __str__(self) -> str:
         if self.cause == "camera":
             return "somebody is right before the camera"
+        if self.cause == "way":
+            return f"{self.slot}: only a long way round leads to '{self.what}'"
         if self.cause == "reach":
             return f"{self.slot}: {self.what} misses its place" + (f", held up by {self.into}" if self.into else "")
         who = f"{self.slot}, {self.other}" if self.other else self.slot
@@ -176,6 +178,10 @@ class Validator:
         if seated.bodies:
             raise ValueError("the wheel is turned before people sit down")
         return self.empty(seated.settings, wheel_angle, seated.things)
+
+    def with_body(self, seated: Seated, occupant: Occupant) -> Seated:
+        """The same with one more person, who was judged before."""
+        return replace(seated, bodies=(*seated.bodies, self._body(occupant)))
 
     def admit(self, seated: Seated, occupant: Occupant) -> tuple[Verdict, Seated]:
         """Whether one more person fits.

@@ -8,12 +8,13 @@ import threading
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -23,12 +24,17 @@ from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import CabinScene, SynthConfig
+from cabinpose.synth.gaze import gaze_labels
 from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.render import Rasteriser
-from cabinpose.synth.sample import ImpossibleSceneError, Scene, SceneSampler
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import ImpossibleSceneError, Scene
 from cabinpose.synth.streams import frame_rng, noise_rng
 from cabinpose.synth.validate import Rejection, by_cause
+
+if TYPE_CHECKING:
+    from cabinpose.synth.pictures.maker import PictureMaker
 
 Frame = dict[str, Any]
 Content = Literal["cars", "people", "seats", "views"]
@@ -41,14 +47,21 @@ _SWITCH_S = 0.0005
 class FrameMaker:
     """Makes any frame of a dataset from its number, in one thread."""
 
-    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None) -> None:
-        """sampler: of the same configuration and seed, to share people and cars with; its own by default."""
+    def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None, *, pictures: bool = True) -> None:
+        """sampler: of the same configuration and seed, to share people and cars with; its own by default · pictures: False
+        leaves out those that the configuration asks for, which nobody looks at.
+        """
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._config = config
         self._seed = seed
         self._sampler = sampler or SceneSampler(config, seed)
         self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
+        self._pictures: PictureMaker | None = None
+        if pictures and config.images is not None:
+            from cabinpose.synth.pictures.maker import PictureMaker  # noqa: PLC0415 - loaded where there are pictures
+
+            self._pictures = PictureMaker(config.images, self._sensor, seed)
         self._slots = person_slots(config)
         self._instances = np.arange(1, len(self._slots) + 1, dtype=np.uint8)
 
@@ -78,8 +91,13 @@ class FrameMaker:
             )
         with self.stage("sensor"):
             seen = simulate(rendered.buffers, self._sensor, self._config.noise, rng=rng)
+        pictures: Frame = {}
+        if self._pictures is not None:
+            with self.stage("pictures"):
+                pictures = self._pictures.take(scene, surface, rng=rng)
         camera = self._sensor.camera
         return {
+            **pictures,
             "depth": seen.depth_m,
             "depth_clean": rendered.depth_clean,
             "amplitude": seen.amplitude,
@@ -91,14 +109,15 @@ class FrameMaker:
             "camera_k": camera.k,
             "camera_dist": np.array(camera.dist),
             "vehicle_from_camera": scene.world_from_camera,
-            "sync_ns": 0,
-            "sequence": 0,
+            "sync_ns": scene.sync_ns,
+            "sequence": scene.sequence,
             "seed": self._seed,
             "subject": self._per_slot(scene, "subject"),
             "action": self._per_slot(scene, "action"),
             "car": scene.place,
             "pov": scene.pov,
             **({"things": self._things(scene)} if brings_things(self._config) else {}),
+            **(gaze_labels(scene, self._slots) if self._config.output.gaze else {}),
         }
 
     def _things(self, scene: Scene) -> list[str]:
@@ -202,7 +221,8 @@ def make_frames(
         return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(maker.seconds), _content(scene)))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
-    with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads)) as results:
+    indices, before = chain.from_iterable(map(_frames, plans)), _sequences_ahead(shared, config, plans, threads)
+    with threadpool_limits(1), closing(_in_order(make, indices, threads, before)) as results:
         for plan in plans:
             with PartWriter(folder, plan, manifest) as part:
                 total = FrameReport()
@@ -239,8 +259,32 @@ def _frames(plan: PartPlan) -> range:
     return range(plan.first, plan.first + plan.frames)
 
 
-def _in_order(function: Callable[[int], _Made], items: Iterable[int], threads: int) -> Generator[_Made]:
-    """Results in the order of the items, worked out by threads that are at most a few items ahead."""
+def _sequences_ahead(
+    sampler: SceneSampler, config: SynthConfig, plans: Sequence[PartPlan], threads: int
+) -> Callable[[int], Iterator[Callable[[], None]]]:
+    """What is to be done before a frame so that no thread waits: as many sequences are planned as there are threads."""
+    sequence = config.scene.sequence if isinstance(config.scene, CabinScene) else None
+    planned = -1
+
+    def before(index: int) -> Iterator[Callable[[], None]]:
+        nonlocal planned
+        if sequence is None:
+            return
+        number, last = index // sequence.frames, (plans[-1].first + plans[-1].frames - 1) // sequence.frames
+        for n in range(max(planned + 1, number), min(number + threads, last + 1)):
+            yield partial(sampler.plan_sequence, n)
+            planned = n
+
+    return before
+
+
+def _in_order(
+    function: Callable[[int], _Made],
+    items: Iterable[int],
+    threads: int,
+    before: Callable[[int], Iterable[Callable[[], None]]],
+) -> Generator[_Made]:
+    """Results in the order of the items, worked out by threads at most a few items ahead; `before` an item, more to do."""
     if threads == 1:
         yield from map(function, items)
         return
@@ -248,11 +292,17 @@ def _in_order(function: Callable[[int], _Made], items: Iterable[int], threads: i
     interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     with ThreadPoolExecutor(threads, "frames") as pool:
+
+        def submit(item: int) -> Future[_Made]:
+            for job in before(item):
+                pool.submit(job)  # what it raises is raised again where its result is needed
+            return pool.submit(function, item)
+
         try:
-            waiting = deque(pool.submit(function, item) for item in islice(coming, _AHEAD * threads))
+            waiting = deque(map(submit, islice(coming, _AHEAD * threads)))
             while waiting:
                 yield waiting.popleft().result()
-                waiting.extend(pool.submit(function, item) for item in islice(coming, 1))
+                waiting.extend(map(submit, islice(coming, 1)))
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
             sys.setswitchinterval(interval)

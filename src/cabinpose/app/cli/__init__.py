@@ -24,7 +24,17 @@ GROUPS = MappingProxyType(
     {
         "datasets": ("synth", "config", "car", "info", "view", "export", "import"),
         "detectors": ("train", "models", "predict", "evaluate", "live", "serve"),
-        "recordings": ("record", "recover", "forget", "emulate", "lab", "calibrate", "align", "evaluate-mocap"),
+        "recordings": (
+            "record",
+            "recover",
+            "forget",
+            "emulate",
+            "lab",
+            "calibrate",
+            "calibrate-noise",
+            "align",
+            "evaluate-mocap",
+        ),
         "the browser": ("studio",),
         "this machine": ("bench",),
     }

@@ -159,6 +159,6 @@ def _lines(model: BaseModel, indent: str) -> Iterator[str]:
             yield f"{indent}{name}:{comment}"
             yield from _lines(value, indent + "  ")
         else:
-            text = yaml.safe_dump(plain[name], default_flow_style=True, width=10_000, allow_unicode=True)
+            text = yaml.safe_dump(plain.get(name), default_flow_style=True, width=10_000, allow_unicode=True)
             text = text.removesuffix("...\n").strip()  # PyYAML ends the document of a bare scalar
             yield f"{indent}{name}: {text}{comment}"

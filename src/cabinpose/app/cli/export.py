@@ -41,8 +41,8 @@ class Export(SelectsFrames):
     """YAML file of what is known of the model (data, seeds, metrics, limits), stored in the ONNX file."""
     mirrored: bool = False
     """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
-    images: Maybe[Literal["depth8", "amplitude8", "depth16"]] = None
-    """coco, yolo: what the pictures show, in 8 bits of grey or (coco) 16 bits of millimetres; default: depth8."""
+    images: Maybe[Literal["depth8", "amplitude8", "rgb", "depth16"]] = None
+    """coco, yolo: what the pictures show, in 8 bits of grey, in colour or (coco) 16 bits of millimetres; default: depth8."""
     splits: Annotated[Path | None, several("FILE")] = None
     """YAML file of splits, of which --split names one; coco, yolo: without --split all of them, each by itself."""
     labels: Maybe[Path] = None

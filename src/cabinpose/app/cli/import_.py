@@ -26,9 +26,13 @@ class Import(PrintsJson):
     format: str
     """Format of the source; see above and docs."""
     out: Path
-    """Folder of the dataset, or recording (.mcap); it appears when the import is complete."""
+    """Folder of the dataset, or recording (.mcap); it appears when the import is complete. Of --corrects: the labels."""
     images: Maybe[Path] = None
     """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
+    corrects: Annotated[Maybe[Path], arg(metavar="DATASET")] = None
+    """coco: the dataset whose export was corrected; joints that differ are added to its labels (--out FILE.labels.jsonl)."""
+    role: Maybe[str] = None
+    """coco: who corrected, as the labels shall say; default: annotator."""
     keep_invalid: bool = False
     """itop: keep the frames whose labels are marked as not valid, without their joints."""
     intrinsics: Maybe[tuple[float, float, float, float]] = None
@@ -72,9 +76,14 @@ def run(command: Import) -> None:
         return
     if command.format not in IMPORTS:
         raise unknown_name("format", command.format, (*IMPORTS, *RECORDING_IMPORTS))
-    for flag, value, name in (("--images", command.images, "coco"), ("--keep-invalid", command.keep_invalid, "itop")):
+    of_coco = {"--images": command.images, "--corrects": command.corrects, "--role": command.role}
+    for flags, name in ((of_coco, "coco"), ({"--keep-invalid": command.keep_invalid}, "itop")):
         if command.format != name:
-            refuse({flag: value}, f"{{}} is of the format {name}, not {command.format}")
+            refuse(flags, f"{{}} is of the format {name}, not {command.format}")
+    if command.corrects is not None:
+        _correct(command, command.corrects)
+        return
+    refuse({"--role": command.role}, "{} is of --corrects")
     check_new_dataset(command.out, overwrite=command.overwrite)
     options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
     source = open_source(command.source, command.format, options)
@@ -89,3 +98,38 @@ def run(command: Import) -> None:
     else:
         print(f"{folder}: {frames} frames of {command.format}")
         print(f"see what it holds with: cabinpose info {folder}", file=sys.stderr)
+
+
+def _correct(command: Import, folder: Path) -> None:
+    """Add what a corrected export says otherwise to the labels of its dataset, and say how much that is."""
+    from cabinpose.app.cli.arguments import refuse
+    from cabinpose.app.studio.corrections import corrections
+    from cabinpose.app.studio.labelling import Labelling
+    from cabinpose.app.studio.workspace import open_workspace
+    from cabinpose.store import read_manifest
+
+    not_here = {
+        "--images": command.images, "--intrinsics": command.intrinsics, "--licence": command.licence,
+        "--overwrite": command.overwrite,
+    }  # fmt: skip
+    refuse(not_here, "--corrects adds to the labels of a dataset, without {}")
+    read_manifest(folder)  # of a recording or a scene there are no labels
+    new = not command.out.exists()
+    workspace = open_workspace(folder, labels=command.out, role=command.role or "annotator")
+    try:
+        labelling = Labelling(workspace)
+        found = corrections(labelling, command.source)
+        labelling.take_in(found.changes)
+    except BaseException:
+        if new:
+            command.out.unlink(missing_ok=True)
+        raise
+    finally:
+        workspace.close()
+    for note in found.notes():
+        print(note, file=sys.stderr)
+    count = len(found.changes)
+    if command.as_json:
+        print_json({"out": str(command.out), "format": "coco", "joints": count, "frames": found.frames})
+    else:
+        print(f"{command.out}: {count} joints corrected in {found.frames} frames")

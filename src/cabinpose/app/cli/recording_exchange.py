@@ -46,7 +46,7 @@ def import_recording(command: Import) -> bool:
         )
     of_dataset = {
         "--images": command.images, "--keep-invalid": command.keep_invalid, "--intrinsics": command.intrinsics,
-        "--licence": command.licence,
+        "--licence": command.licence, "--corrects": command.corrects, "--role": command.role,
     }  # fmt: skip
     refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
     require("record")

@@ -19,7 +19,7 @@ from cabinpose.scene.sensor import Sensor
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.config import Camera as CameraConfig
 from cabinpose.synth.plan import person_slots
-from cabinpose.synth.sample import Scene, ScenePerson
+from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.write import FrameMaker
 
 DEPTH_UNIT_M = 1e-4

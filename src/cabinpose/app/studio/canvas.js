@@ -4,7 +4,7 @@ const HIT_PX = 12; // on the screen, from a joint to the pointer that takes it
 
 export default {
   template: `
-    <div ref="box" class="frame-canvas" tabindex="0" style="position:relative;outline:none;overflow:hidden;width:100%;height:100%">
+    <div ref="box" class="frame-canvas" tabindex="0" :data-seen="seen" style="position:relative;outline:none;overflow:hidden;width:100%;height:100%">
       <canvas ref="canvas" style="width:100%;height:100%;display:block;cursor:crosshair;touch-action:none"></canvas>
       <div ref="note" style="position:absolute;left:8px;bottom:6px;font:12px monospace;color:#fff;background:#0009;
         padding:1px 6px;border-radius:4px;pointer-events:none"></div>
@@ -12,7 +12,7 @@ export default {
         font:14px sans-serif;pointer-events:none">{{ state }}</div>
     </div>`,
   props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array },
-  data: () => ({ state: "loading", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
+  data: () => ({ state: "loading", seen: "", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
   mounted() {
     const canvas = this.$refs.canvas;
     this.context = canvas.getContext("2d");
@@ -40,10 +40,11 @@ export default {
     },
     async load() {
       const load = ++this.loads;
-      if (!this.url) { this.state = "no image"; this.image = null; this.take(); return; }
+      const url = this.url;
+      if (!url) { this.state = "no image"; this.seen = ""; this.image = null; this.take(); return; }
       this.loading = true;
       try {
-        const answer = await fetch(this.url);
+        const answer = await fetch(url);
         if (!answer.ok) throw new Error(await answer.text());
         const bytes = await answer.arrayBuffer();
         if (load !== this.loads) return; // another frame was asked for meanwhile
@@ -55,6 +56,7 @@ export default {
         this.image = { width, height, step, kind, values, unit: answer.headers.get("x-unit") || "" };
         if (!same) this.view = null;
         this.state = "";
+        this.seen = url; // goes with all that is done: the server ignores what was meant for the image before
         this.loading = false;
         this.colour();
         this.take();
@@ -62,6 +64,7 @@ export default {
       } catch (error) {
         if (load !== this.loads) return;
         this.loading = false;
+        this.seen = url;
         if (this.live && this.image) return; // a frame that was gone before it was fetched: the next one is coming
         this.image = null;
         this.state = "this image cannot be had: " + error.message;
@@ -169,8 +172,8 @@ export default {
       this.$refs.canvas.setPointerCapture(event.pointerId);
       const hit = event.button === 0 ? this.nearest(event) : null;
       const panning = event.button !== 0 || event.shiftKey;
-      this.drag = { hit, panning, moved: false, from: [event.clientX, event.clientY], view: { ...this.place() } };
-      if (hit) this.$emit("pick", { person: hit[0], joint: hit[1] });
+      this.drag = { url: this.seen, hit, panning, moved: false, from: [event.clientX, event.clientY], view: { ...this.place() } };
+      if (hit) this.$emit("pick", { url: this.seen, person: hit[0], joint: hit[1] });
     },
     move(event) {
       if (!this.image) return;
@@ -193,9 +196,9 @@ export default {
       this.drag = null;
       if (!this.image || !drag || drag.panning) return;
       const { u, v } = this.pixel(event);
-      if (drag.hit && drag.moved && this.editable) this.$emit("place", { person: drag.hit[0], joint: drag.hit[1], u, v, dragged: true });
+      if (drag.hit && drag.moved && this.editable) this.$emit("place", { url: drag.url, person: drag.hit[0], joint: drag.hit[1], u, v, dragged: true });
       else if (!drag.hit && !drag.moved && u > -0.5 && v > -0.5 && u < this.image.width - 0.5 && v < this.image.height - 0.5)
-        this.$emit("place", { u, v, dragged: false });
+        this.$emit("place", { url: drag.url, u, v, dragged: false });
     },
     leave() { this.$refs.note.textContent = ""; },
     tell(u, v) {
@@ -206,7 +209,7 @@ export default {
     key(event) {
       if (event.ctrlKey || event.metaKey || event.altKey) { if (!(event.ctrlKey && event.key === "z")) return; }
       event.preventDefault();
-      this.$emit("key", { key: event.key, shift: event.shiftKey, ctrl: event.ctrlKey });
+      this.$emit("key", { url: this.seen, key: event.key, shift: event.shiftKey, ctrl: event.ctrlKey });
     },
     focus() { this.$refs.box.focus(); },
   },

@@ -36,12 +36,20 @@ class FrameCanvas(Element, component="canvas.js"):
         self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "live": live, "selected": None}
         self._props["limbs"], self._props["palette"] = [], colour_map().tolist()
         if on_pick is not None:
-            self.on("pick", lambda e: on_pick(int(e.args["person"]), int(e.args["joint"])))
+            self._listen("pick", lambda arguments: on_pick(int(arguments["person"]), int(arguments["joint"])))
         for event, handler in (("place", on_place), ("key", on_key)):
             if handler is not None:
-                self.on(event, _with_arguments(handler))
+                self._listen(event, handler)
         if on_loaded is not None:
             self.on("loaded", lambda _: on_loaded(), args=[])
+
+    def _listen(self, event: str, handler: Callable[[Mapping[str, Any]], Any]) -> None:
+        """Hand on what was done to the image that is shown now; what was done to the one before must not touch this one."""
+
+        def heard(e: GenericEventArguments) -> Any:
+            return handler(e.args) if e.args["url"] == self._props["url"] else None
+
+        self.on(event, heard)
 
     def show(self, url: str, *, near: float, far: float, palette: Sequence[Sequence[int]] | None = None) -> None:
         """Show the image behind a URL of `pictures`, coloured from `near` to `far` in its unit."""
@@ -54,7 +62,3 @@ class FrameCanvas(Element, component="canvas.js"):
         """Draw people: `colour`, `joints` (each `name`, `u`, `v` or None, maybe `colour`, `doubt`), maybe `dashed`, `fixed`."""
         self._props |= {"people": list(people), "limbs": [list(limb) for limb in limbs], "selected": selected}
         self.update()
-
-
-def _with_arguments(handler: Callable[[Mapping[str, Any]], Any]) -> Callable[[GenericEventArguments], Any]:
-    return lambda event: handler(event.args)

@@ -12,6 +12,7 @@ import xarray as xr
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
+from cabinpose.app.studio.pictures import row_of
 from cabinpose.app.view.draw import PERSON_COLOUR, cloud_colours
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.frames import FORWARD_FROM_CAMERA, apply, transform
@@ -63,18 +64,16 @@ def _coloured(
 
 
 def cloud_routes(dataset: Callable[[str], xr.Dataset | None]) -> APIRouter:
-    """`/clouds/{key}/{row}/{variable}.glb`: a cloud of the dataset that is open and has this key, in the vehicle's frame."""
+    """`/clouds/{key}/{number}/{variable}.glb`: a cloud of the dataset that is open and has this key, in the vehicle's frame."""
     router = APIRouter()
 
-    @router.get("/clouds/{key}/{row}/{variable}.glb")
-    def cloud(key: str, row: int, variable: str) -> Response:
+    @router.get("/clouds/{key}/{number}/{variable}.glb")
+    def cloud(key: str, number: int, variable: str) -> Response:
         opened = dataset(key)
         if opened is None or not variable.startswith("depth") or variable not in opened:
             raise HTTPException(404, "there is no such cloud")
-        if not 0 <= row < opened.sizes["frame"]:
-            raise HTTPException(404, "there is no such frame")
         try:
-            frame = opened.isel(frame=row).load()
+            frame = opened.isel(frame=row_of(opened, number)).load()
         except (CabinposeError, OSError) as error:  # the dataset vanished, or is damaged
             raise HTTPException(404, str(error)) from error
         return Response(cloud_glb(*frame_cloud(frame, variable)), media_type="model/gltf-binary")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from nicegui import run, ui
 from numpy.typing import NDArray
 
@@ -15,15 +14,13 @@ from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.empty import empty_state, no_dataset
-from cabinpose.app.studio.models import detectors, load_choice
+from cabinpose.app.studio.models import Judged, detectors, error_words, joint_distances, judged, load_choice, worst_first
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core.errors import CabinposeError
 from cabinpose.core.ports import PoseBatch
 from cabinpose.core.skeleton import index_pairs
-from cabinpose.evaluate.offline import common_joints, predict_dataset, samples_of, shared_places
+from cabinpose.evaluate.offline import common_joints, predict_dataset, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import Report, make_report
-from cabinpose.evaluate.samples import Samples
 from cabinpose.store.predictions import Predictions
 from cabinpose.store.schema import dataset_id
 
@@ -32,45 +29,25 @@ _NEAR_CM = 5.0  # of the thesis' three boxes a joint: all found, those nearer th
 _METRICS = ("mAD", "mAD@d", "mAP@d (literal)", "mAR@d (literal)")
 
 
-def compare_tab(workspace: Workspace) -> None:
-    """Build the tab."""
+def compare_tab(workspace: Workspace, label: Callable[[int], None]) -> None:
+    """Build the tab. label: opens a frame, by its number, to be labelled."""
     if workspace.dataset is None:
         no_dataset(
             workspace.recording, "Open a dataset with its truth, and predictions to hold against it:",
             "cabinpose studio DATASET --predictions FILE",
         )  # fmt: skip
         return
-    CompareTab(workspace)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A model's errors and numbers. d: (F,) mean distance of the joints found in each frame of `rows`, cm or px."""
-
-    samples: Samples
-    report: Report
-    d: NDArray[np.float64]
-
-
-def judged(dataset: xr.Dataset, model: Predictions, options: EvaluationOptions, space: str, joints: Any, persons: Any) -> Judged:
-    """What `evaluate` says of a model, and how far its joints are off in each frame."""
-    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)
-    report = make_report(samples, options, model.model, "", notes)
-    where = samples.px if space == "2d" else samples.m
-    error = np.where(samples.counts & where.found, where.error, np.nan) * (1.0 if space == "2d" else 100.0)
-    sums, counts = np.zeros(len(samples.frames)), np.zeros(len(samples.frames))
-    np.add.at(sums, samples.at, np.nansum(error, axis=1))
-    np.add.at(counts, samples.at, np.isfinite(error).sum(axis=1))
-    with np.errstate(invalid="ignore"):
-        return Judged(samples, report, sums / counts)
+    CompareTab(workspace, label)
 
 
 class CompareTab:
     """The tab of one browser."""
 
-    def __init__(self, workspace: Workspace) -> None:
-        self._workspace = workspace
+    def __init__(self, workspace: Workspace, label: Callable[[int], None]) -> None:
+        assert workspace.dataset is not None
+        self._workspace, self._dataset, self._label = workspace, workspace.dataset, label
         self._judged: dict[str, Judged] = {}
+        self._frame = 0  # number of the one that is shown
         self._share = 0.0  # of the frames that a model has looked at
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
@@ -141,17 +118,16 @@ class CompareTab:
 
     def _predict(self, name: str) -> Predictions:
         workspace = self._workspace
-        assert workspace.dataset is not None
         assert workspace.manifest is not None
         model = load_choice(workspace, name)
         assert model is not None
         assert not isinstance(model, Predictions)
-        count = workspace.dataset.sizes["frame"]
+        count = self._dataset.sizes["frame"]
 
         def done(frames: int) -> None:
             self._share = frames / count  # the bar itself belongs to the browser's own thread
 
-        return predict_dataset(workspace.dataset, model, dataset_id=dataset_id(workspace.manifest), progress=done)
+        return predict_dataset(self._dataset, model, dataset_id=dataset_id(workspace.manifest), progress=done)
 
     # ------------------------------------------------------------------------------------------------ what is shown
 
@@ -165,14 +141,13 @@ class CompareTab:
 
     def _refresh(self) -> None:
         workspace = self._workspace
-        assert workspace.dataset is not None
         models = list(workspace.predictions.values())
         self._list.clear()
         with self._list:
-            for index, model in enumerate(models):
+            for index, name in enumerate(workspace.predictions):
                 with ui.row().classes("no-wrap items-center").style("gap: 8px"):
                     ui.element("div").style(f"width: 12px; height: 12px; border-radius: 3px; background: {_colour(index)}")
-                    ui.label(model.model)
+                    ui.label(name)
             if not models:
                 ui.label("none yet").style("opacity: .6")
         self._main.clear()
@@ -180,12 +155,13 @@ class CompareTab:
             with self._main:
                 empty_state("Nothing to compare yet", "Run a model on the left, or open a predictions file beside the dataset.")
             return
-        dataset = workspace.corrected() if self._corrected.value else workspace.dataset
+        dataset = workspace.corrected(self._dataset) if self._corrected.value else self._dataset
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         try:
             joints, persons = common_joints(dataset, models), shared_places(dataset, models)
             options, space = self._options(), str(self._space.value)
-            self._judged = {m.model: judged(small, m, options, space, joints, persons) for m in models}
+            each = workspace.predictions.items()
+            self._judged = {name: judged(small, model, options, space, joints, persons) for name, model in each}
         except CabinposeError as error:
             with self._main:
                 empty_state("These cannot be compared", str(error), error.hint or "")
@@ -195,12 +171,11 @@ class CompareTab:
             self._curve()
             self._frame_panes()
             self._boxes()
-        self._show_frame(self._worst()[0])
+        self._show(self._worst()[0])
 
     def _worst(self) -> list[int]:
         """Rows, worst first by the model whose mean distance is greatest there."""
-        d = np.nanmax(np.nan_to_num(np.array([each.d for each in self._judged.values()]), nan=-1.0), axis=0)
-        return np.argsort(-d, kind="stable").tolist()
+        return worst_first(np.fmax.reduce([each.d for each in self._judged.values()])).tolist()
 
     def _numbers(self) -> None:
         space = str(self._space.value)
@@ -248,7 +223,7 @@ class CompareTab:
                 "yAxis": {"type": "value"},
                 "series": series,
             },
-            on_point_click=lambda event: self._show_frame(int(event.data_index)),
+            on_point_click=lambda event: self._show(int(event.data_index)),
         )
         chart.classes("w-full").style("height: 230px; flex: none").mark("curve")
 
@@ -259,12 +234,14 @@ class CompareTab:
             with ui.column().style("width: 260px; gap: 4px; overflow-y: auto"):
                 self._title = ui.label().style("font-weight: 600")
                 ui.label("white: truth").style("font-size: 12px; opacity: .7")
+                there = ui.button("Label this frame", icon="edit", on_click=lambda: self._label(self._frame))
+                there.props("outline dense no-caps")
                 ui.label("Worst frames").style("font-weight: 600; margin-top: 6px")
                 frames = next(iter(self._judged.values())).samples.frames
                 for row in self._worst()[:12]:
                     d = [each.d[row] for each in self._judged.values()]
-                    words = ", ".join("–" if not np.isfinite(x) else f"{x:.1f}" for x in d)
-                    ui.button(f"frame {frames[row]}: {words}", on_click=lambda row=row: self._show_frame(row)).props(
+                    words = ", ".join(error_words(x) for x in d)
+                    ui.button(f"frame {frames[row]}: {words}", on_click=lambda row=row: self._show(row)).props(
                         "flat dense no-caps align=left"
                     ).style("width: 100%")
 
@@ -272,8 +249,7 @@ class CompareTab:
         """For each joint, boxes of the distances of all that were found, of those below 5 cm and of those below Γt."""
         unit, threshold = ("cm" if self._space.value == "3d" else "px"), float(self._threshold.value)
         for index, (name, each) in enumerate(self._judged.items()):
-            where = each.samples.px if self._space.value == "2d" else each.samples.m
-            error = np.where(each.samples.counts & where.found, where.error, np.nan) * (1.0 if unit == "px" else 100.0)
+            error = joint_distances(each.samples, str(self._space.value))
             series: list[dict[str, Any]] = []
             limits = {"all found": np.inf, f"< {_NEAR_CM:g} {unit}": _NEAR_CM, f"< {threshold:g} {unit}": threshold}
             for words, limit in limits.items():
@@ -298,10 +274,15 @@ class CompareTab:
                 }
             ).classes("w-full").style("height: 300px; flex: none")
 
+    def _show(self, row: int) -> None:
+        try:
+            self._show_frame(row)
+        except (CabinposeError, OSError) as error:
+            ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
+
     def _show_frame(self, row: int) -> None:
         workspace = self._workspace
-        assert workspace.dataset is not None
-        dataset = workspace.corrected() if self._corrected.value else workspace.dataset
+        dataset = workspace.corrected(self._dataset) if self._corrected.value else self._dataset
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         frame = small.isel(frame=row).load()
         number_ = int(frame["frame"])
@@ -317,10 +298,10 @@ class CompareTab:
             for p in range(len(model.persons)):
                 seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
                 people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})
-        near, far = depth_range(workspace.dataset, row)
-        self._canvas.show(f"/frames/{self._workspace.key}/{row}/depth", near=near, far=far)
+        near, far = depth_range(self._dataset, row)
+        self._canvas.show(workspace.url(number_, "depth"), near=near, far=far)
         self._canvas.joints(people, limbs)
-        self._title.text = f"frame {number_}"
+        self._frame, self._title.text = number_, f"frame {number_}"
 
 
 _TITLE = {"fontSize": 13, "fontWeight": "normal", "color": "#888"}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import run, ui
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import no_dataset
+from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
+from cabinpose.app.studio.view3d import view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
@@ -26,18 +29,18 @@ _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibil
 _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
 
 
-def dataset_tab(workspace: Workspace) -> None:
-    """Build the tab."""
+def dataset_tab(workspace: Workspace, label: Callable[[int], None]) -> None:
+    """Build the tab. label: opens a frame, by its number, to be labelled."""
     if workspace.dataset is None:
         no_dataset(workspace.recording, "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
         return
-    DatasetTab(workspace)
+    DatasetTab(workspace, label)
 
 
 class DatasetTab:
     """The tab of one browser: which frames are chosen, and which one is shown."""
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, label: Callable[[int], None]) -> None:
         assert workspace.dataset is not None
         self._workspace, self._dataset = workspace, workspace.dataset
         self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
@@ -46,6 +49,8 @@ class DatasetTab:
         self._limbs = index_pairs(self._joints)
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
+        self._label = label
+        self._errors: FrameErrors | None = None  # of the predictions that are chosen
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
@@ -53,8 +58,15 @@ class DatasetTab:
                 self._build_main()
         ui.keyboard(on_key=self._key)
         self._show()
+        ui.timer(1.0, self._look)
 
     def _build_side(self) -> None:
+        with (
+            ui.column().classes("w-full").style("gap: 4px; padding: 6px; border-radius: 4px; background: #c9820033") as self._news
+        ):
+            self._told = ui.label().style("font-size: 13px")
+            self._again = ui.button("Show them", icon="refresh", on_click=self._reopen).props("outline dense no-caps")
+        self._news.visible = False
         ui.label("Frames with").style("font-weight: 600")
         self._filters = {}
         for name, values in self._coordinates.items():
@@ -69,6 +81,19 @@ class DatasetTab:
             self._joint.style("flex: 1; min-width: 0")
             self._state = ui.select(_STATES, label="seen", clearable=True, on_change=self._filter).props("dense outlined")
             self._state.style("flex: 1; min-width: 0")
+        self._predictions = (
+            ui.select(list(self._workspace.predictions), label="error of", clearable=True, on_change=self._judge)
+            .props("dense outlined")
+            .classes("w-full")
+            .mark("error of")
+        )
+        with ui.row().classes("no-wrap items-center w-full") as self._by_error:
+            self._over = ui.number("over, cm", min=0, on_change=self._filter).props("dense outlined")
+            self._worst = ui.number("the worst", min=1, precision=0, on_change=self._filter).props("dense outlined")
+            for field in (self._over, self._worst):
+                field.style("flex: 1; min-width: 0")
+            self._sorted = ui.checkbox("sort", value=True, on_change=self._filter)
+        self._by_error.visible = False
         self._count = ui.label()
         ui.separator()
         names = [name for name in IMAGES if name in self._dataset]
@@ -82,20 +107,20 @@ class DatasetTab:
         self._range.on_value_change(self._show)
         ui.separator()
         self._facts = ui.column().style("gap: 2px; font-size: 13px; width: 100%")
-        ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense").style("width: 100%")
+        ui.button("Label this frame", icon="edit", on_click=self._label_this).props("outline dense no-caps").classes("w-full")
+        ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense no-caps").classes("w-full")
 
     def _build_main(self) -> None:
         with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
             with ui.element("div").classes("studio-pane"):
                 self._canvas = FrameCanvas()
             with ui.element("div").classes("studio-pane") as pane:
-                self._scene = ui.scene(grid=False, background_color="#1b1e24", on_click=lambda _: None).style(
-                    "width: 100%; height: 100%"
-                )
+                self._scene = view_3d()
                 pane.on("resize", self._scene.update)
         with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
             ui.button(icon="chevron_left", on_click=lambda: self._go(self._position - 1)).props("flat round dense")
-            self._slider = ui.slider(min=0, max=1, value=0, on_change=lambda e: self._go(int(e.value))).style("flex: 1")
+            self._slider = ui.slider(min=0, max=1, value=0, on_change=lambda e: self._go(int(e.value))).mark("frames")
+            self._slider.style("flex: 1")
             ui.button(icon="chevron_right", on_click=lambda: self._go(self._position + 1)).props("flat round dense")
             self._number = ui.label().style("min-width: 150px; text-align: right; font-variant-numeric: tabular-nums")
         self._camera_set = False
@@ -103,6 +128,19 @@ class DatasetTab:
     def _key(self, event: Any) -> None:
         if event.action.keydown and event.key in ("ArrowLeft", "ArrowRight"):
             self._go(self._position + (1 if event.key == "ArrowRight" else -1))
+
+    async def _judge(self) -> None:
+        """Find how far the chosen predictions are off, which is asked for again after each change of labels by choosing anew."""
+        name, self._errors = self._predictions.value, None
+        if name is not None:
+            try:
+                self._errors = await run.io_bound(frame_errors, self._workspace, self._dataset, str(name))
+            except CabinposeError as error:
+                ui.notify(error.in_one_line(), type="negative", multi_line=True)
+        self._by_error.visible = self._errors is not None
+        if self._errors is not None:
+            self._over.props(f'label="over, {self._errors.unit}"')
+        self._filter()
 
     def _filter(self) -> None:
         chosen = np.ones(self._dataset.sizes["frame"], bool)
@@ -115,6 +153,8 @@ class DatasetTab:
             columns = slice(None) if self._joint.value is None else [self._joints.index(self._joint.value)]
             chosen &= (self._visibility[:, :, columns] == self._state.value).any(axis=(1, 2))
         self._rows = np.flatnonzero(chosen)
+        if self._errors is not None:
+            self._rows = self._errors.choose(self._rows, self._over.value, self._worst.value, by_error=self._sorted.value)
         self._go(0)
 
     def _go(self, position: int) -> None:
@@ -122,18 +162,37 @@ class DatasetTab:
         self._position = position
         self._show()
 
-    def show_frame(self, number: int) -> None:
-        """Show the frame of this number, whatever the filters say."""
-        row = int(np.flatnonzero(self._dataset["frame"].values == number)[0])
-        if row not in self._rows:
-            self._rows = np.arange(self._dataset.sizes["frame"])
-        self._go(int(np.searchsorted(self._rows, row)))
+    def _label_this(self) -> None:
+        if len(self._rows):
+            self._label(int(self._dataset["frame"].values[self._rows[self._position]]))
+
+    def _look(self) -> None:
+        """Offer the frames that have come since, and the predictions that Compare has opened or run; say if the data are gone."""
+        assert self._workspace.dataset is not None
+        try:
+            new = self._workspace.new_frames() + self._workspace.dataset.sizes["frame"] - self._dataset.sizes["frame"]
+            self._told.text = f"{new} frames have come since this was opened"
+            self._again.visible = self._news.visible = new > 0
+        except CabinposeError as error:
+            self._told.text = error.in_one_line()
+            self._again.visible, self._news.visible = False, True
+        if (names := list(self._workspace.predictions)) != self._predictions.options:
+            self._predictions.set_options(names)
+
+    def _reopen(self) -> None:
+        try:
+            if self._workspace.new_frames():
+                self._workspace.reopen()
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            return
+        ui.navigate.reload()
 
     def _show(self) -> None:
         try:
             self._show_frame()
         except (CabinposeError, OSError) as error:
-            ui.notify(f"this frame cannot be read: {error}", type="negative", multi_line=True)
+            ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
 
     def _show_frame(self) -> None:
         count = len(self._rows)
@@ -152,10 +211,11 @@ class DatasetTab:
         self._number.text = f"frame {int(frame['frame'])}"
         self._show_image(row)
         self._canvas.joints(people_of(frame) if self._skeleton.value else [], self._limbs)
-        self._show_cloud(row, frame)
+        self._show_cloud(frame)
         self._facts.clear()
         with self._facts:
-            for name, value in _facts(frame):
+            error = [] if self._errors is None else [("error", self._errors.words(row))]
+            for name, value in (*error, *_facts(frame)):
                 with ui.row().classes("no-wrap w-full").style("gap: 8px"):
                     ui.label(name).style("opacity: .65; min-width: 90px")
                     ui.label(value)
@@ -171,14 +231,15 @@ class DatasetTab:
         else:
             near, far = 0.0, 255.0
             palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES
-        self._canvas.show(f"/frames/{self._workspace.key}/{row}/{name}", near=near, far=far, palette=palette)
+        number = int(self._dataset["frame"].values[row])
+        self._canvas.show(self._workspace.url(number, str(name)), near=near, far=far, palette=palette)
 
-    def _show_cloud(self, row: int, frame: Any) -> None:
+    def _show_cloud(self, frame: Any) -> None:
         self._scene.clear()
         depth = self._image.value if self._image.value in DEPTHS else "depth"
         vehicle_from_camera = frame["vehicle_from_camera"].values
         with self._scene:
-            self._scene.gltf(f"/clouds/{self._workspace.key}/{row}/{depth}.glb")
+            self._scene.gltf(self._workspace.cloud_url(int(frame["frame"]), depth))
             for index, person in enumerate(frame["joints_3d"].values):
                 points = apply(vehicle_from_camera, person.astype(np.float64))
                 there = np.asarray(np.isfinite(points).all(axis=1))

@@ -11,8 +11,9 @@ from nicegui import run, ui
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.empty import empty_state, no_dataset
+from cabinpose.app.studio.exchange import Exchange
 from cabinpose.app.studio.labelling import Labelling, Shown
-from cabinpose.app.studio.models import choices, first_choice, load_choice
+from cabinpose.app.studio.models import choices, first_choice, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
@@ -35,19 +36,20 @@ _HELP = (
     ("wheel", "zoom; Shift and drag: move; double click: all"),
 )  # fmt: skip
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
+_WORST = "worst:"  # and the name of predictions
 
 
-def label_tab(workspace: Workspace) -> None:
-    """Build the tab."""
+def label_tab(workspace: Workspace) -> LabelTab | None:
+    """Build the tab; None where there is nothing to label."""
     if workspace.dataset is None:
         no_dataset(workspace.recording, "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
-        return
+        return None
     try:
         labelling = Labelling(workspace)
     except CabinposeError as error:
         empty_state("The labels cannot be opened", str(error), error.hint or "")
-        return
-    LabelTab(workspace, labelling)
+        return None
+    return LabelTab(workspace, labelling)
 
 
 class LabelTab:
@@ -85,12 +87,13 @@ class LabelTab:
         self._labelling.use(load_choice(self._workspace, begin))
         self._model = ui.select(choices(self._workspace), value=begin, label="proposals from", on_change=self._use_model)
         self._model.props("dense outlined").classes("w-full").mark("proposals")
-        people = ui.select(list(self._labelling.persons), value=self._person, label="person", on_change=self._set_person)
-        people.props("dense outlined").classes("w-full")
+        persons = list(self._labelling.persons)
+        self._people = ui.select(persons, value=self._person, label="person", on_change=self._set_person)
+        self._people.props("dense outlined").classes("w-full").mark("person")
         sets = list(self._labelling.sets)
         ui.select(sets, value=sets[0], label="joints", on_change=self._set_joints).props("dense outlined").classes("w-full")
-        self._order = ui.select(_ORDERS, value="order", label="frames", on_change=self._reorder).props("dense outlined")
-        self._order.classes("w-full")
+        self._order = ui.select(self._orders(), value="order", label="frames", on_change=self._reorder).props("dense outlined")
+        self._order.classes("w-full").mark("order")
         images = [name for name in (*DEPTHS, *GREYS) if name in self._dataset]
         with ui.row().classes("no-wrap w-full items-center"):
             self._image = ui.select(images, value="depth", on_change=self._show).props("dense outlined").style("flex: 1")
@@ -104,6 +107,7 @@ class LabelTab:
                 ).tooltip(key)
         with ui.row().classes("no-wrap w-full items-center"):
             self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
+            Exchange(self._workspace, self._labelling, self._show)
             ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("history of this frame")
         with ui.expansion("Keys", icon="keyboard").classes("w-full").props("dense"):
             for keys, what in _HELP:
@@ -174,6 +178,8 @@ class LabelTab:
         self._chosen = (self._chosen + step) % len(self._labelling.joints)
 
     async def _set_person(self, event: Any) -> None:
+        if str(event.value) == self._person:
+            return  # with the frame that was asked for
         self._person, self._chosen = str(event.value), 0
         await self._reorder()
 
@@ -215,8 +221,36 @@ class LabelTab:
                 with_model.dismiss()
         elif self._order.value == "open":
             rows = [row for row in rows if not self._labelling.done(row, self._person)]
+        elif str(self._order.value).startswith(_WORST):
+            rows = await self._worst(str(self._order.value).removeprefix(_WORST)) or rows
         self._queue, self._position = rows or [0], 0
-        self._slider.props(f"max={max(len(self._queue) - 1, 1)}")
+        self._show()
+
+    async def _worst(self, predictions: str) -> list[int]:
+        """All rows, the one first in which these predictions of the person are worst; none where they cannot be judged."""
+        try:
+            errors = await run.io_bound(frame_errors, self._workspace, self._dataset, predictions, self._person)
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            return []
+        return [] if errors is None else worst_first(errors.d).tolist()
+
+    def _orders(self) -> dict[str, str]:
+        return _ORDERS | {_WORST + name: f"worst of {name} first" for name in self._workspace.predictions}
+
+    def show_frame(self, number: int) -> None:
+        """Show the frame of this number, where it stands in the order of frames; here, where it does not.
+
+        Of somebody who is there, where the person that is labelled is not.
+        """
+        row = self._labelling.row(number)
+        there = self._labelling.people(row)
+        if there and self._person not in there:
+            self._person = there[0]
+            self._people.value = there[0]
+        if row not in self._queue:
+            self._queue.insert(self._position, row)
+        self._position, self._chosen = self._queue.index(row), 0
         self._show()
 
     def _slid(self, event: Any) -> None:
@@ -231,13 +265,22 @@ class LabelTab:
         self._show()
 
     def _look_for_others(self) -> None:
-        """Show what another tab has changed."""
+        """Show what another tab has changed, and offer the predictions that it opened."""
+        if (orders := self._orders()) != self._order.options:
+            self._order.set_options(orders)
+            self._model.set_options(choices(self._workspace))
         if len(self._labelling.labels.history) != self._changes_seen:
             self._show()
 
     # ------------------------------------------------------------------------------------------------ what is shown
 
     def _show(self) -> None:
+        try:
+            self._show_frame()
+        except (CabinposeError, OSError) as error:
+            ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
+
+    def _show_frame(self) -> None:
         labelling, row = self._labelling, self._row
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
@@ -247,6 +290,7 @@ class LabelTab:
         self._canvas.joints([whole], limbs, (0, self._chosen))
         self._show_image(row)
         done = labelling.done(row, self._person)
+        self._slider.props(f"max={max(len(self._queue) - 1, 1)}")
         self._slider.value = self._position
         place = f"frame {labelling.numbers[row]}, {self._position + 1} of {len(self._queue)}"
         self._number.text = place + (", done" if done else "")
@@ -285,9 +329,8 @@ class LabelTab:
         else:
             low, high = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0
         near, far = low + chosen["min"] * (high - low), low + chosen["max"] * (high - low)
-        self._canvas.show(
-            f"/frames/{self._workspace.key}/{row}/{name}", near=near, far=far, palette=GREY if name in GREYS else None
-        )
+        url = self._workspace.url(int(self._labelling.numbers[row]), str(name))
+        self._canvas.show(url, near=near, far=far, palette=GREY if name in GREYS else None)
 
 
 def _drawn(shown: Shown) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
@@ -27,6 +27,8 @@ Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed
 FAR_PX = 20.0  # a label so far from what a model sees there is suspicious: PCKh's threshold is 13 px for a whole head of 26
 LONG = 0.25  # and one whose bone differs so much, as a share, from the same bone of the subject in other frames
+_LIMBS_OF = {joint: [limb for limb in LIMBS if joint in limb] for joint in JOINTS}
+_FEWEST = 3  # other frames that tell how long a bone usually is
 _REMEMBERED = 512  # frames of proposals kept
 
 
@@ -59,13 +61,15 @@ class Labelling:
         known = [str(name) for name in self.dataset["joint"].values]
         self.sets = _joint_sets(known)
         self.joints = next(iter(self.sets.values()))
-        self._column = {name: i for i, name in enumerate(known)}
+        self.columns = {name: i for i, name in enumerate(known)}
         self.persons = tuple(str(name) for name in self.dataset["person"].values)
         self.numbers: NDArray[np.int64] = self.dataset["frame"].values.astype(np.int64)
         self._rows = {number: row for row, number in enumerate(self.numbers.tolist())}
         small = self.dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].load()
         self._uv, self._xyz, self._seen = (small[name].values for name in ("joints_2d", "joints_3d", "visibility"))
         self._sequence = small["sequence"].values
+        self._bones: defaultdict[tuple[str, str, str], dict[int, float]] = defaultdict(dict)  # see `_measured_bones`
+        self._measured = 0  # changes of the journal that they hold
         self._undo: list[list[tuple[Key, JointLabel | None]]] = []
         self.model: Predictor | Predictions | None = None
         self._proposed = lru_cache(_REMEMBERED)(self._propose)
@@ -84,17 +88,32 @@ class Labelling:
             return Shown(joint, label, "label", doubts.get(joint, ""))
         if joint in proposals:
             return Shown(joint, proposals[joint], "proposal")
-        held = self._held(row, person, joint)
+        held = self.held(row, person, joint)
         return Shown(joint, held, "dataset" if held is not None else "none")
 
-    def _held(self, row: int, person: str, joint: str) -> JointLabel | None:
+    def held(self, row: int, person: str, joint: str) -> JointLabel | None:
         """What the dataset says of a joint."""
-        at = row, self.persons.index(person), self._column[joint]
+        at = row, self.persons.index(person), self.columns[joint]
         state = Visibility(int(self._seen[at]))
         if state == Visibility.ABSENT or not np.isfinite(self._uv[at]).all():
             return None
         (u, v), (x, y, z) = self._uv[at].tolist(), self._xyz[at].tolist()
         return JointLabel((u, v), (x, y, z), state)
+
+    def has_frame(self, number: int) -> bool:
+        """Whether the dataset has a frame of this number."""
+        return number in self._rows
+
+    def row(self, number: int) -> int:
+        """The row of the frame of a number."""
+        return self._rows[number]
+
+    def people(self, row: int) -> list[str]:
+        """Who is in a frame, by the dataset or by a label."""
+        number = int(self.numbers[row])
+        held = (self._seen[row] > Visibility.ABSENT).any(axis=1)
+        labelled = {person for frame, person, _ in self.labels.now if frame == number}
+        return [person for person, there in zip(self.persons, held, strict=True) if there or person in labelled]
 
     def done(self, row: int, person: str) -> bool:
         """Whether every joint of a person has its label in this frame."""
@@ -110,25 +129,31 @@ class Labelling:
     def place(self, row: int, person: str, joint: str, u: float, v: float) -> JointLabel:
         """Put a joint at a pixel; in 3D as far behind the measured surface as it was held to be, else at its usual depth."""
         now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
-        frame = self._frame(row)
-        xyz = self._lifted(frame, joint, (u, v), now)
         state = now.visibility if now is not None and now.visibility > Visibility.OUTSIDE_IMAGE else Visibility.VISIBLE
-        label = JointLabel((u, v), xyz, state)
+        label = self.moved(row, joint, (u, v), now, state)
         self._set([((int(self.numbers[row]), person, joint), label)], "placed")
         return label
+
+    def moved(self, row: int, joint: str, uv: tuple[float, float], now: JointLabel | None, state: Visibility) -> JointLabel:
+        """The label of a joint at another pixel than now, see `place`."""
+        return JointLabel(uv, self._lifted(self._frame(row), joint, uv, now), state)
+
+    def take_in(self, changes: Sequence[tuple[Key, JointLabel | None]]) -> None:
+        """Make labels of what came from elsewhere; one step of undo."""
+        if changes:
+            self._set(changes, "imported")
 
     def mark(self, row: int, person: str, joint: str, state: Visibility) -> None:
         """Say how a joint is seen; absent: the person has no such joint here, and it loses its place."""
         now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
-        nowhere = JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), state)
-        label = nowhere if now is None or state == Visibility.ABSENT else replace(now, visibility=state)
+        label = nowhere(state) if now is None or state == Visibility.ABSENT else replace(now, visibility=state)
         self._set([((int(self.numbers[row]), person, joint), label)], "marked")
 
     def accept(self, row: int, person: str) -> int:
         """Take everything that is shown of a person as it is; the number of joints that became labels."""
         number = int(self.numbers[row])
         changes = [
-            ((number, person, shown.joint), shown.label or _nowhere())
+            ((number, person, shown.joint), shown.label or nowhere())
             for shown in self.shown(row, person)
             if shown.origin != "label"
         ]
@@ -233,6 +258,7 @@ class Labelling:
         number = int(self.numbers[row])
         proposals = self.proposals(row).get(person, {})
         why: dict[str, str] = {}
+        bones = self._measured_bones()
         for joint in self.joints:
             label = self.labels.get(number, person, joint)
             if label is None or label.visibility <= Visibility.OUTSIDE_IMAGE:
@@ -242,15 +268,29 @@ class Labelling:
                 if apart > FAR_PX:
                     why[joint] = f"{apart:.0f} px from what the model sees"
         for parent, child in LIMBS:
-            length = self._bone(number, person, parent, child)
-            others = (self._bone(n, person, parent, child) for n in self.labels.frames() if n != number)
-            known = [bone for bone in others if bone is not None]
-            if length is None or len(known) < 3:
+            lengths = bones[person, parent, child]
+            length = lengths.get(number)
+            if length is None or len(lengths) <= _FEWEST:
                 continue
-            usual = float(np.median(known))
+            usual = float(np.median([other for frame, other in lengths.items() if frame != number]))
             if abs(length / usual - 1) > LONG:
                 why.setdefault(child, f"{parent} to {child} is {100 * length:.0f} cm, usually {100 * usual:.0f}")
         return why
+
+    def _measured_bones(self) -> Mapping[tuple[str, str, str], dict[int, float]]:
+        """Lengths (m) of each person's labelled bones (person, parent, child) by the number of the frame.
+
+        Only those of joints that were changed since are measured again.
+        """
+        new = self.labels.history[self._measured :]
+        self._measured += len(new)
+        for frame, person, (parent, child) in {(c.frame, c.person, limb) for c in new for limb in _LIMBS_OF.get(c.joint, ())}:
+            length = self._bone(frame, person, parent, child)
+            if length is None:
+                self._bones[person, parent, child].pop(frame, None)
+            else:
+                self._bones[person, parent, child][frame] = length
+        return self._bones
 
     def _bone(self, number: int, person: str, parent: str, child: str) -> float | None:
         a, b = self.labels.get(number, person, parent), self.labels.get(number, person, child)
@@ -294,8 +334,9 @@ class Labelling:
 _USUAL = 3.0  # REACH_M is the greatest depth of a joint below the surface of a heavy body; the usual one is about a third of it
 
 
-def _nowhere() -> JointLabel:
-    return JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), Visibility.ABSENT)
+def nowhere(state: Visibility = Visibility.ABSENT) -> JointLabel:
+    """Of a joint without a place."""
+    return JointLabel((np.nan, np.nan), (np.nan, np.nan, np.nan), state)
 
 
 def _states(camera: Camera, depth: NDArray[np.float32], xyz: dict[str, NDArray[np.float64]]) -> dict[str, Visibility]:

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.clouds import live_cloud, person_colour
 from cabinpose.app.studio.live_session import PRESENT, Shown
+from cabinpose.app.studio.view3d import view_3d
 from cabinpose.core.frames import FORWARD_FROM_CAMERA
 from cabinpose.core.skeleton import index_pairs
 
 _PERIOD_S = 0.2
 _ANSWER_S = 5.0  # a browser that has not drawn a cloud by then is sent the next one all the same
 _ALONG = np.linspace(0.0, 1.0, 25)[:, None]  # points of a limb
-_CAMERA = (-0.5, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0, 0.0, 1.0)  # eye, target, up: from a little behind the camera
+_CAMERA = (-0.9, 0.0, 0.45, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # eye, target, up: from a little behind the camera
+_GAMMA = 2.2  # the colours of the view are linear
 
 
 class LiveCloud:
@@ -27,7 +29,7 @@ class LiveCloud:
         """shown: gives the frame to draw."""
         self._shown = shown
         self._drawn: Shown | None = None
-        self._scene = ui.scene(grid=False, background_color="#1b1e24").style("width: 100%; height: 100%")
+        self._scene = view_3d()
         self._scene.move_camera(*_CAMERA, duration=0)
         self._points: Any = None
         self._joints: Any = None
@@ -70,5 +72,5 @@ def skeletons(shown: Shown) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             for a, b in index_pairs(list(model.joints)):
                 if there[a] and there[b]:
                     points.append(joints[a] + _ALONG * (joints[b] - joints[a]))
-                    colours.append(np.full((len(_ALONG), 3), [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]))
+                    colours.append(np.full((len(_ALONG), 3), [(int(colour[i : i + 2], 16) / 255) ** _GAMMA for i in (1, 3, 5)]))
     return np.concatenate(points) @ FORWARD_FROM_CAMERA.T, np.concatenate(colours)

@@ -1,11 +1,23 @@
-"""What can be chosen as a model in the tabs: packaged ones, and predictions files that are open."""
+"""What can be chosen as a model in the tabs, packaged ones and predictions that are open; how far off these are in each frame."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.ports import Predictor
 from cabinpose.estimate.onnx_model import packaged_models
 from cabinpose.estimate.remote import open_predictor
+from cabinpose.evaluate.offline import common_joints, samples_of, shared_places
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.evaluate.report import Report, make_report
+from cabinpose.evaluate.samples import Samples
 from cabinpose.store.predictions import Predictions
 
 _FILE = "file:"
@@ -34,3 +46,85 @@ def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | N
     if value.startswith(_FILE):
         return workspace.predictions[value.removeprefix(_FILE)]
     return open_predictor(value)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A model's errors and numbers. d: (F,) error of each frame, as `frame_distances` has it."""
+
+    samples: Samples
+    report: Report
+    d: NDArray[np.float64]
+
+
+def judged(
+    dataset: xr.Dataset,
+    model: Predictions,
+    options: EvaluationOptions,
+    space: str,
+    joints: Sequence[str],
+    persons: Sequence[str],
+) -> Judged:
+    """What `evaluate` says of a model, and how far its joints are off in each frame."""
+    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)
+    return Judged(samples, make_report(samples, options, model.model, "", notes), frame_distances(samples, space))
+
+
+def joint_distances(samples: Samples, space: str) -> NDArray[np.float64]:
+    """(S, J) distances of the joints that count and were found, NaN elsewhere; "3d" in cm, "2d" in px."""
+    where, factor = (samples.px, 1.0) if space == "2d" else (samples.m, 100.0)
+    return np.where(samples.counts & where.found, where.error, np.nan) * factor
+
+
+def frame_distances(samples: Samples, space: str) -> NDArray[np.float64]:
+    """(F,) mean distance of the joints found in each frame, cm or px.
+
+    Infinite where joints count and none of them was found, NaN where none counts.
+    """
+    error = joint_distances(samples, space)
+    sums, found, counted = (np.zeros(len(samples.frames)) for _ in range(3))
+    np.add.at(sums, samples.at, np.nansum(error, axis=1))
+    np.add.at(found, samples.at, np.isfinite(error).sum(axis=1))
+    np.add.at(counted, samples.at, samples.counts.sum(axis=1))
+    with np.errstate(invalid="ignore"):
+        return np.where((found == 0) & (counted > 0), np.inf, sums / found)
+
+
+class FrameErrors(NamedTuple):
+    """How far predictions are off. d: (F,) error of each frame, as `frame_distances` has it · unit: cm, or px."""
+
+    d: NDArray[np.float64]
+    unit: str
+
+    def choose(self, rows: NDArray[np.int64], over: float | None, worst: float | None, *, by_error: bool) -> NDArray[np.int64]:
+        """Those of some rows whose error is greater than `over`, at most so many, the worst; in order, or worst first."""
+        if over is not None:
+            rows = rows[self.d[rows] > over]
+        ranked = rows[worst_first(self.d[rows])][: None if worst is None else int(worst)]
+        return ranked if by_error else np.sort(ranked)
+
+    def words(self, row: int) -> str:
+        """The error of a frame, with its unit."""
+        return f"{error_words(self.d[row])} {self.unit}" if np.isfinite(self.d[row]) else error_words(self.d[row])
+
+
+def frame_errors(workspace: Workspace, opened: xr.Dataset, name: str, person: str = "") -> FrameErrors:
+    """How far predictions that are open are off in each frame of `opened`: in 3D, or in the image where they know no space.
+
+    Held against the corrected labels, as in Compare; person: only theirs. Raises PredictionsError.
+    """
+    model, dataset = workspace.predictions[name], workspace.corrected(opened)
+    options, persons = EvaluationOptions(resamples=0), (person,) if person else shared_places(dataset, [model])
+    samples, _ = samples_of(dataset, model, options, joints=common_joints(dataset, [model]), persons=persons)
+    space = "3d" if "3d" in samples.spaces() else "2d"
+    return FrameErrors(frame_distances(samples, space), "cm" if space == "3d" else "px")
+
+
+def worst_first(d: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rows by falling error, frames without one at the end."""
+    return np.argsort(-np.where(np.isnan(d), -1.0, d), kind="stable")
+
+
+def error_words(error: float) -> str:
+    """A frame's error as the tabs show it."""
+    return "nobody found" if np.isinf(error) else "–" if np.isnan(error) else f"{error:.1f}"

@@ -8,12 +8,14 @@ from nicegui import ui
 
 from cabinpose.app.studio.compare_tab import compare_tab
 from cabinpose.app.studio.dataset_tab import dataset_tab
-from cabinpose.app.studio.label_tab import label_tab
+from cabinpose.app.studio.empty import empty_state
+from cabinpose.app.studio.label_tab import LabelTab, label_tab
 from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.live_tab import live_tab
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.app.studio.scene_tab import scene_tab
 from cabinpose.app.studio.workspace import Workspace
+from cabinpose.core.errors import CabinposeError
 
 _STYLE = """
 body { font-family: system-ui, sans-serif; }
@@ -28,6 +30,7 @@ body { font-family: system-ui, sans-serif; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
 .studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 0; }
 .studio-side .q-field__bottom { position: static; transform: none; min-height: 0; padding: 2px 12px; }
+.studio-news { gap: 4px; padding: 6px 8px; border-radius: 4px; background: #c9820033; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """
 
@@ -39,15 +42,38 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
+    labels: list[LabelTab] = []  # the tab, if there is something to label
+
+    def label(number: int) -> None:
+        """Open a frame, by its number, to be labelled."""
+        bar.set_value("Label")
+        for each in labels:
+            each.show_frame(number)
+
+    def build_label() -> None:
+        labels.clear()
+        if made := label_tab(workspace):
+            labels.append(made)
+
     tabs: dict[str, Callable[[], None]] = {
         "Scene": lambda: scene_tab(scene, opened=workspace.scene is not None),
-        "Dataset": lambda: dataset_tab(workspace),
-        "Label": lambda: label_tab(workspace),
-        "Compare": lambda: compare_tab(workspace),
+        "Dataset": lambda: dataset_tab(workspace, label),
+        "Label": build_label,
+        "Compare": lambda: compare_tab(workspace, label),
         "Live": lambda: live_tab(workspace, live, lambda: renew("Label")),
     }
     shown = workspace.key
     panels: dict[str, ui.tab_panel] = {}
+
+    def fill(name: str) -> None:
+        """Build a tab, or tell why it cannot be."""
+        with panels[name]:
+            try:
+                tabs[name]()
+            except CabinposeError as error:
+                panels[name].clear()
+                cause = workspace.trouble() or error
+                empty_state("What was opened cannot be read", str(cause), cause.hint or "")
 
     def renew(tab: str = "") -> None:
         """Build the tabs that show the dataset anew, where another one was opened; go to a tab."""
@@ -57,8 +83,7 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
             opened.text = _opened(workspace)
             for name in _OF_DATASET:
                 panels[name].clear()
-                with panels[name]:
-                    tabs[name]()
+                fill(name)
         if tab:
             bar.value = tab
 
@@ -73,10 +98,9 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
             "Light or dark"
         )
     with ui.tab_panels(bar, value=_first(workspace), keep_alive=True, animated=False).classes("w-full"):
-        for name, build in tabs.items():
+        for name in tabs:
             panels[name] = ui.tab_panel(name)
-            with panels[name]:
-                build()
+            fill(name)
     ui.timer(1.0, renew)  # another browser may have opened a dataset
 
 

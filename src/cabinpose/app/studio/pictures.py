@@ -52,19 +52,25 @@ def picture(name: str, image: NDArray[np.generic]) -> Picture:
     return Picture(image.astype(np.uint8), "classes")
 
 
+def row_of(dataset: xr.Dataset, number: int) -> int:
+    """The row of the frame of a number. Raises HTTPException where there is none."""
+    rows = np.flatnonzero(dataset["frame"].values == number)
+    if not rows.size:
+        raise HTTPException(404, "there is no such frame")
+    return int(rows[0])
+
+
 def image_routes(dataset: Callable[[str], xr.Dataset | None]) -> APIRouter:
-    """`/frames/{key}/{row}/{variable}`: an image of the dataset that is open and has this key."""
+    """`/frames/{key}/{number}/{variable}`: an image of the dataset that is open and has this key."""
     router = APIRouter()
 
-    @router.get("/frames/{key}/{row}/{name}")
-    def image(key: str, row: int, name: str) -> Response:
+    @router.get("/frames/{key}/{number}/{name}")
+    def image(key: str, number: int, name: str) -> Response:
         opened = dataset(key)
         if opened is None or name not in IMAGES or name not in opened:
             raise HTTPException(404, "there is no such image")
-        if not 0 <= row < opened.sizes["frame"]:
-            raise HTTPException(404, "there is no such frame")
         try:
-            values = opened[name][row].values
+            values = opened[name][row_of(opened, number)].values
         except (CabinposeError, OSError) as error:  # the dataset vanished, or is damaged
             raise HTTPException(404, str(error)) from error
         return picture(name, values).response(keep=True)

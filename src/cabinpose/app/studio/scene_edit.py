@@ -29,7 +29,8 @@ from cabinpose.synth.cars import is_car_file
 from cabinpose.synth.config import CabinScene, Camera, CameraPose, SynthConfig
 from cabinpose.synth.exact import exact_scene, without_defaults
 from cabinpose.synth.posture.goals import hand_to
-from cabinpose.synth.sample import Scene, SceneSampler
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import check_seed, frame_rng, noise_rng
 from cabinpose.synth.validate import Verdict
 from cabinpose.synth.write import Frame, FrameMaker
@@ -340,7 +341,7 @@ class Preview:
             self._sampler = sampler
             scene, verdicts, error = self._scene(sampler, config, seed, index)
             posed = time.perf_counter()
-            frame = FrameMaker(config, seed, sampler).see(scene, rng=noise_rng(seed, index))
+            frame = FrameMaker(config, seed, sampler, pictures=False).see(scene, rng=noise_rng(seed, index))
         seconds = {"pose": posed - started, "see": time.perf_counter() - posed}
         self._number += 1
         self.shown = Shown(self._number, config, scene, frame, verdicts, error, seconds)

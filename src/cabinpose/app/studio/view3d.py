@@ -11,6 +11,8 @@ from nicegui import ui
 # pictures need. What is drawn again: another place of camera or object, another shape, colour or size of the view.
 _ON_CHANGE = """() => {
   const view = getElement(%s), renderer = view.renderer, render = renderer.render.bind(renderer);
+  const numbers = new WeakMap();
+  const number = (thing) => thing && (numbers.get(thing) ?? numbers.set(thing, Math.random()).get(thing));
   let last = "";
   renderer.render = (scene, camera) => {
     const canvas = renderer.domElement;
@@ -19,7 +21,8 @@ _ON_CHANGE = """() => {
     const eye = [...camera.matrixWorld.elements, ...camera.projectionMatrix.elements];
     const now = [canvas.width, canvas.height, ...eye.map((x) => Math.round(1e6 * x))]; // its controls turn it to and fro by 1e-16
     scene.traverseVisible(({ id, position, quaternion, scale, geometry, material }) => now.push(id, ...position, ...quaternion,
-      ...scale, geometry?.id, material?.id, material?.version, material?.opacity, material?.color?.getHex()));
+      ...scale, geometry?.id, number(geometry?.attributes?.position),
+      material?.id, material?.version, material?.opacity, material?.color?.getHex()));
     const key = now.join();
     if (key === last) return;
     last = key;

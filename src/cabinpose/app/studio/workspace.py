@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ import xarray as xr
 
 from cabinpose.app.view import draw
 from cabinpose.app.view.complete import completed
-from cabinpose.core.errors import ConfigError
+from cabinpose.core.errors import CabinposeError, ConfigError, DatasetError
 from cabinpose.evaluate.offline import check_predictions
 from cabinpose.store import Manifest, open_dataset, read_manifest
 from cabinpose.store.labels import Labels, with_labels
@@ -22,8 +23,8 @@ from cabinpose.store.schema import MANIFEST_NAME, dataset_id
 class Workspace:
     """What is open, shared by all tabs of all browsers.
 
-    key: a word for the dataset that is open, part of the addresses of its images, which browsers keep · proposals: name of the
-    predictions that labelling begins with.
+    key: another word each time that a dataset is opened, part of the addresses of its images, which browsers keep ·
+    proposals: name of the predictions that labelling begins with.
     """
 
     folder: Path | None = None
@@ -37,16 +38,20 @@ class Workspace:
     predictions: dict[str, Predictions] = field(default_factory=dict)
     proposals: str = ""
     _labels: Labels | None = None
+    _parts: frozenset[str] = frozenset()  # those that were there then
+    _seen: tuple[int, int] = (0, 0)  # when manifest and folder were changed, as they were last looked at
+    _grown: int = 0
 
     def open(self, folder: Path, predictions: Sequence[Path] = ()) -> None:
         """Open a dataset in place of the one that is open, with predictions whose first labelling begins with.
 
         Raises DatasetError or PredictionsError.
         """
+        parts = _parts(folder)  # before it is opened: one that comes meanwhile is offered
         dataset, manifest = completed(open_dataset(folder)), read_manifest(folder)
         self.close()
         self.folder, self.dataset, self.manifest, self.labels_path = folder, dataset, manifest, None
-        self.key = dataset_id(manifest)[-12:]
+        self.key, self._parts, self._seen, self._grown = secrets.token_hex(4), parts, (0, 0), 0
         self.predictions, self.proposals = {}, ""
         names = [self.add_predictions(path) for path in predictions]
         self.proposals = next(iter(names), "")
@@ -73,12 +78,55 @@ class Workspace:
             self._labels = Labels(path, dataset_id(self.manifest), persons, joints)
         return self._labels
 
-    def corrected(self) -> xr.Dataset:
-        """The dataset with the labels that were set; as it was while there are none."""
-        assert self.dataset is not None
+    def new_frames(self) -> int:
+        """How many frames have come since the dataset was opened: those of its new parts. Costs two looks at the disk.
+
+        Raises DatasetError where the dataset has vanished or is another one now.
+        """
+        assert self.folder is not None
+        assert self.manifest is not None
+        try:
+            seen = (self.folder / MANIFEST_NAME).stat().st_mtime_ns, self.folder.stat().st_mtime_ns
+        except OSError as error:
+            raise DatasetError(f"{self.folder} has vanished", hint=_VANISHED) from error
+        if seen != self._seen:
+            if dataset_id(read_manifest(self.folder)) != dataset_id(self.manifest):
+                raise DatasetError(f"{self.folder} is another dataset now", hint="end the studio and open it again")
+            there = _parts(self.folder)
+            if lost := self._parts - there:
+                raise DatasetError(f"{self.folder} has lost {min(lost)}", hint=_VANISHED)
+            plans = {plan.name: plan.frames for plan in self.manifest.parts}
+            self._seen, self._grown = seen, sum(plans[name] for name in there - self._parts if name in plans)
+        return self._grown
+
+    def trouble(self) -> CabinposeError | None:
+        """Why the dataset that is open cannot be read any more, None where it is all there."""
+        try:
+            if self.dataset is not None:
+                self.new_frames()
+        except CabinposeError as error:
+            return error
+        return None
+
+    def reopen(self) -> None:
+        """Open the dataset again, with the frames that have come; tabs that hold it go on with what they have."""
+        fresh = open_workspace(self.folder)
+        self.dataset, self.manifest = fresh.dataset, fresh.manifest
+        self._parts, self._seen = fresh._parts, fresh._seen
+
+    def url(self, number: int, image: str) -> str:
+        """Where the browser finds an image of the frame of a number."""
+        return f"/frames/{self.key}/{number}/{image}"
+
+    def cloud_url(self, number: int, depth: str) -> str:
+        """Where the browser finds the cloud of a depth image of the frame of a number."""
+        return f"/clouds/{self.key}/{number}/{depth}.glb"
+
+    def corrected(self, dataset: xr.Dataset) -> xr.Dataset:
+        """The dataset, as it was opened, with the labels that were set; as it was while there are none."""
         if self._labels is None or not self._labels.history:
-            return self.dataset
-        return with_labels(self.dataset, self._labels.now)
+            return dataset
+        return with_labels(dataset, dict(self._labels.now))  # a copy: another thread may set labels meanwhile
 
     def add_predictions(self, path: Path) -> str:
         """Open a predictions file of the dataset; the name it goes by. Raises PredictionsError."""
@@ -128,6 +176,14 @@ def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str 
 def depth_range(dataset: xr.Dataset, row: int) -> tuple[float, float]:
     """Near and far end of the colours for a frame's depth, m."""
     return draw.depth_range(dataset["depth"][row].values)
+
+
+_VANISHED = "bring it back to where it was, or end the studio and open another; labels are kept beside it"
+
+
+def _parts(folder: Path) -> frozenset[str]:
+    """Names of the parts that are there."""
+    return frozenset(path.name for path in folder.glob("part-*.zarr"))
 
 
 def _is_predictions(path: Path) -> bool:

@@ -66,6 +66,11 @@ def amplitude_image(amplitude: NDArray[np.uint16], white: float) -> Image:
     return np.repeat(grey[..., None], 3, axis=-1)
 
 
+def infrared_image(electrons: NDArray[np.uint16]) -> Image:
+    """A near-infrared picture (H, W) in grey, with the gamma of amplitudes; its brightest fiftieth is white."""
+    return amplitude_image(electrons, float(np.quantile(electrons, 0.98)))
+
+
 def draw_skeleton(image: Image, uv: NDArray[np.float32], visibility: NDArray[np.uint8], scale: float = 1.0) -> None:
     """Draw one person's limbs, and the joints in the colours of their visibility, into `image`, which is `scale` x the frame."""
     points = (uv.astype(np.float64) + 0.5) * scale - 0.5

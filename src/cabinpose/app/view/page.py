@@ -22,7 +22,16 @@ from numpy.typing import NDArray
 from cabinpose.app.finite import finite
 from cabinpose.app.report.html import style
 from cabinpose.app.view.complete import completed
-from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR, amplitude_image, colour_map, depth_image, jpeg, resized
+from cabinpose.app.view.draw import (
+    PERSON_COLOUR,
+    VISIBILITY_COLOUR,
+    amplitude_image,
+    colour_map,
+    depth_image,
+    infrared_image,
+    jpeg,
+    resized,
+)
 from cabinpose.app.view.sheet import contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
 from cabinpose.core.pose import Visibility
@@ -132,7 +141,11 @@ def _frame(frame: xr.Dataset, near: float, far: float, white: float) -> dict[str
             record[name] = _packed((millimetres >> 8).astype(np.uint8).tobytes() + millimetres.astype(np.uint8).tobytes())
     if "amplitude" in frame:
         record["amplitude"] = _packed(amplitude_image(frame["amplitude"].values, white)[..., 0].tobytes())
-    for name in ("labels", "instance"):
+    if "nir" in frame:
+        record["nir"] = _packed(infrared_image(frame["nir"].values)[..., 0].tobytes())
+    if "renderer" in frame:
+        record["renderer"] = str(frame["renderer"].values)
+    for name in ("labels", "instance", "rgb"):
         if name in frame:
             record[name] = _packed(frame[name].values.tobytes())
     return record

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,6 +19,7 @@ from cabinpose.app.view.draw import (
     depth_image,
     depth_range,
     draw_skeleton,
+    infrared_image,
     orthographic,
     text,
     to_view,
@@ -38,6 +40,9 @@ _AXES = MappingProxyType(
     }
 )
 _COLUMNS = ("depth", "amplitude and skeleton", "labels", *_AXES)
+_PICTURES: Mapping[str, tuple[str, Callable[[NDArray[Any]], Image]]] = MappingProxyType(
+    {"rgb": ("colour", np.asarray), "nir": ("near infrared", infrared_image)}
+)
 
 
 def contact_sheet(dataset: xr.Dataset, indices: NDArray[np.int64], title: str, report: Callable[[int], None]) -> Image:
@@ -45,12 +50,13 @@ def contact_sheet(dataset: xr.Dataset, indices: NDArray[np.int64], title: str, r
     zoom = max(1, -(-_PANEL_WIDTH // dataset.sizes["x"]))
     height, width = dataset.sizes["y"] * zoom, dataset.sizes["x"] * zoom
     rows = len(indices)
-    columns = len(_COLUMNS)
+    names = (*_COLUMNS, *(title for name, (title, _) in _PICTURES.items() if name in dataset))
+    columns = len(names)
     sheet = np.full(
         (_HEAD + rows * (height + _CAPTION + _GAP) + _FOOT, 2 * _MARGIN + columns * (width + _GAP) - _GAP, 3), _PAPER, np.uint8
     )
     text(sheet, title, (_MARGIN, 40), size=22, weight=600)
-    for column, name in enumerate(_COLUMNS):
+    for column, name in enumerate(names):
         text(sheet, name, (_MARGIN + column * (width + _GAP), _HEAD - 16), _GREY, 15)
     near, far, white = ranges(dataset, indices)
     colours = label_colours(dataset)
@@ -74,9 +80,10 @@ def ranges(dataset: xr.Dataset, indices: NDArray[np.int64]) -> tuple[float, floa
 
 
 def caption(frame: xr.Dataset) -> str:
-    """One line on a frame: its index, car, view and people."""
+    """One line on a frame: its index, car, view and people, and what made its pictures."""
     who = "; ".join(f"{p.slot.replace('_', ' ')} {p.subject}, {p.action}" for p in people(frame)) or "nobody"
-    return f"frame {int(frame['frame'])}   {frame['car'].item()}, {frame['pov'].item()} view   {who}"
+    pictures = f"   {frame['renderer'].item()}" if "renderer" in frame else ""
+    return f"frame {int(frame['frame'])}   {frame['car'].item()}, {frame['pov'].item()} view   {who}{pictures}"
 
 
 def panels(frame: xr.Dataset, near: float, far: float, white: float, colours: NDArray[np.uint8], zoom: int) -> list[Image]:
@@ -103,7 +110,8 @@ def panels(frame: xr.Dataset, near: float, far: float, white: float, colours: ND
             uv = to_view(p_vehicle, axes, box, size)
             draw_skeleton(picture, uv.astype(np.float32), person.visibility)
         pictures.append(picture)
-    return pictures
+    shots = [pixels(frame[name].values) for name, (_, pixels) in _PICTURES.items() if name in frame]
+    return pictures + [shot.repeat(zoom, axis=0).repeat(zoom, axis=1) for shot in shots]
 
 
 def _box(cloud: NDArray[np.float64], joints: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

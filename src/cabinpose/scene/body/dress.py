@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints, Ints32
+from cabinpose.core.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
 from cabinpose.scene.body.garments import layer
@@ -23,7 +23,7 @@ from cabinpose.scene.body.shape import ShapeSpace
 class Dressed:
     """What the camera sees at rest: `rest` (N, 3) m are the dressed skin's vertices that a face uses, then accessories'.
 
-    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8.
+    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · is_top: (F,) whether it is of the top garment.
     """
 
     rest: Floats32
@@ -32,6 +32,7 @@ class Dressed:
     faces: Ints32
     label: Bytes
     material: Bytes
+    is_top: Bools
 
 
 class _Seen(NamedTuple):
@@ -83,7 +84,10 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, out
         all_labels.append(part.label)
         all_materials.append(part.material)
         count += len(part.vertices)
+    is_top = np.zeros(sum(map(len, all_faces)), np.bool_)
+    if outfit.top != "none":
+        is_top[: len(seen.face)] = cut.inside[outfit.top][seen.face]
     return Dressed(
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
-        np.concatenate(all_labels), np.concatenate(all_materials),
+        np.concatenate(all_labels), np.concatenate(all_materials), is_top,
     )  # fmt: skip

@@ -1,8 +1,9 @@
 """Noise model `empirical`: a measured sigma(z), noise at edges, circular crop and range window.
 
 Source: Gonçalves (thesis, 2020), equations 5.5 to 5.8 and 5.12: axial noise of a Pico Monstar 105 in use case 3 on a white
-wall, sigma = 1 + 5 z + 1 z^2 (mm, z in m). The thesis adds Gaussian noise at abrupt depth edges and takes out pixels
-that stand before or behind their neighbours, without naming thresholds; the defaults here are ours.
+wall, sigma = 1 + 5 z + 1 z^2 (mm, z in m). The thesis adds Gaussian noise at abrupt depth edges and sets edge pixels to 0
+(5.6), without naming thresholds; the defaults here are ours. Taken literally that is `remove_edges`; by default only those
+go that stand before or behind all of their neighbours (`remove_spikes`).
 """
 
 from __future__ import annotations
@@ -13,27 +14,24 @@ from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cabinpose._native import sensor as native
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
+from cabinpose.scene.sensor.edges import EdgeRule
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
 
 
-class EmpiricalNoise(BaseModel):
+class EmpiricalNoise(EdgeRule):
     """Axial noise sigma(z) = a + b z + c z^2 as measured, and what else a real image shows."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["empirical"] = "empirical"
     a_mm: float = Field(default=1.0, ge=0, description="Constant part of sigma (mm).")
     b_mm_per_m: float = Field(default=5.0, ge=0, description="Part of sigma that grows with depth (mm per m).")
     c_mm_per_m2: float = Field(default=1.0, ge=0, description="Part of sigma that grows with depth squared (mm per m^2).")
-    edge_threshold_m: float = Field(default=0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
     edge_sigma_mm: float = Field(default=40.0, ge=0, description="Gaussian noise added at abrupt edges (mm).")
-    edge_width_px: int = Field(default=1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
     remove_spikes: bool = Field(
         default=True, description="Edge pixels farther than the threshold before or behind all neighbours are invalid."
     )

@@ -8,25 +8,27 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 from __future__ import annotations
 
 from collections import namedtuple
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.random import Generator
-from pydantic import BaseModel, ConfigDict, Field
+from numpy.random import Generator, Philox
+from pydantic import Field
 
 from cabinpose._native import sensor as native
+from cabinpose.core.arrays import Bools, Floats32
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
+from cabinpose.scene.sensor.edges import EdgeRule, invalidate
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
+from cabinpose.scene.sensor.shade import light_shadow, sunlit
 
 
-class PhysicalNoise(BaseModel):
+class PhysicalNoise(EdgeRule):
     """Continuous-wave Time-of-Flight from geometry; every effect can be switched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["physical"] = "physical"
     shot_noise: bool = Field(default=True, description="Photon noise of signal and ambient light.")
@@ -59,12 +61,37 @@ class PhysicalNoise(BaseModel):
         default=0.01, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
     )
     daylight: float = Field(default=1.0, ge=0, description="The same outside the windows.")
+    light_offset_m: float = Field(
+        default=0.0,
+        ge=-0.5,
+        le=0.5,
+        description="The light source is this far to the right of the lens (m): what is near throws a shadow beside itself.",
+    )
+    sun: float = Field(
+        default=0.0,
+        ge=0,
+        description="Ambient irradiance in a beam of sunlight on a visible place, drawn for each frame; about 30 in full sun.",
+    )
+    sun_width_m: float = Field(default=0.3, gt=0, description="Diameter of the beam (m).")
+    fixed_pattern_mm: float = Field(
+        default=0.0, ge=0, description="Offset of each pixel's range, the same in all frames: standard deviation (mm)."
+    )
+    fixed_pattern_gain: float = Field(
+        default=0.0, ge=0, le=0.1, description="Error of each pixel's range that grows with it, the same in all frames: share."
+    )
+    fixed_pattern_seed: int = Field(default=0, ge=0, description="Which camera of its kind it is: the seed of the pattern.")
     reflectance: bool = Field(default=True, description="Materials reflect as at 850 nm; off: everything is white.")
     incidence: bool = Field(default=True, description="Light returned falls with the cosine of incidence.")
     vignetting: bool = Field(default=True, description="Lens and light source fall off towards the edge of the image.")
     glass: bool = Field(default=True, description="Window panes return next to nothing; off: they are dim diffuse surfaces.")
     range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
     low_amplitude: bool = Field(default=True, description="Pixels below the sensor's minimum amplitude are invalid.")
+    low_amplitude_spread: float = Field(
+        default=0.0,
+        ge=0,
+        le=2,
+        description="Spread of that minimum over pixels and frames, of its logarithm: what is lost has a speckled border.",
+    )
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
@@ -77,6 +104,8 @@ NO_EFFECTS = PhysicalNoise(
 # Of p t2 - q t1 from a whole number, in turns; half a turn is the most there can be, and makes the unwrapping wrong. Phases
 # at the sensor's floor are two sigma inside; mixtures of a dim near and a bright far surface may be outside.
 _PHASE_TOLERANCE = 0.25
+_LEAST_AMBIENT = 1e-3  # of the table of materials that sunlight multiplies
+_PATTERN_STREAM = 0xF1ED  # of a camera's seed: apart from the streams of frames
 
 
 # A sensor with the effects asked for: the members of `ContinuousWave` in sensor/continuous_wave.hpp.
@@ -112,7 +141,7 @@ def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> 
         contrast=sensor.contrast,
         read_noise=sensor.read_noise_e if noise.read_noise else 0.0,
         full_well=sensor.full_well_e if noise.full_well else np.inf,
-        min_amplitude=sensor.min_amplitude_e if noise.low_amplitude else 0.0,
+        min_amplitude=sensor.min_amplitude_e if noise.low_amplitude and not noise.low_amplitude_spread else 0.0,
         near=near,
         far=far,
         tolerance=_PHASE_TOLERANCE if noise.consistency else 0.5,
@@ -131,8 +160,54 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
             hint="choose the noise model 'structured_light' or 'empirical'",
         )
     frame = SensorFrame.empty(buffers.shape)
+    camera = _continuous_wave(sensor, noise, buffers.supersample)
+    if noise.light_offset_m:
+        buffers = _unlit(buffers, light_shadow(buffers.depth_m, sensor.camera, noise.light_offset_m))
+    if noise.sun > 0:
+        camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)
     native.simulate_continuous_wave(
-        buffers.arrays, _continuous_wave(sensor, noise, buffers.supersample),
+        buffers.arrays, camera,
         random_words(buffers.shape, rng=rng).view(np.uint16), normal_quantiles(), frame,
     )  # fmt: skip
+    if noise.low_amplitude and noise.low_amplitude_spread > 0:
+        height, width = buffers.shape
+        ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]
+        floor = sensor.min_amplitude_e * np.exp(noise.low_amplitude_spread * normal_quantiles()[ranks])
+        invalidate(frame, frame.amplitude < floor)
+    if noise.fixed_pattern_mm > 0 or noise.fixed_pattern_gain > 0:
+        _add_fixed_pattern(frame, camera, noise)
     return frame
+
+
+def _unlit(buffers: GeometryBuffers, shadow: Bools) -> GeometryBuffers:
+    """Geometry of which the pixels (H, W) of a shadow, and their parts, return nothing of the camera's light."""
+    parts = np.where(shadow.ravel()[buffers.mixed][:, None], np.float32(0.0), buffers.parts_cos_incidence)
+    return replace(buffers, cos_incidence=np.where(shadow, np.float32(0.0), buffers.cos_incidence), parts_cos_incidence=parts)
+
+
+def _in_the_sun(
+    camera: _ContinuousWave, buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, *, rng: Generator
+) -> _ContinuousWave:
+    """A camera whose gain of ambient light is that of sunlight where a beam of it falls, as its centre is lit."""
+    ambient = max(noise.ambient, _LEAST_AMBIENT)
+    table = material_table(noise.reflectance, noise.glass, ambient, noise.daylight)
+    inside = (buffers.material > 0) & (table[buffers.material, 1] == 0.0)
+    lit = sunlit(buffers.depth_m, inside, sensor.camera, noise.sun_width_m, rng=rng)
+    share = np.where(inside, (noise.ambient + noise.sun * lit) / ambient, np.float32(1.0))
+    return camera._replace(table=table, ambient_gain=(camera.ambient_gain * share).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def _pattern(shape: tuple[int, int], seed: int) -> tuple[Floats32, Floats32]:
+    """Offset and gain of each pixel, standard normal."""
+    offset, gain = Generator(Philox(key=(seed, _PATTERN_STREAM))).standard_normal((2, *shape), np.float32)
+    return offset, gain
+
+
+def _add_fixed_pattern(frame: SensorFrame, camera: _ContinuousWave, noise: PhysicalNoise) -> None:
+    """Add each pixel's own error to its range; what it takes out of the range window becomes invalid."""
+    offset, gain = _pattern(frame.depth_m.shape, noise.fixed_pattern_seed)
+    frame.depth_m[:] *= 1 + np.float32(noise.fixed_pattern_gain) * gain
+    frame.depth_m[:] += np.float32(noise.fixed_pattern_mm * 1e-3) * offset / camera.range_over_depth
+    with np.errstate(invalid="ignore"):
+        invalidate(frame, (frame.depth_m < camera.near) | (frame.depth_m > camera.far) | (frame.depth_m <= 0))

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
+from cabinpose.scene.sensor.edges import edge_pixels, invalidate
 from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical
 from cabinpose.scene.sensor.physical import PhysicalNoise, simulate_physical
 from cabinpose.scene.sensor.presets import Sensor
@@ -50,8 +51,12 @@ def simulate(
             f"geometry of {buffers.shape[1]}x{buffers.shape[0]} pixels for the sensor '{sensor.name}' of {size[1]}x{size[0]}",
             hint="render with the sensor's own camera",
         )
+    if isinstance(noise, StructuredLightNoise):
+        return simulate_structured_light(buffers, sensor, noise, rng=rng)
     if isinstance(noise, PhysicalNoise):
-        return simulate_physical(buffers, sensor, noise, rng=rng)
-    if isinstance(noise, EmpiricalNoise):
-        return simulate_empirical(buffers, sensor, noise, rng=rng)
-    return simulate_structured_light(buffers, sensor, noise, rng=rng)
+        frame = simulate_physical(buffers, sensor, noise, rng=rng)
+    else:
+        frame = simulate_empirical(buffers, sensor, noise, rng=rng)
+    if noise.remove_edges:
+        invalidate(frame, edge_pixels(buffers.depth_m, noise))
+    return frame

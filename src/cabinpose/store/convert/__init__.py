@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FORMATS = MappingProxyType({"png-json": "png_json", "coco": "coco", "yolo": "yolo", "itop": "itop", "ntu": "ntu", "ply": "ply"})
 IMPORTS = MappingProxyType({"png-json": "png_json", "coco": "coco_import", "itop": "itop_import", "ntu": "ntu"})
 # What the images of a format can be (see `pictures`), its default first; the other formats have but one kind.
-IMAGE_KINDS = MappingProxyType({"coco": ("depth8", "amplitude8", "depth16"), "yolo": ("depth8", "amplitude8")})
+IMAGE_KINDS = MappingProxyType({"coco": ("depth8", "amplitude8", "rgb", "depth16"), "yolo": ("depth8", "amplitude8", "rgb")})
 
 
 class RecordingFormat(NamedTuple):

@@ -51,6 +51,19 @@ class _Person(NamedTuple):
     counts: NDArray[np.int32] | None
 
 
+class Keypoints(NamedTuple):
+    """Somebody in an image of a COCO file.
+
+    image: name of its file · size: (width, height) px · slot: as our exports tell it, None where the file does not ·
+    joints: those labelled or told absent, by our names: u, v px and COCO's visibility.
+    """
+
+    image: str
+    size: tuple[int, int]
+    slot: str | None
+    joints: dict[str, tuple[float, float, int]]
+
+
 @dataclass
 class _File:
     """What a COCO file holds."""
@@ -100,6 +113,20 @@ def read(path: Path, options: ImportOptions) -> Source:
         "(`export --images depth16` keeps the depth)"
     )
     return Source(path, manifest, lambda: _frames(file, folder, manifest, options), note if grey else "")
+
+
+def read_keypoints(path: Path) -> list[Keypoints]:
+    """Everybody in a COCO file, or in a folder with `annotations/`. Raises `DatasetError` as `read` does."""
+    file = _read_file(_annotations(path))
+    found = []
+    for number, group in file.people.items():
+        image = file.images[number]
+        for person in group:
+            named = zip(file.names[person.category], person.keypoints.tolist(), strict=True)
+            joints = {_OURS[name]: (round(u, 3), round(v, 3), int(flag)) for name, (u, v, flag) in named if name in _OURS}
+            size = image["width"], image["height"]
+            found.append(Keypoints(str(image.get("file_name", "")), size, person.slot, joints))
+    return found
 
 
 def _annotations(path: Path) -> Path:
@@ -188,13 +215,20 @@ def _add_person(file: _File, element: Mapping[str, Any]) -> None:
         _Person(
             int(element["category_id"]),
             keypoints,
-            str(element["slot"]) if "slot" in element else None,
+            _slot(element),
             str(element.get("subject", UNKNOWN)),
             str(element.get("action", UNKNOWN)),
             shape,
             counts,
         )
     )
+
+
+def _slot(element: Mapping[str, Any]) -> str | None:
+    """Our exports' key, or the attribute that other tools keep of a person."""
+    attributes = element.get("attributes")
+    slot = element.get("slot", attributes.get("slot") if isinstance(attributes, dict) else None)
+    return None if slot is None else str(slot)
 
 
 def _check_people(file: _File) -> None:

@@ -2,6 +2,7 @@
 
 `depth8` falls from 255 at the camera to 1 at 4 m and beyond, so that what is near is bright; 0 is invalid. `amplitude8` rises
 from 0 to 255 at 500 of the camera's raw units and beyond (the scale of the thesis). `depth16` is whole millimetres, 0 invalid.
+`rgb` is the colour picture.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ PICTURES = MappingProxyType(
         "depth8": Picture("depth", _depth8, MappingProxyType({"grey": [255, 1], "depth_m": [0.0, _FARTHEST_M], "invalid": 0})),
         "amplitude8": Picture("amplitude", _amplitude8, MappingProxyType({"grey": [0, 255], "amplitude": [0.0, _BRIGHTEST]})),
         "depth16": Picture("depth", depth_mm, MappingProxyType({"grey": [1, 65535], "depth_m": [0.001, 65.535], "invalid": 0})),
+        "rgb": Picture("rgb", np.asarray, MappingProxyType({"colour": "sRGB"})),
     }
 )
 

@@ -1,7 +1,7 @@
 """16-bit PNG images of the kinds that the thesis renders (2020, section 5.1.3), and one JSON of 2D and 3D poses per frame.
 
-`depth/`, `depth_clean/` in millimetres (0 = invalid), `amplitude/`, `labels/` in their colours, `instance/`, `rgb/`, and
-`pose/`; a file's name is the frame's index. `labels.json` is the table of classes, `dataset.json` says what all frames share.
+`depth/`, `depth_clean/` in millimetres (0 = invalid), `amplitude/`, `labels/` in their colours, `instance/`, `rgb/`, `nir/`,
+and `pose/`; a file's name is the frame's index. `labels.json` is the table of classes, `dataset.json` says what all frames share.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, l
 from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import Report, Source, blank_frame
 
-_IMAGES = ("depth", "depth_clean", "depth_styled", "amplitude", "labels", "instance", "rgb")
+_IMAGES = ("depth", "depth_clean", "depth_styled", "amplitude", "labels", "instance", "rgb", "nir")
 _NUMBERS = ("sequence", "sync_ns", "seed")
 _DAMAGED = "the export is not whole, or not of this layout; export it again"
 
@@ -69,6 +69,7 @@ def pose_record(frame: xr.Dataset) -> dict[str, Any]:
         "frame": int(frame["frame"]),
         "car": str(frame["car"].values),
         "pov": str(frame["pov"].values),
+        **{name: str(frame[name].values) for name in ("light", "renderer") if name in frame},
         **{name: int(frame[name].values) for name in _NUMBERS},
         "camera": {
             "k_px": _known(frame["camera_k"].values),

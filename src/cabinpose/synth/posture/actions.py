@@ -14,7 +14,7 @@ from typing import Literal
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
 
-Place = Literal["wheel", "thigh", "armrest", "ear", "chest", "mouth", "book", "belt", "reach", "either"]
+Place = Literal["wheel", "thigh", "armrest", "ear", "mouth", "shin", "chest", "drink", "book", "belt", "reach", "either"]
 Spread = tuple[float, float]  # mean and sigma, degrees
 
 
@@ -104,12 +104,23 @@ _ANYWHERE = (
     ),
 )  # fmt: skip
 _HOLDING = (
-    Action("drink", "mouth", "either", Gaze((0.0, 12.0), (4.0, 5.0))),
+    Action("drink", "drink", "either", Gaze((0.0, 12.0), (4.0, 5.0))),
     Action("read", "book", "thigh", _HAND),
 )
 _PASSENGER = (Action("reach_glovebox", "either", "reach", _HAND, ("glovebox",)),)
 
-ACTIONS: Mapping[str, Action] = MappingProxyType({a.name: a for a in _DRIVER + _REACH_FRONT + _ANYWHERE + _PASSENGER + _HOLDING})
+# Steps of activities that no still frame shows by itself.
+_STEPS = (
+    Action("at_mouth", "mouth", "either", Gaze((0.0, 8.0), (-4.0, 5.0)), weight=0.0),
+    Action(
+        "reach_floor", "shin", "thigh", Gaze((0.0, 10.0), (-40.0, 6.0)),
+        trunk={"lumbar.flexion": (14.0, 3.0), "thorax.flexion": (12.0, 3.0)}, pelvis=(20.0, 4.0), weight=0.0,
+    ),
+)  # fmt: skip
+
+ACTIONS: Mapping[str, Action] = MappingProxyType(
+    {a.name: a for a in _DRIVER + _REACH_FRONT + _ANYWHERE + _PASSENGER + _STEPS + _HOLDING}
+)
 HOLDING = frozenset(action.name for action in _HOLDING)  # what nobody does without something in the hand
 TELEPHONING = frozenset({"phone_ear", "phone_ear_outer", "phone_text"})
 

@@ -27,6 +27,7 @@ _ARM_STIFFER = 2.0  # than for an arm that follows its hand alone
 _ON_PLACE = np.array([5.0, 5.0, 5.0, 0.02, 0.02, 0.02])
 _DRAGGED_ARM = 0.004
 _IN_REACH_M = 0.01
+_ON_WAY, _HELD_LIMB = 0.08, 0.03  # 1/rad, of leaving the straight way between two poses: free limbs, and those at their places
 _STAYS = np.array([20.0, 20.0, 20.0, 0.5, 0.5, 0.5])
 _UPPER_BODY = [i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in _OF_JOINT]
 _ON_GAZE = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
@@ -86,6 +87,28 @@ def given(person: Person, seat: Seat, q: Floats, root: Matrix) -> Sitter:
     """Somebody who stays as they are: q (D,) rad, root `vehicle_from_root` (4, 4)."""
     goals = Goals(q, np.zeros(len(DOFS)), q, q, root, np.zeros(6), *_arrays([("head", np.eye(4), "", np.eye(4), np.zeros(6))]))
     return Sitter(person, seat.slot, goals, q.copy(), root.copy(), stand="fixed", middle=float(seat.design_h_point[1]))
+
+
+def between(
+    person: Person, seat: Seat, q: Floats, root: Matrix, palms: tuple[Matrix | None, Matrix | None],
+    soles: tuple[Matrix, Matrix], holds: tuple[bool, bool],
+) -> Sitter:  # fmt: skip
+    """Somebody on the way from one pose to another, near q (D,) rad and root `vehicle_from_root` (4, 4), soles at their places.
+
+    palms: `vehicle_from_palm` (4, 4) of hands that have a place, None for those that have none · holds: which of them are closed
+    around the wheel.
+    """
+    stiffness = np.where(_STIFFNESS > 0.0, _STIFFNESS, _ON_WAY)
+    rows: list[tuple[str, Matrix, str, Matrix, Floats]] = []
+    for side, palm in enumerate(palms):
+        if palm is not None:
+            stiffness[_ARM[side] : _ARM[side] + 7] = _HELD_LIMB
+            rows.append(("lr"[side] + "hand", person.rest.palms[side], "", palm, _STAYS))
+    for side, sole in enumerate(soles):
+        stiffness[_LEG[side] : _LEG[side] + 6] = _HELD_LIMB
+        rows.append(("lr"[side] + "foot", person.rest.soles[side], "", sole, _STAYS))
+    goals = Goals(q, stiffness, LOWER, UPPER, root, _ROOT_WEIGHT, *_arrays(rows))
+    return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, "settled", float(seat.design_h_point[1]))
 
 
 def as_recorded(chosen: Sitter, posture: Floats, upper_body: list[int], weight: float) -> Sitter:

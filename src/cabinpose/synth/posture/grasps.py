@@ -36,7 +36,7 @@ _BOOK_UP_M = 0.055  # its middle beyond the palm's
 _COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
 _SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
-HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "mouth": ("bottle", "cup"), "book": ("open_book",)}
+HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "drink": ("bottle", "cup"), "book": ("open_book",)}
 
 
 class Grasp(NamedTuple):
@@ -87,7 +87,7 @@ def hold(person: Person, place: str, kind: str, variant: int, side: int) -> Hold
 
 def _turned(thing: Thing, place: str) -> Matrix:
     """palm_from_thing of a left hand, before it is brought near: its middle in the palm's origin."""
-    if place == "mouth":  # around the body of what stands, its top to the thumb
+    if place == "drink":  # around the body of what stands, its top to the thumb
         level = 0.42 * float(thing.box[1, 2])
         return transform(np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))), (0.0, -level, 0.0))
     # Its long side y along the fingers, its face out; a book rests on its lower edge's half.
@@ -145,7 +145,7 @@ def _grasp(person: Person, place: str, kind: str, variant: int) -> Grasp | None:
         clear = _distance(thing, skin)
         touches = clear < _TOUCHES_M
         touching = int(touches.sum())
-        if touching > most and clear.min() >= -PRESSED_M - _AT_REST_M and (place != "mouth" or _encloses(skin[touches])):
+        if touching > most and clear.min() >= -PRESSED_M - _AT_REST_M and (place != "drink" or _encloses(skin[touches])):
             most, best = touching, Grasp(curl, at)
     return best
 

@@ -170,6 +170,18 @@ def at_ear(person: Person, skeleton: Frames, side: int, gap: float = 0.04) -> Li
     return LimbTask(target, _FIRM, np.array([0.04, 0.04, 0.04]), FACE_ARM, _STIFFNESS)
 
 
+def at_mouth(person: Person, skeleton: Frames, side: int, gap: float) -> LimbTask:
+    """A hand that holds something `gap` m before its own mouth, upright."""
+    head = skeleton.bone("head")
+    s = 1.0 - 2.0 * side
+    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
+    length, height = float(np.ptp(skin[:, 0])), float(np.ptp(skin[:, 2]))
+    local = np.array([0.5 * length + gap, s * 0.03, -0.05 * height])
+    point = head[:3, :3] @ local + head[:3, 3]
+    target = palm_frame(point, head[:3, :3] @ np.array([-0.5, -s * 0.85, 0.0]), head[:3, :3] @ np.array([0.1, -s * 0.5, 0.85]))
+    return LimbTask(target, _FIRM, np.array([0.02, 0.02, 0.02]), FACE_ARM, _STIFFNESS)
+
+
 def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: float) -> LimbTask:
     """A hand that holds a telephone before the chest: palm towards the face, at an offset (m) from the upper chest."""
     thorax = skeleton.bone("spine01")

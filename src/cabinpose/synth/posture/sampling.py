@@ -47,16 +47,9 @@ from cabinpose.synth.profiles import Profile
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {
-    "wheel": 0.36,
-    "thigh": 0.06,
-    "armrest": 0.06,
-    "ear": 0.5,
-    "chest": 0.5,
-    "mouth": 0.4,
-    "book": 0.1,
-    "belt": 0.6,
-    "reach": 0.25,
-}
+    "wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "mouth": 0.5, "shin": 0.06, "chest": 0.5, "drink": 0.4,
+    "book": 0.1, "belt": 0.6, "reach": 0.25,
+}  # fmt: skip
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
@@ -67,13 +60,9 @@ _SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its pl
 _HELD_GRIP = 0.5  # stands for the fingers of a hand that holds something: each has a curl of its own
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
 _CARRIED_BY: Mapping[str, str] = {
-    "thigh": "{side}thigh",
-    "ear": "head",
-    "chest": "spine01",
-    "mouth": "head",
-    "book": "spine01",
+    "thigh": "{side}thigh", "ear": "head", "mouth": "head", "drink": "head", "chest": "spine01", "book": "spine01",
     "belt": "spine01",
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +157,7 @@ class Drawn:
 def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
-    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, in_hand: bool = False,
+    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None, in_hand: bool = False,
     rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
@@ -192,6 +181,8 @@ def draw_pose(
         What the people beside and opposite mean for this person; None where there is nobody.
     in_hand
         Whether a hand holds what the action speaks of: a telephone, a drink, a book.
+    wheel_angle
+        How the wheel is turned (rad, + left), in place of a drawn angle.
     rng
         Source of all randomness.
 
@@ -219,6 +210,7 @@ def draw_pose(
     hands, holds_it = _holding(person, hands, rng) if in_hand else (hands, None)
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
+    turned = turned if wheel_angle is None else wheel_angle
     lean = _draw(chosen.pelvis, rng)
     if neighbours is not None:
         lean = max(lean, neighbours.lean)
@@ -470,11 +462,17 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up)
     if hand.place == "ear":
         return at.at_ear(s.person, skeleton, side, gap=0.048)
+    if hand.place == "mouth":
+        return at.at_mouth(s.person, skeleton, side, 0.06 + 0.01 * a)
+    if hand.place == "shin":
+        left = np.array([-s.forward[1], s.forward[0], 0.0])
+        below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * s.up + (0.10 - 0.2 * side) * left
+        return at.at_point(below + 0.04 * a * s.forward, shoulder, s.up)
     if hand.place == "chest":
         return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.07 + 0.03 * c)
     if hand.place == "book":
         return at.before_chest(skeleton, side, 0.38 + 0.02 * a, 0.04 + 0.02 * b, 0.02 * c)
-    if hand.place == "mouth":
+    if hand.place == "drink":
         return at.before_mouth(s.person, skeleton, side, 0.085 + 0.02 * a, 0.13 + 0.02 * c)
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)

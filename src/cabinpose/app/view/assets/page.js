@@ -24,10 +24,10 @@ const loaded = new Map();
 async function load(k) {
   if (!loaded.has(k)) {
     const f = data.frames[k];
-    const parts = await Promise.all(["depth", "depth_clean", "amplitude", "labels", "instance"].map((name) => f[name] ? inflate(f[name]) : null));
+    const parts = await Promise.all(["depth", "depth_clean", "amplitude", "labels", "instance", "rgb", "nir"].map((name) => f[name] ? inflate(f[name]) : null));
     loaded.set(k, {
       depth: joinPlanes(parts[0]), depth_clean: parts[1] && joinPlanes(parts[1]), amplitude: parts[2],
-      labels: parts[3], instance: parts[4] || new Uint8Array(W * H),
+      labels: parts[3], instance: parts[4] || new Uint8Array(W * H), rgb: parts[5], nir: parts[6],
     });
     if (loaded.size > 12) loaded.delete(loaded.keys().next().value);
   }
@@ -54,6 +54,8 @@ function element(tag, text, className) {
 // ------------------------------------------------------------------------------------------------------------- image
 function colourOf(images, layer, i, out) {
   if (layer === "labels") { const l = 3 * images.labels[i]; out[0] = labelRgb[l]; out[1] = labelRgb[l + 1]; out[2] = labelRgb[l + 2]; return; }
+  if (layer === "rgb") { out[0] = images.rgb[3 * i]; out[1] = images.rgb[3 * i + 1]; out[2] = images.rgb[3 * i + 2]; return; }
+  if (layer === "nir") { out[0] = out[1] = out[2] = images.nir[i]; return; }
   if (layer === "amplitude" || layer === "people") {
     const a = images.amplitude ? images.amplitude[i] : 200;
     if (layer === "people" && images.instance[i]) {
@@ -346,7 +348,8 @@ async function start() {
     $(key).addEventListener("change", () => { const list = shown(); if (list.length && !list.includes(state.frame)) show(list[0]); else listFrames(); });
   }
   const first = data.frames[0];
-  choices("layers", [["depth", "depth"], ["depth_clean", "geometry"], ["amplitude", "amplitude"], ["labels", "classes"], ["people", "people"]].filter(([name]) => name === "people" || first[name]), "layer", drawImage);
+  const preview = (first.renderer || "").startsWith("raster") ? " (raster preview)" : "";
+  choices("layers", [["depth", "depth"], ["depth_clean", "geometry"], ["amplitude", "amplitude"], ["labels", "classes"], ["rgb", `colour${preview}`], ["nir", `near infrared${preview}`], ["people", "people"]].filter(([name]) => name === "people" || first[name]), "layer", drawImage);
   choices("tints", [["people", "people"], ["labels", "classes"], ["depth", "depth"]], "tint", (images) => { makeCloud(images); drawCloud(); });
   for (const id of ["skeleton", "names", "tint"]) $(id).addEventListener("change", async () => { drawImage(await load(state.frame)); drawCloud(); });
   for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => { lookAt(button.dataset.view); drawCloud(); });

@@ -1,0 +1,232 @@
+"""`cabinpose calibrate-noise`: fit the noise of a camera to frames of a flat wall."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, is_recording, refuse_existing, several
+from cabinpose.app.cli.output import print_json, print_rows, print_table, progress
+from cabinpose.app.extras import require
+from cabinpose.core.errors import ConfigError, DatasetError, RecordingError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cabinpose.core.camera import Camera
+    from cabinpose.scene.sensor import Sensor
+    from cabinpose.scene.sensor.noise_fit import EmpiricalFit, Estimate, PhysicalFit
+    from cabinpose.scene.sensor.walls import Wall
+
+    Frames = Iterator[tuple[NDArray[Any], NDArray[Any] | None]]
+
+_FILES = ("empirical.yaml", "physical.yaml", "fit.json", "index.html")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateNoise(PrintsJson):
+    """Fit the noise of a camera to frames of a flat, matt wall at three or more distances, about a hundred frames of each.
+
+    Writes configurations for `synth` with the measured law (empirical.yaml) and with the figures of the sensor's pixels
+    (physical.yaml), the fit with its residuals (fit.json) and a page (index.html).
+    """
+
+    walls: Annotated[Positional[tuple[Path, ...]], several("DATASET|RECORDING [DATASET|RECORDING ...]")]
+    """Recordings or datasets of the wall: one for each distance, or with frames of several."""
+    out: Path
+    """Folder of the results."""
+    sensor: Annotated[Maybe[str], several("NAME|FILE")] = None
+    """Preset, or configuration (YAML) whose camera.sensor it is: its modulation frequencies, integration time and contrast.
+    Without it the measured law alone is fitted."""
+    distances: Annotated[tuple[float, ...], several("M [M ...]")] = ()
+    """Measured distance of each file's wall along the optical axis, m; default: of the plane through its depths."""
+    reflectance: float = 0.75
+    """Of the wall, at the camera's wavelength."""
+    dark: bool = False
+    """There was no other light: noise that is not of the signal is read noise, not ambient light."""
+    source: Maybe[str] = None
+    """Camera of the recordings, if they have several."""
+    overwrite: bool = False
+    """Replace the results in the folder."""
+
+
+COMMAND = CalibrateNoise
+
+
+def run(command: CalibrateNoise) -> None:
+    """Read the walls, fit, write the results and print them."""
+    from cabinpose.scene.sensor.noise_fit import check_distances, fit_empirical, fit_physical
+
+    if not command.walls:
+        raise ConfigError("there is no wall to look at", hint="name recordings or datasets of a flat wall")
+    if command.distances and len(command.distances) != len(command.walls):
+        raise ConfigError(
+            f"{len(command.distances)} distances for {len(command.walls)} files", hint="give one distance for each file, in order"
+        )
+    if command.reflectance <= 0 or any(distance <= 0 for distance in command.distances):
+        raise ConfigError(
+            "distances and the wall's reflectance are positive", hint="give distances in metres, reflectance as 0..1"
+        )
+    refuse_existing(command.out, *_FILES, overwrite=command.overwrite)
+    sensor = None if command.sensor is None else _sensor(command.sensor)
+    walls: list[Wall] = []
+    with progress(len(command.walls), "files") as report:
+        for index, path in enumerate(command.walls):
+            report(index, path.name)
+            walls += _walls(path, command, sensor, command.distances[index] if command.distances else None)
+    walls.sort(key=lambda wall: wall.distance_m)
+    check_distances(walls)
+    empirical, physical = fit_empirical(walls), None
+    if sensor is not None:
+        sensor = sensor.model_copy(update={"camera": walls[0].camera})
+        if sensor.principle == "time_of_flight":
+            physical = fit_physical(walls, sensor, reflectance=command.reflectance, dark=command.dark)
+            sensor = physical.sensor
+    fit = _plain(walls, empirical, physical)
+    _write(command.out, walls, sensor, empirical, physical, fit)
+    if command.as_json:
+        print_json({"out": str(command.out), **fit})
+        return
+    print_table(_rows(fit["walls"]), words=(0,))
+    print()
+    print_rows((name, _told(e)) for name, e in {**empirical.parameters, **(physical.parameters if physical else {})}.items())
+    if physical is None:
+        print("without a ToF camera's --sensor the figures of its pixels are not fitted", file=sys.stderr)
+    best = command.out / ("empirical.yaml" if physical is None else "physical.yaml")
+    print(f"generate with it: cabinpose synth --config {best} --frames 10 --out DATASET", file=sys.stderr)
+
+
+def _told(found: Estimate) -> str:
+    return f"{found.value:.4g}  ({found.low:.4g} to {found.high:.4g})"
+
+
+def _rows(walls: list[dict[str, Any]]) -> list[list[str]]:
+    """A head and a line for each wall."""
+    rows = [[name.replace("_", " ") for name in walls[0]]]
+    return rows + [[f"{v:.2f}" if isinstance(v, float) else str(v) for v in wall.values()] for wall in walls]
+
+
+def _sensor(name: str) -> Sensor:
+    from cabinpose.scene.sensor import sensor_by_name
+    from cabinpose.synth.config import SynthConfig
+
+    if name.endswith((".yaml", ".yml")):
+        return SynthConfig.load(Path(name)).camera.sensor_model
+    return sensor_by_name(name)
+
+
+def _walls(path: Path, command: CalibrateNoise, sensor: Sensor | None, distance_m: float | None) -> list[Wall]:
+    from cabinpose.scene.sensor.walls import walls_of_frames
+
+    if is_recording(path):
+        require("record")
+        camera, step_m, frames = _of_recording(path, command.source)
+    else:
+        camera, step_m, frames = _of_dataset(path)
+    if camera is None and sensor is None:
+        raise ConfigError(f"{path} does not know its camera's intrinsics", hint="--sensor names the camera")
+    name = path.stem if is_recording(path) else path.name
+    return walls_of_frames(frames, camera or sensor.camera, name=name, step_m=step_m, distance_m=distance_m)  # type: ignore[union-attr]
+
+
+def _camera(k: NDArray[Any], dist: NDArray[Any], shape: tuple[int, ...]) -> Camera | None:
+    import numpy as np
+
+    from cabinpose.estimate.inputs import camera_of
+
+    if not (np.isfinite(k).all() and k[0, 0] > 0):
+        return None
+    return camera_of(k, np.nan_to_num(dist), shape[1], shape[0])
+
+
+def _of_recording(path: Path, source: str | None) -> tuple[Camera | None, float, Frames]:
+    """Intrinsics, step of the depth (m) and frames of the camera of a recording."""
+    from cabinpose.core.errors import unknown_name
+    from cabinpose.store.recording import Recording, tof_frames
+
+    with Recording(path) as recording:
+        cameras = [name for name in recording.sources if f"{name}/depth" in recording.topics]
+        if source is not None and source not in cameras:
+            raise unknown_name("camera", source, cameras)
+        if not cameras or (source is None and len(cameras) > 1):
+            raise RecordingError(
+                f"{path} has {len(cameras) or 'no'} ToF camera{'s' if len(cameras) > 1 else ''}",
+                hint=f"--source names one of them: {', '.join(cameras)}"
+                if cameras
+                else "record the wall with `cabinpose record`",
+            )
+        chosen = source or cameras[0]
+        _, first = next(tof_frames(recording, chosen))
+    camera = _camera(first.camera_k, first.camera_dist, first.depth.shape)
+
+    def frames() -> Frames:
+        with Recording(path) as recording:
+            for _, frame in tof_frames(recording, chosen):
+                yield frame.depth_m(), frame.amplitude if frame.amplitude.size else None
+
+    return camera, first.depth_unit_m, frames()
+
+
+def _of_dataset(folder: Path) -> tuple[Camera | None, float, Frames]:
+    """The same of a dataset."""
+    from cabinpose.store import open_dataset
+    from cabinpose.store.schema import DEPTH_SCALE_M
+
+    data = open_dataset(folder)
+    if "depth" not in data:
+        raise DatasetError(f"{folder} has no depth", hint="give a dataset with depth images of a wall")
+    shape = data["depth"].shape[1:]
+    camera = _camera(data["camera_k"][0].values, data["camera_dist"][0].values, shape)
+    amplitudes = data.get("amplitude")
+    pairs = ((data["depth"][i].values, None if amplitudes is None else amplitudes[i].values) for i in range(data.sizes["frame"]))
+    return camera, DEPTH_SCALE_M, pairs
+
+
+def _plain(walls: list[Wall], empirical: EmpiricalFit, physical: PhysicalFit | None) -> dict[str, Any]:
+    """The fit as plain data."""
+    listed = []
+    for k, wall in enumerate(walls):
+        row: dict[str, Any] = {"name": wall.name, "distance_m": wall.distance_m, "frames": wall.frames}
+        row |= {"pixels": int(wall.used.sum()), "bias_mm": 1e3 * wall.bias_m, "flatness_mm": 1e3 * wall.flatness_m}
+        row |= {"sigma_mm": 1e3 * float(empirical.sigma_m[k]), "empirical_mm": 1e3 * float(empirical.fitted_m[k])}
+        listed.append(row if physical is None else row | {"physical_mm": 1e3 * float(physical.fitted_m[k])})
+    fits = {"empirical": empirical} | ({"physical": physical} if physical is not None else {})
+    return {"walls": listed, **{kind: {name: asdict(e) for name, e in fit.parameters.items()} for kind, fit in fits.items()}}
+
+
+def _write(
+    out: Path,
+    walls: list[Wall],
+    sensor: Sensor | None,
+    empirical: EmpiricalFit,
+    physical: PhysicalFit | None,
+    fit: dict[str, Any],
+) -> None:
+    import yaml
+
+    from cabinpose.app.finite import finite
+    from cabinpose.app.report.noise import noise_page
+
+    camera = {} if sensor is None else {"camera": {"sensor": sensor.model_dump(mode="json", exclude_none=True)}}
+    texts = {"fit.json": json.dumps(finite(fit), allow_nan=False, indent=2) + "\n"}
+    for kind, found in (("empirical", empirical), ("physical", physical)):
+        if found is not None:
+            configuration = {**camera, "noise": found.noise.model_dump(mode="json")}
+            text = yaml.safe_dump(configuration, sort_keys=False, default_flow_style=None, width=130)
+            texts[f"{kind}.yaml"] = f"# by `cabinpose calibrate-noise`, of {len(walls)} walls\n{text}"
+    texts["index.html"] = noise_page(walls, empirical, physical)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in _FILES:
+            if name in texts:
+                (out / name).write_text(texts[name], encoding="utf-8")
+            else:
+                (out / name).unlink(missing_ok=True)  # of an earlier fit
+    except OSError as error:
+        raise ConfigError(f"cannot write to {out}: {error.strerror}", hint="give a folder with --out") from error

@@ -1,0 +1,87 @@
+"""COCO keypoints out of the Label tab and, corrected in CVAT, back into it."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import xarray as xr
+from nicegui import run, ui
+from nicegui.events import UploadEventArguments
+
+from cabinpose.app.studio.corrections import corrections
+from cabinpose.app.studio.labelling import Labelling
+from cabinpose.app.studio.workspace import Workspace
+from cabinpose.core.errors import CabinposeError
+from cabinpose.store.convert import export_dataset
+
+MOST_FRAMES = 2000  # of a download: about 100 MB, made in a minute
+MOST_BYTES = 64_000_000  # of an upload: the annotations of some ten thousand frames
+
+
+class Exchange:
+    """A button whose dialog gives and takes COCO files."""
+
+    def __init__(self, workspace: Workspace, labelling: Labelling, changed: Callable[[], None]) -> None:
+        """changed: called when labels came in."""
+        assert workspace.folder is not None
+        self._name = workspace.folder.resolve().name
+        self._workspace, self._labelling, self._changed = workspace, labelling, changed
+        self._folder = tempfile.TemporaryDirectory(prefix="cabinpose-studio-")
+        ui.context.client.on_delete(self._folder.cleanup)
+        with ui.dialog() as self._dialog, ui.card().style("width: 420px"):
+            ui.label("COCO keypoints, for CVAT and back").style("font-weight: 600")
+            self._download = ui.button("Download frames and labels", icon="download", on_click=self._give)
+            self._download.props("outline no-caps").classes("w-full")
+            ui.label("Corrected there, its file of annotations (.json) comes back: joints that were changed become labels.")
+            upload = ui.upload(label="Take a corrected file", auto_upload=True, max_file_size=MOST_BYTES, on_upload=self._take)
+            upload.props("accept=.json flat bordered").classes("w-full").mark("corrected")
+            upload.on("rejected", lambda: ui.notify(_TOO_MUCH, type="negative"))
+        ui.button(icon="import_export", on_click=self._dialog.open).props("flat round dense").tooltip("COCO, for CVAT and back")
+
+    async def _give(self) -> None:
+        frames = self._labelling.dataset.sizes["frame"]
+        if frames > MOST_FRAMES:
+            line = f"cabinpose export {self._workspace.folder} --labels {self._labelling.labels.path} --format coco --out FOLDER"
+            ui.notify(f"{frames} frames are too many for a download: {line}", multi_line=True, timeout=15_000)
+            return
+        self._download.disable()
+        try:
+            if made := await run.io_bound(zipped, self._workspace, self._labelling.dataset, Path(self._folder.name)):
+                ui.download.file(made, f"{self._name}-coco.zip")
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+        finally:
+            self._download.enable()
+
+    async def _take(self, event: UploadEventArguments) -> None:
+        if event.file.size() > MOST_BYTES:  # the browser's own check can be got round
+            ui.notify(_TOO_MUCH, type="negative")
+            return
+        path = Path(self._folder.name) / "corrected.json"
+        await event.file.save(path)
+        try:
+            found = await run.io_bound(corrections, self._labelling, path)
+            if found is None:
+                return
+            self._labelling.take_in(found.changes)
+        except CabinposeError as error:
+            ui.notify(error.in_one_line().replace(str(path), event.file.name), type="negative", multi_line=True, timeout=10_000)
+            return
+        told = "; ".join([f"{len(found.changes)} joints corrected in {found.frames} frames", *found.notes()])
+        ui.notify(told, type="positive", multi_line=True)
+        self._changed()
+
+
+def zipped(workspace: Workspace, dataset: xr.Dataset, folder: Path) -> Path:
+    """The zip, in a folder, of a COCO export of all frames with the labels that hold."""
+    assert workspace.manifest is not None
+    stored = {variable.name for variable in workspace.manifest.stored}
+    filled = [name for name in ("labels", "instance") if name not in stored]  # for the eye, by `completed`
+    export = export_dataset(workspace.corrected(dataset).drop_vars(filled), "coco", folder / "coco", overwrite=True)
+    return Path(shutil.make_archive(str(export), "zip", export))
+
+
+_TOO_MUCH = f"a file of annotations (.json) of at most {MOST_BYTES // 1_000_000} MB is taken"

@@ -1,0 +1,57 @@
+"""Activities: short programs of actions, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from cabinpose.scene.cabin import Cabin, Seat
+from cabinpose.synth.posture.actions import ACTIONS, HOLDING, actions_for
+
+
+class Step(NamedTuple):
+    """A pose of an activity: the action, how long it is held (s, mean), and whether a driver turns the wheel on the way."""
+
+    action: str
+    hold_s: float = 0.4
+    steers: bool = False
+
+
+# What takes more than one action; every other action is an activity of one step.
+_PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
+    {
+        "steer": (Step("drive", 0.3, True), Step("drive", 0.2, True), Step("drive", 0.3, True)),
+        "check_mirror": (Step("look_mirror", 0.5), Step("drive", 0.4)),
+        "operate": (Step("reach_infotainment", 0.6), Step("drive", 0.3)),
+        "phone_call": (Step("phone_text", 0.8), Step("phone_ear_outer", 1.5), Step("phone_text", 0.4)),
+        "drink": (Step("at_mouth", 1.0), Step("rest_lap", 0.3)),
+        "eat": (Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5)),
+        "read": (Step("phone_text", 3.0),),
+        "look_over_shoulder": (Step("look_back", 0.5), Step("rest_lap", 0.3)),
+        "buckle_up": (Step("belt", 0.3), Step("rest_lap", 0.3)),
+        "reach_down": (Step("reach_floor", 0.5), Step("rest_lap", 0.3)),
+        "sleep": (Step("sleep", 5.0),),
+    }
+)
+_SINGLE_HOLD_S = 0.8
+ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(name for name in ACTIONS if name not in HOLDING and name not in _PROGRAMS))
+
+
+def resting(seat: Seat, cabin: Cabin) -> str:
+    """The action to which somebody in a seat comes back."""
+    return "drive" if seat.slot == "driver" and cabin.steering_wheel is not None else "rest_lap"
+
+
+def steps_of(activity: str, seat: Seat, cabin: Cabin) -> tuple[Step, ...]:
+    """The steps of an activity of `ACTIVITIES`; who drives goes back to the wheel."""
+    steps = _PROGRAMS.get(activity) or (Step(activity, _SINGLE_HOLD_S),)
+    if len(steps) == 1:
+        return steps
+    return tuple(step._replace(action=resting(seat, cabin)) if step.action == "rest_lap" else step for step in steps)
+
+
+def activities_for(seat: Seat, cabin: Cabin) -> tuple[str, ...]:
+    """The activities of which every step makes sense in a seat, in a fixed order."""
+    known = set(actions_for(seat, cabin))
+    return tuple(name for name in ACTIVITIES if all(step.action in known for step in steps_of(name, seat, cabin)))

@@ -1,0 +1,27 @@
+"""The keys of a configuration that make sequences of its frames."""
+
+from __future__ import annotations
+
+from pydantic import Field, field_validator
+
+from cabinpose.core.errors import unknown_name
+from cabinpose.synth.motion.activities import ACTIVITIES
+from cabinpose.synth.people import Model
+
+
+class SequenceConfig(Model):
+    """Frames that follow each other: the same people in the same car, in motion, seen by the same camera."""
+
+    frames: int = Field(90, ge=2, le=10_000, description="Frames of one sequence.")
+    rate_hz: float = Field(30.0, gt=0.0, le=1000.0, description="Frames a second.")
+    activities: tuple[str, ...] | None = Field(
+        None, min_length=1, description="What people do, as far as it makes sense in their seats; left out: anything."
+    )
+
+    @field_validator("activities")
+    @classmethod
+    def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        for name in names or ():
+            if name not in ACTIVITIES:
+                raise unknown_name("activity", name, list(ACTIVITIES))
+        return names

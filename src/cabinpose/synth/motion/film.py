@@ -1,0 +1,111 @@
+"""A sequence: one car, its people in motion, one camera."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cabinpose.core.errors import SceneError
+from cabinpose.core.frames import Matrix
+from cabinpose.synth.cars import place_name
+from cabinpose.synth.motion.config import SequenceConfig
+from cabinpose.synth.motion.sequences import DrawGoals, plan_tracks
+from cabinpose.synth.motion.track import Track
+from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.validate import Rejection, Seated, most_common
+
+if TYPE_CHECKING:  # which imports this module
+    from cabinpose.synth.sample import _Cast
+    from cabinpose.synth.scene import ScenePerson
+
+_SCENES = 8  # drawn for a sequence until the run ends
+# A view and its camera before which none of the people comes, in the car with nobody in it; None where none is found.
+FreeCamera = Callable[["_Cast", Callable[[], "Iterable[ScenePerson]"], Seated, np.random.Generator], "tuple[str, Matrix] | None"]
+
+
+class Film(NamedTuple):
+    """A planned sequence: the cast, the tracks of people by slot, the view and its camera; see `synth.scene.Scene`."""
+
+    cast: _Cast
+    tracks: Mapping[str, Track]
+    sequence: SequenceConfig
+    pov: str
+    camera: Matrix
+    proposals: int
+    rejections: Mapping[Rejection, int]
+
+    def people(self, time_s: float) -> list[ScenePerson]:
+        """Everybody at a time, not yet dressed."""
+        poses = {slot: track.at(time_s) for slot, track in self.tracks.items()}
+        people = self.cast.people
+        return [
+            self.cast.person(slot, self.tracks[slot].activity(time_s), people[slot].pose(pose.q, pose.root))
+            for slot, pose in poses.items()
+        ]
+
+    def everybody(self) -> Iterator[ScenePerson]:
+        """Everybody in every frame."""
+        for frame in range(self.sequence.frames):
+            yield from self.people(frame / self.sequence.rate_hz)
+
+    def wheel_angle(self, time_s: float) -> float:
+        """How the wheel is turned, rad."""
+        driver = self.tracks.get("driver")
+        return driver.at(time_s).wheel_angle if driver is not None and self.cast.cabin.steering_wheel is not None else 0.0
+
+
+def make_film(
+    number: int,
+    sequence: SequenceConfig,
+    seed: int,
+    draw_cast: Callable[[np.random.Generator], _Cast],
+    goals: Callable[[_Cast], DrawGoals],
+    free_camera: FreeCamera,
+    *,
+    weights: Mapping[str, Mapping[str, float]],
+    poses_per_person: int,
+) -> Film:
+    """Plan a sequence.
+
+    Parameters
+    ----------
+    number, sequence, seed
+        Which one of a dataset, and how long; all randomness comes from its first frame.
+    draw_cast, goals, free_camera
+        Draw who is in which car, what people seek, and the camera.
+    weights, poses_per_person
+        See `plan_tracks`.
+
+    Raises
+    ------
+    SceneError
+        Where no scene is found in which everybody has a way.
+    """
+    first = number * sequence.frames
+    rng = frame_rng(seed, first)
+    causes: Counter[Rejection] = Counter()
+    tried, proposals = list[str](), 0
+    for attempt in range(_SCENES):
+        cast = draw_cast(rng)
+        tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
+        tracks, draws = plan_tracks(
+            sequence, cast.people, cast.cabin, cast.validator, cast.settings, goals(cast), weights,
+            seed=seed, first=first, attempt=attempt, poses_per_person=poses_per_person, causes=causes,
+        )  # fmt: skip
+        proposals += draws
+        if tracks is None:
+            continue
+        film = Film(cast, tracks, sequence, "", np.eye(4), proposals, causes)
+        empty = cast.validator.empty(cast.settings, film.wheel_angle(0.0))
+        view = free_camera(cast, film.everybody, empty, rng)
+        if view is not None:
+            return film._replace(pov=view[0], camera=view[1])
+        causes[Rejection("camera")] += len(tracks)
+    raise SceneError(
+        f"sequence {number}: no way without collision was found for everybody: {most_common(causes, 4)}."
+        f" Tried: {'; '.join(tried[:3])}",
+        hint="choose other activities with scene.sequence.activities, take away an occupant, or make the sequence longer",
+    )

@@ -1,0 +1,115 @@
+"""The sequences of a dataset: sequence n is its frames n * frames .. (n + 1) * frames - 1, planned as a whole and once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+
+from cabinpose.scene.body import Person
+from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.synth.motion.activities import activities_for, resting
+from cabinpose.synth.motion.config import SequenceConfig
+from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
+from cabinpose.synth.motion.track import Idle, Pose, Track
+from cabinpose.synth.posing import pose_people
+from cabinpose.synth.posture.actions import ACTIONS
+from cabinpose.synth.posture.sampling import Drawn
+from cabinpose.synth.streams import sequence_rng
+from cabinpose.synth.validate import Rejection, Validator
+
+_PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' own
+_DRAWS = 16  # of one person's habits: streams of a sequence
+
+# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, and the source of randomness.
+DrawGoals = Callable[[str, str, float | None, np.random.Generator], Drawn]
+
+
+def plan_tracks(
+    sequence: SequenceConfig,
+    people: Mapping[str, Person],
+    cabin: Cabin,
+    validator: Validator,
+    settings: Mapping[str, SeatSetting],
+    draw: DrawGoals,
+    weights: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
+    *,
+    seed: int,
+    first: int,
+    attempt: int,
+    poses_per_person: int,
+    causes: Counter[Rejection],
+) -> tuple[dict[str, Track] | None, int]:
+    """The motion of everybody in a car, from poses that hold together.
+
+    Parameters
+    ----------
+    sequence
+        How long it lasts and what may be done.
+    people
+        By slot.
+    cabin, validator, settings
+        The car, its judge, and how its seats are set.
+    draw
+        Draws the goals of an action; the same randomness gives the same habits: feet, grips, place in the seat.
+    weights
+        Of the actions by slot, where they are not the usual ones.
+    seed, first, attempt
+        Of the dataset, the sequence's first frame, and how often its scene was drawn before.
+    poses_per_person
+        Draws of one person's first pose before all is given up.
+    causes
+        Counts what was in the way, in place.
+
+    Returns
+    -------
+    dict or None
+        Tracks by slot; None where somebody has no free way.
+    int
+        The number of poses and activities that were tried.
+    """
+    lasts_s = (sequence.frames - 1) / sequence.rate_hz
+    streams = {slot: 1 + _DRAWS * (len(people) * attempt + i) for i, slot in enumerate(people)}
+    plans = {slot: sequence_rng(seed, first, stream) for slot, stream in streams.items()}
+    choices = {slot: _choices(sequence, cabin, slot, weights.get(slot)) for slot in people}
+    habits = dict.fromkeys(people, 0)
+    actions = {slot: resting(cabin.seats[slot], cabin) for slot in people}
+
+    def first_goals(slot: str) -> Drawn:
+        habits[slot] = habits[slot] % (_DRAWS - 1) + 1
+        return goals(slot, actions[slot], None)
+
+    def goals(slot: str, action: str, wheel_angle: float | None, number: int = 0) -> Drawn:
+        habit = (habits[slot] + number - 1) % (_DRAWS - 1) + 1
+        return draw(slot, action, wheel_angle, sequence_rng(seed, first, streams[slot] + habit))
+
+    posed, tried = pose_people(people, cabin, validator, settings, first_goals, poses_per_person=poses_per_person, causes=causes)
+    if posed is None:
+        return None, tried
+    around = Surroundings(cabin, validator, settings, sequence.rate_hz)
+    planners = {}
+    for slot, (pose, _) in posed.poses.items():
+        who = Somebody(slot, people[slot], partial(goals, slot), choices[slot])
+        planners[slot] = Planner(who, around, causes, lasts_s=lasts_s, rng=plans[slot])
+        start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
+        around.people[slot] = people[slot], Track(start, actions[slot], Idle.drawn(rng=plans[slot]), 0.0)
+    # One after the other: those whose motion is planned are known over time, the others sit still.
+    for plan in (Planner.breathe, Planner.move):
+        for planner in planners.values():
+            possible = plan(planner)
+            if not possible:
+                return None, tried + sum(p.tried for p in planners.values())
+    tried += sum(p.tried for p in planners.values())
+    return {slot: track for slot, (_, track) in around.people.items()}, tried
+
+
+def _choices(sequence: SequenceConfig, cabin: Cabin, slot: str, weights: Mapping[str, float] | None) -> dict[str, float]:
+    """The activities of whoever sits in a slot, by weight; where none of those asked for makes sense there, any that does."""
+    possible = activities_for(cabin.seats[slot], cabin)
+    if weights is None:
+        weights = {name: ACTIONS[name].weight if name in ACTIONS else _PROGRAM_WEIGHT for name in possible}
+    usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
+    return {name: 1.0 for name in possible if name in (sequence.activities or ())} or usual

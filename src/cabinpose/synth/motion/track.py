@@ -1,0 +1,170 @@
+"""The motion of one person: poses, ways between them, and the breathing on top.
+
+A state is a row of 51 numbers: the degrees of freedom (rad), the pelvis' place (m) and its turn since the start (rotation vector,
+rad), and the angle of the wheel that the person holds (rad).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cabinpose.core.arrays import Floats
+from cabinpose.core.frames import Matrix, rotation_vector, transform
+from cabinpose.scene.body import DOF_INDEX, DOFS
+from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
+
+_Q = len(DOFS)
+ROOT, WHEEL = slice(_Q, _Q + 6), _Q + 6
+WIDTH = _Q + 7
+_COMFORT = 0.15  # of the fastest, at the peak of an unhurried movement
+_FASTEST_ROOT = np.concatenate((np.full(3, 1.5), np.full(3, np.radians(280.0))))  # m/s and rad/s, with the trunk
+_FASTEST_WHEEL = 2.0 * np.pi  # rad/s; the arms that hold it have limits of their own
+_LIMIT = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL]))
+_SHORTEST_S = 0.35
+_DENSE = np.linspace(0.0, 1.0, 61)
+
+
+class Pose(NamedTuple):
+    """Where somebody is: q (D,) rad, root `vehicle_from_root` (4, 4), wheel_angle (rad)."""
+
+    q: Floats
+    root: Matrix
+    wheel_angle: float
+
+
+class Way(NamedTuple):
+    """A way through states: coefficients of natural cubic pieces between them, at equal shares of the progress.
+
+    states: (K, 51), K >= 2 · bends: (K, 51) second derivatives by the share.
+    """
+
+    states: Floats
+    bends: Floats
+
+    @staticmethod
+    def through(states: Floats) -> Way:
+        """The natural cubic spline through states (K, 51); of two, the straight way."""
+        pieces = len(states) - 1
+        bends = np.zeros_like(states)
+        if pieces > 1:
+            inner = pieces - 1
+            matrix = 4.0 * np.eye(inner) + np.eye(inner, k=1) + np.eye(inner, k=-1)
+            bends[1:-1] = np.linalg.solve(matrix, 6.0 * pieces**2 * (states[2:] - 2.0 * states[1:-1] + states[:-2]))
+        return Way(states, bends)
+
+    def at(self, share: Floats) -> Floats:
+        """(N, 51) states at shares (N,) of the way, 0..1."""
+        pieces = len(self.states) - 1
+        n = np.minimum((share * pieces).astype(np.int64), pieces - 1)
+        b = (share * pieces - n)[:, None]
+        a = 1.0 - b
+        straight = a * self.states[n] + b * self.states[n + 1]
+        return np.asarray(straight + ((a**3 - a) * self.bends[n] + (b**3 - b) * self.bends[n + 1]) / (6.0 * pieces**2))
+
+    def slopes(self, share: Floats) -> Floats:
+        """(N, 51) derivatives by the share."""
+        pieces = len(self.states) - 1
+        n = np.minimum((share * pieces).astype(np.int64), pieces - 1)
+        b = (share * pieces - n)[:, None]
+        a = 1.0 - b
+        straight = pieces * (self.states[n + 1] - self.states[n])
+        bent = (3.0 * b**2 - 1.0) * self.bends[n + 1] - (3.0 * a**2 - 1.0) * self.bends[n]
+        return np.asarray(straight + bent / (6.0 * pieces))
+
+
+def duration(way: Way, tempo: float) -> float:
+    """Seconds that somebody of this tempo (1: average) takes for a way, at `_COMFORT` of the fastest at the most."""
+    rate = np.abs(way.slopes(progress(_DENSE))) * progress_rate(_DENSE)[:, None]  # of a second's movement
+    return max(_SHORTEST_S, float((rate.max(axis=0) / (_COMFORT * _LIMIT)).max()) / tempo)
+
+
+class Segment(NamedTuple):
+    """A movement from `start_s`, `lasts_s` long, along a way, and what it is for."""
+
+    start_s: float
+    lasts_s: float
+    way: Way
+    activity: str
+
+
+class Idle(NamedTuple):
+    """What a body does without wanting to: breaths (Hz, rad of the thorax), and a head that sways (Hz, rad); phases in rad."""
+
+    breath_hz: float
+    breath: float
+    sway_hz: float
+    sway: float
+    phases: tuple[float, float, float]
+
+    @staticmethod
+    def drawn(*, rng: np.random.Generator) -> Idle:
+        """12 to 20 breaths a minute, as adults at rest."""
+        phases = tuple(float(v) for v in rng.uniform(0.0, 2.0 * np.pi, 3))
+        breath = np.radians(rng.uniform(0.2, 0.5))
+        sway = float(np.radians(0.6))
+        return Idle(rng.uniform(0.2, 0.33), float(breath), rng.uniform(0.15, 0.3), sway, (phases[0], phases[1], phases[2]))
+
+    def added(self, times_s: Floats, share: float) -> Floats:
+        """(N, 51) what it adds to a state at times (N,); `share` of it all. The upper arms and the head stay level."""
+        result = np.zeros((len(times_s), WIDTH))
+        breath = share * self.breath * np.sin(2.0 * np.pi * self.breath_hz * times_s + self.phases[0])
+        result[:, DOF_INDEX["thorax.flexion"]] = breath
+        result[:, DOF_INDEX["neck.flexion"]] = -breath
+        for side in "lr":
+            result[:, DOF_INDEX[side + "shoulder.flexion"]] = breath
+        for name, phase in (("neck.rotation", self.phases[1]), ("neck.lateral", self.phases[2])):
+            result[:, DOF_INDEX[name]] += share * self.sway * np.sin(2.0 * np.pi * self.sway_hz * times_s + phase)
+        return result
+
+
+class Track:
+    """One person's motion; see the module. It begins at a pose that is held until the first segment."""
+
+    def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float) -> None:
+        self.idle, self.idle_share = idle, idle_share
+        self.segments: list[Segment] = []
+        self._rotation = first.root[:3, :3]
+        self._activity = activity
+        self._first = self.state_of(first)
+
+    @property
+    def last(self) -> Floats:
+        """(51,) the state at which the last segment ends."""
+        return self.segments[-1].way.states[-1] if self.segments else self._first
+
+    def state_of(self, pose: Pose) -> Floats:
+        """(51,) the state of a pose."""
+        turned = _rotation_log(self._rotation.T @ pose.root[:3, :3])
+        return np.concatenate((pose.q, pose.root[:3, 3], turned, [pose.wheel_angle]))
+
+    def pose_of(self, state: Floats) -> Pose:
+        """The pose of a state (51,), within the joints' limits."""
+        root = transform(self._rotation @ rotation_vector(state[ROOT][3:]), state[ROOT][:3])
+        return Pose(np.clip(state[:_Q], LOWER, UPPER), root, float(state[WHEEL]))
+
+    def states(self, times_s: Floats) -> Floats:
+        """(N, 51) states at times (N,) s, breathing included."""
+        result = np.tile(self._first, (len(times_s), 1))
+        for segment in self.segments:
+            since = times_s >= segment.start_s
+            result[since] = segment.way.at(progress((times_s[since] - segment.start_s) / segment.lasts_s))
+        return result + self.idle.added(times_s, self.idle_share)
+
+    def at(self, time_s: float) -> Pose:
+        """The pose at a time."""
+        return self.pose_of(self.states(np.array([time_s]))[0])
+
+    def activity(self, time_s: float) -> str:
+        """What is being done at a time."""
+        return next((s.activity for s in reversed(self.segments) if time_s >= s.start_s), self._activity)
+
+
+def _rotation_log(rotation: Floats) -> Floats:
+    """(3,) the rotation vector of a matrix; of turns well below half a one."""
+    axis = 0.5 * np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
+    return axis * (angle / sine if sine > 1e-12 else 1.0)

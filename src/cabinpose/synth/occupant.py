@@ -1,0 +1,112 @@
+"""The keys of a configuration about one person in a seat, and the exact poses and things that `config frame` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core.frames import is_rigid
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
+from cabinpose.synth.people import Model
+from cabinpose.synth.posture import ACTIONS
+from cabinpose.synth.profiles import Profile, check_within, dof_scale, limits_deg, standing
+
+_LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
+
+
+def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    if len(rows) != 4 or not is_rigid(np.array(rows)):
+        raise ValueError("Input should be a rigid transform: 4 rows of 4 numbers, the last 0 0 0 1")
+    return rows
+
+
+Matrix4 = Annotated[tuple[tuple[float, float, float, float], ...], AfterValidator(_rigid)]
+
+
+class ExactPose(Model):
+    """How somebody sits, to the last bit, as `cabinpose config frame` writes it: nothing of it is solved, all of it is judged."""
+
+    fore_aft_m: float = Field(description="How the seat is set, from its design position.")
+    height_m: float
+    torso_angle_rad: float
+    vehicle_from_root: Matrix4 = Field(description="The pelvis frame; its origin lies between the femur heads.")
+    angles_rad: Mapping[str, float] = Field(description="By joint axis, e.g. lelbow.flexion (grips: 0..1); left out: 0.")
+    wheel_angle_rad: float | None = Field(None, description="How a driver's wheel is turned, + left.")
+    fingers: tuple[tuple[float | None, ...], ...] | None = Field(
+        None,
+        exclude_if=lambda fingers: fingers is None,
+        description="Curl of the fingers of the left and the right hand, thumb first, where they do not follow the grip.",
+    )
+
+    @field_validator("angles_rad")
+    @classmethod
+    def _within(cls, angles: Mapping[str, float]) -> Mapping[str, float]:
+        for name, angle in angles.items():
+            low, high = (limit * dof_scale(name) for limit in limits_deg(name))
+            check_within(name, angle, low, high, _LIMIT_SLACK)
+        return angles
+
+
+class ExactThing(Model):
+    """Where a child seat or an object is, to the last bit, as `cabinpose config frame` writes it."""
+
+    kind: str
+    variant: int = Field(ge=0, description="Which design of its kind.")
+    slot: str = Field(description="The seat on which it is, or of whose occupant it is.")
+    where: Literal["seat", "lap", "hand"]
+    vehicle_from_thing: Matrix4
+
+    @property
+    def placed(self) -> PlacedThing:
+        """The thing where it is."""
+        return PlacedThing(make_thing(self.kind, self.variant), np.array(self.vehicle_from_thing), self.slot, self.where)
+
+    @model_validator(mode="after")
+    def _known(self) -> ExactThing:
+        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS)):
+            raise unknown_name("thing", self.kind, known)
+        if self.slot not in OCCUPANT_SLOTS:
+            raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)
+        return self
+
+
+class Occupant(Model):
+    """Who sits in a seat, and does what; what is left out is drawn as for anybody."""
+
+    subject: str | None = Field(None, description="Named, own or random person (S03, anna, R0007).")
+    action: str | None = Field(None, description="The one thing that this person does.")
+    profile: Profile | None = Field(None, description="This person's motion profile, in place of the scene's.")
+    initial_pose_deg: Mapping[str, float] = Field(
+        {},
+        description="Joint axes that stand at an angle, e.g. lelbow.flexion: 40 (grips: 0..1), unless the profile moves them;"
+        " the rest of the body is solved around them.",
+    )
+    belted: bool | None = Field(None, description="Whether the seat belt is worn.")
+    pose: ExactPose | None = Field(None, description="A whole pose, in place of a solved one.")
+
+    @field_validator("initial_pose_deg")
+    @classmethod
+    def _within(cls, pose: Mapping[str, float]) -> Mapping[str, float]:
+        standing(pose)
+        return pose
+
+    @cached_property
+    def initial(self) -> Profile | None:
+        """The profile that holds the initial pose; None where there is none."""
+        return standing(self.initial_pose_deg) if self.initial_pose_deg else None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Occupant:
+        if self.pose is not None and (self.profile is not None or self.initial_pose_deg):
+            raise ConfigError(
+                "a whole pose leaves nothing to a profile or an initial pose", hint="leave `pose` or the others out"
+            )
+        if self.action is not None and self.action not in ACTIONS and self.pose is None:
+            raise unknown_name("action", self.action, list(ACTIONS))
+        return self

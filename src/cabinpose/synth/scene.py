@@ -1,0 +1,115 @@
+"""A scene as it was drawn: the car or room, its people and things, and the camera that looks at them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cabinpose.core.arrays import Floats
+from cabinpose.core.errors import SceneError
+from cabinpose.core.frames import Matrix
+from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.scene.body import SEGMENTS, Person, PosedBody
+from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.surface import Surface, merge
+from cabinpose.scene.things import PlacedThing
+from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
+
+
+@dataclass(frozen=True)
+class ScenePerson:
+    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included)."""
+
+    slot: str
+    subject: str
+    action: str
+    person: Person
+    posed: PosedBody
+    surfaces: tuple[Surface, ...] = ()
+
+    def itop_joints(self) -> Floats:
+        """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
+
+        ITOP's neck lies midway between the shoulders and its torso midway between neck and hips (both hold on its
+        ground truth to a few millimetres); its head is the middle of the head.
+        """
+        joints = self.posed.joints
+        at = {name: joints[INDEX[name]] for name in INDEX}
+        head = self.posed.skin[self.person.skin_segment == SEGMENTS.index("head")].mean(axis=0, dtype=np.float64)
+        neck = (at["lshoulder"] + at["rshoulder"]) / 2
+        hips = (at["lpelvis"] + at["rpelvis"]) / 2
+        special = {"head": head, "neck": neck, "torso": (neck + hips) / 2}
+        ours = {"hip": "pelvis", "foot": "ankle"}
+        return np.stack([special.get(n, at.get(n[0] + ours.get(n[1:], n[1:]), head)) for n in ITOP_JOINTS])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A valid scene. Its frame is the vehicle's, or the room's world frame.
+
+    backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
+    sequence, sync_ns: the sequence that it belongs to, and the time since its start; 0 where it is a scene of its own ·
+    cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
+    proposals, rejections: how many poses were tried for it and why they failed · things: child seats and objects.
+    """
+
+    backdrop: Surface
+    people: tuple[ScenePerson, ...]
+    world_from_camera: Matrix
+    place: str
+    pov: str
+    cabin: Cabin | None = None
+    settings: Mapping[str, SeatSetting] = field(default_factory=dict)
+    wheel_angle: float = 0.0
+    proposals: int = 0
+    rejections: Mapping[Rejection, int] = field(default_factory=dict)
+    things: tuple[PlacedThing, ...] = ()
+    sequence: int = 0
+    sync_ns: int = 0
+
+    @property
+    def closed(self) -> bool:
+        """Whether every part is closed, as people and the presets' parts are; a user's own mesh may be open."""
+        return self.cabin is not None and all(part.solid for part in self.cabin.parts)
+
+    def surface(self) -> Surface:
+        """Everything that can be seen, in the scene's frame."""
+        things = [thing.surface(self._instance(thing)) for thing in self.things]
+        return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces), *things])
+
+    @staticmethod
+    def _instance(thing: PlacedThing) -> int:
+        """Of whoever holds a thing or has it on the lap; 0 for what is on a seat."""
+        return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
+
+
+class ImpossibleSceneError(SceneError):
+    """No valid scene was found for a frame.
+
+    proposals, rejections: poses tried, and why they failed · tried: the scenes, in words · own_car: the YAML of a user's own
+    car that was among them.
+    """
+
+    def __init__(
+        self, index: int, proposals: int, rejections: Counter[Rejection], tried: Sequence[str], own_car: str = ""
+    ) -> None:
+        scenes = Counter(tried).most_common()
+        among = "; ".join(scene for scene, _ in scenes[:3]) + (f" and {len(scenes) - 3} more" if len(scenes) > 3 else "")
+        super().__init__(
+            f"frame {index}: none of {proposals} poses made a valid scene: {most_common(rejections, 4)}. Tried: {among}",
+            hint=f"people sink into what they sit on: `cabinpose car check {own_car}` says which give_mm it needs"
+            if own_car and sits_too_deep(rejections)
+            else f"`cabinpose car check {own_car}` says seat by seat what is in the way"
+            if own_car
+            else "narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
+        )
+        self.proposals = proposals
+        self.rejections = rejections
+
+    def __reduce__(self) -> tuple[Any, ...]:  # across process borders, where the other arguments are not needed
+        return SceneError, (str(self),), {"hint": self.hint}

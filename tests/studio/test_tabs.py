@@ -1,0 +1,320 @@
+"""The tabs Dataset, Label and Compare, built and used without a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import zipfile
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi import FastAPI
+from nicegui import ui
+from nicegui.elements.upload_files import SmallFileUpload
+from nicegui.testing import User, user_simulation
+from nicegui.testing.user_download import UserDownload
+from starlette.testclient import TestClient
+
+from cabinpose.app.studio.exchange import MOST_BYTES
+from cabinpose.app.studio.live_session import LiveRoom
+from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
+from cabinpose.app.studio.page import studio_page
+from cabinpose.app.studio.pictures import image_routes
+from cabinpose.app.studio.workspace import Workspace, open_workspace
+from cabinpose.core.errors import DatasetError
+from cabinpose.core.pose import Visibility
+from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store.predictions import Predictions, empty_batch
+from cabinpose.store.schema import DEPTH_SCALE_M, MANIFEST_NAME, manifest_yaml, with_checksum_line
+
+SHIFT_CM = (3.0, 9.0, 1.0, 27.0, 6.0, 12.0)  # by which all joints of a frame are off
+
+
+@pytest.fixture
+def workspace(dataset_folder: Path) -> Iterator[Workspace]:
+    """A dataset with the predictions of an oracle that is off by `SHIFT_CM`."""
+    opened = open_workspace(dataset_folder)
+    opened.predictions["oracle"] = off_by(opened, SHIFT_CM)
+    yield opened
+    opened.close()
+
+
+def off_by(workspace: Workspace, shift_cm: Any) -> Predictions:
+    """The dataset's joints, moved to the right, each frame by its own distance; nobody is found where that is infinite."""
+    dataset = workspace.dataset
+    assert dataset is not None
+    batch = empty_batch(dataset.sizes["frame"], dataset.sizes["person"], dataset.sizes["joint"])
+    there = (dataset["visibility"].values > Visibility.OUTSIDE_IMAGE) & np.isfinite(shift_cm)[:, None, None]
+    batch.joints_2d[there] = dataset["joints_2d"].values[there]
+    batch.joints_3d[there], batch.presence[there] = dataset["joints_3d"].values[there], 1.0
+    batch.joints_3d[..., 0] += np.where(np.isfinite(shift_cm), shift_cm, 0)[:, None, None] / 100
+    persons, joints = (tuple(str(n) for n in dataset[d].values) for d in ("person", "joint"))
+    return Predictions(
+        batch.joints_2d, batch.joints_3d, batch.score, batch.presence, dataset["frame"].values, persons, joints, "oracle"
+    )
+
+
+def used(workspace: Workspace, steps: Callable[[User], Awaitable[None]]) -> None:
+    """Open the page and take the steps of a user."""
+
+    async def simulate() -> None:
+        async with user_simulation(lambda: studio_page(workspace, LiveRoom(), lambda: pytest.fail("no scene"))) as user:
+            await user.open("/")
+            await steps(user)
+
+    asyncio.run(simulate())
+
+
+def marked(user: User, mark: str) -> Any:
+    """The only element with a mark."""
+    (found,) = user.find(marker=mark).elements
+    return found
+
+
+def test_error_of_a_frame_is_how_far_its_joints_are_off(workspace: Workspace) -> None:
+    assert workspace.dataset is not None
+    errors = frame_errors(workspace, workspace.dataset, "oracle")
+    np.testing.assert_allclose(errors.d, SHIFT_CM, rtol=1e-4)
+    assert errors.unit == "cm"
+    assert worst_first(errors.d).tolist() == [3, 5, 1, 4, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("over", "worst", "by_error", "rows"),
+    [
+        (None, None, True, [3, 5, 1, 4, 0, 2]),
+        (None, None, False, [0, 1, 2, 3, 4, 5]),
+        (6.5, None, True, [3, 5, 1]),
+        (6.5, None, False, [1, 3, 5]),
+        (None, 2, True, [3, 5]),
+        (6.5, 2, False, [3, 5]),
+        (99.0, None, True, []),
+    ],
+)
+def test_frames_are_chosen_by_error(over: float | None, worst: int | None, by_error: bool, rows: list[int]) -> None:
+    errors = FrameErrors(np.array(SHIFT_CM), "cm")
+    assert errors.choose(np.arange(6), over, worst, by_error=by_error).tolist() == rows
+
+
+def test_error_of_one_person_is_theirs(workspace: Workspace) -> None:
+    """The order "worst first" of a person who is labelled: another one's errors do not count."""
+    assert workspace.dataset is not None
+    both = workspace.dataset.copy(deep=True)
+    for name in ("joints_2d", "joints_3d", "visibility"):
+        both[name].values[:, 1] = both[name].values[:, 0]  # somebody in the driver's place, in the next slot
+    predictions = workspace.predictions["oracle"]
+    for values in (predictions.joints_3d, predictions.joints_2d, predictions.presence, predictions.score):
+        values[:, 1] = values[:, 0]
+    predictions.joints_3d[:, 1, :, 0] += 0.3
+    driver, other = (str(name) for name in both["person"].values[:2])
+    np.testing.assert_allclose(frame_errors(workspace, both, "oracle", driver).d, SHIFT_CM, rtol=1e-4)
+    np.testing.assert_allclose(frame_errors(workspace, both, "oracle", other).d, np.array(SHIFT_CM) + 30, rtol=1e-4)
+
+
+def test_frame_in_which_nobody_is_found_is_the_worst(workspace: Workspace) -> None:
+    assert workspace.dataset is not None
+    workspace.predictions["oracle"] = off_by(workspace, (3.0, 9.0, np.inf, 27.0, 6.0, 12.0))
+    errors = frame_errors(workspace, workspace.dataset, "oracle")
+    assert worst_first(errors.d).tolist()[:2] == [2, 3]
+    assert errors.words(2) == "nobody found"
+    nobody = workspace.dataset.copy()
+    nobody["visibility"] = nobody["visibility"] * (nobody["frame"] != 2)
+    errors = frame_errors(workspace, nobody, "oracle")
+    assert np.isnan(errors.d[2])  # where nobody is, nothing is wrong
+    assert worst_first(errors.d).tolist()[-1] == 2
+
+
+def test_dataset_tab_goes_from_the_worst_frame_to_its_labels(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        marked(user, "error of").set_value("oracle")
+        await user.should_see("27.0 cm")
+        await user.should_see("frame 3")
+        user.find(kind=ui.number, content="over, cm").elements.pop().set_value(6.5)
+        await user.should_see("3 of 6 frames")
+        user.find("Label this frame").click()  # the first that is seen, that of the tab Dataset
+        await user.should_see("frame 3, 4 of 6")
+
+    used(workspace, steps)
+
+
+def test_worst_frames_of_predictions_are_labelled_first(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        marked(user, "order").set_value("worst:oracle")
+        await user.should_see("frame 3, 1 of 6")
+
+    used(workspace, steps)
+
+
+def test_frame_without_the_person_is_opened_with_somebody_who_is_there(workspace: Workspace) -> None:
+    assert workspace.dataset is not None
+    seen = workspace.dataset["visibility"].values.copy()
+    seen[2, 0] = Visibility.ABSENT
+    seen[2, 3, 5] = Visibility.VISIBLE
+    workspace.dataset["visibility"] = workspace.dataset["visibility"].copy(data=seen)
+    there = str(workspace.dataset["person"].values[np.flatnonzero(seen[2].any(axis=1))[0]])
+
+    async def steps(user: User) -> None:
+        marked(user, "frames").set_value(2)
+        user.find("Label this frame").click()
+        await user.should_see("frame 2, 3 of 6")
+        assert marked(user, "person").value == there != "driver"
+        await asyncio.sleep(0.3)
+        await user.should_see("frame 2, 3 of 6")
+
+    used(workspace, steps)
+
+
+def test_two_predictions_of_one_model_are_two(workspace: Workspace) -> None:
+    workspace.predictions["oracle (2.jsonl)"] = off_by(workspace, [2 * shift for shift in SHIFT_CM])
+
+    async def steps(user: User) -> None:
+        user.find("Compare", kind=ui.tab).click()
+        await user.should_see("frame 3: 27.0, 54.0")
+
+    used(workspace, steps)
+
+
+def test_predictions_that_come_later_are_offered(workspace: Workspace) -> None:
+    late = workspace.predictions.pop("oracle")
+
+    async def steps(user: User) -> None:
+        await user.should_see("6 of 6 frames")
+        workspace.predictions["late"] = late
+        for _ in range(40):
+            if "late" in marked(user, "error of").options:
+                return
+            await asyncio.sleep(0.1)
+        pytest.fail("they were not offered")
+
+    used(workspace, steps)
+
+
+def test_frame_that_is_not_in_the_order_is_shown_all_the_same(workspace: Workspace) -> None:
+    """Of the frames still to be labelled, one that is done is asked for."""
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        user.find("Accept").click()
+        await user.should_see("1 of 6 frames done")
+        marked(user, "order").set_value("open")
+        await user.should_see("frame 1, 1 of 5")
+        user.find("Dataset", kind=ui.tab).click()
+        user.find("Label this frame").click()
+        await user.should_see("frame 0, 1 of 6, done")
+
+    used(workspace, steps)
+
+
+def test_coco_goes_out_and_comes_back_corrected(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Downloaded, one keypoint moved, uploaded: that joint is a label, and undo takes it back."""
+    given: list[Path] = []
+    monkeypatch.setattr(UserDownload, "file", lambda _, path, name: given.append(path) if name == "dataset-coco.zip" else None)
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("0 of 6 frames done")
+        user.find("Download frames and labels").click()
+        while not given:
+            await asyncio.sleep(0.1)
+        with zipfile.ZipFile(given[0]) as archive:
+            assert sum(name.endswith(".png") for name in archive.namelist()) == 6
+            coco = json.loads(archive.read("annotations/person_keypoints.json"))
+        person = coco["annotations"][0]
+        person["keypoints"][3] += 11
+        upload = marked(user, "corrected")
+        await upload.handle_uploads([SmallFileUpload("c.json", "application/json", json.dumps(coco).encode())])
+        await user.should_see("1 joints corrected in 1 frames")
+        assert list(workspace.labels.now) == [(person["image_id"], person["slot"], "neck")]
+        assert workspace.labels.history[-1].how == "imported"
+        await upload.handle_uploads([SmallFileUpload("c.json", "application/json", b"{}")])
+        await user.should_see("c.json has no category with keypoints")
+        assert len(workspace.labels.history) == 1
+        await upload.handle_uploads([SmallFileUpload("c.json", "application/json", b" " * (MOST_BYTES + 1))])
+        await user.should_see("of at most 64 MB")
+        user.find("Undo").click()
+        await user.should_see("2 changes")
+        assert workspace.labels.now == {}
+
+    used(workspace, steps)
+
+
+def test_frames_that_come_are_offered(dataset_folder: Path) -> None:
+    """The second of three parts comes last, as on a cluster: frames keep their numbers, and images their frames."""
+    part = dataset_folder / "part-00001.zarr"
+    part.rename(dataset_folder.parent / "later")
+    with pytest.warns(UserWarning, match="lacks 1 of 3 parts"):
+        workspace = open_workspace(dataset_folder)
+    server = FastAPI()
+    server.include_router(image_routes(workspace.of_key))
+
+    def seen(url: str) -> Any:
+        return np.frombuffer(TestClient(server).get(url).content, "<u2")
+
+    before = workspace.url(4, "depth")
+    seen_before = seen(before)
+    assert workspace.new_frames() == 0
+
+    async def steps(user: User) -> None:
+        await user.should_see("4 of 4 frames")
+        await user.should_not_see("Show them")
+        (dataset_folder.parent / "later").rename(part)
+        await user.should_see("2 frames have come since this was opened", retries=40)
+        user.find("Show them").click()
+        await user.should_see("6 of 6 frames", retries=40)
+        await user.should_not_see("Show them")
+
+    used(workspace, steps)
+    assert workspace.url(4, "depth") == before  # what the browser has kept goes on being right: a frame keeps its number
+    assert workspace.dataset is not None
+    assert workspace.dataset["frame"].values.tolist() == [0, 1, 2, 3, 4, 5]
+    whole = open_dataset(dataset_folder)
+    for image in (seen_before, seen(before)):
+        np.testing.assert_array_equal(image, np.rint(np.nan_to_num(whole["depth"].sel(frame=4).values) / DEPTH_SCALE_M).ravel())
+    workspace.close()
+
+
+def test_dataset_that_vanishes_is_told_and_comes_back(workspace: Workspace, dataset_folder: Path) -> None:
+    """All tabs go on; a page that is opened meanwhile says what to do."""
+    aside = dataset_folder.parent / "aside"
+
+    async def steps(user: User) -> None:
+        await user.should_see("6 of 6 frames")
+        dataset_folder.rename(aside)
+        await user.should_see("dataset has vanished", retries=40)
+        await user.should_see("bring it back to where it was")
+        user.find("Label", kind=ui.tab).click()
+        user.find("Accept").click()  # to the next frame, which cannot be shown
+        await user.should_see("this frame cannot be read: ")
+        user.find("Compare", kind=ui.tab).click()
+        user.notify.messages.clear()
+        user.find("frame 0: 3.0").click()
+        await user.should_see("this frame cannot be read")
+        await user.open("/")
+        await user.should_see("What was opened cannot be read")
+        await user.should_see("dataset has vanished")
+        aside.rename(dataset_folder)
+        user.notify.messages.clear()
+        await user.open("/")
+        await user.should_see("6 of 6 frames")
+        await user.should_not_see("has vanished")
+
+    used(workspace, steps)
+
+
+def test_part_that_goes_and_another_dataset_in_its_place_are_told(workspace: Workspace, dataset_folder: Path) -> None:
+    assert workspace.trouble() is None
+    (dataset_folder / "part-00002.zarr").rename(dataset_folder.parent / "aside")
+    with pytest.raises(DatasetError, match=r"has lost part-00002\.zarr"):
+        workspace.new_frames()
+    (dataset_folder.parent / "aside").rename(dataset_folder / "part-00002.zarr")
+    assert workspace.new_frames() == 0
+    manifest = read_manifest(dataset_folder).model_copy(update={"seed": 77})
+    (dataset_folder / MANIFEST_NAME).write_text(with_checksum_line(manifest_yaml(manifest)))
+    with pytest.raises(DatasetError, match="is another dataset now"):
+        workspace.new_frames()

@@ -1,0 +1,194 @@
+"""Sequences: timing by closed forms, speeds by differences, bodies free at thrice the rate, the same bytes however made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from synth_scenes import fingerprint, small_config
+
+from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.skeleton import INDEX
+from cabinpose.scene.body import DOFS
+from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.store import open_dataset
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import generate
+from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
+from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
+from cabinpose.synth.motion.track import WIDTH, Way, duration
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.validate import Rejection, Validator, Verdict
+
+RATE, FRAMES = 10.0, 36
+TWO = {"driver": 1.0, "front_passenger": 1.0}
+
+
+def _sampler(**sequence: object) -> SceneSampler:
+    scene = {"occupancy": TWO, "sequence": {"frames": FRAMES, "rate_hz": RATE, **sequence}}
+    return SceneSampler(small_config(**scene), 1)
+
+
+@pytest.fixture(scope="module")
+def film():
+    """A planned sequence of a driver who steers and a passenger who drinks."""
+    return _sampler(activities=["steer", "drink"])._film(0)
+
+
+def test_a_movement_is_the_polynomial_of_least_jerk() -> None:
+    """Its boundary conditions, its known peak, and less jerk than other polynomials with the same ends."""
+    t = np.linspace(0.0, 1.0, 20001)
+    s = progress(t)
+    speed = np.gradient(s, t)
+    assert s[[0, -1]].tolist() == [0.0, 1.0]
+    assert speed.max() == pytest.approx(PEAK, abs=1e-6)
+    assert progress_rate(t) == pytest.approx(speed, abs=2e-4)
+    assert np.abs(np.gradient(speed, t)[[1, -2]]).max() < 0.01
+
+    def jerk(polynomial: np.polynomial.Polynomial) -> float:
+        square = polynomial.deriv(3) ** 2
+        return float(square.integ()(1.0) - square.integ()(0.0))
+
+    ours = np.polynomial.Polynomial((0, 0, 0, 10, -15, 6))
+    assert ours(t) == pytest.approx(s, abs=1e-12)
+    for change in (0.1, -0.1, 1.0):  # t^3 (1 - t)^3 leaves the ends as they are
+        assert jerk(ours) < jerk(ours + change * np.polynomial.Polynomial((0, 1)) ** 3 * np.polynomial.Polynomial((1, -1)) ** 3)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 9])
+def test_a_way_is_the_natural_spline(count: int) -> None:
+    states = np.random.default_rng(count).standard_normal((count, WIDTH))
+    shares = np.linspace(0.0, 1.0, 41)
+    way, spline = Way.through(states), CubicSpline(np.linspace(0.0, 1.0, count), states, bc_type="natural")
+    assert way.at(shares) == pytest.approx(spline(shares), abs=1e-12)
+    assert way.slopes(shares) == pytest.approx(spline(shares, 1), abs=1e-9)
+
+
+def test_a_straight_way_takes_the_time_of_its_slowest_joint() -> None:
+    states = np.zeros((2, WIDTH))
+    elbow = next(i for i, dof in enumerate(DOFS) if dof.name == "lelbow.flexion")
+    states[1, elbow] = 2.0
+    seconds = duration(Way.through(states), 1.0)
+    assert PEAK * 2.0 / seconds == pytest.approx(0.15 * FASTEST[elbow], rel=1e-3)
+    assert duration(Way.through(states), 0.5) == pytest.approx(2.0 * seconds)
+
+
+def test_no_joint_is_faster_than_people_are(film) -> None:
+    """Elbows and knees by the angle between their bones, heads by their turn, from poses at thrice the rate alone."""
+    step = 1.0 / (CHECKS_PER_FRAME * RATE)
+    people = [film.people(t) for t in np.arange(0.0, (FRAMES - 1) / RATE, step)]
+    moved = 0.0
+    for i in range(len(people[0])):
+        joints = np.stack([p[i].posed.joints for p in people])
+        for name, near, far, limit in (("elbow", "shoulder", "wrist", 1510.0), ("knee", "pelvis", "ankle", 440.0)):
+            for side in "lr":
+                one, two = (joints[:, INDEX[side + e]] - joints[:, INDEX[side + name]] for e in (near, far))
+                cosine = (one * two).sum(1) / np.linalg.norm(one, axis=1) / np.linalg.norm(two, axis=1)
+                speed = np.degrees(np.abs(np.diff(np.arccos(cosine)))) / step
+                assert speed.max() < limit
+                moved = max(moved, speed.max())
+        q = np.stack([p[i].posed.q for p in people])
+        assert (np.abs(np.diff(q, axis=0)) / step < FASTEST).all()
+        assert ((q >= LOWER) & (q <= UPPER)).all()
+    assert moved > 20.0  # somebody moves at all
+
+
+def test_nobody_touches_anything_between_the_frames(film) -> None:
+    """All bodies at once by the exact test, at thrice the rate; the same test refuses a body that is moved into the seat."""
+    cast = film.cast
+    for tick in range(CHECKS_PER_FRAME * (FRAMES - 1) + 1):
+        t = tick / (CHECKS_PER_FRAME * RATE)
+        bodies = [(p.slot, p.person, p.posed) for p in film.people(t)]
+        verdict = cast.validator.check(bodies, cast.settings, film.wheel_angle(t))
+        assert verdict.ok, (t, verdict)
+    slot, person, posed = bodies[0]
+    lower = posed.vehicle_from_root.copy()
+    lower[2, 3] -= 0.15
+    assert not cast.validator.check([(slot, person, person.pose(posed.q, lower))], cast.settings, 0.0).ok
+
+
+def test_hands_stay_on_the_wheel_that_turns(film) -> None:
+    wheel, person, driver = film.cast.cabin.steering_wheel, film.cast.people["driver"], film.tracks["driver"]
+    turned = 0.0
+    for steered in (s for s in driver.segments if s.activity == "steer"):
+        times = np.linspace(steered.start_s, steered.start_s + steered.lasts_s, 40)
+        angles = np.array([film.wheel_angle(t) for t in times])
+        for side in "lr":
+            palms = np.stack([person.pose(p.q, p.root).palms[side][:3, 3] for p in map(driver.at, times)])
+            local = (palms - wheel.vehicle_from_wheel[:3, 3]) @ wheel.vehicle_from_wheel[:3, :3]
+            along = np.unwrap(np.arctan2(local[:, 1], local[:, 0]) - angles) * wheel.rim_radius_m
+            if abs(along[-1] - along[0]) > 0.02:
+                continue  # a new grip
+            assert np.hypot(np.hypot(local[:, 0], local[:, 1]) - wheel.rim_radius_m, local[:, 2]).max() < 0.018
+            assert np.ptp(along) < 0.002
+            turned = max(turned, np.ptp(angles))
+    assert turned > np.radians(3.0)
+
+
+def test_frames_of_a_sequence_belong_together(tmp_path: Path) -> None:
+    """People, car, camera and belts are kept; times go by the rate; the same bytes by one thread and two, parts cut anywhere."""
+    config = small_config(belted=0.5, sequence={"frames": 4, "rate_hz": 20.0})  # three frames a part
+    for name, workers in (("one", 1), ("two", 2)):
+        generate(config, 9, tmp_path / name, seed=3, workers=workers)
+    assert fingerprint(tmp_path / "one") == fingerprint(tmp_path / "two")
+    dataset = open_dataset(tmp_path / "one").load()
+    assert dataset["sequence"].values.tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert dataset["sync_ns"].values.tolist() == [0, 50_000_000, 100_000_000, 150_000_000] * 2 + [0]
+    for n in (0, 1):
+        part = dataset.isel(frame=slice(4 * n, 4 * n + 4))
+        for name in ("subject", "car", "pov", "vehicle_from_camera"):
+            assert (part[name].values == part[name].values[:1]).all(), name
+        steps = np.linalg.norm(np.diff(part["joints_3d"].values[:, 0], axis=0), axis=-1)
+        assert 0.0 < steps.max() < 0.2
+    belt = (dataset["labels"] == next(r["id"] for r in config_labels(dataset) if r["name"] == "seat_belt")).any(("y", "x"))
+    assert np.ptp(belt.values[:4].astype(int)) == 0
+    assert np.ptp(belt.values[4:8].astype(int)) == 0
+
+
+def config_labels(dataset) -> list[dict[str, object]]:
+    """The classes of a dataset's pixels."""
+    attrs = dataset["labels"].attrs
+    return [{"id": i, "name": n} for i, n in zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True)]
+
+
+def test_a_configuration_without_sequences_says_nothing_of_them() -> None:
+    """So that `dataset.yaml` has the bytes that it had."""
+    assert "sequence" not in small_config().model_dump(mode="json")["scene"]
+    told = small_config(sequence={"frames": 4}).model_dump(mode="json")
+    assert SynthConfig.parse(told).scene.sequence.frames == 4
+
+
+def test_no_way_ends_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = Verdict(Rejection("car", "driver", "lhand", "roof"))
+    monkeypatch.setattr(Surroundings, "verdict", lambda *_: refused)
+    with pytest.raises(SceneError, match="sequence 0: no way without collision was found for everybody: driver: lhand in roof"):
+        _sampler()._film(0)
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        ({"sequence": {"activities": ["dance"]}}, "activity 'dance'"),
+        ({"sequence": {"frames": 4}, "profile": {"kind": "gaussian"}}, "people in motion have no profile"),
+        ({"sequence": {"frames": 4}, "factorial": {"poses": 2}}, "people in motion have no scene.factorial"),
+        ({"sequence": {"frames": 1}}, "frames"),
+    ],
+)
+def test_what_has_no_meaning_is_refused(scene: dict[str, object], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        SynthConfig.parse({"scene": scene})
+
+
+def test_with_body_counts(film) -> None:
+    """A person who sits nearly where another one does is refused by the bodies that were put in unjudged."""
+    cast = film.cast
+    (one, two) = film.people(0.0)
+    judge: Validator = cast.validator
+    aside = one.posed.vehicle_from_root.copy()
+    aside[:3, 3] += 0.05
+    beside = one.person.pose(one.posed.q, aside)
+    seated = judge.with_body(judge.empty(cast.settings, film.wheel_angle(0.0)), (two.slot, one.person, beside))
+    verdict, _ = judge.admit(seated, (one.slot, one.person, one.posed))
+    assert verdict.cause == "person"

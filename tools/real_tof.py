@@ -1,0 +1,308 @@
+"""Statistics of real ToF frames beside simulated ones, for docs/real-cameras.md: `real_tof.py DATA [--pictures FOLDER]`.
+
+DATA holds tof/raw_cw_60mhz.npz, tof/kinect_v2_panoptic.npz and tof/azure_kinect.mkv. The simulated camera looks at what the real
+frame shows: its depth with the holes filled from the nearest valid pixel, and the light that it measured, where it did. A picture
+has the real depth, the simulated, and the simulated with the rule for edges.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.optimize import nnls
+
+from cabinpose.app.view.draw import depth_image
+from cabinpose.core.camera import Camera
+from cabinpose.core.recorded import ToFFrame
+from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, Sensor, simulate
+from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT
+from cabinpose.store.convert.azure_mkv import read_azure_mkv
+from cabinpose.store.frames import write_png
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+PARTS = 3  # of a pixel's side; edges of the filled depth lie a third of a pixel beside its border, so that pixels mix
+STEP = 0.08  # share of the depth that makes a silhouette
+WALL = ID["painted_wall"]
+Row = tuple[str, float, float]  # what, theirs, ours
+
+
+# ------------------------------------------------------------------------------------------------------------ statistics
+
+
+def filled(depth: F64) -> F64:
+    """Invalid pixels (NaN) with the depth of the nearest valid one."""
+    at = ndimage.distance_transform_edt(np.isnan(depth), return_distances=False, return_indices=True)
+    return np.asarray(depth[tuple(at)])
+
+
+def silhouettes(depth: F64) -> Mask:
+    """Pixels on both sides of a step of depth."""
+    edge = np.zeros(depth.shape, bool)
+    across = np.abs(np.diff(depth, axis=1)) > STEP * np.minimum(depth[:, 1:], depth[:, :-1])
+    along = np.abs(np.diff(depth, axis=0)) > STEP * np.minimum(depth[1:], depth[:-1])
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= along
+    edge[:-1] |= along
+    return edge
+
+
+def edge_rows(name: str, real: F64, ours: F64, region: Mask, *, by_distance: bool = True) -> Iterator[Row]:
+    """Invalid pixels by distance to the silhouettes of the real frame, width of the ring that they make, and mixed pixels."""
+    whole = filled(real)
+    edge = silhouettes(whole)
+    off = ndimage.distance_transform_edt(~edge)
+    near, far = ndimage.minimum_filter(whole, 7), ndimage.maximum_filter(whole, 7)
+    gap = far - near
+
+    def ring(depth: F64) -> tuple[list[float], float, float]:
+        lost = np.isnan(depth)
+        shares = [float(lost[region & (off >= d) & (off < d + 1)].mean()) for d in range(4)]
+        base = float(lost[region & (off >= 5) & (off < 9)].mean())
+        close = region & (off < 4)
+        width = float((lost[close] - base).sum()) / (edge & region).sum() * 2  # two pixels of `edge` to a step
+        between = (depth > near + 0.2 * gap) & (depth < far - 0.2 * gap) & (gap > 2 * STEP * near) & close & (off < 2)
+        return shares, width, float(between.sum()) / (edge & region).sum() * 2
+
+    theirs, mine = ring(real), ring(ours)
+    if by_distance:
+        yield from ((f"{name}: invalid {d} px from a silhouette", theirs[0][d], mine[0][d]) for d in range(4))
+    yield f"{name}: width of the invalid ring, px", theirs[1], mine[1]
+    yield f"{name}: mixed pixels to a px of silhouette", theirs[2], mine[2]
+
+
+def noise_of(error: F64, where: Mask, step_m: float = 0.0) -> float:
+    """Sigma (m) of what differs from one pixel to the next along a row, without outliers and what rounding adds."""
+    second = error[:, :-2] - 2 * error[:, 1:-1] + error[:, 2:]
+    values = second[where[:, 1:-1] & np.isfinite(second)]
+    if len(values) < 100:
+        return float("nan")
+    for _ in range(5):
+        values = values[np.abs(values - values.mean()) < 3.5 * values.std() + 1e-9]
+    return float(np.sqrt(max(values.var() / 6 - step_m**2 / 12, 0.0)))
+
+
+# ------------------------------------------------------------------------------------------------------------- simulation
+
+
+def same_scene(real: F64, camera: Camera, light: F64 | None) -> GeometryBuffers:
+    """What the frame shows, as geometry: `light` (H, W) is what comes back, relative to white paint at 1 m, if it is known."""
+    whole = ndimage.median_filter(filled(real), 5)
+    if light is None:
+        points = camera.points(ndimage.gaussian_filter(whole, 1.5))
+        normals = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
+        rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
+        cosine = np.abs(np.sum(normals * rays, axis=-1)) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-12)
+        cosine = 0.6 * np.clip(cosine, 0.3, 1.0)  # clothes, walls and floors: 0.45
+    else:
+        cosine = np.nan_to_num(light * (whole * camera.range_over_depth) ** 2)
+    parts = [np.kron(a, np.ones((PARTS, PARTS))) for a in (whole, cosine)]
+    depth, cosine = (np.pad(a, ((1, 0), (1, 0)), mode="edge")[:-1, :-1].astype(np.float32) for a in parts)
+    return GeometryBuffers.dense(PARTS, depth, cosine, np.full(depth.shape, WALL, np.uint8))
+
+
+def seen(scene: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise) -> F64:
+    """Depth (m, NaN invalid) as the simulated camera delivers it."""
+    return simulate(scene, sensor, noise, rng=np.random.Generator(np.random.Philox(key=(1, 0)))).depth_m.astype(np.float64)
+
+
+def fitted_signal(scene: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, where: Mask, sigma_m: float) -> Sensor:
+    """The sensor with the power that gives a sigma (m) where it is said."""
+    free = noise.model_copy(update={"low_amplitude": False, "range_window": False, "full_well": False})
+    low, high = 1e4, 1e11
+    for _ in range(24):
+        middle = float(np.sqrt(low * high))
+        measured = noise_of(seen(scene, sensor.model_copy(update={"signal_e_per_s": middle}), free) - scene.depth_m, where)
+        low, high = (low, middle) if measured < sigma_m else (middle, high)  # in too little light nothing is measured
+    return sensor.model_copy(update={"signal_e_per_s": high})
+
+
+def fitted_floor(scene: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, where: Mask, share: float) -> Sensor:
+    """The sensor with the least amplitude that leaves a share of some pixels invalid."""
+    low, high = 1.0, 1e7
+    for _ in range(24):
+        middle = float(np.sqrt(low * high))
+        lost = np.isnan(seen(scene, sensor.model_copy(update={"min_amplitude_e": middle}), noise)[where]).mean()
+        low, high = (low, middle) if lost > share else (middle, high)
+    return sensor.model_copy(update={"min_amplitude_e": low})
+
+
+# ----------------------------------------------------------------------------------------------------------- three cameras
+
+
+def raw_continuous_wave(data: Path) -> Iterator[Row]:
+    """Four phases at 60 MHz: tap order, amplitude, wiggling, and what averaging leaves."""
+    with np.load(data / "tof" / "raw_cw_60mhz.npz") as file:
+        c0, c1, c2, c3 = (file[f"phase{d}_avg"].astype(np.float64) for d in (0, 90, 180, 270))
+        distance, amplitude = file["dist_avg"].astype(np.float64) / 1e3, file["amp_avg"].astype(np.float64)
+    period = SPEED_OF_LIGHT / (2 * 60e6)
+    turns = np.arctan2(c1 - c3, c0 - c2) / (2 * np.pi) % 1.0
+    bright = amplitude > np.median(amplitude)
+    error = (turns * period - distance) % period
+    error = (error - np.median(error[bright]) + period / 2) % period - period / 2
+    other = (np.arctan2(c3 - c1, c0 - c2) / (2 * np.pi) % 1.0 * period - distance) % period
+    other = (other - np.median(other[bright]) + period / 2) % period - period / 2
+    print(f"raw: decoded by C90 - C270 rms {1e3 * error[bright].std():.1f} mm, by C270 - C90 {1e3 * other[bright].std():.1f} mm")
+    yield "raw: half the root of the squares / amplitude", float(np.median(np.hypot(c1 - c3, c0 - c2) / 2 / amplitude)), 0.5
+
+    bins = np.floor(turns * 64).astype(int)
+    curve = np.array(
+        [np.median(error[bright & (bins == k)]) if (bright & (bins == k)).sum() > 300 else np.nan for k in range(64)]
+    )
+    sensor = Sensor(
+        name="raw", camera=Camera.from_fov(64, 64, 0.6), range_m=(0.01, 9.0), integration_s=1e-3, fps=10, frequencies_hz=(60e6,)
+    )
+    ranges = np.broadcast_to((np.arange(64) + 0.5) / 64 * period, (64, 64))
+    flat = (ranges / sensor.camera.range_over_depth).astype(np.float32)
+    scene = GeometryBuffers.dense(1, flat, np.ones_like(flat), np.full(flat.shape, WALL, np.uint8))
+    triangle = PhysicalNoise(
+        wiggling=1.0, shot_noise=False, read_noise=False, low_amplitude=False, range_window=False, blur=0.0, stray_light=0.0,
+        ambient=0.0, full_well=False,
+    )  # fmt: skip
+    wiggle = (seen(scene, sensor, triangle) * sensor.camera.range_over_depth - ranges)[0]
+    known = np.isfinite(curve)
+    shift, best = 0, -1.0
+    for k in range(16):  # a quarter of a turn: the four samples may start anywhere
+        found = float(np.corrcoef(np.roll(wiggle, k)[known], curve[known])[0, 1])
+        shift, best = (k, found) if found > best else (shift, best)
+    share = float(np.polyfit(np.roll(wiggle, shift)[known], curve[known], 1)[0])
+    print(f"raw: wiggling is {share:.2f} of a triangle's, correlation {best:.2f} over {known.sum()} of 64 bins of phase")
+    yield "raw: wiggling before calibration, peak to peak, mm", float(1e3 * np.ptp(curve[known])), float(1e3 * np.ptp(wiggle))
+    third = PhysicalNoise().model_copy(update={**triangle.model_dump(), "wiggling": share})
+    mine = (seen(scene, sensor, third) * sensor.camera.range_over_depth - ranges)[0]
+    yield f"raw: the same with wiggling {share:.2f}", float(1e3 * np.ptp(curve[known])), float(1e3 * np.ptp(mine))
+    smooth = np.isfinite(distance) & ~ndimage.binary_dilation(silhouettes(distance), iterations=3)
+    pattern = PhysicalNoise().model_copy(update={**triangle.model_dump(), "wiggling": 0.0, "fixed_pattern_mm": 1.6})
+    level = noise_of(seen(scene, sensor, pattern) * sensor.camera.range_over_depth - ranges, np.ones(ranges.shape, bool))
+    yield "raw: pixel to pixel, of the averaged frame, mm", 1e3 * noise_of(distance, smooth & bright), 1e3 * level
+
+
+LEVELS = (60, 80, 120, 180, 280, 400)  # amplitudes of the Azure Kinect; above, sigma is below half of its step of 1 mm
+FLOOR, SPREAD = 48.0, 0.37  # of them, below which it gives no depth; and of the logarithm of that
+KINECT_LIGHT = 8.0  # exponent of its light's cosine, by the growth of sigma off the axis
+
+
+def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
+    """Three people in a room."""
+    with np.load(data / "tof" / "kinect_v2_panoptic.npz") as file:
+        real = np.where(file["depth_m"] > 0, file["depth_m"], np.nan).astype(np.float64)
+        k = file["camera_k"]
+    camera = Camera(512, 424, *(float(k[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    v, u = np.mgrid[:424, :512]
+    radius = np.hypot(u - camera.cx, v - camera.cy)
+    sensor = Sensor(
+        name="kinect_v2", camera=camera, range_m=(0.5, 8.0), integration_s=1e-3, fps=30, frequencies_hz=(80e6, 16e6),
+        illumination_exponent=KINECT_LIGHT,
+    )  # fmt: skip
+    scene = same_scene(real, camera, None)
+    rim = (radius >= 212) & (radius < 260)
+    middle = radius < 150
+    flat = ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
+    noise = PhysicalNoise(low_amplitude_spread=SPREAD)
+    sigma = noise_of(real, middle & flat, 1e-3)
+    sensor = fitted_signal(scene, sensor, noise, middle & flat, sigma)
+    sensor = fitted_floor(scene, sensor, noise, rim, float(np.isnan(real[rim]).mean()))
+    figures = f"{sensor.signal_e:.3g} electrons, at least {sensor.min_amplitude_e:.3g}"
+    print(f"kinect v2: sigma {1e3 * sigma:.2f} mm in the middle; {figures}")
+    ours = seen(scene, sensor, noise)
+    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_threshold_m": 0.15}))
+    region = radius < 145
+    rows = list(edge_rows("Kinect v2", real, ours, region, by_distance=False))
+    rows += edge_rows("Kinect v2, edges out", real, removed, region)
+    for low, high in ((0, 150), (150, 212), (212, 260), (260, 330)):
+        ring = (radius >= low) & (radius < high)
+        rows.append(
+            (
+                f"Kinect v2: invalid from {low} to {high} px off the axis",
+                *(float(np.isnan(d[ring]).mean()) for d in (real, removed)),
+            )
+        )
+    for low, high in ((0, 100), (100, 170), (170, 212)):
+        ring = (radius >= low) & (radius < high) & flat
+        of = noise_of(real, ring, 1e-3), noise_of(ours - scene.depth_m, ring)
+        rows.append((f"Kinect v2: σ from {low} to {high} px off the axis, mm", *(1e3 * s for s in of)))
+    return rows, [real, ours, removed]
+
+
+def azure_kinect(data: Path) -> tuple[list[Row], list[F64]]:
+    """A mug before a room; the light that the camera measured."""
+    path = data / "tof" / "azure_kinect.mkv"
+    frame = next(message for _, _, message in read_azure_mkv(path) if isinstance(message, ToFFrame))
+    real, light = frame.depth_m().astype(np.float64), frame.amplitude.astype(np.float64)
+    k, dist = frame.camera_k, frame.camera_dist
+    focal = (float(k[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    camera = Camera(640, 576, *focal, tuple(float(x) for x in dist))  # type: ignore[arg-type]
+    field = ndimage.binary_erosion(ndimage.binary_fill_holes(ndimage.binary_opening(light > 20, iterations=2)), iterations=6)
+    sensor = Sensor(
+        name="azure", camera=camera, range_m=(0.1, 6.0), integration_s=1e-3, fps=30, frequencies_hz=(200e6, 160e6),
+        vignetting_exponent=0.0,
+    )  # fmt: skip
+    saturated = light > 60000
+    scene = same_scene(real, camera, light / 1000 / MATERIALS[WALL].reflectance)
+    flat = field & ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4) & ~saturated
+    noise = PhysicalNoise(stray_light=0.0, low_amplitude_spread=SPREAD)
+    levels = [(low, flat & (light >= low) & (light < high)) for low, high in pairwise(LEVELS)]
+    # Of the law of `scene.sensor.noise_fit`, 2 x^2 rho^2 = (g / K) x + g^2 s^2: the unit of the amplitude and the read noise.
+    x = np.array([np.median(light[some]) for _, some in levels])
+    rho = np.array([noise_of(real, some, 1e-3) for _, some in levels])
+    rho *= 4 * np.pi * float(np.linalg.norm(sensor.frequencies_hz)) / SPEED_OF_LIGHT
+    y = 2 * (x * rho) ** 2
+    slope, rest = nnls(np.stack((x, np.ones_like(x)), axis=1) / y[:, None], np.ones_like(y))[0]
+    unit = slope * sensor.contrast
+    figures = {"signal_e_per_s": 1e6 / (unit * sensor.contrast), "read_noise_e": float(np.sqrt(rest)) / unit}
+    sensor = sensor.model_copy(update={**figures, "min_amplitude_e": FLOOR / unit, "full_well_e": 60000 / unit})
+    print(f"azure: {unit:.3g} units an electron, read noise {sensor.read_noise_e:.3g} electrons")
+    ours = seen(scene, sensor, noise)
+    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_width_px": 2}))
+    rows = list(edge_rows("Azure Kinect", real, ours, field & ~saturated, by_distance=False))
+    rows += edge_rows("Azure Kinect, edges out", real, removed, field & ~saturated)
+    for low, some in levels:
+        of = noise_of(real, some, 1e-3), noise_of(ours - scene.depth_m, some)
+        rows.append((f"Azure Kinect: σ at amplitudes from {low}, mm", *(1e3 * s for s in of)))
+    for low, high in ((20, 40), (40, 60), (60, 80), (80, 120)):
+        some = field & (light >= low) & (light < high) & ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
+        rows.append(
+            (
+                f"Azure Kinect: invalid at amplitudes {low} to {high}",
+                *(float(np.isnan(d[some]).mean()) for d in (real, removed)),
+            )
+        )
+    rows.append(
+        (
+            "Azure Kinect: invalid at saturated amplitude",
+            *(float(np.isnan(d[saturated & field]).mean()) for d in (real, removed)),
+        )
+    )
+    return rows, [real, ours, removed]
+
+
+def main() -> None:
+    """Print the table, and draw where it is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--pictures", type=Path)
+    told = parser.parse_args()
+    rows = list(raw_continuous_wave(told.data))
+    for camera in (kinect_v2, azure_kinect):
+        some, images = camera(told.data)
+        rows += some
+        if told.pictures is not None:
+            told.pictures.mkdir(parents=True, exist_ok=True)
+            far = float(np.nanpercentile(images[0], 99))
+            row = [depth_image(depth.astype(np.float32), 0.0, far) for depth in images]
+            write_png(told.pictures / f"{camera.__name__}.png", np.concatenate(row, axis=1))
+    print("\n| statistic | real | simulated | ratio |\n|---|---|---|---|")
+    for what, theirs, ours in rows:
+        print(f"| {what} | {theirs:.3g} | {ours:.3g} | {ours / theirs if theirs else np.nan:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
