@@ -18,6 +18,7 @@ from render_scenes import BARREL, ball, cabin_view, people_in_cars, person, room
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DependencyError
 from cabinpose.core.frames import invert, look_at
+from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.scene.surface import Surface, merge
@@ -309,6 +310,19 @@ def test_pictures_change_nothing_else(tmp_path: Path) -> None:
     assert not {"rgb", "nir", "light", "renderer"} & set(plain.variables)
     for name in plain.variables:
         np.testing.assert_array_equal(seen[name].values, plain[name].values)
+
+
+def test_things_have_colours_of_their_own(tmp_path: Path) -> None:
+    """A cardboard box is brown: red before green before blue, in every pixel of it."""
+    scene = {"cars": ["sedan"], "occupants": {"driver": {"subject": "S03"}}, "objects": {"rear_center": {"box": 1.0}}}
+    config = SynthConfig.parse({"scene": scene, "camera": {"views": {"rear": 1.0}}, "images": {"renderer": "raster"}})
+    generate(config, 1, tmp_path / "data", workers=1)
+    frame = open_dataset(tmp_path / "data").isel(frame=0)
+    box = frame["labels"].values == LABEL["box"]
+    assert box.sum() > 100
+    red, green, blue = np.moveaxis(frame["rgb"].values[box].astype(int), -1, 0)
+    assert (red > green).mean() > 0.9
+    assert (green > blue).mean() > 0.9
 
 
 def test_view_and_exports_show_the_pictures_and_say_what_made_them(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ _SEATS = ((0x26272A, 0.4), (0x3A3C40, 0.2), (0x6B665E, 0.12), (0xA4927A, 0.14), 
 _TRIM = ((0x1F2022, 0.5), (0x2C2D30, 0.25), (0x4A4642, 0.12), (0x8C7F6C, 0.13))
 _LINING = ((0xBDB9B0, 0.5), (0xD2CDC2, 0.25), (0x8D8C89, 0.15), (0x2B2B2D, 0.1))
 _BELTS = ((0x1C1C1E, 0.75), (0x55524D, 0.15), (0x8C8170, 0.06), (0x7A1F22, 0.04))
+_PLASTICS = (0x1A1B1D, 0x33363A, 0xD8D6D0, 0x2C4A70, 0x7A2226)
 _WALLS = (0xDAD6CC, 0xCFC9BC, 0xB9C2C4, 0xD9CDB4, 0xB8AFA6)
 _WOODS = (0x7A5433, 0xA77C4C, 0x4E3524, 0xC7A877)
 
@@ -98,6 +99,18 @@ def backdrop_colours(surface: Surface, *, rng: np.random.Generator) -> Floats32:
 def belt_colours(surface: Surface, *, rng: np.random.Generator) -> Floats32:
     """(F, 3) of a seat belt that somebody wears."""
     return np.tile(_weighted(_BELTS, rng).astype(np.float32), (len(surface.faces), 1))
+
+
+def thing_colours(surface: Surface, *, rng: np.random.Generator) -> Floats32:
+    """(F, 3) of a child seat or an object."""
+    cloth, plastic = (linear(int(rng.choice(table))) for table in (_TOPS, _PLASTICS))
+    table = np.tile(cloth, (256, 1))
+    for name, colour in {
+        "hard_plastic": plastic, "soft_trim": plastic, "metal": np.full(3, 0.35), "rubber": np.full(3, 0.015),
+        "belt_webbing": linear(0x1C1C1E), "cardboard": linear(0xA98255), "paper": linear(0xE6E2D8),
+    }.items():  # fmt: skip
+        table[MATERIAL[name]] = colour
+    return _blotched(table[surface.material], 0.05, rng)
 
 
 def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:

@@ -16,7 +16,7 @@ from cabinpose.scene.surface import Surface
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import FINER, Hits, grid_of, hits, without_panes
 from cabinpose.synth.pictures.light import Light, LightKind, draw_light
-from cabinpose.synth.pictures.look import backdrop_colours, belt_colours, near_infrared, own_rng, person_colours
+from cabinpose.synth.pictures.look import backdrop_colours, belt_colours, near_infrared, own_rng, person_colours, thing_colours
 from cabinpose.synth.pictures.path_tracing import mitsuba, trace
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.render import Rasteriser
@@ -82,6 +82,8 @@ class PictureMaker:
         for person in scene.people:
             parts.append(person_colours(person.person, rng=own_rng(self._seed, person.subject)))
             parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in person.surfaces[1:]]
+        for thing, *_ in scene.things:
+            parts.append(thing_colours(thing.surface, rng=own_rng(self._seed, f"{thing.kind} {thing.variant}")))
         return np.concatenate(parts)
 
     def _radiance(
