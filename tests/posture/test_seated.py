@@ -218,7 +218,7 @@ def test_random_actions_follow_their_weights(in_hand: bool) -> None:
     rng = np.random.default_rng(2)
     drawn = [random_action(seat, cabin, rng=rng, in_hand=in_hand) for _ in range(4000)]
     known = [name for name in actions_for(seat, cabin) if in_hand or name not in HOLDING]
-    assert set(drawn) == set(known)
+    assert set(drawn) == {name for name in known if ACTIONS[name].weight > 0.0}
     total = sum(ACTIONS[n].weight for n in known)
     for name in known:
         assert drawn.count(name) / 4000 == pytest.approx(ACTIONS[name].weight / total, abs=0.025)

@@ -47,7 +47,7 @@ def test_a_hand_closes_around_what_it_holds(name: str, place: str, kind: str) ->
 
 
 def test_fingers_lie_around_the_bottle() -> None:
-    person, held = somebody("S01"), hold(somebody("S01"), "mouth", "bottle", 0, 0)
+    person, held = somebody("S01"), hold(somebody("S01"), "drink", "bottle", 0, 0)
     q = np.zeros(len(DOFS))
     q[DOF_INDEX["lhand.grip"]] = 0.5
     body = person.pose(q, np.eye(4), held.fingers)
@@ -62,9 +62,9 @@ def test_fingers_lie_around_the_bottle() -> None:
 
 def test_what_fits_into_no_hand_is_named() -> None:
     person = somebody("S05")
-    assert not can_hold(person, "mouth", "box", 0)
+    assert not can_hold(person, "drink", "box", 0)
     with pytest.raises(SceneError, match=r"no hand of a person of 1.40 m closes around a box of \d+ x \d+ x \d+ mm") as caught:
-        hold(person, "mouth", "box", 0, 0)
+        hold(person, "drink", "box", 0, 0)
     assert caught.value.hint
 
 
