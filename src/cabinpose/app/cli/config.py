@@ -150,6 +150,7 @@ def commented_yaml(model: BaseModel) -> str:
 def _lines(model: BaseModel, indent: str) -> Iterator[str]:
     import yaml
     from pydantic import BaseModel
+    from pydantic_core import to_jsonable_python
 
     plain = model.model_dump(mode="json")
     for name, field in type(model).model_fields.items():
@@ -159,6 +160,7 @@ def _lines(model: BaseModel, indent: str) -> Iterator[str]:
             yield f"{indent}{name}:{comment}"
             yield from _lines(value, indent + "  ")
         else:
-            text = yaml.safe_dump(plain.get(name), default_flow_style=True, width=10_000, allow_unicode=True)
+            told = plain[name] if name in plain else to_jsonable_python(value)  # a dump leaves some keys out where they are empty
+            text = yaml.safe_dump(told, default_flow_style=True, width=10_000, allow_unicode=True)
             text = text.removesuffix("...\n").strip()  # PyYAML ends the document of a bare scalar
             yield f"{indent}{name}: {text}{comment}"
