@@ -183,8 +183,14 @@ class SceneTab:
             number = ui.label(f"{value:.{digits}f} {unit}")
             number.style("width: 52px; text-align: right; font-variant-numeric: tabular-nums")
 
+            last = value
+
             async def moved(event: Any) -> None:
+                nonlocal last
                 chosen = min(max(float(event.value), low), high)
+                if chosen == last:  # the browser tells a place twice
+                    return
+                last = chosen
                 number.text = f"{chosen:.{digits}f} {unit}"
                 await self._do(lambda: put(chosen), rebuild=False)
 
