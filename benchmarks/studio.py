@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Browser, Playwright, sync_playwright
 
 from benchmarks import Say
 from cabinpose.app.studio.labelling import PRESENT
@@ -58,14 +58,19 @@ def studio(*arguments: object) -> Iterator[str]:
         process.wait()
 
 
+def chromium(driver: Playwright) -> Browser:
+    """Headless Chromium, which draws 3D in software."""
+    return driver.chromium.launch(
+        executable_path=shutil.which("chromium"),
+        args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+    )
+
+
 @contextmanager
 def page_of(width: int, height: int, scheme: Literal["light", "dark"] = "light") -> Iterator[Any]:
-    """A page of headless Chromium, which draws 3D in software."""
+    """A page of headless Chromium."""
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=shutil.which("chromium"),
-            args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
-        )
+        browser = chromium(driver)
         page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
         page.set_default_timeout(60_000)
         yield page
@@ -147,9 +152,9 @@ def _labelling(frames: int, say: Say) -> dict[str, float]:
                 say(f"frame {row + 1} of {frames}")
                 began = time.monotonic()
                 for proposed, true in wrong[row]:
-                    page.mouse.move(*_on_screen(shown, proposed, size))
+                    page.mouse.move(*on_screen(shown, proposed, size))
                     page.mouse.down()
-                    page.mouse.move(*_on_screen(shown, true, size), steps=4)
+                    page.mouse.move(*on_screen(shown, true, size), steps=4)
                     page.mouse.up()
                     page.wait_for_timeout(50)
                 page.keyboard.press("Enter")
@@ -181,7 +186,7 @@ def _far_joints(truth: xr.Dataset, model: Any, row: int) -> list[tuple[Any, Any]
     return far
 
 
-def _on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]:
+def on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]:
     """Where a pixel of the whole image is on the screen."""
     box = shown.bounding_box()
     scale = min(box["width"] / size[0], box["height"] / size[1])

@@ -28,12 +28,13 @@ from cabinpose.synth.generate import generate
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import grid_of, hits, without_panes
 from cabinpose.synth.pictures.light import Light, dome_directions, draw_light
-from cabinpose.synth.pictures.look import near_infrared, own_rng, person_colours
+from cabinpose.synth.pictures.look import near_infrared, person_colours
 from cabinpose.synth.pictures.maker import PictureMaker, develop, shaded
 from cabinpose.synth.pictures.path_tracing import trace
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.scene import Scene
+from cabinpose.synth.streams import own_rng
 
 Array = NDArray[np.float64]
 PINHOLE = (0.0, 0.0, 0.0, 0.0, 0.0)

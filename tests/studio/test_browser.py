@@ -31,16 +31,6 @@ def canvas(page: Any) -> Any:
     return page.locator(".frame-canvas:visible")
 
 
-def on_screen(shown: Any, uv: Any, size: tuple[int, int]) -> tuple[float, float]:
-    """Where a pixel of the whole image is on the screen."""
-    box = shown.bounding_box()
-    width, height = size
-    scale = min(box["width"] / width, box["height"] / height)
-    x = box["x"] + (box["width"] - width * scale) / 2 + (uv[0] + 0.5) * scale
-    y = box["y"] + (box["height"] - height * scale) / 2 + (uv[1] + 0.5) * scale
-    return float(x), float(y)
-
-
 def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -58,6 +48,8 @@ def labels_beside(dataset: Path) -> dict[Any, Any]:
 @pytest.mark.slow
 def test_label_drag_kill_and_go_on(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
     """Accept a frame, drag a wrist in the next one, kill the server in the middle: everything is there again."""
+    from benchmarks.studio import on_screen
+
     server = start(dataset_folder)
     page.goto(server.address)
     tab(page, "Label")

@@ -116,3 +116,11 @@ def is_rigid(matrix: ArrayLike, atol: float = 1e-6) -> bool:
     wrong = m[:3, :3] @ m[:3, :3].T - _IDENTITY[:3, :3]
     x, y, z = m[:3, :3]
     return bool((np.abs(wrong) <= atol).all() and (np.abs(m[3] - _IDENTITY[3]) <= atol).all() and cross(x, y) @ z > 0)
+
+
+def nearest_rigid(matrix: Matrix) -> Matrix:
+    """The rigid transform (4, 4) nearest to a matrix that is almost one, such as a product or a mixture of several."""
+    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    result = matrix.copy()
+    result[:3, :3], result[3] = u @ vt, (0.0, 0.0, 0.0, 1.0)
+    return result

@@ -41,7 +41,7 @@ from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.scene import ImpossibleSceneError, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
-from cabinpose.synth.streams import sequence_rng
+from cabinpose.synth.streams import sequence_rng, weighted
 from cabinpose.synth.things import Blocked, Brought, SeatThings, bring_along, draw_child_seats, draw_objects
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
@@ -306,7 +306,7 @@ class SceneSampler:
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
         left_out = frozenset[str]() if neighbours is None else neighbours.left_out
         if action is None:
-            action = _weighted(weights, rng) if weights else random_action(
+            action = weighted(weights, rng=rng) if weights else random_action(
                 seat, cabin, rng=rng, left_out=left_out, in_hand=scene.in_hand > 0.0
             )  # fmt: skip
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
@@ -318,7 +318,7 @@ class SceneSampler:
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
         """The view's name and `vehicle_from_camera`, jittered."""
         camera, cell = self._config.camera, self._plan.cell(index)
-        name = cell.view if cell is not None else _weighted(camera.weights, rng)
+        name = cell.view if cell is not None else weighted(camera.weights, rng=rng)
         jitter = {"translation_jitter": camera.jitter_m, "rotation_jitter": np.radians(camera.jitter_deg)}
         own = camera.views[name]
         if isinstance(own, ExactCameraPose):
@@ -402,13 +402,6 @@ def _in_hand(scene: CabinScene, action: str, rng: np.random.Generator) -> bool:
     return action in HOLDING or (scene.in_hand > 0.0 and action in TELEPHONING and rng.random() < scene.in_hand)
 
 
-def _weighted(weights: Mapping[str, float], rng: np.random.Generator) -> str:
-    """A name drawn by weight."""
-    names = list(weights)
-    p = np.array([weights[name] for name in names], dtype=np.float64)
-    return names[int(rng.choice(len(names), p=p / p.sum()))]
-
-
 def _occupied(scene: CabinScene, cabin: Cabin, without: Collection[str], rng: np.random.Generator) -> list[str]:
     """The seats taken, in the standard's order: each by its own probability, at least one; none of those `without`."""
     chances = {
@@ -417,7 +410,7 @@ def _occupied(scene: CabinScene, cabin: Cabin, without: Collection[str], rng: np
     }
     draws = rng.random(len(OCCUPANT_SLOTS))
     taken = [slot for i, slot in enumerate(OCCUPANT_SLOTS) if draws[i] < chances.get(slot, 0.0)]
-    return taken or [_weighted(chances, rng)]
+    return taken or [weighted(chances, rng=rng)]
 
 
 def _blocked(eye: Floats, people: Iterable[ScenePerson], seated: Seated) -> bool:

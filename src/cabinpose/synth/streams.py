@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Mapping
+from typing import TypeVar
+
 import numpy as np
 
 from cabinpose.core.errors import ConfigError
+
+Name = TypeVar("Name")
 
 
 def check_seed(seed: int) -> None:
@@ -29,3 +35,16 @@ def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
 def sequence_rng(seed: int, first_frame: int, stream: int) -> np.random.Generator:
     """A generator of a sequence: the key of its first frame, with a counter that neither scene nor noise reach."""
     return np.random.Generator(np.random.Philox(key=np.array((seed, first_frame), dtype=np.uint64), counter=(0, 0, stream, 2)))
+
+
+def own_rng(seed: int, name: str) -> np.random.Generator:
+    """The generator of somebody's or something's looks, the same in all frames of a dataset."""
+    key = np.array((seed, zlib.crc32(name.encode())), dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, 0, 2)))
+
+
+def weighted(weights: Mapping[Name, float], *, rng: np.random.Generator) -> Name:
+    """A name drawn by weight."""
+    names = list(weights)
+    p = np.array([weights[name] for name in names], dtype=np.float64)
+    return names[int(rng.choice(len(names), p=p / p.sum()))]

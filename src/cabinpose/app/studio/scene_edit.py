@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from cabinpose.app.studio.scene_form import Path as Key
 from cabinpose.core.errors import CabinposeError, ConfigError, SceneError
-from cabinpose.core.frames import Matrix, invert
+from cabinpose.core.frames import Matrix, invert, nearest_rigid
 from cabinpose.core.yaml_text import read_yaml
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import SeatSetting
@@ -159,7 +159,7 @@ class SceneEditor:
         data = copy.deepcopy(self.state.data)
         pose = data["scene"]["occupants"][slot]["pose"]
         root = seat.vehicle_from_back(new) @ invert(seat.vehicle_from_back(old)) @ np.array(pose["vehicle_from_root"])
-        pose[name], pose["vehicle_from_root"] = value, [row.tolist() for row in _rigid(root)]
+        pose[name], pose["vehicle_from_root"] = value, [row.tolist() for row in nearest_rigid(root)]
         self._step(dataclasses.replace(self.state, data=data), ("scene", "occupants", slot, "pose", name))
 
     def seat_ranges(self, shown: Shown, slot: str) -> tuple[SeatSetting, SeatSetting, SeatSetting]:
@@ -395,14 +395,6 @@ def camera_of(shown: Shown) -> tuple[list[float], list[float], float]:
 def _posed(shown: Shown, slot: str) -> tuple[Person, NDArray[np.float64], Matrix]:
     who = next(person for person in shown.scene.people if person.slot == slot)
     return who.person, who.posed.q, who.posed.vehicle_from_root
-
-
-def _rigid(matrix: Matrix) -> Matrix:
-    """The rigid transform nearest to a product of many."""
-    u, _, v = np.linalg.svd(matrix[:3, :3])
-    result = matrix.copy()
-    result[:3, :3], result[3] = u @ v, (0.0, 0.0, 0.0, 1.0)
-    return result
 
 
 def _files(data: Mapping[str, Any]) -> Iterator[tuple[Key, str]]:

@@ -29,7 +29,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.empirical import EmpiricalNoise
 from cabinpose.scene.sensor.physical import PhysicalNoise
 from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT, Sensor
-from cabinpose.scene.sensor.walls import F64, Wall
+from cabinpose.scene.sensor.walls import F64, Wall, spread
 
 LEAST_DISTANCES = 3
 _BINS = 24  # of the signal, for each wall
@@ -312,7 +312,7 @@ def _usual(values: F64) -> NDArray[np.intp]:
     """Indices of values > 0 that are not far from the others by their logarithm."""
     logs = np.log(values)
     off = np.abs(logs - np.median(logs))
-    return np.flatnonzero(off <= _OUTLYING * 1.4826 * max(float(np.median(off)), 1e-9))
+    return np.flatnonzero(off <= _OUTLYING * max(spread(logs), 1e-9))
 
 
 def _mean_sigma(wall: Wall) -> tuple[float, float, float]:

@@ -176,7 +176,7 @@ def _wall(of: _Frames, camera: Camera, name: str, step_m: float, distance_m: flo
     error = of.depth.mean - depth
     inner = np.zeros_like(seen)
     inner[_third(seen.shape)] = seen[_third(seen.shape)]
-    flatness = _spread(error[inner])
+    flatness = spread(error[inner])
     used = seen & (depth > 0) & (np.abs(error) < _ON_THE_WALL * depth)
     if flatness > _FLAT * middle or int(used.sum()) < LEAST_PIXELS:
         raise ConfigError(
@@ -210,10 +210,10 @@ def _plane(depth: F64, seen: NDArray[np.bool_], camera: Camera) -> F64:
         weight = z[chosen]  # of 1 / z, so that residuals are shares of the depth
         plane[:] = np.linalg.lstsq(rays[chosen] * weight[:, None], np.ones(int(chosen.sum())), rcond=None)[0]
         off = z * (rays @ plane) - 1.0
-        chosen = np.abs(off) < np.clip(_SPREADS * _spread(off[chosen]), 1e-6, _ON_THE_WALL)
+        chosen = np.abs(off) < np.clip(_SPREADS * spread(off[chosen]), 1e-6, _ON_THE_WALL)
     return plane
 
 
-def _spread(values: F64) -> float:
+def spread(values: F64) -> float:
     """Standard deviation of what is normally distributed but for outliers."""
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if values.size else np.inf

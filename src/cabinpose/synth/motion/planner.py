@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, axis_rotation, invert, transform
+from cabinpose.core.frames import Matrix, axis_rotation, invert, nearest_rigid, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.synth.motion.activities import Step, steps_of
@@ -22,6 +22,7 @@ from cabinpose.synth.motion.track import Pose, Segment, Track, Way, duration
 from cabinpose.synth.posture.goals import between, given
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
+from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Validator, Verdict
 
 CHECKS_PER_FRAME = 3
@@ -149,9 +150,7 @@ class Planner:
         return bool(self._track.segments)
 
     def _choose(self) -> str:
-        names = list(self._who.activities)
-        weights = np.array([self._who.activities[name] for name in names])
-        return names[int(self._rng.choice(len(names), p=weights / weights.sum()))]
+        return weighted(self._who.activities, rng=self._rng)
 
     def _do(self, activity: str, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
         """Appends an activity's segments; where it ends, or None where not even its first step is possible.
@@ -285,7 +284,4 @@ class Planner:
 
 def _mixed(first: Matrix, last: Matrix, share: float) -> Matrix:
     """A rigid transform between two that are near each other."""
-    mixed = (1.0 - share) * first + share * last
-    u, _, vt = np.linalg.svd(mixed[:3, :3])
-    mixed[:3, :3] = u @ vt
-    return np.asarray(mixed)
+    return nearest_rigid((1.0 - share) * first + share * last)

@@ -5,7 +5,6 @@ A person has the same skin, hair and clothes, and a car the same trim, in every 
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -17,6 +16,7 @@ from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.surface import Surface
+from cabinpose.synth.streams import weighted
 
 # Monk skin tone scale (Monk 2019, CC BY 4.0), sRGB.
 _SKIN: tuple[int, ...] = (
@@ -71,12 +71,6 @@ def near_infrared(surface: Surface) -> Floats32:
     for material in MATERIALS:
         table[material.id] = material.reflectance
     return np.repeat(table[surface.material][:, None], 3, axis=1)
-
-
-def own_rng(seed: int, name: str) -> np.random.Generator:
-    """The generator of somebody's or something's looks, the same in all frames of a dataset."""
-    key = np.array((seed, zlib.crc32(name.encode())), dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, 0, 2)))
 
 
 def backdrop_colours(surface: Surface, *, rng: np.random.Generator) -> Floats32:
@@ -175,5 +169,4 @@ def _blotched(colours: Floats, share: float, rng: np.random.Generator) -> Floats
 
 
 def _weighted(table: tuple[tuple[int, float], ...], rng: np.random.Generator) -> Floats:
-    weights = np.array([weight for _, weight in table])
-    return linear(table[int(rng.choice(len(table), p=weights / weights.sum()))][0])
+    return linear(weighted(dict(table), rng=rng))

@@ -16,11 +16,12 @@ from cabinpose.scene.surface import Surface
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import FINER, Hits, grid_of, hits, without_panes
 from cabinpose.synth.pictures.light import Light, LightKind, draw_light
-from cabinpose.synth.pictures.look import backdrop_colours, belt_colours, near_infrared, own_rng, person_colours, thing_colours
+from cabinpose.synth.pictures.look import backdrop_colours, belt_colours, near_infrared, person_colours, thing_colours
 from cabinpose.synth.pictures.path_tracing import mitsuba, trace
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.scene import Scene
+from cabinpose.synth.streams import own_rng
 
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 _KINDS: tuple[LightKind, ...] = ("day", "night", "garage")
