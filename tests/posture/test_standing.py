@@ -13,7 +13,8 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.contact import ContactField
-from cabinpose.store.convert.bvh import read_bvh
+from cabinpose.store.convert.bvh import CMU_UNIT_M
+from cabinpose.store.convert.clip import read_clip
 from cabinpose.synth.posture import choose_setting, sample_pose
 from cabinpose.synth.posture.retarget import retarget
 from cabinpose.synth.profiles import GaussianProfile, MocapProfile
@@ -90,7 +91,7 @@ def directions(points: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def test_the_retargeted_recording_makes_the_same_gesture(real_data: Callable[[str], Path]) -> None:
     """Limb directions of the recorded skeleton and of ours agree in every tenth frame, but where a limit cuts in."""
-    clip = read_bvh(real_data(CMU)).clip()
+    clip = read_clip(real_data(CMU), unit_m=CMU_UNIT_M, up="y")
     motion = retarget(clip)
     person = BodyModel.load().person(*SUBJECTS["S01"])
     names = {"shoulder": "Shoulder", "elbow": "Elbow", "wrist": "Wrist", "pelvis": "Hip", "knee": "Knee", "ankle": "Ankle"}

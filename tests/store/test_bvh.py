@@ -15,6 +15,7 @@ from cabinpose.core.errors import MocapError, RecordingError
 from cabinpose.core.recorded import Facts, SegmentPoses
 from cabinpose.store.convert.bvh import CMU_UNIT_M, read_bvh, read_bvh_rows
 from cabinpose.store.convert.bvh_write import write_bvh
+from cabinpose.store.convert.clip import read_clip
 from cabinpose.store.convert.mvnx import read_mvnx
 from cabinpose.store.convert.rows import Row
 
@@ -48,7 +49,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_closed_form(tmp_path: Path) -> None:
-    clip = read_bvh(written(tmp_path, SMALL), unit_m=0.01).clip()
+    clip = read_clip(written(tmp_path, SMALL), unit_m=0.01, up="y")
     assert clip.names == ("Hips", "Arm", "Arm_end")
     # File axes x left, y up, z forward; ours x forward, y left, z up.
     np.testing.assert_allclose(clip.positions[0], [[0, 0, 0.10], [0, 0.01, 0.10], [0, 0.01, 0.08]], atol=1e-12)
@@ -58,8 +59,7 @@ def test_closed_form(tmp_path: Path) -> None:
 
 
 def test_z_up_keeps_lengths_and_handedness(tmp_path: Path) -> None:
-    bvh = read_bvh(written(tmp_path, SMALL), up="z")
-    clip = bvh.clip()
+    clip = read_clip(written(tmp_path, SMALL), unit_m=CMU_UNIT_M, up="z")
     np.testing.assert_allclose(np.linalg.det(clip.rotations), 1.0)
     np.testing.assert_allclose(clip.rest_positions[1], [0, CMU_UNIT_M, 0])  # +x is the left in both
 
@@ -105,8 +105,7 @@ def positions_by_matrices(text: str, frame: int, unit: float) -> dict[str, np.nd
 
 def test_real_recording_against_an_independent_walk(real_data: Callable[[str], Path]) -> None:
     path = real_data("mocap/cmu_131_01.bvh")
-    bvh = read_bvh(path)
-    clip = bvh.clip()
+    clip = read_clip(path, unit_m=CMU_UNIT_M, up="y")
     assert len(clip) == 994
     assert clip.frame_s == pytest.approx(1 / 120, rel=1e-3)
     text = path.read_text()
@@ -173,7 +172,7 @@ def poses(rows: list[Row]) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
 
 def test_rows_are_the_clip(tmp_path: Path) -> None:
     path = written(tmp_path, SMALL)
-    clip = read_bvh(path).clip()
+    clip = read_clip(path, unit_m=CMU_UNIT_M, up="y")
     rows = list(read_bvh_rows(path, subjects=["S01"], start_ns=7))
     names, positions, rotations = poses(rows)
     assert names == clip.names

@@ -265,12 +265,13 @@ class IncrementalProfile(_Profile):
 
 
 class MocapProfile(_Profile):
-    """A recording in BVH, retargeted: its upper body onto the seated posture, or the whole body where one stands."""
+    """A recorded motion, retargeted: its upper body onto the seated posture, or the whole body where one stands."""
 
     kind: Literal["mocap"] = "mocap"
-    path: str = Field(description="A BVH file with the joint names of the CMU database.")
-    unit_m: float = Field(0.0254 / 0.45, gt=0.0, description="Metres of the file's length unit; CMU: inches times 0.45.")
-    up: Literal["y", "z"] = Field("y", description="The file's vertical axis.")
+    path: str = Field(description="BVH (names of the CMU database), MVNX, C3D with Plug-in Gait's bones, or a suit's recording.")
+    subject: str | None = Field(None, description="Whose motion, where the file tells of several people.")
+    unit_m: float = Field(0.0254 / 0.45, gt=0.0, description="Metres of a BVH file's length unit; CMU: inches times 0.45.")
+    up: Literal["y", "z"] = Field("y", description="A BVH file's vertical axis.")
     start_s: float = Field(0.0, ge=0.0, description="Where in the recording to begin.")
     end_s: float | None = Field(None, gt=0.0, description="Where to end; left out: at its end.")
     rate_hz: float = Field(30.0, gt=0.0, description="Poses taken from a second of the recording.")
@@ -325,7 +326,7 @@ class MocapProfile(_Profile):
 
     @property
     def _motion(self) -> tuple[RetargetedMotion, float, Floats]:
-        return _recorded_motion(self.path, self.unit_m, self.up)
+        return _recorded_motion(self.path, self.unit_m, self.up, self.subject)
 
     @property
     def _first(self) -> int:
@@ -343,12 +344,12 @@ _UPPER_BODY = tuple(dof.name for dof in DOFS if not dof.name[1:].startswith(("hi
 
 
 @lru_cache(maxsize=8)
-def _recorded_motion(path: str, unit_m: float, up: UpAxis) -> tuple[RetargetedMotion, float, Floats]:
+def _recorded_motion(path: str, unit_m: float, up: UpAxis, subject: str | None) -> tuple[RetargetedMotion, float, Floats]:
     """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
-    from cabinpose.store.convert.bvh import read_bvh  # noqa: PLC0415 - scipy's rotations, for recordings alone
+    from cabinpose.store.convert.clip import read_clip  # noqa: PLC0415 - scipy's rotations, for recordings alone
     from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise
 
-    clip = read_bvh(path, unit_m=unit_m, up=up).clip()
+    clip = read_clip(path, unit_m=unit_m, up=up, subject=subject)
     motion = retarget(clip)
     return motion, clip.frame_s, np.median(motion.q, axis=0)
 

@@ -51,25 +51,6 @@ class BvhJoint:
 
 
 @dataclass(frozen=True)
-class Clip:
-    """A motion in the world frame (z up, m): what retargeting needs of a recording.
-
-    rotations: (F, J, 3, 3) world_from_joint · positions: (F, J, 3) m · rest_positions: (J, 3) m, the skeleton
-    with all rotations zero and its root in the origin · frame_s: seconds from frame to frame.
-    """
-
-    names: tuple[str, ...]
-    parents: tuple[int, ...]
-    rotations: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    rest_positions: NDArray[np.float64]
-    frame_s: float
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-
-@dataclass(frozen=True)
 class Bvh:
     """A parsed BVH file: the hierarchy, and motion (F, C) as it stands in the file but positions in metres."""
 
@@ -78,10 +59,11 @@ class Bvh:
     frame_s: float
     up: UpAxis
 
-    def clip(self) -> Clip:
-        """Forward kinematics of every frame.
+    def kinematics(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Forward kinematics: world_from_joint rotations (F, J, 3, 3), positions (F, J, 3) m, and those at rest (J, 3) m.
 
-        A joint's position channels replace its offset (as in the root), its rotation channels turn its children.
+        A joint's position channels replace its offset (as in the root), its rotation channels turn its children. At rest all
+        rotations are zero and the root lies in the origin. The world has z up.
         """
         frames, count = len(self.motion), len(self.joints)
         axes = WORLD_FROM_FILE[self.up]
@@ -110,14 +92,7 @@ class Bvh:
                 rotations[:, j] = parent @ local
                 positions[:, j] = positions[:, joint.parent] + (parent @ offset[:, :, None])[:, :, 0]
                 rest[j] = rest[joint.parent] + np.asarray(joint.offset)
-        return Clip(
-            names=tuple(j.name for j in self.joints),
-            parents=tuple(j.parent for j in self.joints),
-            rotations=axes @ rotations @ axes.T,
-            positions=positions @ axes.T,
-            rest_positions=rest @ axes.T,
-            frame_s=self.frame_s,
-        )
+        return axes @ rotations @ axes.T, positions @ axes.T, rest @ axes.T
 
 
 def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") -> Bvh:
@@ -183,17 +158,19 @@ def read_bvh_rows(
     if up not in (None, "y", "z"):
         raise ConfigError(f"a BVH file has y or z up, not {up}", hint="give --up y or --up z")
     subject = (*subjects, "subject")[0]
-    clip = read_bvh(path, unit_m=unit_m or CMU_UNIT_M, up="z" if up == "z" else "y").clip()
+    bvh = read_bvh(path, unit_m=unit_m or CMU_UNIT_M, up="z" if up == "z" else "y")
+    rotations, positions, rests = bvh.kinematics()
+    names = tuple(joint.name for joint in bvh.joints)
     segments = [
-        {"name": name, "parent": clip.names[parent] if parent >= 0 else None, "rest_m": [float(x) for x in rest]}
-        for name, parent, rest in zip(clip.names, clip.parents, clip.rest_positions, strict=True)
+        {"name": joint.name, "parent": names[joint.parent] if joint.parent >= 0 else None, "rest_m": [float(x) for x in rest]}
+        for joint, rest in zip(bvh.joints, rests, strict=True)
     ]
-    yield start_ns, 0, Facts(f"subject {subject}", {"segments": segments, "frame_rate_hz": 1 / clip.frame_s})
-    quaternions = Rotation.from_matrix(clip.rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
-    poses = zip(clip.positions, quaternions.reshape(len(clip), -1, 4), strict=True)
+    yield start_ns, 0, Facts(f"subject {subject}", {"segments": segments, "frame_rate_hz": 1 / bvh.frame_s})
+    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
+    poses = zip(positions, quaternions.reshape(len(positions), -1, 4), strict=True)
     for i, (position, orientation) in enumerate(poses):
-        time_ns = round(i * clip.frame_s * 1e9)
-        yield start_ns + time_ns, time_ns, SegmentPoses(subject, clip.names, position, orientation)
+        time_ns = round(i * bvh.frame_s * 1e9)
+        yield start_ns + time_ns, time_ns, SegmentPoses(subject, names, position, orientation)
 
 
 class _Hierarchy:

@@ -1,10 +1,10 @@
 """Retargeting: a recorded motion as angles of our degrees of freedom.
 
-The recording's skeleton with all rotations zero (upright, looking along +x, arms hanging, thumbs forward) is the
-reference pose, like our own zero pose: a segment's rotation away from it is the rotation of ours. Trunk, head, hands and
-feet take those rotations. Arms and legs take the directions of their two segments, from joint positions, so that hinge
-axes and twist conventions of the recording do not matter: elevation from the upper segment, twist from the plane of the
-hinge, and where the limb is nearly straight (the plane is undefined) from the recorded twist.
+The recording's skeleton with all rotations zero (upright, looking along +x, thumbs forward) is the reference pose, like our
+own zero pose, to which arms that it stretches out are brought down: a segment's rotation away from it is the rotation of ours.
+Trunk, head, hands and feet take those rotations. Arms and legs take the directions of their two segments, from joint positions,
+so that hinge axes and twist conventions of the recording do not matter: elevation from the upper segment, twist from the plane of
+the hinge, and where the limb is nearly straight (the plane is undefined) from the recorded twist.
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import MocapError
+from cabinpose.core.frames import axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.store.convert.bvh import Clip
+from cabinpose.store.convert.clip import Clip
 
-# What is needed of a recording, under the names of the CMU database's common conversions.
+# What is needed of a recording, under MVN's names and those of the CMU database's common conversions.
 _NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"pelvis": ("Hips", "hip"), "thorax": ("Chest2", "Spine1", "Spine2", "chest"), "head": ("Head", "head")}
+    {"pelvis": ("Hips", "Pelvis", "hip"), "thorax": ("Chest2", "T8", "Spine2", "Spine1", "chest"), "head": ("Head", "head")}
     | {
         f"{s}{part}": tuple(name.format(side) for name in names)
         for s, side in (("l", "Left"), ("r", "Right"))
         for part, names in {
-            "shoulder": ("{}Shoulder", "{}Arm"),
-            "elbow": ("{}Elbow", "{}ForeArm"),
+            "shoulder": ("{}UpperArm", "{}Arm", "{}Shoulder"),  # a shoulder beside an arm is the collar bone
+            "elbow": ("{}Elbow", "{}ForeArm", "{}Forearm"),
             "wrist": ("{}Wrist", "{}Hand"),
-            "hip": ("{}Hip", "{}UpLeg"),
-            "knee": ("{}Knee", "{}Leg"),
+            "hip": ("{}Hip", "{}UpLeg", "{}UpperLeg"),
+            "knee": ("{}Knee", "{}LowerLeg", "{}Leg"),
             "ankle": ("{}Ankle", "{}Foot"),
             "toe": ("{}Toe", "{}ToeBase"),
         }.items()
@@ -80,7 +81,7 @@ def _find_joints(clip: Clip) -> dict[str, int]:
             missing.append(" or ".join(names))
     if missing:
         raise MocapError(
-            f"the recording has no joint {', '.join(missing)}", hint="retargeting knows the joint names of the CMU database"
+            f"the recording has no joint {', '.join(missing)}", hint="the joint names of MVN and the CMU database are known"
         )
     return found
 
@@ -168,11 +169,13 @@ def _arm(q: Floats, clip: Clip, joint: Mapping[str, int], side: str, sign: float
     thorax = clip.rotations[:, joint["thorax"]]
     upper = _directions(clip, thorax, joint[side + "shoulder"], joint[side + "elbow"])
     lower = _directions(clip, thorax, joint[side + "elbow"], joint[side + "wrist"])
-    recorded = _relative(thorax, clip.rotations[:, joint[side + "shoulder"]])
+    rest = clip.rest_positions[joint[side + "wrist"]] - clip.rest_positions[joint[side + "shoulder"]]
+    hanging = axis_rotation("x", float(np.arctan2(rest[1], -rest[2])))
+    recorded = _relative(thorax, clip.rotations[:, joint[side + "shoulder"]] @ hanging)
     humerus, elbow = _ball(q, side + "shoulder", upper, lower, recorded, sign, 1.0)
     _set(q, side + "elbow.flexion", elbow)
     forearm = humerus @ Rotation.from_euler("Y", -elbow[:, None]).as_matrix()
-    hand = _relative(thorax, clip.rotations[:, joint[side + "wrist"]])
+    hand = _relative(thorax, clip.rotations[:, joint[side + "wrist"]] @ hanging)
     angles = Rotation.from_matrix(_relative(forearm, hand)).as_euler("ZXY")
     _set(q, side + "elbow.pronation", -sign * angles[:, 0])
     _set(q, side + "wrist.flexion", -sign * angles[:, 1])
