@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -171,7 +172,7 @@ def test_no_way_ends_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     ("scene", "says"),
     [
         ({"sequence": {"activities": ["dance"]}}, "activity 'dance'"),
-        ({"sequence": {"frames": 4}, "profile": {"kind": "gaussian"}}, "people in motion have no profile"),
+        ({"sequence": {"frames": 4}, "profile": {"kind": "gaussian"}}, "people in motion have no profile but mocap"),
         ({"sequence": {"frames": 4}, "factorial": {"poses": 2}}, "people in motion have no scene.factorial"),
         ({"sequence": {"frames": 1}}, "frames"),
     ],
@@ -179,6 +180,30 @@ def test_no_way_ends_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_has_no_meaning_is_refused(scene: dict[str, object], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
         SynthConfig.parse({"scene": scene})
+
+
+def test_a_recording_moves_somebody_in_its_own_time(real_data: Callable[[str], Path]) -> None:
+    """Arms go as they were recorded where there is room, no joint is too fast, nothing is touched at thrice the rate."""
+    profile = {"kind": "mocap", "path": str(real_data("mocap/xsens_upper_body.mvnx"))}
+    sequence = {"frames": 18, "rate_hz": RATE}
+    config = small_config(occupancy=TWO, sequence=sequence, occupants={"front_passenger": {"profile": profile}})
+    film = SceneSampler(config, 1)._film(0)
+    step = 1.0 / (CHECKS_PER_FRAME * RATE)
+    times = np.arange(0.0, 17 / RATE, step)
+    track, recorded = film.tracks["front_passenger"], config.scene.profile_of("front_passenger")
+    assert {s.activity for s in track.segments} == {"mocap"}
+    for t in times:
+        bodies = [(p.slot, p.person, p.posed) for p in film.people(t)]
+        assert film.cast.validator.check(bodies, film.cast.settings, film.wheel_angle(t)).ok
+    q = np.stack([track.at(t).q for t in times])
+    assert (np.abs(np.diff(q, axis=0)) / step < FASTEST).all()
+    asked = np.stack([recorded.whole_body(round(t * 30)).q for t in times])
+    arms = [i for i, dof in enumerate(DOFS) if dof.name[1:].startswith(("shoulder", "elbow"))]
+    assert np.median(np.abs(q - asked)[:, arms]) < np.radians(4)
+    elbow = next(i for i, dof in enumerate(DOFS) if dof.name == "lelbow.flexion")
+    assert np.ptp(asked[:, elbow]) > np.radians(25)
+    assert np.corrcoef(q[:, elbow], asked[:, elbow])[0, 1] > 0.95
+    assert np.corrcoef(q[:-15, elbow], asked[15:, elbow])[0, 1] < 0.9  # half a second off the recording's time
 
 
 def test_with_body_counts(film) -> None:

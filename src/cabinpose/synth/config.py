@@ -207,7 +207,7 @@ class CabinScene(Model):
         occupants = self.occupants.values()
         asked = {
             "scene.factorial": self.factorial,
-            "profile": self.profile or any(o.profile for o in occupants),
+            "profile but mocap": any(p and p.kind != "mocap" for p in (self.profile, *(o.profile for o in occupants))),
             "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
             "pose": any(o.pose for o in occupants),
             "child seats": self.child_seats,

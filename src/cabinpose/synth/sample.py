@@ -39,6 +39,7 @@ from cabinpose.synth.posture.actions import HOLDING, TELEPHONING
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
+from cabinpose.synth.profiles import MocapProfile
 from cabinpose.synth.scene import ImpossibleSceneError, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.streams import sequence_rng, weighted
@@ -186,11 +187,17 @@ class SceneSampler:
         assert isinstance(scene, CabinScene)
         assert scene.sequence is not None
         first = number * scene.sequence.frames
+        began_s = first / scene.sequence.rate_hz
 
         def goals(cast: _Cast) -> DrawGoals:
-            return lambda slot, action, wheel_angle, rng: self._draw(
-                scene, first, cast.people, cast.cabin, slot, cast.settings[slot], rng, action=action, wheel_angle=wheel_angle
-            )
+            def draw(slot: str, action: str, wheel_angle: float | None, time_s: float, rng: np.random.Generator) -> Drawn:
+                profile = scene.profile_of(slot)
+                index = round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
+                return self._draw(
+                    scene, index, cast.people, cast.cabin, slot, cast.settings[slot], rng, action=action, wheel_angle=wheel_angle
+                )
+
+            return draw
 
         return make_film(
             number, scene.sequence, self._seed, lambda rng: self._cast(scene, first, rng), goals,

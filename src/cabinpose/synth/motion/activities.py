@@ -35,6 +35,7 @@ _PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
     }
 )
 _SINGLE_HOLD_S = 0.8
+RECORDED = "mocap"  # what people do whom a recording moves: the kind of their profile
 ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(name for name in ACTIONS if name not in HOLDING and name not in _PROGRAMS))
 
 

@@ -42,8 +42,8 @@ _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
 _WHEEL_SIGMA, _WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 
-# The goals of one person: an action, the wheel's angle, and a number (other feet and grips with each).
-DrawGoal = Callable[[str, float, int], Drawn]
+# The goals of one person: an action, the wheel's angle, a number (other feet and grips with each), and the time (s).
+DrawGoal = Callable[[str, float, int, float], Drawn]
 
 
 class Somebody(NamedTuple):
@@ -82,6 +82,10 @@ class Surroundings:
             if (near.joints.max(axis=0) > low).all() and (near.joints.min(axis=0) < high).all():
                 seated = self.validator.with_body(seated, (other, who, near))
         return self.validator.admit(seated, (slot, person, body))[0]
+
+    def sitters(self, slot: str, time_s: float) -> list[Sitter]:
+        """Everybody but one, at a time, as the solver sees them."""
+        return [given(who, self.cabin.seats[other], pose.q, pose.root) for other, who, pose in self.others(slot, time_s)]
 
     def first_refused(self, slot: str, person: Person, start_s: float, end_s: float) -> Rejection | None:
         """The first reason found against somebody's track between two times, at every third of a frame; None where it is free."""
@@ -213,12 +217,12 @@ class Planner:
         angle = now.pose.wheel_angle
         if step.steers:
             angle = float(np.clip(angle + _WHEEL_SIGMA * self._rng.standard_normal(), -_WHEEL_LIMIT, _WHEEL_LIMIT))
-        drawn = self._who.draw(step.action, angle, number)
+        drawn = self._who.draw(step.action, angle, number, time_s)
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
-            drawn = self._who.draw(step.action, now.pose.wheel_angle, number)
+            drawn = self._who.draw(step.action, now.pose.wheel_angle, number, time_s)
             angle = now.pose.wheel_angle
         placed = self._around.validator.empty(self._around.settings, angle).placed
-        (found,) = settled([drawn], self._sitters(time_s), placed)
+        (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
         if found.refused:
             self._causes[Rejection("reach", self._who.slot, found.refused, found.held_up_by)] += 1
             return None
@@ -229,17 +233,13 @@ class Planner:
             return None
         return _Goal(pose, drawn.sitter.holds)
 
-    def _sitters(self, time_s: float) -> list[Sitter]:
-        seats = self._around.cabin.seats
-        return [given(who, seats[slot], pose.q, pose.root) for slot, who, pose in self._around.others(self._who.slot, time_s)]
-
     def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:
         """(K, 51) states from one pose to another, with poses in between that the solver finds."""
         start, end = now.pose, goal.pose
         ends = track.state_of(start), track.state_of(end)
         shares = np.linspace(0.0, 1.0, interior + 2)
         states = [ends[0]]
-        sitters = self._sitters(time_s) if interior else []
+        sitters = self._around.sitters(self._who.slot, time_s) if interior else []
         for share in shares[1:-1].tolist():
             straight = track.pose_of((1.0 - share) * ends[0] + share * ends[1])
             lets_go, arrives = share == shares[1], share == shares[-2]

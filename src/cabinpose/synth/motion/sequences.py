@@ -11,7 +11,7 @@ import numpy as np
 
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.synth.motion.activities import activities_for, resting
+from cabinpose.synth.motion.activities import RECORDED, activities_for, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
@@ -24,8 +24,9 @@ from cabinpose.synth.validate import Rejection, Validator
 _PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' own
 _DRAWS = 16  # of one person's habits: streams of a sequence
 
-# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, and the source of randomness.
-DrawGoals = Callable[[str, str, float | None, np.random.Generator], Drawn]
+# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, the time (s) since the first
+# frame, and the source of randomness.
+DrawGoals = Callable[[str, str, float | None, float, np.random.Generator], Drawn]
 
 
 def plan_tracks(
@@ -82,21 +83,29 @@ def plan_tracks(
         habits[slot] = habits[slot] % (_DRAWS - 1) + 1
         return goals(slot, actions[slot], None)
 
-    def goals(slot: str, action: str, wheel_angle: float | None, number: int = 0) -> Drawn:
+    def goals(slot: str, action: str, wheel_angle: float | None, number: int = 0, time_s: float = 0.0) -> Drawn:
         habit = (habits[slot] + number - 1) % (_DRAWS - 1) + 1
-        return draw(slot, action, wheel_angle, sequence_rng(seed, first, streams[slot] + habit))
+        return draw(slot, action, wheel_angle, time_s, sequence_rng(seed, first, streams[slot] + habit))
 
     posed, tried = pose_people(people, cabin, validator, settings, first_goals, poses_per_person=poses_per_person, causes=causes)
     if posed is None:
         return None, tried
     around = Surroundings(cabin, validator, settings, sequence.rate_hz)
-    planners = {}
+    planners, recorded = {}, []
     for slot, (pose, _) in posed.poses.items():
         who = Somebody(slot, people[slot], partial(goals, slot), choices[slot])
-        planners[slot] = Planner(who, around, causes, lasts_s=lasts_s, rng=plans[slot])
         start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
-        around.people[slot] = people[slot], Track(start, actions[slot], Idle.drawn(rng=plans[slot]), 0.0)
+        around.people[slot] = people[slot], Track(start, pose.action, Idle.drawn(rng=plans[slot]), 0.0)
+        if pose.action == RECORDED:
+            recorded.append(who)
+        else:
+            planners[slot] = Planner(who, around, causes, lasts_s=lasts_s, rng=plans[slot])
     # One after the other: those whose motion is planned are known over time, the others sit still.
+    if recorded:
+        from cabinpose.synth.motion.replay import replay  # noqa: PLC0415 - scipy's interpolation, for recordings alone
+    for who in recorded:
+        if not replay(who, around, causes, action=actions[who.slot], lasts_s=lasts_s):
+            return None, tried
     for plan in (Planner.breathe, Planner.move):
         for planner in planners.values():
             possible = plan(planner)

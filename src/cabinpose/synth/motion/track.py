@@ -6,7 +6,7 @@ rad), and the angle of the wheel that the person holds (rad).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ WIDTH = _Q + 7
 _COMFORT = 0.15  # of the fastest, at the peak of an unhurried movement
 _FASTEST_ROOT = np.concatenate((np.full(3, 1.5), np.full(3, np.radians(280.0))))  # m/s and rad/s, with the trunk
 _FASTEST_WHEEL = 2.0 * np.pi  # rad/s; the arms that hold it have limits of their own
-_LIMIT = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL]))
+FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL]))
 _SHORTEST_S = 0.35
 _DENSE = np.linspace(0.0, 1.0, 61)
 
@@ -78,7 +78,7 @@ class Way(NamedTuple):
 def duration(way: Way, tempo: float) -> float:
     """Seconds that somebody of this tempo (1: average) takes for a way, at `_COMFORT` of the fastest at the most."""
     rate = np.abs(way.slopes(progress(_DENSE))) * progress_rate(_DENSE)[:, None]  # of a second's movement
-    return max(_SHORTEST_S, float((rate.max(axis=0) / (_COMFORT * _LIMIT)).max()) / tempo)
+    return max(_SHORTEST_S, float((rate.max(axis=0) / (_COMFORT * FASTEST_STATE)).max()) / tempo)
 
 
 class Segment(NamedTuple):
@@ -88,6 +88,38 @@ class Segment(NamedTuple):
     lasts_s: float
     way: Way
     activity: str
+
+    @property
+    def last(self) -> Floats:
+        """(51,) where it ends."""
+        return self.way.states[-1]
+
+    def states(self, times_s: Floats) -> Floats:
+        """(N, 51) states at times (N,) s from its start on."""
+        return self.way.at(progress((times_s - self.start_s) / self.lasts_s))
+
+
+class Movement(Protocol):
+    """What a track is made of."""
+
+    @property
+    def start_s(self) -> float:
+        """When it begins."""
+        ...
+
+    @property
+    def activity(self) -> str:
+        """What it is for."""
+        ...
+
+    @property
+    def last(self) -> Floats:
+        """(51,) where it ends."""
+        ...
+
+    def states(self, times_s: Floats) -> Floats:
+        """(N, 51) states at times (N,) s from its start on."""
+        ...
 
 
 class Idle(NamedTuple):
@@ -125,7 +157,7 @@ class Track:
 
     def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float) -> None:
         self.idle, self.idle_share = idle, idle_share
-        self.segments: list[Segment] = []
+        self.segments: list[Movement] = []
         self._rotation = first.root[:3, :3]
         self._activity = activity
         self._first = self.state_of(first)
@@ -133,7 +165,7 @@ class Track:
     @property
     def last(self) -> Floats:
         """(51,) the state at which the last segment ends."""
-        return self.segments[-1].way.states[-1] if self.segments else self._first
+        return self.segments[-1].last if self.segments else self._first
 
     def state_of(self, pose: Pose) -> Floats:
         """(51,) the state of a pose."""
@@ -150,7 +182,7 @@ class Track:
         result = np.tile(self._first, (len(times_s), 1))
         for segment in self.segments:
             since = times_s >= segment.start_s
-            result[since] = segment.way.at(progress((times_s[since] - segment.start_s) / segment.lasts_s))
+            result[since] = segment.states(times_s[since])
         return result + self.idle.added(times_s, self.idle_share)
 
     def at(self, time_s: float) -> Pose:
