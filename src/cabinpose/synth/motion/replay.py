@@ -2,8 +2,8 @@
 
 The whole-body solver looks for a pose every `_KNOT_S`, from where the body is. Nobody moves faster than joints do, and where the
 way on is not free the body goes a part of it, or waits. Between the poses lies a curve that does not overshoot (Fritsch and
-Butland, "A method for constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984), judged at
-thrice the frame rate as every motion is.
+Butland, "A method for constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984),
+judged at thrice the frame rate as every motion is.
 """
 
 from __future__ import annotations
@@ -49,6 +49,10 @@ class Replay(NamedTuple):
         """(N, 51) states at times (N,) s."""
         grid = _KNOT_S * np.arange(len(self.knots))
         return np.asarray(PchipInterpolator(grid, self.knots)(np.clip(times_s, 0.0, grid[-1])))
+
+    def named(self, activity: str) -> Replay:
+        """The same movement by another name."""
+        return self._replace(activity=activity)
 
 
 def replay(who: Somebody, around: Surroundings, causes: Counter[Rejection], *, action: str, lasts_s: float) -> bool:

@@ -98,6 +98,10 @@ class Segment(NamedTuple):
         """(N, 51) states at times (N,) s from its start on."""
         return self.way.at(progress((times_s - self.start_s) / self.lasts_s))
 
+    def named(self, activity: str) -> Segment:
+        """The same movement by another name."""
+        return self._replace(activity=activity)
+
 
 class Movement(Protocol):
     """What a track is made of."""
@@ -119,6 +123,10 @@ class Movement(Protocol):
 
     def states(self, times_s: Floats) -> Floats:
         """(N, 51) states at times (N,) s from its start on."""
+        ...
+
+    def named(self, activity: str) -> Movement:
+        """The same movement by another name."""
         ...
 
 
