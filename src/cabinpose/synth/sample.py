@@ -189,15 +189,15 @@ class SceneSampler:
         first = number * scene.sequence.frames
         began_s = first / scene.sequence.rate_hz
 
-        def goals(cast: _Cast) -> DrawGoals:
-            def draw(slot: str, action: str, wheel_angle: float | None, time_s: float, rng: np.random.Generator) -> Drawn:
-                profile = scene.profile_of(slot)
-                index = round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
-                return self._draw(
-                    scene, index, cast.people, cast.cabin, slot, cast.settings[slot], rng, action=action, wheel_angle=wheel_angle
-                )
+        def of_profile(slot: str, time_s: float) -> int:
+            profile = scene.profile_of(slot)
+            return round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
 
-            return draw
+        def goals(cast: _Cast) -> DrawGoals:
+            return lambda slot, action, wheel_angle, time_s, rng: self._draw(
+                scene, of_profile(slot, time_s), cast.people, cast.cabin, slot, cast.settings[slot], rng,
+                action=action, wheel_angle=wheel_angle,
+            )  # fmt: skip
 
         return make_film(
             number, scene.sequence, self._seed, lambda rng: self._cast(scene, first, rng), goals,
