@@ -143,6 +143,17 @@ def test_stored_frames_of_several_datasets_follow_each_other() -> None:
                 np.testing.assert_array_equal(mine, theirs)
 
 
+def test_another_image_may_be_read_as_depth() -> None:
+    given = dataset(SEATS)
+    spec = frame_spec(TrainConfig(settings=small.TINY["compact"], depth="depth_styled"))
+    with pytest.raises(DatasetError, match="it: the dataset has no depth_styled"):
+        stored_frames({"it": given}, spec, None, "train", "validate")
+    plain, styled = StoredFrames(given, SPEC)[0], StoredFrames(given.assign(depth_styled=given["depth"] + 0.1), spec)[0]
+    assert (plain.depth > 0).any()
+    np.testing.assert_allclose(styled.depth[plain.depth > 0], plain.depth[plain.depth > 0] + 1000, atol=1)  # of 0.1 mm
+    np.testing.assert_array_equal(styled.amplitude, plain.amplitude)
+
+
 def test_frames_are_kept_all_together_or_not_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame has 64 x 48 pixels of two images, two bytes each; eight are kept if they fill less than half of what is free."""
     given = {"a": dataset(SEATS), "b": alone("A", "E", "E")}

@@ -28,7 +28,8 @@ _TICK_M = 1e-4
 
 class FrameSpec(NamedTuple):
     """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop") with the joints of it, and
-    which images. Without depth, joints come in the view's pixels, and none of them counts as outside of it.
+    which images. depth_image: the dataset's image that is read as depth. Without depth, joints come in the view's pixels, and none
+    of them counts as outside of it.
     """
 
     view: InputView
@@ -38,11 +39,12 @@ class FrameSpec(NamedTuple):
     depth: bool = True
     amplitude: bool = True
     labels: bool = False
+    depth_image: str = "depth"
 
     @property
     def images(self) -> tuple[str, ...]:
         """The dataset's images that are read."""
-        return tuple(name for name in ("depth", "amplitude", "labels") if getattr(self, name))
+        return tuple(self.depth_image if n == "depth" else n for n in ("depth", "amplitude", "labels") if getattr(self, n))
 
     @property
     def columns(self) -> list[int]:
@@ -174,8 +176,8 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
     images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in ("depth", "amplitude", "labels")}
     for name in spec.images:
         source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[::-1])
-        if name == "depth":
-            images[name] = np.round(view.depth(frame[name], source) / _TICK_M)
+        if name == spec.depth_image:
+            images["depth"] = np.round(view.depth(frame[name], source) / _TICK_M)
         else:
             images[name] = view.resample(frame[name], source)
     return Kept(

@@ -57,6 +57,9 @@ class TrainConfig(BaseModel):
         default_factory=dict, validate_default=True
     )
     augment: AugmentConfig = Field(default_factory=AugmentConfig)
+    depth: Annotated[
+        Literal["depth", "depth_styled", "depth_clean"], Field(description="The dataset's image that is read as depth.")
+    ] = "depth"
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
     learning_rate: Annotated[
@@ -368,7 +371,7 @@ def begin_with(detector: Detector, checkpoint: Path) -> None:
 def frame_spec(config: TrainConfig) -> FrameSpec:
     """What a run takes of each frame."""
     method = method_named(config.method)
-    return TASKS[method.task].spec(method.settings(config.settings))
+    return TASKS[method.task].spec(method.settings(config.settings))._replace(depth_image=config.depth)
 
 
 def complete(config: TrainConfig, training: Frames | Sequence[Kept]) -> TrainConfig:
