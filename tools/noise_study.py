@@ -1,9 +1,9 @@
 """Does realistic noise help? Detectors trained on frames of one kind, tested on frames of another: `noise_study.py FOLDER`.
 
-The scenes of the training sets are the same, and so are the network, its first weights and the order of frames: what differs is
-the noise. Nobody in the tests, and no car of theirs, was trained on. `--reference DATASET` adds frames whose indirect light was path
-traced (`tools/multipath_reference.py`), `--style MODEL` a detector that learnt from styled depth. A step whose folder is there is
-not done again. It prints the table of docs/does-it-help.md.
+The scenes of the training sets are the same, and so are the network, its first weights and the order of frames: what
+differs is the noise. Nobody in the tests, and no car of theirs, was trained on. `--reference DATASET` adds frames whose
+indirect light was path traced (`tools/multipath_reference.py`), `--style MODEL` a detector that learnt from styled depth.
+A step whose folder is there is not done again. It prints the table of docs/does-it-help.md.
 """
 
 from __future__ import annotations

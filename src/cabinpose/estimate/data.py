@@ -28,8 +28,8 @@ _TICK_M = 1e-4
 
 class FrameSpec(NamedTuple):
     """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop") with the joints of it, and
-    which images. depth_image: the dataset's image that is read as depth. Without depth, joints come in the view's pixels, and none
-    of them counts as outside of it.
+    which images. depth_image: the dataset's image that is read as depth. Without depth, joints come in the view's pixels, and
+    none of them counts as outside of it.
     """
 
     view: InputView
