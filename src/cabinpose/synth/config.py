@@ -289,6 +289,12 @@ class SynthConfig(Model):
                 f"noise 'physical' describes Time-of-Flight, sensor '{sensor.name}' is none",
                 hint="choose noise kind structured_light or empirical",
             )
+        sequence = self.scene.sequence if isinstance(self.scene, CabinScene) else None
+        if sequence is not None and sequence.exposure_motion and not isinstance(self.noise, PhysicalNoise):
+            raise ConfigError(
+                f"noise '{self.noise.kind}' has no correlation samples between which people could move",
+                hint="choose noise kind physical, or leave out scene.sequence.exposure_motion",
+            )
         return self
 
     @model_validator(mode="after")

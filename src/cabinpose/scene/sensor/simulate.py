@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from numpy.random import Generator
@@ -20,7 +21,12 @@ NoiseModel = Annotated[PhysicalNoise | EmpiricalNoise | StructuredLightNoise, Fi
 
 
 def simulate(
-    buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise, *, rng: Generator
+    buffers: GeometryBuffers,
+    sensor: Sensor,
+    noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise,
+    *,
+    rng: Generator,
+    exposures: Sequence[GeometryBuffers] = (),
 ) -> SensorFrame:
     """The frame that a camera delivers of a rendered view; equal bits of `rng` give equal bytes.
 
@@ -34,11 +40,14 @@ def simulate(
         Its noise model.
     rng
         Source of the noise.
+    exposures
+        Of `physical` noise: the view at each of `sample_times`, where things move while a frame is exposed. Where nothing moves
+        from one to the next, give the same object. `buffers` is then the view in the middle.
 
     Returns
     -------
     SensorFrame
-        depth (m, NaN invalid), amplitude and confidence, (H, W) each.
+        depth (m, NaN invalid), amplitude, confidence and noise, (H, W) each.
 
     Raises
     ------
@@ -54,7 +63,7 @@ def simulate(
     if isinstance(noise, StructuredLightNoise):
         return simulate_structured_light(buffers, sensor, noise, rng=rng)
     if isinstance(noise, PhysicalNoise):
-        frame = simulate_physical(buffers, sensor, noise, rng=rng)
+        frame = simulate_physical(buffers, sensor, noise, rng=rng, exposures=exposures)
     else:
         frame = simulate_empirical(buffers, sensor, noise, rng=rng)
     if noise.remove_edges:
