@@ -58,15 +58,13 @@ def test_motion_along_the_axis_has_its_closed_form(speed: float) -> None:
 
 @pytest.mark.parametrize("frequencies", [(50e6,), (80e6, 60e6)])
 def test_an_edge_that_moves_aside_mixes_what_it_sweeps(frequencies: tuple[float, ...]) -> None:
-    """Pixels that see one wall in some samples and another in the others decode as their C0 - C2 and C3 - C1 say; no others change."""
+    """Pixels that see one wall in some samples and the other in the rest decode as their four samples say; no others change."""
     sensor = small_sensor(frequencies_hz=frequencies)
     noise = only(wrapping=True, reflectance=True)
     count = len(sample_times(sensor, noise))
     near, far, first = 0.7, 1.1, 40
     exposures = [step_edge(sensor, near, far, first + k, supersample=1) for k in range(count)]
-    still, moved = (
-        simulate(exposures[0], sensor, noise, rng=generator(1, 1), exposures=e).depth_m for e in ((), exposures)
-    )
+    still, moved = (simulate(exposures[0], sensor, noise, rng=generator(1, 1), exposures=e).depth_m for e in ((), exposures))
     swept = np.zeros(sensor.camera.width, bool)
     swept[first : first + count - 1] = True
     np.testing.assert_allclose(moved[:, ~swept], still[:, ~swept], rtol=0, atol=1e-6)  # eight eighths in floats

@@ -126,4 +126,4 @@ class SensorFrame(NamedTuple):
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> SensorFrame:
         """Memory for a frame of a camera of H x W pixels."""
-        return cls(np.empty(shape, np.float32), np.empty(shape, np.uint16), np.empty(shape, np.uint8), np.empty(shape, np.float32))
+        return cls(*(np.empty(shape, dtype) for dtype in (np.float32, np.uint16, np.uint8, np.float32)))

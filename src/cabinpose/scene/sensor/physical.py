@@ -241,12 +241,12 @@ def _take_shorter(
     *,
     rng: Generator,
 ) -> None:
-    """Put the second, shorter integration in place of the pixels (H, W) that are full in the first; amplitudes at the first's scale."""
+    """Put a second, shorter integration in place of pixels (H, W) that are full in the first, their amplitude at its scale."""
     ratio = np.float32((sensor.second_integration_s or 0.0) / sensor.integration_s)
     dimmed = camera._replace(gain=camera.gain * ratio, ambient_gain=camera.ambient_gain * ratio)
     shorter = _exposed(samples, dimmed, sensor, noise, rng=rng)
-    for of, instead in zip(frame, shorter, strict=True):
-        of[full] = instead[full]
+    for image in ("depth_m", "confidence", "noise_m"):
+        getattr(frame, image)[full] = getattr(shorter, image)[full]
     frame.amplitude[full] = np.minimum(shorter.amplitude[full] / ratio, 65535.0).astype(np.uint16)
 
 
