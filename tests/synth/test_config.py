@@ -126,10 +126,10 @@ def test_a_preset_of_a_sensor_with_fields_changed() -> None:
     base = SENSORS["evk75123"]
     assert config.camera.sensor_model == base.model_copy(update={k: v for k, v in changed.items() if k != "preset"})
     assert SynthConfig.parse(config.model_dump(mode="json")) == config
-    with pytest.raises(ConfigError, match="^unknown field of a sensor 'integration_time_us'$") as caught:
+    with pytest.raises(ConfigError, match=r"^unknown field of a sensor 'integration_time_us'$") as caught:
         SynthConfig.parse({"camera": {"sensor": {"preset": "evk75123", "integration_time_us": 300}}})
     assert "integration_s" in str(caught.value.hint)
-    with pytest.raises(ConfigError, match="^unknown sensor 'evk7'$"):
+    with pytest.raises(ConfigError, match=r"^unknown sensor 'evk7'$"):
         SynthConfig.parse({"camera": {"sensor": {"preset": "evk7"}}})
     with pytest.raises(ConfigError, match=r"^camera\.sensor\.Sensor\.fps: input should be greater than 0, not -1$"):
         SynthConfig.parse({"camera": {"sensor": {"preset": "evk75123", "fps": -1}}})

@@ -60,8 +60,8 @@ class Camera(Model):
 
     sensor: str | Sensor = Field(
         "pico_monstar_105/5",
-        description="A preset (use case after a slash), one with fields changed ({preset: evk75123, fps: 15}), or the mapping of an"
-        " own sensor: see docs/sensor-model.md.",
+        description="A preset (use case after a slash), one with fields changed ({preset: evk75123, fps: 15}), or the mapping of"
+        " an own sensor: see docs/sensor-model.md.",
     )
     views: Mapping[str, Probability | CameraPose | ExactCameraPose] = Field(
         {"driver": 0.5, "front_row": 0.5},
@@ -266,6 +266,11 @@ class Output(Model):
     frames_per_part: int = Field(100, ge=1, le=1000)
     gaze: bool = Field(
         False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
+    )
+    noise: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="Write the sensor's own sigma of its depth as well, as a Monstar's noise image.",
     )
     licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
 

@@ -128,6 +128,7 @@ class FrameMaker:
             "car": scene.place,
             "pov": scene.pov,
             **({"things": self._things(scene)} if brings_things(self._config) else {}),
+            **({"noise": _micrometres(seen.noise_m)} if self._config.output.noise else {}),
             **(gaze_labels(scene, self._slots) if self._config.output.gaze else {}),
         }
 
@@ -158,6 +159,11 @@ class FrameMaker:
         if self._config.scene.kind == "room":
             result["itop_joints_3d"] = itop
         return result
+
+
+def _micrometres(noise_m: np.ndarray) -> np.ndarray:
+    """Sigma (H, W) m, NaN or infinite where there is none, as 16 bits of micrometres; 0 is unknown."""
+    return np.minimum(np.nan_to_num(np.rint(noise_m * 1e6), posinf=0.0), 65535.0).astype(np.uint16)
 
 
 @dataclass
