@@ -8,7 +8,8 @@ from sensor_scenes import WHITE, generator, small_sensor, step_edge, use_case, w
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.materials import ID, MATERIALS
-from cabinpose.scene.sensor import NO_EFFECTS, GeometryBuffers, PhysicalNoise, Sensor, sample_times, simulate
+from cabinpose.scene.sensor import NO_EFFECTS, GeometryBuffers, PhysicalNoise, Sensor, median_of_valid, sample_times, simulate
+from cabinpose.scene.sensor.filters import smoothed
 
 C = 299_792_458.0
 
@@ -165,3 +166,50 @@ def test_a_full_pixel_has_infinite_noise() -> None:
     assert np.isnan(frame.depth_m).all()
     with pytest.raises(ConfigError, match="is not the shorter one"):
         small_sensor(second_integration_s=7e-4)
+
+
+# --------------------------------------------------------------------------------------------------------------- filters
+
+
+def normal_numbers(shape: tuple[int, ...]) -> np.ndarray:
+    return generator(7, 7).standard_normal(shape, np.float32)
+
+
+@pytest.mark.parametrize(("kind", "variance"), [("mean", 1 / 9), ("median", 0.16610)])
+def test_filters_leave_the_variance_of_their_order_statistic(kind: str, variance: float) -> None:
+    """Nine normal numbers: 1/9 of the mean, 0.16610 of the median (tables of order statistics); a lost pixel stays lost."""
+    sensor = small_sensor(spatial_filter=kind)
+    depth = normal_numbers((300, 300))
+    depth[100, 100] = np.nan
+    result = smoothed(depth, sensor)
+    assert np.isnan(result[100, 100])
+    assert np.isnan(result).sum() == 1
+    assert result[1:-1, 1:-1][~np.isnan(result[1:-1, 1:-1])].var() == pytest.approx(variance, rel=0.03)
+    beside = depth[99:102, 98:101].ravel()  # of pixel (100, 99): eight valid ones
+    expected = np.nanmedian(beside) if kind == "median" else np.nanmean(beside)
+    assert result[100, 99] == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_bilateral_filter_keeps_steps_and_smooths_what_is_between() -> None:
+    depth = np.full((60, 60), 0.7, np.float32)
+    depth[:, 30:] = 1.1
+    noisy = depth + 0.003 * normal_numbers(depth.shape)
+    result = smoothed(noisy, small_sensor(spatial_filter="bilateral", spatial_px=5))
+    assert np.abs(result - depth).max() < 0.006
+    assert (result - depth)[2:-2, 2:28].std() == pytest.approx(0.003 / 5, rel=0.1)
+
+
+def test_the_median_over_frames_is_that_of_the_valid_ones() -> None:
+    depths = normal_numbers((5, 200, 200))
+    assert median_of_valid(depths).var() == pytest.approx(0.28683, rel=0.03)  # of five normal numbers
+    depths[0, 0, 0] = depths[2, 0, 0] = depths[-1, 1, 1] = np.nan
+    result = median_of_valid(depths)
+    assert result[0, 0] == np.nanmedian(depths[:, 0, 0])
+    np.testing.assert_array_equal(np.argwhere(np.isnan(result)), [[1, 1]])
+
+
+def test_a_sensor_delivers_filtered_depth() -> None:
+    plain, filtered = (small_sensor(spatial_filter=kind) for kind in ("none", "median"))
+    buffers = wall(plain, 1.0)
+    depths = [simulate(buffers, s, PhysicalNoise(), rng=generator(3, 3)).depth_m for s in (plain, filtered)]
+    np.testing.assert_array_equal(smoothed(depths[0], filtered), depths[1])

@@ -141,6 +141,13 @@ def test_people_move_while_a_frame_is_exposed_for_physical_noise_alone() -> None
         SynthConfig.parse({"scene": scene, "noise": {"kind": "empirical"}})
 
 
+def test_a_filter_over_time_needs_frames_that_follow_each_other() -> None:
+    camera = {"sensor": {"preset": "evk75123", "temporal_median": 5}}
+    with pytest.raises(ConfigError, match="takes the median of 5 frames, and each is a scene of its own"):
+        SynthConfig.parse({"camera": camera})
+    assert SynthConfig.parse({"camera": camera, "scene": {"sequence": {}}}).camera.sensor_model.temporal_median == 5
+
+
 def test_an_own_sensor() -> None:
     own = SynthConfig().camera.sensor_model.model_copy(update={"name": "mine", "range_m": (0.2, 3.0)})
     config = SynthConfig.parse({"camera": {"sensor": own.model_dump(mode="json")}})

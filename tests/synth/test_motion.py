@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,25 @@ def test_people_move_on_while_a_frame_is_exposed(film) -> None:
         assert np.nanmax(np.abs(a["depth"] - b["depth"])[near]) > 5e-3
         assert a["noise"].dtype == np.uint16
         np.testing.assert_array_equal(a["noise"] == 0, np.isnan(a["depth"]))
+
+
+def test_depth_is_the_median_over_the_frames_before(film) -> None:
+    """Of frames without the filter, whatever was made before in the thread; a sequence begins anew."""
+    scene = {"occupancy": TWO, "sequence": {"frames": FRAMES, "rate_hz": RATE}}
+    config = small_config(**scene)
+    sensor = config.camera.sensor_model.model_copy(update={"temporal_median": 3})
+    filtered = config.model_copy(update={"camera": config.camera.model_copy(update={"sensor": sensor})})
+    sampler = SceneSampler(config, 1)
+    sampler._film = lambda _: film
+    plain, late = FrameMaker(config, 1, sampler), FrameMaker(filtered, 1, sampler)
+    depths = {i: plain.make(i)[0]["depth"] for i in (0, 1, 2, 3, FRAMES)}
+    for index, before in ((0, [0]), (3, [1, 2, 3]), (FRAMES, [FRAMES])):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of pixels without any depth
+            expected = np.nanmedian([depths[i] for i in before], axis=0)
+        expected[np.isnan(depths[index])] = np.nan
+        np.testing.assert_array_equal(late.make(index)[0]["depth"], expected)
+        assert (np.nan_to_num(expected) != np.nan_to_num(depths[index])).any() == (index == 3)
 
 
 def test_hands_stay_on_the_wheel_that_turns(film) -> None:

@@ -306,6 +306,11 @@ class SynthConfig(Model):
                 hint="choose noise kind structured_light or empirical",
             )
         sequence = self.scene.sequence if isinstance(self.scene, CabinScene) else None
+        if sequence is None and sensor.temporal_median > 1:
+            raise ConfigError(
+                f"sensor '{sensor.name}' takes the median of {sensor.temporal_median} frames, and each is a scene of its own",
+                hint="ask for a sequence with scene.sequence, or leave out temporal_median",
+            )
         if sequence is not None and sequence.exposure_motion and not isinstance(self.noise, PhysicalNoise):
             raise ConfigError(
                 f"noise '{self.noise.kind}' has no correlation samples between which people could move",

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, sample_times, simulate
+from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, median_of_valid, sample_times, simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import CabinScene, SynthConfig
@@ -57,10 +57,11 @@ class FrameMaker:
         self._sampler = sampler or SceneSampler(config, seed)
         self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
-        sequence = config.scene.sequence if isinstance(config.scene, CabinScene) else None
-        moving = sequence is not None and sequence.exposure_motion
+        self._sequence = config.scene.sequence if isinstance(config.scene, CabinScene) else None
+        moving = self._sequence is not None and self._sequence.exposure_motion
         physical = config.noise if isinstance(config.noise, PhysicalNoise) else None
         self._sample_times = sample_times(self._sensor, physical) if moving and physical else np.zeros(0)
+        self._delivered: dict[int, np.ndarray] = {}  # depths of the frames before, where they are filtered over time
         self._pictures: PictureMaker | None = None
         if pictures and config.images is not None:
             from cabinpose.synth.pictures.maker import PictureMaker  # noqa: PLC0415 - loaded where there are pictures
@@ -78,11 +79,28 @@ class FrameMaker:
 
     def make(self, index: int) -> tuple[Frame, Scene]:
         """Frame `index`: every variable of the dataset standard, and the scene it shows."""
+        frame, scene = self._make_alone(index)
+        if self._sensor.temporal_median > 1:
+            self._delivered[index] = frame["depth"]
+            frame["depth"] = self._over_time(index)
+        return frame, scene
+
+    def _make_alone(self, index: int) -> tuple[Frame, Scene]:
+        """A frame as it is before a filter over time."""
         rng = frame_rng(self._seed, index)
         with self.stage("sample_and_validate"):
             scene = self._sampler.sample(index, rng=rng)
             exposures = self._sampler.exposed(index, scene, self._sample_times) if self._sample_times.size else []
         return self.see(scene, rng=noise_rng(self._seed, index), exposures=exposures), scene
+
+    def _over_time(self, index: int) -> np.ndarray:
+        """The median depth (H, W) m of a frame and those before it in its sequence; what other threads made is made again."""
+        assert self._sequence is not None
+        first = max(index - self._sensor.temporal_median + 1, index // self._sequence.frames * self._sequence.frames)
+        self._delivered = {
+            i: self._delivered[i] if i in self._delivered else self._make_alone(i)[0]["depth"] for i in range(first, index + 1)
+        }
+        return median_of_valid(np.stack(list(self._delivered.values())))
 
     def see(self, scene: Scene, *, rng: np.random.Generator, exposures: Sequence[Scene] = ()) -> Frame:
         """A scene as the camera delivers it: every variable of the dataset standard.

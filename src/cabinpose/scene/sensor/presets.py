@@ -71,6 +71,19 @@ class Sensor(BaseModel):
     field_radius_px: float | None = Field(
         default=None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."
     )
+    spatial_filter: Literal["none", "mean", "median", "bilateral"] = Field(
+        default="none", exclude_if=lambda value: value == "none", description="Filter of depth over neighbouring pixels."
+    )
+    spatial_px: Literal[3, 5, 7] = Field(
+        default=3, exclude_if=lambda value: value == 3, description="Side of the square that it looks at (px)."
+    )
+    temporal_median: int = Field(
+        default=1,
+        ge=1,
+        le=15,
+        exclude_if=lambda value: value == 1,
+        description="Each depth is the median of the pixel's last so many frames, of one sequence.",
+    )
     baseline_m: float = Field(default=0.075, gt=0, description="Structured light only: distance from projector to camera (m).")
     native_scale: float = Field(default=1.0, gt=0, description="Structured light only: matched pixels per delivered pixel.")
 

@@ -12,6 +12,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import edge_pixels, invalidate
 from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical
+from cabinpose.scene.sensor.filters import smoothed
 from cabinpose.scene.sensor.physical import PhysicalNoise, simulate_physical
 from cabinpose.scene.sensor.presets import Sensor
 from cabinpose.scene.sensor.structured_light import StructuredLightNoise, simulate_structured_light
@@ -68,4 +69,6 @@ def simulate(
         frame = simulate_empirical(buffers, sensor, noise, rng=rng)
     if noise.remove_edges:
         invalidate(frame, edge_pixels(buffers.depth_m, noise))
+    if sensor.spatial_filter != "none":
+        frame.depth_m[:] = smoothed(frame.depth_m, sensor)
     return frame
