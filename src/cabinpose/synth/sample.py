@@ -47,7 +47,7 @@ from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _ANYBODY = Occupant()
-_SAME_M = 0.5e-3  # what moves less while samples are exposed stands still: a tenth of a pixel at 1 m
+_SAME_M = 1e-3  # what moves less while samples are exposed stands still: each is half of it off, a tenth of a pixel at 1 m
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
 
 
