@@ -60,6 +60,8 @@ def frames(draw: Any) -> ToFFrame:
         camera_k=draw(floats(3, 3)),
         camera_dist=draw(floats(5)),
         amplitude_dist=draw(floats(5)),
+        noise=draw(hnp.arrays(np.uint16, amplitude)),
+        balance=draw(hnp.arrays(np.uint16, confidence)),
     )
 
 

@@ -166,6 +166,23 @@ def test_points_become_depth_and_intrinsics(library: Library, mirrored: bool) ->
     assert library.closed == 1
 
 
+def test_settings_balance_and_sigma_are_recorded(library: Library) -> None:
+    """Two integrations in one frame: the first one's images, and what both were."""
+    source = make(frame_mode="current")
+    source.open()
+    sigma = np.full((30, 40), 0.0042, np.float32)
+    channels = xyz(points_mm()) | {bta.BALANCE: (AMPLITUDE, 0), bta.SIGMA: (sigma, bta.METRE)}
+    for counter in (1, 2):
+        library.send(counter, 5_000 * counter, channels, integration_time_us=300, modulation_frequency_hz=20_000_000)
+    samples = list(source.read(0.1))
+    first, second = frames(samples)
+    np.testing.assert_array_equal(first.balance, AMPLITUDE)
+    assert (second.noise == 4200).all()
+    stated = [m.values for s in samples for m in s.messages if isinstance(m, Facts) and m.about == "exposure"]
+    assert stated == [{"integration_us": [300], "modulation_hz": [20_000_000]}]
+    source.close()
+
+
 def test_distances_become_depth_by_stated_intrinsics(library: Library) -> None:
     lens = {"fx": 38.0, "fy": 39.0, "cx": 20.5, "cy": 14.0, "dist": CAMERA.dist}
     source = make(frame_mode="distance_amplitude", lens=lens)

@@ -131,12 +131,13 @@ class OldLayout:
 
     def __init__(self, index: int) -> None:
         self.timeStamp, self.width, self.height = index * PERIOD_US + 10**15, 64, 48
+        self.exposureTimes = Vector([600, 600, 600, 600])
 
     def npoints(self) -> np.ndarray:
         grey = np.arange(48 * 64, dtype=np.float64).reshape(48, 64, 1)
         confidence = np.full((48, 64, 1), 255.0)
         confidence[:4] = 0
-        return np.concatenate((scene(), np.zeros((48, 64, 1)), grey, confidence), axis=-1)
+        return np.concatenate((scene(), np.full((48, 64, 1), 0.0031), grey, confidence), axis=-1)
 
 
 class WithoutNumpy(OldLayout):
@@ -189,6 +190,10 @@ def test_a_frame_of_either_layout(roypy: FakeRoypy, layout: Any) -> None:
     assert [s.device_ns for s in samples if s.sequence is not None] == [(10**15 + 3 * PERIOD_US) * 1000]
     (about,) = facts(samples, "camera")
     assert about.values["lens"] == LENS
+    assert about.values["frame_rate_hz"] == 10
+    if isinstance(data, OldLayout):
+        assert (frame.noise == 3100).all()
+        assert [fact.values for fact in facts(samples, "exposure")] == [{"phases_us": [600] * 4}]
     source.close()
     assert not camera.capturing
     assert camera.listener is None

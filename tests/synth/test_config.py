@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from cabinpose.core.errors import ConfigError
+from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth.config import SynthConfig, room_preset
 from cabinpose.synth.streams import frame_rng
 
@@ -117,6 +118,34 @@ def test_paths_are_taken_from_the_files_folder(tmp_path: Path) -> None:
     config = SynthConfig.load(path)
     assert config.scene.kind == "cabin"
     assert config.scene.cars == (str((tmp_path / "mine.yaml").resolve()), "sedan")
+
+
+def test_a_preset_of_a_sensor_with_fields_changed() -> None:
+    changed = {"preset": "evk75123", "integration_s": 3e-4, "second_integration_s": 1e-4, "fps": 15}
+    config = SynthConfig.parse({"camera": {"sensor": changed}})
+    base = SENSORS["evk75123"]
+    assert config.camera.sensor_model == base.model_copy(update={k: v for k, v in changed.items() if k != "preset"})
+    assert SynthConfig.parse(config.model_dump(mode="json")) == config
+    with pytest.raises(ConfigError, match=r"^unknown field of a sensor 'integration_time_us'$") as caught:
+        SynthConfig.parse({"camera": {"sensor": {"preset": "evk75123", "integration_time_us": 300}}})
+    assert "integration_s" in str(caught.value.hint)
+    with pytest.raises(ConfigError, match=r"^unknown sensor 'evk7'$"):
+        SynthConfig.parse({"camera": {"sensor": {"preset": "evk7"}}})
+    with pytest.raises(ConfigError, match=r"^camera\.sensor\.Sensor\.fps: input should be greater than 0, not -1$"):
+        SynthConfig.parse({"camera": {"sensor": {"preset": "evk75123", "fps": -1}}})
+
+
+def test_people_move_while_a_frame_is_exposed_for_physical_noise_alone() -> None:
+    scene = {"sequence": {"exposure_motion": True}}
+    with pytest.raises(ConfigError, match="noise 'empirical' has no correlation samples"):
+        SynthConfig.parse({"scene": scene, "noise": {"kind": "empirical"}})
+
+
+def test_a_filter_over_time_needs_frames_that_follow_each_other() -> None:
+    camera = {"sensor": {"preset": "evk75123", "temporal_median": 5}}
+    with pytest.raises(ConfigError, match="takes the median of 5 frames, and each is a scene of its own"):
+        SynthConfig.parse({"camera": camera})
+    assert SynthConfig.parse({"camera": camera, "scene": {"sequence": {}}}).camera.sensor_model.temporal_median == 5
 
 
 def test_an_own_sensor() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.interpolate import CubicSpline
 from synth_scenes import fingerprint, small_config
 
@@ -15,13 +17,14 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.store import open_dataset
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
 from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
 from cabinpose.synth.motion.track import WIDTH, Way, duration
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.validate import Rejection, Validator, Verdict
+from cabinpose.synth.write import FrameMaker
 
 RATE, FRAMES = 10.0, 36
 TWO = {"driver": 1.0, "front_passenger": 1.0}
@@ -108,6 +111,66 @@ def test_nobody_touches_anything_between_the_frames(film) -> None:
     lower = posed.vehicle_from_root.copy()
     lower[2, 3] -= 0.15
     assert not cast.validator.check([(slot, person, person.pose(posed.q, lower))], cast.settings, 0.0).ok
+
+
+def test_people_move_on_while_a_frame_is_exposed(film) -> None:
+    """Where nothing moves, the bytes are those of a still exposure; else depth changes where people move, and no label does."""
+    scene = {"occupancy": TWO, "sequence": {"frames": FRAMES, "rate_hz": RATE, "exposure_motion": True}}
+    config = small_config(**scene).model_copy(update={"output": Output(noise=True)})
+    sampler = SceneSampler(config, 1)
+    sampler._film = lambda _: film
+    moving, still = (FrameMaker(config, 1, sampler) for _ in range(2))
+    still._sample_times = np.zeros(0)
+    times = moving._sample_times
+    assert len(times) == 4 * len(config.camera.sensor_model.frequencies_hz)
+    span = float(times[-1] - times[0])
+    speeds = np.array([film.moved_m(i / RATE - span / 2, i / RATE + span / 2) for i in range(FRAMES)]) / span
+    slow, fast = int(speeds.argmin()), int(speeds.argmax())
+    joints = np.stack([np.stack([p.posed.joints for p in film.people(fast / RATE + t)]) for t in times[[0, -1]]])
+    assert 0.8 * np.linalg.norm(joints[1] - joints[0], axis=-1).max() < speeds[fast] * span < 0.1
+    for index in (slow, fast):
+        (a, seen), (b, _) = moving.make(index), still.make(index)
+        exposures = sampler.exposed(index, seen, times)
+        same = {name for name in a if np.array_equal(a[name], b[name], equal_nan=np.asarray(a[name]).dtype.kind == "f")}
+        if index == slow:
+            assert all(shown is seen for shown in exposures)
+            assert same == a.keys()
+            continue
+        assert a.keys() - same == {"depth", "amplitude", "confidence", "noise"}
+        assert 1 < len({id(shown) for shown in exposures}) <= len(times)
+        clock = [shown.sync_ns - seen.sync_ns for shown in exposures]
+        assert clock == sorted(clock)
+        assert clock[0] == pytest.approx(-clock[-1], abs=1)
+        # Far from what moves depth is the same, but for the light that the lens scatters everywhere.
+        depths = np.stack([moving._view(shown).depth_m for shown in (exposures[0], exposures[-1])])
+        near = ndimage.binary_dilation(np.abs(depths[1] - depths[0]) > 1e-6, iterations=3)
+        away = ~near & np.isfinite(a["depth"]) & np.isfinite(b["depth"])
+        assert away.sum() > 0.3 * away.size
+        apart = np.abs(a["depth"] - b["depth"])[away]
+        assert np.quantile(apart, 0.99) < 1e-5
+        assert apart.max() < 1e-3  # a dark pixel
+        assert np.nanmax(np.abs(a["depth"] - b["depth"])[near]) > 5e-3
+        assert a["noise"].dtype == np.uint16
+        np.testing.assert_array_equal(a["noise"] == 0, np.isnan(a["depth"]))
+
+
+def test_depth_is_the_median_over_the_frames_before(film) -> None:
+    """Of frames without the filter, whatever was made before in the thread; a sequence begins anew."""
+    scene = {"occupancy": TWO, "sequence": {"frames": FRAMES, "rate_hz": RATE}}
+    config = small_config(**scene)
+    sensor = config.camera.sensor_model.model_copy(update={"temporal_median": 3})
+    filtered = config.model_copy(update={"camera": config.camera.model_copy(update={"sensor": sensor})})
+    sampler = SceneSampler(config, 1)
+    sampler._film = lambda _: film
+    plain, late = FrameMaker(config, 1, sampler), FrameMaker(filtered, 1, sampler)
+    depths = {i: plain.make(i)[0]["depth"] for i in (0, 1, 2, 3, FRAMES)}
+    for index, before in ((0, [0]), (3, [1, 2, 3]), (FRAMES, [FRAMES])):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of pixels without any depth
+            expected = np.nanmedian([depths[i] for i in before], axis=0)
+        expected[np.isnan(depths[index])] = np.nan
+        np.testing.assert_array_equal(late.make(index)[0]["depth"], expected)
+        assert (np.nan_to_num(expected) != np.nan_to_num(depths[index])).any() == (index == 3)
 
 
 def test_hands_stay_on_the_wheel_that_turns(film) -> None:

@@ -1,12 +1,14 @@
 """Made by tools/make_stubs.py from the extension."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy
 from numpy.typing import NDArray
 
 def simulate_continuous_wave(
-    view: tuple[object, ...],
+    views: Sequence[tuple[object, ...]],
+    shares: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
     camera: tuple[object, ...],
     ranks: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order="C", device="cpu", writable=False)],
     quantiles: Annotated[NDArray[numpy.float32], dict(shape=(65536), order="C", device="cpu", writable=False)],

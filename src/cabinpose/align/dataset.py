@@ -18,7 +18,7 @@ from cabinpose.align.visibility import visibility
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import invert
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core.recorded import FRAME_IMAGES, ToFFrame
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.store.convert.reading import put_camera, put_person
 from cabinpose.store.recording import Recording, Take, tof_frames
@@ -237,7 +237,7 @@ def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manife
             depth = image.depth_m()
             frame = blank_frame(manifest)
             frame["depth"] = _ticks(image)
-            for name in ("amplitude", "confidence"):
+            for name in FRAME_IMAGES:
                 if name in manifest.variables:
                     frame[name] = getattr(image, name)
             put_camera(frame, camera)
@@ -272,7 +272,7 @@ def _images(path: Path, calibration: Calibration) -> tuple[str, ...]:
     """The images that the camera gives, by its first frame."""
     with Recording(path) as recording:
         _, first = next(tof_frames(recording, calibration.names.tof))
-    return ("depth", *(name for name in ("amplitude", "confidence") if getattr(first, name).size))
+    return ("depth", *(name for name in FRAME_IMAGES if getattr(first, name).size))
 
 
 def _check_size(path: Path, image: ToFFrame, calibration: Calibration) -> None:

@@ -87,7 +87,8 @@ class ToFFrame:
 
     depth: uint16, `depth_unit_m` a step, 0 = invalid, along the optical axis · amplitude: uint16 · confidence: uint8 ·
     camera_k (3, 3) px, camera_dist (5,) OpenCV's k1 k2 p1 p2 k3 of the depth image · amplitude_dist (5,): of the amplitude
-    image, which some cameras deliver distorted beside undistorted points.
+    image, which some cameras deliver distorted beside undistorted points · noise: uint16, the camera's own sigma of its depth in
+    micrometres, 0 = unknown · balance: uint16, the balance image of Bluetechnix' kits, in the camera's unit.
     """
 
     depth: NDArray[np.uint16]
@@ -97,6 +98,8 @@ class ToFFrame:
     camera_k: F64
     camera_dist: F64
     amplitude_dist: F64
+    noise: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+    balance: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
 
     def depth_m(self) -> NDArray[np.float32]:
         """(H, W) depth along the optical axis, m, NaN = invalid: the same numbers as a dataset of the frame holds."""
@@ -104,6 +107,9 @@ class ToFFrame:
         with np.errstate(invalid="ignore"):
             depth /= self.depth != 0  # 0 / 0 is NaN; takes half as long as setting it where a mask says so
         return depth
+
+
+FRAME_IMAGES = ("amplitude", "confidence", "noise", "balance")  # of a `ToFFrame`, beside its depth
 
 
 @dataclass(frozen=True)

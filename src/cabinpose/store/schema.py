@@ -64,6 +64,8 @@ VARIABLES: tuple[Variable, ...] = (
     _depth("depth_styled", "style-transferred", default=False),
     Variable("amplitude", _IMAGE, "uint16", "amplitude of the active infrared light"),
     Variable("confidence", _IMAGE, "uint8", "the sensor's confidence"),
+    Variable("noise", _IMAGE, "uint16", "the sensor's own sigma of its depth, 0 = unknown", "um", default=False),
+    Variable("balance", _IMAGE, "uint16", "balance image of Bluetechnix' kits, in the camera's unit", default=False),
     Variable("labels", _IMAGE, "uint8", "class of the pixel"),
     Variable("instance", _IMAGE, "uint8", "0 = nobody, else 1 + position of the person"),
     Variable("rgb", (*_IMAGE, "channel"), "uint8", "colour image, sRGB", default=False),

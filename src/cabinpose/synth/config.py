@@ -60,7 +60,8 @@ class Camera(Model):
 
     sensor: str | Sensor = Field(
         "pico_monstar_105/5",
-        description="A preset (use case after a slash), or the mapping of an own sensor: see docs/sensor-model.md.",
+        description="A preset (use case after a slash), one with fields changed ({preset: evk75123, fps: 15}), or the mapping of"
+        " an own sensor: see docs/sensor-model.md.",
     )
     views: Mapping[str, Probability | CameraPose | ExactCameraPose] = Field(
         {"driver": 0.5, "front_row": 0.5},
@@ -69,6 +70,16 @@ class Camera(Model):
     jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="The position moves by up to this along each of the camera's axes.")
     jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="The orientation turns by up to this about each of its axes.")
     supersample: int = Field(2, ge=1, le=4, description="Parts a side of a pixel that sees an edge (flying pixels need 2).")
+
+    @field_validator("sensor", mode="before")
+    @classmethod
+    def _changed(cls, sensor: Any) -> Any:
+        if not isinstance(sensor, dict) or "preset" not in sensor:
+            return sensor
+        for field in sensor.keys() - {"preset"} - Sensor.model_fields.keys():
+            raise unknown_name("field of a sensor", field, list(Sensor.model_fields))
+        changes = {field: value for field, value in sensor.items() if field != "preset"}
+        return sensor_by_name(str(sensor["preset"])).model_dump() | changes
 
     @field_validator("sensor")
     @classmethod
@@ -256,6 +267,11 @@ class Output(Model):
     gaze: bool = Field(
         False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
     )
+    noise: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="Write the sensor's own sigma of its depth as well, as a Monstar's noise image.",
+    )
     licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
 
 
@@ -288,6 +304,17 @@ class SynthConfig(Model):
             raise ConfigError(
                 f"noise 'physical' describes Time-of-Flight, sensor '{sensor.name}' is none",
                 hint="choose noise kind structured_light or empirical",
+            )
+        sequence = self.scene.sequence if isinstance(self.scene, CabinScene) else None
+        if sequence is None and sensor.temporal_median > 1:
+            raise ConfigError(
+                f"sensor '{sensor.name}' takes the median of {sensor.temporal_median} frames, and each is a scene of its own",
+                hint="ask for a sequence with scene.sequence, or leave out temporal_median",
+            )
+        if sequence is not None and sequence.exposure_motion and not isinstance(self.noise, PhysicalNoise):
+            raise ConfigError(
+                f"noise '{self.noise.kind}' has no correlation samples between which people could move",
+                hint="choose noise kind physical, or leave out scene.sequence.exposure_motion",
             )
         return self
 
@@ -415,7 +442,11 @@ def _with_path(owner: Any, base: Path) -> None:
 def explain(error: ValidationError, model: type[BaseModel]) -> ConfigError:
     """One `ConfigError` of pydantic's findings: every path with its reason, and close matches of unknown keys."""
     lines, hint = [], None
-    for finding in error.errors():
+    findings = error.errors()
+    mappings = {finding["loc"][:-2] for finding in findings}  # of what may be a name or a mapping, the mapping is meant
+    for finding in findings:
+        if finding["type"] == "string_type" and finding["loc"][-1] == "str" and finding["loc"][:-1] in mappings:
+            continue
         where = ".".join(str(p) for p in finding["loc"]) or "configuration"
         if finding["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             key = str(finding["loc"][-1])

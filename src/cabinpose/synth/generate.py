@@ -153,6 +153,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
         variables=(
             *images,
+            *(("noise",) if config.output.noise else ()),
             *(("itop_joints_3d",) if standing else ()),
             *(("things",) if things else ()),
             *(GAZE_VARIABLES if config.output.gaze else ()),

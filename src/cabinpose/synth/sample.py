@@ -48,6 +48,7 @@ from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _ANYBODY = Occupant()
+_SAME_M = 1e-3  # what moves less while samples are exposed stands still: each is half of it off, a tenth of a pixel at 1 m
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
 
 
@@ -172,10 +173,31 @@ class SceneSampler:
         """Plan a sequence before its first frame is asked for."""
         self._film(number)
 
-    def _moving(self, scene: CabinScene, sequence: SequenceConfig, index: int) -> Scene:
-        """Frame `index` of the dataset as a frame of its sequence."""
+    def exposed(self, index: int, scene: Scene, times_s: Floats) -> list[Scene]:
+        """The scene of frame `index` of a sequence at some times (S,) s before and after its own.
+
+        Times between which nothing moves by more than `_SAME_M` share one scene, at their mean; where nothing moves at all, it is
+        the given one.
+        """
+        car = self._config.scene
+        assert isinstance(car, CabinScene)
+        assert car.sequence is not None
+        number, frame = divmod(index, car.sequence.frames)
+        time_s = frame / car.sequence.rate_hz
+        moved = self._film(number).moved_m(time_s + float(times_s[0]), time_s + float(times_s[-1]))
+        moments = np.array_split(times_s, min(max(1, math.ceil(moved / _SAME_M)), len(times_s)))
+        if len(moments) == 1:
+            return [scene] * len(times_s)
+        return [
+            shown
+            for moment in moments
+            for shown in [self._moving(car, car.sequence, index, float(moment.mean()))] * len(moment)
+        ]  # fmt: skip
+
+    def _moving(self, scene: CabinScene, sequence: SequenceConfig, index: int, later_s: float = 0.0) -> Scene:
+        """Frame `index` of the dataset as a frame of its sequence, or what is to be seen so much later."""
         number, frame = divmod(index, sequence.frames)
-        film, time_s = self._film(number), frame / sequence.rate_hz
+        film, time_s = self._film(number), frame / sequence.rate_hz + later_s
         rng = sequence_rng(self._seed, number * sequence.frames, 0)  # the same belts in all frames
         shown = self._assembled(scene, film.cast, film.people(time_s), film.wheel_angle(time_s), film.pov, film.camera, rng)
         counts = (film.proposals, film.rejections) if frame == 0 else (0, {})

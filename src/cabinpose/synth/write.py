@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.scene.sensor import simulate
+from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, median_of_valid, sample_times, simulate
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import CabinScene, SynthConfig
@@ -57,6 +57,11 @@ class FrameMaker:
         self._sampler = sampler or SceneSampler(config, seed)
         self._sensor = config.camera.sensor_model
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
+        self._sequence = config.scene.sequence if isinstance(config.scene, CabinScene) else None
+        moving = self._sequence is not None and self._sequence.exposure_motion
+        physical = config.noise if isinstance(config.noise, PhysicalNoise) else None
+        self._sample_times = sample_times(self._sensor, physical) if moving and physical else np.zeros(0)
+        self._delivered: dict[int, np.ndarray] = {}  # depths of the frames before, where they are filtered over time
         self._pictures: PictureMaker | None = None
         if pictures and config.images is not None:
             from cabinpose.synth.pictures.maker import PictureMaker  # noqa: PLC0415 - loaded where there are pictures
@@ -74,13 +79,36 @@ class FrameMaker:
 
     def make(self, index: int) -> tuple[Frame, Scene]:
         """Frame `index`: every variable of the dataset standard, and the scene it shows."""
+        frame, scene = self._make_alone(index)
+        if self._sensor.temporal_median > 1:
+            self._delivered[index] = frame["depth"]
+            frame["depth"] = self._over_time(index)
+        return frame, scene
+
+    def _make_alone(self, index: int) -> tuple[Frame, Scene]:
+        """A frame as it is before a filter over time."""
         rng = frame_rng(self._seed, index)
         with self.stage("sample_and_validate"):
             scene = self._sampler.sample(index, rng=rng)
-        return self.see(scene, rng=noise_rng(self._seed, index)), scene
+            exposures = self._sampler.exposed(index, scene, self._sample_times) if self._sample_times.size else []
+        return self.see(scene, rng=noise_rng(self._seed, index), exposures=exposures), scene
 
-    def see(self, scene: Scene, *, rng: np.random.Generator) -> Frame:
-        """A scene as the camera delivers it: every variable of the dataset standard."""
+    def _over_time(self, index: int) -> np.ndarray:
+        """The median depth (H, W) m of a frame and those before it in its sequence; what other threads made is made again."""
+        assert self._sequence is not None
+        first = max(index - self._sensor.temporal_median + 1, index // self._sequence.frames * self._sequence.frames)
+        self._delivered = {
+            i: self._delivered[i] if i in self._delivered else self._make_alone(i)[0]["depth"] for i in range(first, index + 1)
+        }
+        return median_of_valid(np.stack(list(self._delivered.values())))
+
+    def see(self, scene: Scene, *, rng: np.random.Generator, exposures: Sequence[Scene] = ()) -> Frame:
+        """A scene as the camera delivers it: every variable of the dataset standard.
+
+        exposures: what there is to see at each of the sensor's samples, where people move in between.
+        """
+        with self.stage("render"):
+            views = {id(moment): self._view(moment) for moment in {id(m): m for m in exposures if m is not scene}.values()}
         with self.stage("assemble"):
             surface = scene.surface()
         camera_from_world = invert(scene.world_from_camera)
@@ -90,7 +118,8 @@ class FrameMaker:
                 surface, camera_from_world, closed=scene.closed, joints=joints["joints_3d"], instances=self._instances
             )
         with self.stage("sensor"):
-            seen = simulate(rendered.buffers, self._sensor, self._config.noise, rng=rng)
+            taken = [views.get(id(moment), rendered.buffers) for moment in exposures]
+            seen = simulate(rendered.buffers, self._sensor, self._config.noise, rng=rng, exposures=taken)
         pictures: Frame = {}
         if self._pictures is not None:
             with self.stage("pictures"):
@@ -117,8 +146,14 @@ class FrameMaker:
             "car": scene.place,
             "pov": scene.pov,
             **({"things": self._things(scene)} if brings_things(self._config) else {}),
+            **({"noise": _micrometres(seen.noise_m)} if self._config.output.noise else {}),
             **(gaze_labels(scene, self._slots) if self._config.output.gaze else {}),
         }
+
+    def _view(self, scene: Scene) -> GeometryBuffers:
+        """What the camera sees of a scene."""
+        rendered = self._rasteriser.render(scene.surface(), invert(scene.world_from_camera), closed=scene.closed)
+        return rendered.buffers.copy()
 
     def _things(self, scene: Scene) -> list[str]:
         """What is in each place, kinds divided by commas."""
@@ -142,6 +177,11 @@ class FrameMaker:
         if self._config.scene.kind == "room":
             result["itop_joints_3d"] = itop
         return result
+
+
+def _micrometres(noise_m: np.ndarray) -> np.ndarray:
+    """Sigma (H, W) m, NaN or infinite where there is none, as 16 bits of micrometres; 0 is unknown."""
+    return np.minimum(np.nan_to_num(np.rint(noise_m * 1e6), posinf=0.0), 65535.0).astype(np.uint16)
 
 
 @dataclass

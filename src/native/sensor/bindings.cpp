@@ -1,3 +1,5 @@
+#include <nanobind/stl/vector.h>
+
 #include "core/bind.hpp"
 #include "sensor/continuous_wave.hpp"
 #include "sensor/empirical.hpp"
@@ -6,8 +8,8 @@
 namespace cabinpose {
 
 void bind_sensor(nb::module_& m) {
-  m.def("simulate_continuous_wave", &simulate_continuous_wave, "view"_a, "camera"_a, "ranks"_a, "quantiles"_a, "out"_a,
-        unlocked(), "One frame of a continuous-wave Time-of-Flight camera.");
+  m.def("simulate_continuous_wave", &simulate_continuous_wave, "views"_a, "shares"_a, "camera"_a, "ranks"_a, "quantiles"_a,
+        "out"_a, unlocked(), "One frame of a continuous-wave Time-of-Flight camera.");
   m.def("simulate_empirical", &simulate_empirical, "view"_a, "camera"_a, "ranks"_a, "quantiles"_a, "out"_a, unlocked(),
         "One frame of a camera with measured noise.");
   m.def("simulate_structured_light", &simulate_structured_light, "view"_a, "camera"_a, "ranks"_a, "quantiles"_a, "out"_a,

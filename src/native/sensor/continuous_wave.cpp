@@ -71,11 +71,13 @@ struct Parts {
   std::int32_t* column;  // of each pixel
 };
 
-/// The light of a frame, by rows; see `collect`, `stray`.
+/// The light of a frame, by rows; see `collect`, `stray`. Of several moments, the planes are means, each with shares of its own.
 struct Light {
-  const View& view;
+  const std::vector<View>& views;
+  Array<const double, any, any> shares;
   const ContinuousWave& camera;
   Workspace& memory;
+  View view = views[0];
   Index height = view.depth.size(0), width = view.depth.size(1), stride = whole_lines(width);
   Index frequencies = camera.frequencies.size();
   Index planes = phasors + 2 * frequencies + (camera.wrapping ? 0 : 1);
@@ -88,6 +90,7 @@ struct Light {
   float* raw = nullptr;                               // (planes, stride): one row before the blur
   float* blurred[3] = {};                             // (planes, stride): three rows, blurred along themselves
   float* range = nullptr;                             // (stride,)
+  float* finished = nullptr;                          // (stride,): one row of one moment
   Parts part{};
 
   /// Plane `which` of row v, in electrons; the range in m, NaN where there is no light.
@@ -96,25 +99,30 @@ struct Light {
   /// Works out all rows.
   void collect() {
     const Index samples = most_pixels * parts;
-    memory.reserve((height + 4) * planes * stride + (1 + decoded_rows) * stride + 8 * whole_lines(samples));
+    memory.reserve((height + 4) * planes * stride + (2 + decoded_rows) * stride + 8 * whole_lines(samples));
     memory.material.resize(static_cast<std::size_t>(samples));
     memory.column.resize(static_cast<std::size_t>(most_pixels));
     kept = memory.take(height * planes * stride);
     raw = memory.take(planes * stride);
     for (float*& rows : blurred) rows = memory.take(planes * stride);
     range = memory.take(stride);
+    finished = memory.take(stride);
     part = {memory.take(samples), memory.take(samples), memory.take(samples), memory.take(samples),   memory.take(samples),
             memory.take(samples), memory.take(samples), memory.take(samples), memory.material.data(), memory.column.data()};
     for (Index k = 0; k < frequencies; ++k) per_m[k] = static_cast<float>(2.0 * camera.frequencies(k) / speed_of_light);
-    if (camera.parts) sort_by_rows(view.mixed, height, width, memory);
+    for (Index moment = 0; moment < static_cast<Index>(views.size()); ++moment) collect_moment(moment);
+  }
 
+  void collect_moment(Index moment) {
+    view = views[static_cast<std::size_t>(moment)];
+    if (camera.parts) sort_by_rows(view.mixed, height, width, memory);
     for (Index v = 0; v < height; ++v) {
       collect_pixels(v, raw);
       if (camera.parts) collect_parts(v, raw);
       for (Index k = 0; k < planes; ++k) blur_row(raw + k * stride, width, share, blurred[v % 3] + k * stride);
-      if (v > 0) finish_row(v - 1);
+      if (v > 0) finish_row(v - 1, moment);
     }
-    finish_row(height - 1);
+    finish_row(height - 1, moment);
   }
 
   /// One row (planes, stride), each pixel seen as one surface.
@@ -177,21 +185,33 @@ struct Light {
   }
 
   /// Blurs row v across its neighbours, all of which are blurred along themselves, and counts its electrons.
-  void finish_row(Index v) {
+  void finish_row(Index v, Index moment) {
     const float* here = blurred[v % 3];
     const float* above = v > 0 ? blurred[(v + 2) % 3] : here;  // beyond the image is the row itself
     const float* below = v + 1 < height ? blurred[(v + 1) % 3] : here;
+    const bool one = views.size() == 1;
     for (Index k = 0; k < phasors + 2 * frequencies; ++k) {
       const float* gain = (k == ambient ? camera.ambient_gain : camera.gain)[v].data();
       const Index at = k * stride;
-      total[k] += blur_and_gain(above + at, here + at, below + at, width, share, gain, row(v, k));
+      float* to = one ? row(v, k) : finished;
+      total[k] += shares(moment, k) * blur_and_gain(above + at, here + at, below + at, width, share, gain, to);
+      if (!one) add_share(finished, moment, k, v);
     }
     if (camera.wrapping) return;
     const Index at = (planes - 1) * stride;
-    float *known = row(v, planes - 1), *light = range;
+    float *known = one ? row(v, planes - 1) : finished, *light = range;
     blur_across(above + at, here + at, below + at, width, share, known);
     blur_across(above + energy * stride, here + energy * stride, below + energy * stride, width, share, light);
     for (Index u = 0; u < width; ++u) known[u] /= light[u];
+    if (!one) add_share(finished, moment, planes - 1, v);
+  }
+
+  /// Adds the share that a moment's row has in a plane.
+  void add_share(const float* of, Index moment, Index plane, Index v) {
+    const float weight = static_cast<float>(shares(moment, plane));
+    float* to = row(v, plane);
+    if (moment == 0) std::fill_n(to, width, 0.0f);
+    for (Index u = 0; u < width; ++u) to[u] += weight * of[u];
   }
 
   /// Stray light (electrons): a share of the mean over the image of energy and of (cos, sin) a frequency, (1 + 2 F,).
@@ -237,16 +257,17 @@ void decode(const Light& light, Array<const std::uint16_t, any, any> ranks, cons
     }
     if (!camera.wrapping) unwrap_perfectly(light.row(v, light.planes - 1), period, width, range);
     deliver_row(range, amplitude, total, peak, camera.gain[v].data(), camera.range_over_depth[v].data(), taps, limits, width,
-                scratch, out.depth[v].data(), out.amplitude[v].data(), out.confidence[v].data());
+                scratch, out.depth[v].data(), out.amplitude[v].data(), out.confidence[v].data(), out.noise[v].data());
   }
 }
 
 }  // namespace
 
-void simulate_continuous_wave(const View& view, const ContinuousWave& camera, Array<const std::uint16_t, any, any> ranks,
-                              Array<const float, 65536> quantiles, const Delivered& out) {
+void simulate_continuous_wave(const std::vector<View>& views, Array<const double, any, any> shares, const ContinuousWave& camera,
+                              Array<const std::uint16_t, any, any> ranks, Array<const float, 65536> quantiles,
+                              const Delivered& out) {
   thread_local Workspace memory;
-  Light light{view, camera, memory};
+  Light light{views, shares, camera, memory};
   light.collect();
   decode(light, ranks, quantiles.data(), out);
 }

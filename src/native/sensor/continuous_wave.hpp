@@ -1,6 +1,8 @@
 // Noise model `physical`: a continuous-wave Time-of-Flight camera.
 #pragma once
 
+#include <vector>
+
 #include "sensor/view.hpp"
 
 namespace cabinpose {
@@ -39,9 +41,13 @@ struct ContinuousWave {
 /// One frame: phasors of pixels and of the parts of mixed ones, blur, stray light, four noisy samples of the correlation a
 /// frequency, decoding to depth, amplitude and confidence.
 ///
-/// ranks: (H, 4 W) random 16-bit numbers, which rank the standard normal numbers `quantiles`.
-/// The light is relative to a white surface that faces the camera at 1 m until `gain` turns it into electrons.
-void simulate_continuous_wave(const View& view, const ContinuousWave& camera, Array<const std::uint16_t, any, any> ranks,
-                              Array<const float, 65536> quantiles, const Delivered& out);
+/// views: the geometry while the samples were exposed, at least one and all of one size. A sample is linear in the light, and so
+/// is the difference of two: the planes of energy, ambient light, (cos, sin) a frequency and, without `wrapping`, the range are
+/// means over these views with `shares` (M, planes), which add up to 1. Noise and full wells go by the mean light. ranks: (H, 4
+/// W) random 16-bit numbers, which rank the standard normal numbers `quantiles`. The light is relative to a white surface that
+/// faces the camera at 1 m until `gain` turns it into electrons.
+void simulate_continuous_wave(const std::vector<View>& views, Array<const double, any, any> shares, const ContinuousWave& camera,
+                              Array<const std::uint16_t, any, any> ranks, Array<const float, 65536> quantiles,
+                              const Delivered& out);
 
 }  // namespace cabinpose

@@ -79,15 +79,16 @@ void unwrap_perfectly(const float* known, float period, Index n, float* __restri
 void deliver_row(const float* __restrict range, const float* __restrict amplitude, const float* __restrict total,
                  const float* __restrict peak, const float* __restrict gain, const float* __restrict range_over_depth,
                  const Taps& taps, const Limits& limits, Index n, float* __restrict scratch, float* __restrict depth_out,
-                 std::uint16_t* __restrict amplitude_out, std::uint8_t* __restrict confidence_out) {
+                 std::uint16_t* __restrict amplitude_out, std::uint8_t* __restrict confidence_out, float* __restrict noise_out) {
   const float shot = taps.shot, read_variance = taps.read_variance, well = 2.0f * taps.full_well;
   const float min_amplitude = limits.min_amplitude, near = limits.near, far = limits.far, sigma_scale = limits.sigma_scale;
-  const float invalid = std::numeric_limits<float>::quiet_NaN();
+  const float invalid = std::numeric_limits<float>::quiet_NaN(), infinite = std::numeric_limits<float>::infinity();
   for (Index u = 0; u < n; ++u) {
     const float a = amplitude[u], z = range[u] / range_over_depth[u];
     const bool valid = (gain[u] > 0.0f) & (peak[u] < well) & (a >= min_amplitude) & (a > 0.0f) & (z >= near) & (z <= far);
     const float sigma = sigma_scale * std::sqrt(shot * total[u] + read_variance);
     depth_out[u] = valid ? z : invalid;
+    noise_out[u] = valid ? sigma / (a * range_over_depth[u]) : ((gain[u] > 0.0f) & (peak[u] >= well) ? infinite : invalid);
     scratch[u] = where(valid, (255.0f * confidence_sigma) * a / (confidence_sigma * a + sigma + 1e-30f));
   }
   // Through int, which processors convert several at a time.

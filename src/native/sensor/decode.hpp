@@ -54,11 +54,12 @@ void unwrap_row(const float* turns_1, const float* turns_2, const Unwrapping& un
 /// Adds the whole periods that bring each range of a row next to a known one, NaN where there is none.
 void unwrap_perfectly(const float* known, float period, Index n, float* range);
 
-/// Depth (m, NaN where invalid), amplitude (electrons) and confidence of a row. `gain` is 0 outside the field.
+/// Depth (m, NaN where invalid), amplitude (electrons), confidence and noise (see `Delivered`) of a row. `gain` is 0 outside the
+/// field.
 ///
 /// scratch: n floats.
 void deliver_row(const float* range, const float* amplitude, const float* total, const float* peak, const float* gain,
                  const float* range_over_depth, const Taps& taps, const Limits& limits, Index n, float* scratch, float* depth_out,
-                 std::uint16_t* amplitude_out, std::uint8_t* confidence_out);
+                 std::uint16_t* amplitude_out, std::uint8_t* confidence_out, float* noise_out);
 
 }  // namespace cabinpose

@@ -104,7 +104,7 @@ void simulate_empirical(const View& view, const Empirical& camera, Array<const s
     for (Index u = 0; u < width; ++u) result[u] = field[u] & !(result[u] < near) & !(result[u] > far) ? result[u] : nan;
   }
   geometric_amplitude(depth, view, camera.range_over_depth.data(), camera.amplitude_scale.data(), table, out.amplitude.data());
-  confidence_of_sigma(out.depth.data(), sigma, n, out.confidence.data());
+  deliver_sigma(sigma, out);
 }
 
 }  // namespace cabinpose

@@ -145,7 +145,7 @@ void simulate_structured_light(const View& view, const StructuredLight& camera, 
   }
   geometric_amplitude(clean, view, camera.range_over_depth.data(), camera.amplitude_scale.data(), camera.table.data(),
                       out.amplitude.data());
-  confidence_of_sigma(out.depth.data(), sigma, n, out.confidence.data());
+  deliver_sigma(sigma, out);
 }
 
 }  // namespace cabinpose

@@ -35,11 +35,15 @@ void geometric_amplitude(const float* depth, const View& view, const float* rang
   }
 }
 
-void confidence_of_sigma(const float* depth, const float* sigma, Index n, std::uint8_t* __restrict out) {
-  for (Index i = 0; i < n; ++i) {
+void deliver_sigma(const float* sigma, const Delivered& out) {
+  const float* depth = out.depth.data();
+  std::uint8_t* __restrict confidence_out = out.confidence.data();
+  float* __restrict noise_out = out.noise.data();
+  for (Index i = 0; i < out.depth.count(); ++i) {
     const float confidence = 255.0f * confidence_sigma / (confidence_sigma + sigma[i]);
     const bool finite = std::fabs(depth[i]) < std::numeric_limits<float>::infinity();
-    out[i] = static_cast<std::uint8_t>(static_cast<std::int32_t>(finite ? confidence : 0.0f));
+    confidence_out[i] = static_cast<std::uint8_t>(static_cast<std::int32_t>(finite ? confidence : 0.0f));
+    noise_out[i] = finite ? sigma[i] : std::numeric_limits<float>::quiet_NaN();
   }
 }
 

@@ -25,8 +25,9 @@ struct Delivered {
   Array<float, any, any> depth;
   Array<std::uint16_t, any, any> amplitude;
   Array<std::uint8_t, any, any> confidence;
+  Array<float, any, any> noise;  // sigma of the depth (m), NaN where invalid, infinite where a tap is full
 
-  auto members() { return std::tie(depth, amplitude, confidence); }
+  auto members() { return std::tie(depth, amplitude, confidence, noise); }
 };
 
 /// A sigma at which the delivered confidence, 255 c / (c + sigma), is half of its scale (m).
@@ -62,7 +63,7 @@ void depth_of_one_surface(const View& view, float* out);
 void geometric_amplitude(const float* depth, const View& view, const float* range_over_depth, const float* scale,
                          const float* table, std::uint16_t* out);
 
-/// Confidence of n depths, 0 where they are not finite.
-void confidence_of_sigma(const float* depth, const float* sigma, Index n, std::uint8_t* out);
+/// Confidence, 0 where the depth is not finite, and noise of depths that have a sigma (m).
+void deliver_sigma(const float* sigma, const Delivered& out);
 
 }  // namespace cabinpose

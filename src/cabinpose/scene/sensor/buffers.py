@@ -98,6 +98,10 @@ class GeometryBuffers:
             self.mixed, self.parts_depth_m, self.parts_cos_incidence, self.parts_material,
         )  # fmt: skip
 
+    def copy(self) -> GeometryBuffers:
+        """The same in memory of its own."""
+        return GeometryBuffers(self.supersample, *(array.copy() for array in self.arrays))
+
     def slots(self) -> Ints32:
         """(H, W): where in `mixed` each pixel is; -1 where it is not."""
         slots = np.full(self.depth_m.size, -1, np.int32)
@@ -110,14 +114,16 @@ class SensorFrame(NamedTuple):
 
     depth_m: (H, W) float32, along the optical axis, NaN where invalid · amplitude: (H, W) uint16, active light in
     electrons of tap difference, also where the depth is invalid · confidence: (H, W) uint8, 0 where invalid and
-    255 c / (c + sigma) elsewhere, with sigma the noise that the sensor estimates from its own samples, c = 10 mm.
+    255 c / (c + sigma) elsewhere, with sigma the noise that the sensor estimates from its own samples, c = 10 mm ·
+    noise_m: (H, W) float32, that sigma along the optical axis, NaN where invalid, infinite where a tap is full.
     """
 
     depth_m: Floats32
     amplitude: NDArray[np.uint16]
     confidence: Bytes
+    noise_m: Floats32
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> SensorFrame:
         """Memory for a frame of a camera of H x W pixels."""
-        return cls(np.empty(shape, np.float32), np.empty(shape, np.uint16), np.empty(shape, np.uint8))
+        return cls(*(np.empty(shape, dtype) for dtype in (np.float32, np.uint16, np.uint8, np.float32)))

@@ -38,3 +38,4 @@ def invalidate(frame: SensorFrame, where: Bools) -> None:
     """Make pixels (H, W) invalid, in place; their amplitude stays."""
     frame.depth_m[where] = np.nan
     frame.confidence[where] = 0
+    frame.noise_m[where] = np.nan

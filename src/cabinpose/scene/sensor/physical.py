@@ -8,6 +8,7 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
@@ -17,7 +18,7 @@ from numpy.random import Generator, Philox
 from pydantic import Field
 
 from cabinpose._native import sensor as native
-from cabinpose.core.arrays import Bools, Floats32
+from cabinpose.core.arrays import Bools, Floats, Floats32
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import EdgeRule, invalidate
@@ -152,23 +153,58 @@ def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> 
     )
 
 
-def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, *, rng: Generator) -> SensorFrame:
+def sample_times(sensor: Sensor, noise: PhysicalNoise) -> Floats:
+    """(S,) s from the middle of a frame's exposure: the middles of its correlation samples, in the order they are exposed.
+
+    Four samples of the first frequency (0, 90, 180, 270 degrees) and of the second; in two-integration mode the same again.
+    """
+    frequencies = len(sensor.frequencies_hz) if noise.second_frequency else 1
+    lasts = [t for t in (sensor.integration_s, sensor.second_integration_s) if t is not None]
+    lasting = np.repeat(lasts, 4 * frequencies)
+    ends = np.cumsum(lasting + sensor.readout_s) - sensor.readout_s
+    return np.asarray(ends - lasting / 2 - ends[-1] / 2)
+
+
+def _shares(which: Sequence[int], frequencies: int, planes: int) -> Floats:
+    """(M, planes): of the moments `which` (S,) the samples belong to, in the means that the kernel decodes.
+
+    C0 - C2 = K (I(t0) + I(t2)) and C3 - C1 = K (Q(t1) + Q(t3)), where I and Q are the light in phase and in quadrature.
+    """
+    of_moment = np.eye(max(which) + 1)[list(which)]  # (S, M)
+    shares = np.repeat(of_moment.mean(axis=0)[:, None], planes, axis=1)
+    for k in range(frequencies):
+        for plane, samples in ((2 + 2 * k, [0, 2]), (3 + 2 * k, [1, 3])):
+            shares[:, plane] = of_moment[4 * k : 4 * k + 4][samples].mean(axis=0)
+    return shares
+
+
+def simulate_physical(
+    buffers: GeometryBuffers,
+    sensor: Sensor,
+    noise: PhysicalNoise,
+    *,
+    rng: Generator,
+    exposures: Sequence[GeometryBuffers] = (),
+) -> SensorFrame:
     """One frame of a continuous-wave camera; see `simulate`."""
     if sensor.principle != "time_of_flight":
         raise ConfigError(
             f"sensor '{sensor.name}' is not a Time-of-Flight camera, and the noise model 'physical' is one",
             hint="choose the noise model 'structured_light' or 'empirical'",
         )
-    frame = SensorFrame.empty(buffers.shape)
+    samples = list(exposures) or [buffers] * len(sample_times(sensor, noise))
+    if len(samples) != (expected := len(sample_times(sensor, noise))):
+        raise ConfigError(
+            f"{len(samples)} exposures for the {expected} samples of a frame of '{sensor.name}'",
+            hint="give the geometry at each of `sample_times`",
+        )
     camera = _continuous_wave(sensor, noise, buffers.supersample)
-    if noise.light_offset_m:
-        buffers = _unlit(buffers, light_shadow(buffers.depth_m, sensor.camera, noise.light_offset_m))
     if noise.sun > 0:
         camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)
-    native.simulate_continuous_wave(
-        buffers.arrays, camera,
-        random_words(buffers.shape, rng=rng).view(np.uint16), normal_quantiles(), frame,
-    )  # fmt: skip
+    first = len(samples) if sensor.second_integration_s is None else len(samples) // 2
+    frame = _exposed(samples[:first], camera, sensor, noise, rng=rng)
+    if sensor.second_integration_s is not None and (full := np.isinf(frame.noise_m)).any():
+        _take_shorter(frame, full, samples[first:], camera, sensor, noise, rng=rng)
     if noise.low_amplitude and noise.low_amplitude_spread > 0:
         height, width = buffers.shape
         ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]
@@ -177,6 +213,41 @@ def simulate_physical(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalN
     if noise.fixed_pattern_mm > 0 or noise.fixed_pattern_gain > 0:
         _add_fixed_pattern(frame, camera, noise)
     return frame
+
+
+def _exposed(
+    samples: Sequence[GeometryBuffers], camera: _ContinuousWave, sensor: Sensor, noise: PhysicalNoise, *, rng: Generator
+) -> SensorFrame:
+    """A frame of the geometry at each of its samples, many of which may be one and the same object."""
+    views = list({id(view): view for view in samples}.values())
+    which = [next(i for i, view in enumerate(views) if view is sample) for sample in samples]
+    frequencies = len(camera.frequencies)
+    shares = _shares(which, frequencies, 2 + 2 * frequencies + (not camera.wrapping))
+    if noise.light_offset_m:
+        views = [_unlit(v, light_shadow(v.depth_m, sensor.camera, noise.light_offset_m)) for v in views]
+    frame = SensorFrame.empty(views[0].shape)
+    words = random_words(views[0].shape, rng=rng).view(np.uint16)
+    native.simulate_continuous_wave([v.arrays for v in views], shares, camera, words, normal_quantiles(), frame)
+    return frame
+
+
+def _take_shorter(
+    frame: SensorFrame,
+    full: Bools,
+    samples: Sequence[GeometryBuffers],
+    camera: _ContinuousWave,
+    sensor: Sensor,
+    noise: PhysicalNoise,
+    *,
+    rng: Generator,
+) -> None:
+    """Put a second, shorter integration in place of pixels (H, W) that are full in the first, their amplitude at its scale."""
+    ratio = np.float32((sensor.second_integration_s or 0.0) / sensor.integration_s)
+    dimmed = camera._replace(gain=camera.gain * ratio, ambient_gain=camera.ambient_gain * ratio)
+    shorter = _exposed(samples, dimmed, sensor, noise, rng=rng)
+    for image in ("depth_m", "confidence", "noise_m"):
+        getattr(frame, image)[full] = getattr(shorter, image)[full]
+    frame.amplitude[full] = np.minimum(shorter.amplitude[full] / ratio, 65535.0).astype(np.uint16)
 
 
 def _unlit(buffers: GeometryBuffers, shadow: Bools) -> GeometryBuffers:

@@ -24,6 +24,7 @@ from cabinpose.core.errors import ConfigError, unknown_name
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.
 _LARGEST_RATIO = 12
+READOUT_S = 0.96e-3  # of half the pixels at half of 80 MHz: the thesis' equation 4.1, of the EVK75123; assumed for the others
 
 
 class Sensor(BaseModel):
@@ -38,6 +39,18 @@ class Sensor(BaseModel):
     camera: Camera = Field(description="Intrinsics: width, height, fx, fy, cx, cy (px) and dist (k1, k2, p1, p2, k3).")
     range_m: tuple[float, float] = Field(description="Dead zone and saturation: nearest and farthest distance delivered (m).")
     integration_s: float = Field(gt=0, description="Exposure of one correlation sample (s).")
+    second_integration_s: float | None = Field(
+        default=None,
+        gt=0,
+        exclude_if=lambda value: value is None,
+        description="Two-integration mode: a shorter exposure follows, which pixels deliver that are full in the first (s).",
+    )
+    readout_s: float = Field(
+        default=READOUT_S,
+        ge=0,
+        exclude_if=lambda value: value == READOUT_S,
+        description="Time between the exposures of two correlation samples (s).",
+    )
     fps: float = Field(gt=0, description="Frames per second.")
     frequencies_hz: tuple[Annotated[float, Field(gt=1e5, lt=1e9)], ...] = Field(
         default=(), max_length=2, description="Modulation frequencies (Hz): one, or two in the ratio of small integers."
@@ -58,6 +71,19 @@ class Sensor(BaseModel):
     field_radius_px: float | None = Field(
         default=None, gt=0, description="Radius of the lens' image circle about (cx, cy) (px); none = no crop."
     )
+    spatial_filter: Literal["none", "mean", "median", "bilateral"] = Field(
+        default="none", exclude_if=lambda value: value == "none", description="Filter of depth over neighbouring pixels."
+    )
+    spatial_px: Literal[3, 5, 7] = Field(
+        default=3, exclude_if=lambda value: value == 3, description="Side of the square that it looks at (px)."
+    )
+    temporal_median: int = Field(
+        default=1,
+        ge=1,
+        le=15,
+        exclude_if=lambda value: value == 1,
+        description="Each depth is the median of the pixel's last so many frames, of one sequence.",
+    )
     baseline_m: float = Field(default=0.075, gt=0, description="Structured light only: distance from projector to camera (m).")
     native_scale: float = Field(default=1.0, gt=0, description="Structured light only: matched pixels per delivered pixel.")
 
@@ -68,6 +94,11 @@ class Sensor(BaseModel):
         if not 0 <= near < far:
             raise ConfigError(
                 f"sensor '{self.name}': range {near}..{far} m is empty", hint="give range_m as near, far with 0 <= near < far"
+            )
+        if (self.second_integration_s or 0.0) >= self.integration_s:
+            raise ConfigError(
+                f"sensor '{self.name}': the second integration, {self.second_integration_s} s, is not the shorter one",
+                hint=f"give second_integration_s below integration_s, {self.integration_s}",
             )
         if self.principle == "time_of_flight" and not self.frequencies_hz:
             raise ConfigError(f"sensor '{self.name}' has no modulation frequency", hint="give one or two frequencies_hz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from numpy.random import Generator
@@ -11,6 +12,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import edge_pixels, invalidate
 from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical
+from cabinpose.scene.sensor.filters import smoothed
 from cabinpose.scene.sensor.physical import PhysicalNoise, simulate_physical
 from cabinpose.scene.sensor.presets import Sensor
 from cabinpose.scene.sensor.structured_light import StructuredLightNoise, simulate_structured_light
@@ -20,7 +22,12 @@ NoiseModel = Annotated[PhysicalNoise | EmpiricalNoise | StructuredLightNoise, Fi
 
 
 def simulate(
-    buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise, *, rng: Generator
+    buffers: GeometryBuffers,
+    sensor: Sensor,
+    noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise,
+    *,
+    rng: Generator,
+    exposures: Sequence[GeometryBuffers] = (),
 ) -> SensorFrame:
     """The frame that a camera delivers of a rendered view; equal bits of `rng` give equal bytes.
 
@@ -34,11 +41,14 @@ def simulate(
         Its noise model.
     rng
         Source of the noise.
+    exposures
+        Of `physical` noise: the view at each of `sample_times`, where things move while a frame is exposed. Where nothing moves
+        from one to the next, give the same object. `buffers` is then the view in the middle.
 
     Returns
     -------
     SensorFrame
-        depth (m, NaN invalid), amplitude and confidence, (H, W) each.
+        depth (m, NaN invalid), amplitude, confidence and noise, (H, W) each.
 
     Raises
     ------
@@ -54,9 +64,11 @@ def simulate(
     if isinstance(noise, StructuredLightNoise):
         return simulate_structured_light(buffers, sensor, noise, rng=rng)
     if isinstance(noise, PhysicalNoise):
-        frame = simulate_physical(buffers, sensor, noise, rng=rng)
+        frame = simulate_physical(buffers, sensor, noise, rng=rng, exposures=exposures)
     else:
         frame = simulate_empirical(buffers, sensor, noise, rng=rng)
     if noise.remove_edges:
         invalidate(frame, edge_pixels(buffers.depth_m, noise))
+    if sensor.spatial_filter != "none":
+        frame.depth_m[:] = smoothed(frame.depth_m, sensor)
     return frame

@@ -25,6 +25,7 @@ from cabinpose.core.errors import RecordingError
 from cabinpose.core.recorded import (
     ARRAYS,
     F64,
+    FRAME_IMAGES,
     TOPICS,
     Channels,
     Facts,
@@ -93,7 +94,7 @@ class Decoder:
         try:
             if topic in ("calibration", "amplitude_calibration"):
                 self._parts[topic] = CameraCalibration.FromString(data)
-            elif topic in ("amplitude", "confidence"):
+            elif topic in FRAME_IMAGES:
                 self._parts[topic] = _image(RawImage.FromString(data))
             elif topic == "depth":
                 return self._frame(RawImage.FromString(data), about)
@@ -115,6 +116,7 @@ class Decoder:
             camera_k=np.array(calibration.K, np.float64).reshape(3, 3),
             camera_dist=np.array(calibration.D, np.float64),
             amplitude_dist=np.array(other.D, np.float64),
+            **{name: self._parts[name] for name in ("noise", "balance") if name in self._parts},
         )
         self._parts.clear()
         return frame
@@ -175,8 +177,8 @@ def _poses(message: FrameTransforms, about: Mapping[str, str]) -> SegmentPoses:
 
 def _encode_frame(source: str, message: ToFFrame, host_ns: int) -> list[Record]:
     depth, k = message.depth, _checked(message.camera_k, (3, 3), "camera_k")
-    named: tuple[tuple[NDArray[Any], str], ...] = ((message.amplitude, "amplitude"), (message.confidence, "confidence"))
-    for image, name in named:
+    named: dict[str, NDArray[Any]] = {name: getattr(message, name) for name in FRAME_IMAGES}
+    for name, image in named.items():
         if image.shape not in (depth.shape, (0, 0)) and depth.size:
             raise ValueError(f"{name} is {image.shape}, depth {depth.shape}")
     time, records = _time(host_ns), []
@@ -188,10 +190,9 @@ def _encode_frame(source: str, message: ToFFrame, host_ns: int) -> list[Record]:
             P=np.column_stack((k, np.zeros(3))).ravel().tolist(),
         )  # fmt: skip
         records.append(Record(topic, "foxglove.CameraCalibration", (calibration.SerializeToString(),)))
-    if message.amplitude.shape != (0, 0):
-        records.append(_image_record(source, "amplitude", message.amplitude, "mono16", time))
-    if message.confidence.shape != (0, 0):
-        records.append(_image_record(source, "confidence", message.confidence, "mono8", time))
+    for name, image in named.items():
+        if image.shape != (0, 0):
+            records.append(_image_record(source, name, image, "mono8" if name == "confidence" else "mono16", time))
     unit = (("depth_unit_m", repr(float(message.depth_unit_m))),)
     records.append(_image_record(source, "depth", depth, "16UC1", time, unit))
     return records

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+
 from pydantic import Field, field_validator
 
 from cabinpose.core.errors import unknown_name
@@ -16,6 +18,12 @@ class SequenceConfig(Model):
     rate_hz: float = Field(30.0, gt=0.0, le=1000.0, description="Frames a second.")
     activities: tuple[str, ...] | None = Field(
         None, min_length=1, description="What people do, as far as it makes sense in their seats; left out: anything."
+    )
+
+    exposure_motion: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="People move on while the camera exposes its correlation samples, one after the other: motion artefacts.",
     )
 
     @field_validator("activities")

@@ -51,6 +51,15 @@ class Film(NamedTuple):
         for frame in range(self.sequence.frames):
             yield from self.people(frame / self.sequence.rate_hz)
 
+    def moved_m(self, start_s: float, end_s: float) -> float:
+        """How far anything is at one time from where it was at another, m."""
+        before, after = self.people(start_s), self.people(end_s)
+        ways = [float(np.linalg.norm(b.posed.skin - a.posed.skin, axis=1).max()) for a, b in zip(before, after, strict=True)]
+        wheel = self.cast.cabin.steering_wheel
+        if wheel is not None:
+            ways.append(wheel.rim_radius_m * abs(self.wheel_angle(end_s) - self.wheel_angle(start_s)))
+        return max(ways)
+
     def wheel_angle(self, time_s: float) -> float:
         """How the wheel is turned, rad."""
         driver = self.tracks.get("driver")

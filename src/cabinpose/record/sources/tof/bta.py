@@ -68,6 +68,7 @@ class BtaSource(CameraSource[BtaSettings]):
         self._callback: Any = None
         self._numbers = FrameNumbers(self.counts, _TURN)
         self._device_clock = DeviceClock(1000, _TURN)
+        self._exposures: tuple[tuple[int, int], ...] = ()
 
     def _missing(self) -> Sequence[str]:
         bta.version(bta.load_library(self.settings.library))
@@ -143,6 +144,11 @@ class BtaSource(CameraSource[BtaSettings]):
 
     def _decode(self, payload: bta.BtaFrame) -> ToFFrame:
         channels = payload.channels
+        if payload.exposures != self._exposures:
+            self._exposures = payload.exposures
+            self._state(
+                "exposure", integration_us=[t for t, _ in payload.exposures], modulation_hz=[f for _, f in payload.exposures]
+            )
         sizes = {channel.values.shape for channel in channels.values()}
         if len(sizes) != 1:
             raise MalformedFrameError(f"channels of sizes {sorted(sizes)}")
@@ -151,8 +157,10 @@ class BtaSource(CameraSource[BtaSettings]):
         z_m = self._depth(channels, camera)
         unit = self.settings.depth_unit_m
         depth = depth_image(z_m, np.isfinite(z_m) & (z_m > 0), unit)
-        amplitude, confidence = (channels[c].values if c in channels else None for c in (bta.AMPLITUDE, bta.CONFIDENCE))
-        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence)
+        kinds = (bta.AMPLITUDE, bta.CONFIDENCE, bta.BALANCE)
+        amplitude, confidence, balance = (channels[c].values if c in channels else None for c in kinds)
+        sigma = _metres(channels[bta.SIGMA]) if bta.SIGMA in channels else None
+        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence, noise_m=sigma, balance=balance)
 
     def _depth(self, channels: Mapping[int, bta.BtaChannel], camera: Camera) -> NDArray[np.float64]:
         """Depth along the axis, m, NaN where the device marks a pixel as invalid."""

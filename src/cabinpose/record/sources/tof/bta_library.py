@@ -19,11 +19,12 @@ from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.tof.camera import MOST_PIXELS, MalformedFrameError
 
 DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x40
+BALANCE, SIGMA = 0x10000, 0x20000
 METRE, MILLIMETRE = 1, 3
 MOST_CHANNELS = 64
 FRAME_MODES: Mapping[str, int] = {
     "current": 0, "distance_amplitude": 1, "z_amplitude": 2, "distance_amplitude_flags": 3, "xyz": 4, "xyz_amplitude": 5,
-    "xyz_amplitude_flags": 7, "distance_amplitude_confidence": 21,
+    "xyz_amplitude_flags": 7, "distance_amplitude_balance": 11, "distance_amplitude_confidence": 21,
 }  # fmt: skip
 _DTYPES: Mapping[int, str] = {0x11: "<u1", 0x12: "<u2", 0x14: "<u4", 0x22: "<i2", 0x24: "<i4", 0x34: "<f4", 0x38: "<f8"}
 _WHERE = "the BltTofApi comes with the camera, from Bluetechnix (becom Systems): name its library with `library`"
@@ -94,11 +95,12 @@ class BtaChannel:
 
 @dataclass(frozen=True, slots=True)
 class BtaFrame:
-    """A frame, copied: its channels by id, the device's counter and time stamp."""
+    """A frame, copied: channels by id, the device's counter and time, each exposure's integration (µs) and modulation (Hz)."""
 
     counter: int
     stamp_us: int
     channels: Mapping[int, BtaChannel]
+    exposures: tuple[tuple[int, int], ...]
 
 
 def load_library(path: str) -> Any:
@@ -148,14 +150,17 @@ def copied(frame: Frame) -> BtaFrame:
     if frame.channels_len > MOST_CHANNELS or (frame.channels_len and not frame.channels):
         raise MalformedFrameError(f"{frame.channels_len} channels")
     channels: dict[int, BtaChannel] = {}
+    exposures: dict[tuple[int, int], None] = {}
     for i in range(frame.channels_len):
         if not frame.channels[i]:
             raise MalformedFrameError(f"channel {i} is not there")
         channel = frame.channels[i].contents
-        if channel.id not in {DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS} or channel.id in channels:
+        if channel.integration_time_us:
+            exposures[int(channel.integration_time_us), int(channel.modulation_frequency_hz)] = None
+        if channel.id not in {DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS, BALANCE, SIGMA} or channel.id in channels:
             continue  # colour, raw phases; a further exposure of the same scene
         channels[channel.id] = _copied_channel(channel)
-    return BtaFrame(int(frame.frame_counter), int(frame.time_stamp), channels)
+    return BtaFrame(int(frame.frame_counter), int(frame.time_stamp), channels, tuple(exposures))
 
 
 def _copied_channel(channel: Channel) -> BtaChannel:

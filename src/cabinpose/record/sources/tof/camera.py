@@ -17,7 +17,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.clock import HostClock
 from cabinpose.core.intrinsics import fit_camera
 from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, Message, ToFFrame
+from cabinpose.core.recorded import FRAME_IMAGES, Facts, Message, ToFFrame
 from cabinpose.record.sources.base import DeviceSource
 
 MOST_PIXELS = 1 << 24  # of an image: no ToF sensor is near it, and a header may say anything
@@ -171,18 +171,26 @@ def frame_of(
     *,
     amplitude: ArrayLike | None = None,
     confidence: NDArray[Any] | None = None,
+    noise_m: NDArray[Any] | None = None,
+    balance: NDArray[Any] | None = None,
     straight: bool = False,
 ) -> ToFFrame:
     """A frame (H, W) of a camera, without the images that are None; straight: its depth is free of the lens' distortion.
 
-    amplitude: any numbers · confidence: floats in 0..1 or unsigned integers, of which 8 bits are kept.
+    amplitude, balance: any numbers · noise_m: metres · confidence: floats in 0..1 or unsigned integers, of which 8 bits are kept.
     """
     dist = np.array(camera.dist)
-    grey = np.zeros((0, 0), np.uint16)
-    if amplitude is not None:
-        grey = np.clip(np.nan_to_num(amplitude), 0, 65535).astype(np.uint16)
+    grey, balanced = _word_image(amplitude), _word_image(balance)
+    noise = _word_image(None if noise_m is None else np.rint(noise_m * 1e6))
     sure = np.zeros((0, 0), np.uint8) if confidence is None else _byte_image(confidence)
-    return ToFFrame(depth, unit_m, grey, sure, camera.k, np.zeros(5) if straight else dist, dist)
+    return ToFFrame(depth, unit_m, grey, sure, camera.k, np.zeros(5) if straight else dist, dist, noise, balanced)
+
+
+def _word_image(values: ArrayLike | None) -> NDArray[np.uint16]:
+    """Numbers as 16 bits, those beyond as the nearest, NaN as 0; (0, 0) for none."""
+    if values is None:
+        return np.zeros((0, 0), np.uint16)
+    return np.asarray(np.clip(np.nan_to_num(values), 0, 65535).astype(np.uint16))
 
 
 def _byte_image(values: NDArray[Any]) -> NDArray[np.uint8]:
@@ -194,7 +202,7 @@ def _byte_image(values: NDArray[Any]) -> NDArray[np.uint8]:
 
 def _fitting(frame: ToFFrame) -> ToFFrame:
     """The frame, whose images have one size. Raises MalformedFrameError."""
-    shapes = {image.shape for image in (frame.depth, frame.amplitude, frame.confidence)} - {(0, 0)}
+    shapes = {frame.depth.shape, *(getattr(frame, name).shape for name in FRAME_IMAGES)} - {(0, 0)}
     if len(shapes) > 1:
         raise MalformedFrameError(f"images of sizes {sorted(shapes)}")
     return frame

@@ -39,6 +39,12 @@ _COORDINATES = re.compile(r"Coord3D_(C|ABC|ABCY)(8|16s?|32f)$")
 _UNITS_M = {"Millimeter": 0.001, "Meter": 1.0, "Inch": 0.0254}
 _BLOCK_IDS = 65535  # of GigE Vision 1: 16 bits of which 0 is no id
 _MOST_COMPONENTS = 16
+# What is recorded of a camera's set-up, where it has it: the standard's names, Basler's blaze, Lucid's Helios2.
+_SETTINGS = (
+    "AcquisitionFrameRate", "ExposureTime", "OperatingMode", "SpatialFilter", "TemporalFilter", "TemporalFilterStrength",
+    "OutlierRemoval", "ConfidenceThreshold", "AmbiguityFilter", "Scan3dOperatingMode", "ExposureTimeSelector", "Scan3dHDRMode",
+    "Scan3dImageAccumulation", "Scan3dSpatialFilterEnable", "Scan3dFlyingPixelsRemovalEnable", "Scan3dConfidenceThresholdMin",
+)  # fmt: skip
 
 
 class GenicamSettings(CameraSettings):
@@ -149,6 +155,7 @@ class GenicamSource(CameraSource[GenicamSettings]):
             serial=_value(nodes, "DeviceSerialNumber"),
             pixel_format=_value(nodes, "PixelFormat"),
             unit_m=self._scale.scale_m[2],
+            settings={name: value for name in _SETTINGS if (value := _value(nodes, name)) is not None},
         )
 
     def _disconnect(self) -> None:

@@ -38,7 +38,9 @@ class RoyaleSettings(CameraSettings):
 
 @dataclass(frozen=True, slots=True)
 class _Points:
-    """A frame of either layout: points (N, 3) m, confidence (N,) 0..1, amplitude (N,), device time µs."""
+    """A frame of either layout: points (N, 3) m, confidence (N,) 0..1, amplitude (N,), device time µs; where it tells
+    them, noise (N,) m and how long each phase was exposed, µs.
+    """
 
     width: int
     height: int
@@ -46,6 +48,8 @@ class _Points:
     confidence: NDArray[np.floating]
     amplitude: NDArray[np.generic]
     stamp_us: int
+    noise: NDArray[np.floating] | None = None
+    exposures_us: tuple[int, ...] = ()
 
 
 class RoyaleSource(CameraSource[RoyaleSettings]):
@@ -60,6 +64,7 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
         self._numbers = FrameNumbers(self.counts)
         self._period = FramePeriod()
         self._stated: dict[str, float] = {}
+        self._exposures_us: tuple[int, ...] = ()
         self._distorted: bool | None = None  # whether the points lie on the distorted rays of the lens; measured
 
     def _missing(self) -> Sequence[str]:
@@ -101,7 +106,13 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
             raise RecordingError(f"camera {chosen}: {error}", hint="is another program using it?") from error
         self._camera = camera
         self._state(
-            "camera", vendor="pmd", id=chosen, use_case=wanted or _current(camera), use_cases=use_cases, lens=dict(self._stated)
+            "camera",
+            vendor="pmd",
+            id=chosen,
+            use_case=wanted or _current(camera),
+            use_cases=use_cases,
+            frame_rate_hz=rate or None,
+            lens=dict(self._stated),
         )
 
     def _make_listener(self, roypy: Any) -> Any:
@@ -152,6 +163,9 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
 
     def _decode(self, payload: _Points) -> ToFFrame:
         width, height = payload.width, payload.height
+        if payload.exposures_us != self._exposures_us:
+            self._exposures_us = payload.exposures_us
+            self._state("exposure", phases_us=list(payload.exposures_us))
         points = shaped(payload.points, width, height, 3)
         confidence = shaped(payload.confidence, width, height)
         valid = (confidence > 0) & (points[..., 2] > 0)
@@ -163,7 +177,8 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
         unit = self.settings.depth_unit_m
         amplitude = shaped(payload.amplitude, width, height)
         depth = depth_image(points[..., 2], valid, unit)
-        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence, straight=straight)
+        noise = None if payload.noise is None else shaped(payload.noise, width, height)
+        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence, noise_m=noise, straight=straight)
 
     def _lies_on_lens(self, camera: Camera, points: NDArray[np.floating], valid: NDArray[np.bool_]) -> bool:
         """Whether a pixel's depth belongs to its ray through the lens, measured once on the points themselves.
@@ -203,15 +218,16 @@ def _current(camera: Any) -> str:
 def _copied(data: Any) -> _Points:
     """A frame of either layout, copied."""
     width, height = int(data.width), int(data.height)
+    exposures = tuple(int(t) for t in getattr(data, "exposureTimes", ()))
     coordinates = getattr(data, "coordinates", None)
     if coordinates is not None:
         values = np.array(shaped(np.asarray(coordinates, dtype=np.float32), width, height, 4)).reshape(-1, 4)
         with np.errstate(invalid="ignore", over="ignore"):
             amplitude = np.array(data.amplitudes, dtype=np.uint16).ravel()
-        return _Points(width, height, values[:, :3], values[:, 3], amplitude, int(data.timeStamp))
+        return _Points(width, height, values[:, :3], values[:, 3], amplitude, int(data.timeStamp), None, exposures)
     values = np.array(shaped(_old_points(data), width, height, 6)).reshape(-1, 6)
     grey = np.clip(np.nan_to_num(values[:, 4]), 0, 65535).astype(np.uint16)
-    return _Points(width, height, values[:, :3], values[:, 5] / 255, grey, int(data.timeStamp))
+    return _Points(width, height, values[:, :3], values[:, 5] / 255, grey, int(data.timeStamp), values[:, 3], exposures)
 
 
 def _old_points(data: Any) -> NDArray[np.float64]:

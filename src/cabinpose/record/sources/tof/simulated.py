@@ -14,7 +14,7 @@ from pydantic import Field
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
 from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core.recorded import FRAME_IMAGES, ToFFrame
 from cabinpose.record.emulate.base import log_line
 from cabinpose.record.emulate.tof import EmulatedCamera, Frame, TofFaults
 from cabinpose.record.sources.counting import FrameNumbers
@@ -23,7 +23,7 @@ from cabinpose.store import open_dataset, read_manifest
 
 DATASET_UNIT_M = 1e-4  # of the depth that a dataset stores
 _KEPT_BYTES = 128 << 20  # frames of a dataset that small are read once, not in each loop
-_IMAGES = ("depth", "amplitude", "confidence", "camera_k", "camera_dist")
+_IMAGES = ("depth", *FRAME_IMAGES, "camera_k", "camera_dist")
 
 
 class SimulatedSettings(CameraSettings):
@@ -150,7 +150,7 @@ def tof_frame(frame: Mapping[str, Any]) -> ToFFrame:
     return ToFFrame(
         depth=_steps(depth),
         depth_unit_m=DATASET_UNIT_M,
-        amplitude=_image(frame, "amplitude", np.dtype(np.uint16), depth.shape),
+        **{name: _image(frame, name, np.dtype(np.uint16), depth.shape) for name in ("amplitude", "noise", "balance")},
         confidence=_image(frame, "confidence", np.dtype(np.uint8), depth.shape),
         camera_k=k,
         camera_dist=dist,
