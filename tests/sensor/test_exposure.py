@@ -19,7 +19,7 @@ from cabinpose.scene.sensor import (
     median_of_valid,
     sample_times,
     simulate,
-)  # fmt: skip
+)
 from cabinpose.scene.sensor.filters import smoothed
 
 C = 299_792_458.0
