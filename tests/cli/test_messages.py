@@ -158,6 +158,28 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "yolo needs the splits train and val, not test",
             "name them train and val (or validate) in the file of --splits, and leave out --split",
         ),
+        (
+            "synth --frames 1 --out z camera.sensor.preset=evk75123 camera.sensor.integration_time_us=300",
+            "unknown field of a sensor 'integration_time_us'",
+            "known: baseline_m, camera, contrast, field_radius_px, fps, frequencies_hz, full_well_e, illumination_exponent,"
+            " integration_s, min_amplitude_e, name, native_scale, principle, range_m, read_noise_e, readout_s, second_integration_s,"
+            " signal_e_per_s, spatial_filter, spatial_px, temporal_median, vignetting_exponent",
+        ),
+        (
+            "synth --frames 1 --out z camera.sensor.preset=evk75123 camera.sensor.second_integration_s=0.002",
+            "sensor 'evk75123': the second integration, 0.002 s, is not the shorter one",
+            "give second_integration_s below integration_s, 0.001",
+        ),
+        (
+            "synth --frames 1 --out z camera.sensor.preset=evk75123 camera.sensor.temporal_median=5",
+            "sensor 'evk75123' takes the median of 5 frames, and each is a scene of its own",
+            "ask for a sequence with scene.sequence, or leave out temporal_median",
+        ),
+        (
+            "synth --frames 1 --out z scene.sequence.exposure_motion=true noise.kind=empirical",
+            "noise 'empirical' has no correlation samples between which people could move",
+            "choose noise kind physical, or leave out scene.sequence.exposure_motion",
+        ),
     ],
 )
 def test_mistakes_of_the_first_hour(run: Run, here: Path, line: str, error: str, hint: str) -> None:

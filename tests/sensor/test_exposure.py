@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sensor_scenes import WHITE, generator, small_sensor, step_edge, use_case, wall
+from sensor_scenes import WHITE, generator, small_sensor, sphere_of_range, step_edge, use_case, wall
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.materials import ID, MATERIALS
-from cabinpose.scene.sensor import NO_EFFECTS, GeometryBuffers, PhysicalNoise, Sensor, median_of_valid, sample_times, simulate
+from cabinpose.scene.sensor import (
+    NO_EFFECTS,
+    SENSORS,
+    EmpiricalNoise,
+    GeometryBuffers,
+    PhysicalNoise,
+    Sensor,
+    StructuredLightNoise,
+    median_of_valid,
+    sample_times,
+    simulate,
+)
 from cabinpose.scene.sensor.filters import smoothed
 
 C = 299_792_458.0
@@ -113,38 +124,33 @@ def test_wrong_numbers_of_exposures_are_refused() -> None:
 # ------------------------------------------------------------------------------------------------------ two integrations
 
 
-def test_full_pixels_come_from_the_shorter_integration() -> None:
-    """Where the longer exposure is full, sigma is that of the shorter in closed form; elsewhere the frame is the same bytes."""
+@pytest.mark.parametrize(("z", "ambient", "full"), [(0.3, 0.1, True), (1.5, 8.0, True), (1.5, 0.1, False)])
+def test_full_pixels_come_from_the_shorter_integration(z: float, ambient: float, full: bool) -> None:
+    """Too near, or in too much light, sigma is that of the shorter exposure in closed form; else the frame is the same bytes."""
     long_s, short_s = 2e-3, 2.5e-4
     one = small_sensor(integration_s=long_s, full_well_e=20_000.0, read_noise_e=12.0)
     two = one.model_copy(update={"second_integration_s": short_s})
-    noise = only(shot_noise=True, read_noise=True, full_well=True, wrapping=True, reflectance=True, ambient=0.1)
-    far = 1.5  # m; nearer than about 0.6 m a tap of the longer exposure is full
+    noise = only(shot_noise=True, read_noise=True, full_well=True, wrapping=True, reflectance=True, ambient=ambient)
+    buffers = sphere_of_range(one, np.full((one.camera.height, one.camera.width), z))
+    frames = [simulate(buffers, two, noise, rng=generator(1, i)) for i in range(3)]
+    alone = simulate(buffers, one, noise, rng=generator(1, 0))
     rho = MATERIALS[ID[WHITE]].reflectance
-    for z, lasts_s in ((0.3, short_s), (far, long_s)):
-        buffers = GeometryBuffers.dense(
-            1,
-            (z / one.camera.range_over_depth).astype(np.float32),
-            np.ones(one.camera.range_over_depth.shape, np.float32),
-            np.full(one.camera.range_over_depth.shape, ID[WHITE], np.uint8),
-        )
-        frames = [simulate(buffers, two, noise, rng=generator(1, i)) for i in range(3)]
-        alone = simulate(buffers, one, noise, rng=generator(1, 0))
-        assert np.isnan(alone.depth_m).all() == (lasts_s == short_s)
-        signal, ambient = (4.1e6 * lasts_s * rho * share for share in (1 / z**2, 0.1))
-        sigma = C * np.sqrt(signal + ambient + 12.0**2) / (np.sqrt(2) * signal * 0.75) / (4 * np.pi * 50e6)
-        ranges = np.stack([frame.depth_m for frame in frames]) * one.camera.range_over_depth
-        assert ranges.std() == pytest.approx(sigma, rel=0.05)
-        assert ranges.mean() == pytest.approx(z, abs=5 * sigma / np.sqrt(ranges.size))
-        # Amplitudes keep one scale, that of the longer exposure.
-        assert frames[0].amplitude.mean() == pytest.approx(0.75 * 4.1e6 * long_s * rho / z**2, rel=0.01)
-        if z == far:
-            for a, b in zip(alone, frames[0], strict=True):
-                np.testing.assert_array_equal(a, b)
+    signal, background = (4.1e6 * (short_s if full else long_s) * rho * share for share in (1 / z**2, ambient))
+    sigma = C * np.sqrt(signal + background + 12.0**2) / (np.sqrt(2) * signal * 0.75) / (4 * np.pi * 50e6)
+    ranges = np.stack([frame.depth_m for frame in frames]) * one.camera.range_over_depth
+    assert ranges.std() == pytest.approx(sigma, rel=0.05)
+    assert ranges.mean() == pytest.approx(z, abs=5 * sigma / np.sqrt(ranges.size))
+    # Amplitudes keep one scale, that of the longer exposure.
+    assert frames[0].amplitude.mean() == pytest.approx(0.75 * 4.1e6 * long_s * rho / z**2, rel=0.05)
+    if full:
+        assert np.isnan(alone.depth_m).all()
+        return
+    for a, b in zip(alone, frames[0], strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_the_noise_image_is_the_spread_of_repeated_frames() -> None:
-    """At each of several distances, along the axis, and by all three models' own accounts NaN where nothing is measured."""
+    """Along the axis, where the image is bright and where it is dark; NaN where nothing is measured."""
     sensor = use_case(3)
     buffers = wall(sensor, 1.0)
     frames = [simulate(buffers, sensor, PhysicalNoise(), rng=generator(2, i)) for i in range(12)]
@@ -157,6 +163,16 @@ def test_the_noise_image_is_the_spread_of_repeated_frames() -> None:
     for region in (valid & (stated < low), valid & (stated > high), valid):
         rms = np.sqrt(np.mean(spread[region] ** 2) / np.mean(stated[region] ** 2))
         assert rms == pytest.approx(1.0, abs=0.04)
+
+
+@pytest.mark.parametrize(("name", "noise"), [("pico_monstar_105", EmpiricalNoise()), ("kinect_v1", StructuredLightNoise())])
+def test_the_other_models_state_the_sigma_they_draw(name: str, noise: EmpiricalNoise | StructuredLightNoise) -> None:
+    """1 + 5 z + z^2 mm of the thesis; Nguyen's axial law of a surface that faces the camera, at 1 m."""
+    sensor = SENSORS[name]
+    frame = simulate(wall(sensor, 1.0), sensor, noise, rng=generator(1, 1))
+    np.testing.assert_array_equal(np.isnan(frame.noise_m), np.isnan(frame.depth_m))
+    expected = 0.007 if name == "pico_monstar_105" else 0.0012 + 0.0019 * 0.6**2
+    assert np.nanmedian(frame.noise_m) == pytest.approx(expected, rel=0.01)
 
 
 def test_a_full_pixel_has_infinite_noise() -> None:
