@@ -262,7 +262,7 @@ def _in_car(placed: PlacedField, bodies: Sequence[_Body]) -> Verdict | None:
 
 def touched_by(alone: PlacedField, body: PosedSolids, tolerance_m: float) -> tuple[float, str] | None:
     """How deep the parts of a field are in a body beyond what they give and `tolerance_m`, and in which solid; None: not."""
-    points, vertex = body.skin_points()
+    points, vertex = body.skin_points
     touched = alone.deepest(points, tolerance_m)
     if touched is not None:
         return touched.depth_m, body.solid_of(vertex[touched.point])
@@ -272,7 +272,7 @@ def touched_by(alone: PlacedField, body: PosedSolids, tolerance_m: float) -> tup
 
 def _against_car(placed: PlacedField, somebody: _Body) -> Verdict | None:
     slot, body, joints = somebody
-    points, vertex = body.skin_points()
+    points, vertex = body.skin_points
     touched = placed.deepest(points, FLESH_M)
     if touched is not None:
         solid = body.solid_of(vertex[touched.point])
