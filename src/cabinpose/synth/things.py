@@ -134,6 +134,11 @@ class Blocked(NamedTuple):
     kind: str
     by: Obstacle
 
+    @property
+    def rejection(self) -> Rejection:
+        """The same as a code."""
+        return Rejection("thing", self.slot, self.kind, self.by.part)
+
 
 class SeatThings:
     """Puts things onto the seats of one cabin; where child seats come to stand is worked out once."""
@@ -259,9 +264,7 @@ def bring_along(
     """
     result = seated
     if pose.hold is not None:
-        at = pose.hold.placed(posed.palms["lr"[pose.hold.side]])
-        held = PlacedThing(make_thing(pose.hold.kind, pose.hold.variant), at, slot, "hand")
-        verdict, result = validator.bring(result, held)
+        verdict, result = validator.bring(result, pose.hold.thing(slot, posed))
         if verdict.rejection is not None:
             return verdict.rejection, seated
     if kind is None:

@@ -16,11 +16,12 @@ import numpy as np
 from cabinpose.core.arrays import Bools, Floats, Floats32, Ints
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, apply, axis_rotation, invert, transform
-from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
+from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person, PosedBody
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER
-from cabinpose.scene.things import Thing, make_thing
+from cabinpose.scene.things import PlacedThing, Thing, make_thing
 from cabinpose.scene.things.placing import felt, let_down, stands_free
 from cabinpose.scene.things.thing import Cloud
+from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
 
 PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
@@ -37,6 +38,7 @@ _BOOK_UP_M = 0.055  # its middle beyond the palm's
 _COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
 _SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
+_SPARED = ("either", "thigh", "armrest")  # places that a hand may leave to hold something
 HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "drink": ("bottle", "cup"), "book": ("open_book",)}
 
 
@@ -66,6 +68,21 @@ class Hold(NamedTuple):
         """vehicle_from_thing, (4, 4), of the thing in this hand. Things are their own mirror images in y = 0."""
         mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
         return np.asarray(vehicle_from_palm @ mirror @ self.grasp.palm_from_thing @ mirror)
+
+    def thing(self, slot: str, body: PosedBody) -> PlacedThing:
+        """The thing in the hand of a body that sits in a seat."""
+        return PlacedThing(make_thing(self.kind, self.variant), self.placed(body.palms["lr"[self.side]]), slot, "hand")
+
+
+def inboard_hand(action: Action, held: str, side: int, inboard: int) -> int | None:
+    """Which hand does the inboard part of an action while the hand `side` holds a thing of the kind `held`.
+
+    None where that hand is needed without it, or another thing is asked for. inboard: the hand that reaches for what is there.
+    """
+    hands = ((action.inboard, side), (action.outboard, 1 - side))
+    asked = [(place, s) for place, s in hands if place in HANDED]
+    found = [s for place, s in asked if held in HANDED[place]] if asked else [s for place, s in hands if place in _SPARED]
+    return next((s for s in found if not action.targets or s == inboard), None)
 
 
 def can_hold(person: Person, place: str, kind: str, variant: int) -> bool:
