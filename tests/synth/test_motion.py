@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
+from exact_contact import thing_penetrations
 from scipy import ndimage
-from scipy.interpolate import CubicSpline
 from synth_scenes import fingerprint, small_config
 
 from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core.frames import invert
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS
 from cabinpose.scene.body.rig import LOWER, UPPER
@@ -21,7 +23,8 @@ from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
 from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
-from cabinpose.synth.motion.track import WIDTH, Way, duration
+from cabinpose.synth.motion.track import WIDTH, duration, way_through
+from cabinpose.synth.posture.grasps import HANDED
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.validate import Rejection, Validator, Verdict
 from cabinpose.synth.write import FrameMaker
@@ -30,15 +33,16 @@ RATE, FRAMES = 10.0, 36
 TWO = {"driver": 1.0, "front_passenger": 1.0}
 
 
-def _sampler(**sequence: object) -> SceneSampler:
-    scene = {"occupancy": TWO, "sequence": {"frames": FRAMES, "rate_hz": RATE, **sequence}}
-    return SceneSampler(small_config(**scene), 1)
+def _sampler(*, things: Mapping[str, object] = MappingProxyType({}), **sequence: object) -> SceneSampler:
+    scene = {"occupancy": TWO, **things, "sequence": {"frames": FRAMES, "rate_hz": RATE, **sequence}}
+    return SceneSampler(small_config(**scene), 2)
 
 
 @pytest.fixture(scope="module")
 def film():
-    """A planned sequence of a driver who steers and a passenger who drinks."""
-    return _sampler(activities=["steer", "drink"])._film(0)
+    """A planned sequence of a driver who steers and a passenger who drinks, before a booster."""
+    things = {"in_hand": 1.0, "child_seats": {"rear_right": "booster"}}
+    return _sampler(things=things, activities=["steer", "drink"])._film(0)
 
 
 def test_a_movement_is_the_polynomial_of_least_jerk() -> None:
@@ -61,22 +65,13 @@ def test_a_movement_is_the_polynomial_of_least_jerk() -> None:
         assert jerk(ours) < jerk(ours + change * np.polynomial.Polynomial((0, 1)) ** 3 * np.polynomial.Polynomial((1, -1)) ** 3)
 
 
-@pytest.mark.parametrize("count", [2, 3, 5, 9])
-def test_a_way_is_the_natural_spline(count: int) -> None:
-    states = np.random.default_rng(count).standard_normal((count, WIDTH))
-    shares = np.linspace(0.0, 1.0, 41)
-    way, spline = Way.through(states), CubicSpline(np.linspace(0.0, 1.0, count), states, bc_type="natural")
-    assert way.at(shares) == pytest.approx(spline(shares), abs=1e-12)
-    assert way.slopes(shares) == pytest.approx(spline(shares, 1), abs=1e-9)
-
-
 def test_a_straight_way_takes_the_time_of_its_slowest_joint() -> None:
     states = np.zeros((2, WIDTH))
     elbow = next(i for i, dof in enumerate(DOFS) if dof.name == "lelbow.flexion")
     states[1, elbow] = 2.0
-    seconds = duration(Way.through(states), 1.0)
+    seconds = duration(way_through(states), 1.0)
     assert PEAK * 2.0 / seconds == pytest.approx(0.15 * FASTEST[elbow], rel=1e-3)
-    assert duration(Way.through(states), 0.5) == pytest.approx(2.0 * seconds)
+    assert duration(way_through(states), 0.5) == pytest.approx(2.0 * seconds)
 
 
 def test_no_joint_is_faster_than_people_are(film) -> None:
@@ -171,6 +166,24 @@ def test_depth_is_the_median_over_the_frames_before(film) -> None:
         expected[np.isnan(depths[index])] = np.nan
         np.testing.assert_array_equal(late.make(index)[0]["depth"], expected)
         assert (np.nan_to_num(expected) != np.nan_to_num(depths[index])).any() == (index == 3)
+def test_what_is_held_moves_with_the_hand_and_is_pressed_by_it(film) -> None:
+    """Rigidly with its holder's palm, up and down; touched by trimesh, and not pierced; what stands on a seat stands still."""
+    hold, raised = film.tracks["front_passenger"].hold, []
+    assert hold.kind in HANDED["drink"]
+    assert film.tracks["driver"].hold is None
+    for t in (0.0, 1.3, 2.6):
+        people = film.people(t)
+        seat, held = film.things_with(people)
+        assert (seat.thing.kind, seat.slot) == ("booster", "rear_right")
+        np.testing.assert_array_equal(seat.vehicle_from_thing, film.things[0].vehicle_from_thing)
+        holder = next(p for p in people if p.slot == held.slot == "front_passenger")
+        in_palm = invert(holder.posed.palms["lr"[hold.side]]) @ held.vehicle_from_thing
+        np.testing.assert_allclose(in_palm, hold.placed(np.eye(4)), atol=1e-9)
+        found = thing_penetrations([(holder.slot, holder.person, holder.posed)], (held,))
+        assert any(p.cause == "thing" for p in found)
+        assert max(p.excess_m for p in found) < 1e-6
+        raised.append(held.vehicle_from_thing[2, 3])
+    assert np.ptp(raised) > 0.04
 
 
 def test_hands_stay_on_the_wheel_that_turns(film) -> None:

@@ -10,15 +10,15 @@ import trimesh
 from thing_meshes import cabin_mesh, depth_in
 
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import transform
+from cabinpose.core.frames import apply, axis_rotation, invert, transform
 from cabinpose.scene import labels, materials
 from cabinpose.scene.cabin import Cabin
 from cabinpose.scene.contact import ContactField, PlacedField
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.scene.things.objects import LAP_OBJECTS
 from cabinpose.scene.things.pieces import turned_body
-from cabinpose.scene.things.placing import PRESSED_M, TOUCHING_M, cushion_frame, in_the_way, stand_on_seat
-from cabinpose.scene.things.thing import VARIANTS
+from cabinpose.scene.things.placing import PRESSED_M, TOUCHING_M, cushion_frame, felt, in_the_way, stand_on_seat, stands_free
+from cabinpose.scene.things.thing import VARIANTS, Cloud
 
 # Largest extents (m) that designs may have: UN R16 Annex 17's fixtures for child seats, common sense for the rest.
 LARGEST = {
@@ -67,6 +67,23 @@ def test_a_distance_field_knows_how_deep_a_point_is() -> None:
     assert found is not None
     assert found.part == "box carton"
     assert found.depth_m == pytest.approx(0.03, abs=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "pressed", "yields"), [("phone", 0.0, 0.003), ("booster", 0.012, 0.0), ("bag", np.inf, 0.004)])
+def test_points_stand_free_as_trimesh_says(kind: str, pressed: float, yields: float) -> None:
+    thing, rng = make_thing(kind, 0), np.random.default_rng(3)
+    vehicle_from_thing = transform(axis_rotation("x", 0.7), (1.0, 2.0, 3.0))
+    group = felt(thing.field, pressed, yields)
+    pieces = [(trimesh.Trimesh(p.solid.vertices, p.solid.faces), min(p.give_m, pressed) + yields) for p in thing.pieces]
+    low, high = thing.box
+    free = []
+    for _ in range(150):
+        points = rng.uniform(low, high, (2, 3))
+        deepest = max((trimesh.proximity.signed_distance(mesh, points) - allowed).max() for mesh, allowed in pieces)
+        found = stands_free(group, Cloud.of(apply(vehicle_from_thing, points)), invert(vehicle_from_thing))
+        assert found == (deepest <= 0.0) or abs(deepest) < 1e-6
+        free.append(found)
+    assert 20 < sum(free) < 130
 
 
 @pytest.mark.parametrize("kind", CHILD_SEATS)

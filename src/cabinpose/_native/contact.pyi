@@ -1,5 +1,6 @@
 """Made by tools/make_stubs.py from the extension."""
 
+from collections.abc import Sequence
 from typing import Annotated, overload
 
 import numpy
@@ -22,14 +23,7 @@ def signed_distance(
     points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
     radius: float,
     enough: float,
-    corners: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order="C", device="cpu", writable=False)],
-    normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 7, 3), order="C", device="cpu", writable=False)],
-    closed: bool,
-    origin: Annotated[NDArray[numpy.float64], dict(shape=(3), order="C", device="cpu", writable=False)],
-    cell: float,
-    dims: Annotated[NDArray[numpy.int64], dict(shape=(3), order="C", device="cpu", writable=False)],
-    starts: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
-    entries: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    mesh: tuple[object, ...],
     out: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu")],
 ) -> None:
     """Distance of points to triangles, m, negative inside."""
@@ -141,6 +135,18 @@ def points_below(
     Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C")],
 ]:
     """Numbers and clearance of the points below a threshold."""
+
+def any_deeper(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    balls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order="C", device="cpu", writable=False)],
+    group_from_points: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    field: tuple[object, ...],
+    threshold: float,
+    seal: float,
+    lost: float,
+    parts: Sequence[tuple[object, ...]],
+) -> bool:
+    """Whether any point is deeper in a part of a group than allowed."""
 
 def by_place(
     points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],

@@ -96,6 +96,11 @@ class Camera(Model):
         return views
 
     @property
+    def recorded(self) -> tuple[str, ...]:
+        """The seats of those whom recordings move."""
+        return tuple(slot for slot in OCCUPANT_SLOTS if (profile := self.profile_of(slot)) and profile.kind == "mocap")
+
+    @property
     def weights(self) -> Mapping[str, float]:
         """The views that are taken, with their weights; own ones have 1."""
         weights = {name: view if isinstance(view, float) else 1.0 for name, view in self.views.items()}
@@ -176,7 +181,7 @@ class CabinScene(Model):
         0.0,
         exclude_if=operator.not_,
         description="Share of people on the telephone who have one in the hand; above 0 people also drink and read, which always"
-        " have a bottle, a cup or a book in the hand.",
+        " have a bottle, a cup or a book in the hand. In sequences: share of those who do any of this.",
     )
     things: tuple[ExactThing, ...] = Field(
         (), exclude_if=operator.not_, description="Child seats and objects to the last bit, in place of drawn ones."
@@ -186,9 +191,8 @@ class CabinScene(Model):
     def brings_things(self) -> bool:
         """Whether there may be child seats or objects."""
         named = {action for weights in self.motion.values() for action in weights} | {o.action for o in self.occupants.values()}
-        return self.sequence is None and bool(
-            self.child_seats or self.objects or self.things or self.in_hand or named & HOLDING
-        )  # in sequences `drink` and `read` are activities with empty hands
+        by_action = self.sequence is None and named & HOLDING  # in sequences hands are empty without `in_hand`
+        return bool(self.child_seats or self.objects or self.things or self.in_hand or by_action)
 
     @model_validator(mode="before")
     @classmethod
@@ -208,6 +212,11 @@ class CabinScene(Model):
         return occupant.profile if occupant is not None and occupant.profile is not None else self.profile
 
     @property
+    def recorded(self) -> tuple[str, ...]:
+        """The seats of those whom recordings move."""
+        return tuple(slot for slot in OCCUPANT_SLOTS if (profile := self.profile_of(slot)) and profile.kind == "mocap")
+
+    @property
     def weights(self) -> Mapping[str, Mapping[str, float]]:
         """The weights of the actions by seat, where they are not the usual ones."""
         return {**self.motion, **{slot: {o.action: 1.0} for slot, o in self.occupants.items() if o.action is not None}}
@@ -221,8 +230,7 @@ class CabinScene(Model):
             "profile but mocap": any(p and p.kind != "mocap" for p in (self.profile, *(o.profile for o in occupants))),
             "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
             "pose": any(o.pose for o in occupants),
-            "child seats": self.child_seats,
-            "objects": self.objects or self.things or self.in_hand,
+            "scene.things": self.things,
         }
         return next((name for name, value in asked.items() if value), "")
 

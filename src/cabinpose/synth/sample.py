@@ -36,6 +36,7 @@ from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, 
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
 from cabinpose.synth.posture.actions import HOLDING, TELEPHONING
+from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
@@ -140,7 +141,7 @@ class SceneSampler:
 
         things = self._things(scene, cast, settings, rng)
         if isinstance(things, Blocked):
-            causes[Rejection("thing", things.slot, things.kind, things.by.part)] += 1
+            causes[things.rejection] += 1
             return None, 1
         limit = self._config.limits.poses_per_person
         posed, draws = pose_people(
@@ -199,9 +200,13 @@ class SceneSampler:
         number, frame = divmod(index, sequence.frames)
         film, time_s = self._film(number), frame / sequence.rate_hz + later_s
         rng = sequence_rng(self._seed, number * sequence.frames, 0)  # the same belts in all frames
-        shown = self._assembled(scene, film.cast, film.people(time_s), film.wheel_angle(time_s), film.pov, film.camera, rng)
+        people = film.people(time_s)
+        shown = self._assembled(scene, film.cast, people, film.wheel_angle(time_s), film.pov, film.camera, rng)
         counts = (film.proposals, film.rejections) if frame == 0 else (0, {})
-        return replace(shown, proposals=counts[0], rejections=counts[1], sequence=number, sync_ns=round(1e9 * time_s))
+        return replace(
+            shown, things=film.things_with(people), proposals=counts[0], rejections=counts[1], sequence=number,
+            sync_ns=round(1e9 * time_s),
+        )  # fmt: skip
 
     def _make_film(self, number: int) -> Film:
         """Sequence `number`. Raises SceneError where no scene is found in which everybody has a way."""
@@ -216,15 +221,22 @@ class SceneSampler:
             return round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
 
         def goals(cast: _Cast) -> DrawGoals:
-            return lambda slot, action, wheel_angle, time_s, rng: self._draw(
+            return lambda slot, action, wheel_angle, carried, time_s, rng: self._draw(
                 scene, of_profile(slot, time_s), cast.people, cast.cabin, slot, cast.settings[slot], rng,
-                action=action, wheel_angle=wheel_angle,
+                action=action, wheel_angle=wheel_angle, carried=carried,
             )  # fmt: skip
 
+        def furnished(*, rng: np.random.Generator) -> tuple[_Cast, tuple[PlacedThing, ...] | Blocked]:
+            cast = self._cast(scene, first, rng)
+            settings = dict(cast.settings)
+            things = self._things(scene, cast, settings, rng)
+            return cast._replace(settings=settings), things
+
         return make_film(
-            number, scene.sequence, self._seed, lambda rng: self._cast(scene, first, rng), goals,
+            number, scene.sequence, self._seed, lambda rng: furnished(rng=rng), goals,
             lambda cast, people, empty, rng: self._free_camera(cast.cabin, first, people, empty, rng),
-            weights=scene.weights, poses_per_person=self._config.limits.poses_per_person,
+            weights=scene.weights, recorded=scene.recorded, in_hand=scene.in_hand,
+            poses_per_person=self._config.limits.poses_per_person,
         )  # fmt: skip
 
     def as_given(self, index: int, *, rng: np.random.Generator) -> tuple[Scene, tuple[Verdict, ...]]:
@@ -239,7 +251,7 @@ class SceneSampler:
         wheel = next((pose.wheel_angle for pose in cast.given.values() if pose.wheel_angle is not None), 0.0)
         things, verdicts, people_in = self._things(scene, cast, dict(cast.settings), rng), list[Verdict](), []
         if isinstance(things, Blocked):
-            verdicts.append(Verdict(Rejection("thing", things.slot, things.kind, things.by.part)))
+            verdicts.append(Verdict(things.rejection))
             things = ()
         seated = cast.validator.empty(cast.settings, wheel, things)
         for slot, pose in cast.given.items():
@@ -327,8 +339,9 @@ class SceneSampler:
         *,
         action: str | None = None,
         wheel_angle: float | None = None,
+        carried: Hold | None = None,
     ) -> Drawn:
-        """Somebody's goals; action, wheel_angle: given, in place of what is drawn."""
+        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried: what a hand holds all the time."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
@@ -341,7 +354,8 @@ class SceneSampler:
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
-            offset=offset, neighbours=neighbours, wheel_angle=wheel_angle, in_hand=_in_hand(scene, action, rng), rng=rng,
+            offset=offset, neighbours=neighbours, wheel_angle=wheel_angle,
+            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:

@@ -33,8 +33,8 @@ def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
 
 
 def sequence_rng(seed: int, first_frame: int, stream: int) -> np.random.Generator:
-    """A generator of a sequence: the key of its first frame, with a counter that neither scene nor noise reach."""
-    return np.random.Generator(np.random.Philox(key=np.array((seed, first_frame), dtype=np.uint64), counter=(0, 0, stream, 2)))
+    """A generator of a sequence: the key of its first frame, with a counter that neither scene, noise nor looks reach."""
+    return np.random.Generator(np.random.Philox(key=np.array((seed, first_frame), dtype=np.uint64), counter=(0, 0, stream, 3)))
 
 
 def own_rng(seed: int, name: str) -> np.random.Generator:

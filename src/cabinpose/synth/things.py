@@ -15,11 +15,21 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.contact import ContactField, PosedSolids
+from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.scene.things.objects import LAP_OBJECTS
-from cabinpose.scene.things.placing import NOTHING_PLACED, PRESSED_M, RESTING_M, Obstacle, in_the_way, let_down, stand_on_seat
-from cabinpose.scene.things.thing import VARIANTS, Thing
+from cabinpose.scene.things.placing import (
+    NOTHING_PLACED,
+    PRESSED_M,
+    RESTING_M,
+    Obstacle,
+    felt,
+    in_the_way,
+    let_down,
+    stand_on_seat,
+    stands_free,
+)
+from cabinpose.scene.things.thing import VARIANTS, Cloud, Thing
 from cabinpose.synth.people import Probability
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by
@@ -123,6 +133,11 @@ class Blocked(NamedTuple):
     slot: str
     kind: str
     by: Obstacle
+
+    @property
+    def rejection(self) -> Rejection:
+        """The same as a code."""
+        return Rejection("thing", self.slot, self.kind, self.by.part)
 
 
 class SeatThings:
@@ -249,9 +264,7 @@ def bring_along(
     """
     result = seated
     if pose.hold is not None:
-        at = pose.hold.placed(posed.palms["lr"[pose.hold.side]])
-        held = PlacedThing(make_thing(pose.hold.kind, pose.hold.variant), at, slot, "hand")
-        verdict, result = validator.bring(result, held)
+        verdict, result = validator.bring(result, pose.hold.thing(slot, posed))
         if verdict.rejection is not None:
             return verdict.rejection, seated
     if kind is None:
@@ -291,13 +304,17 @@ def stand_on_lap(thing: Thing, vehicle_from_lap: Matrix, body: PosedSolids) -> M
     def at(z: float) -> Matrix:
         return np.asarray(vehicle_from_lap @ transform(None, (0.0, 0.0, z)))
 
-    def met(z: float) -> str:
-        alone = NOTHING_PLACED.with_groups([PlacedThing(thing, at(z), "", "lap").group()])
-        touched = touched_by(alone, body, RESTING_M)
-        return "" if touched is None else touched[1]
+    def alone(z: float) -> PlacedField:
+        return NOTHING_PLACED.with_groups([PlacedThing(thing, at(z), "", "lap").group()])
 
-    z = let_down(lambda z: not met(z), _ABOVE_LAP_M, 0.0)
-    return None if met(z) or met(z - RESTING_M) in ("", "torso", "head") else at(z)
+    skin, group = Cloud.of(body.skin_points[0]), felt(thing.field, math.inf, RESTING_M)
+
+    def free(z: float) -> bool:
+        return stands_free(group, skin, invert(at(z))) and alone(z).deepest_probe(body, RESTING_M) is None
+
+    z = let_down(free, _ABOVE_LAP_M, 0.0)
+    below = touched_by(alone(z - RESTING_M), body, RESTING_M)
+    return None if not free(z) or below is None or below[1] in ("torso", "head") else at(z)
 
 
 def _somewhere(kind: str, length_m: float, rng: np.random.Generator) -> tuple[float, float, float]:

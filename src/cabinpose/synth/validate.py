@@ -217,15 +217,18 @@ class Validator:
         """
         if seated.placed is not None and (obstacle := in_the_way(thing, seated.placed, RESTING_M)) is not None:
             return Verdict(Rejection("thing", thing.slot, thing.thing.kind, obstacle.part), obstacle.excess_m), seated
-        added = [thing.group()]
-        alone = NOTHING_PLACED.with_groups(added)
+        alone = NOTHING_PLACED.with_groups([thing.group()])
         for slot, body, _ in seated.bodies:
             found = touched_by(alone, body, FLESH_M)
             if found is not None:
                 rejection = Rejection("thing", thing.slot, thing.thing.kind, found[1], slot if slot != thing.slot else "")
                 return Verdict(rejection, found[0]), seated
-        placed = None if seated.placed is None else seated.placed.with_groups(added)
-        return Verdict(), replace(seated, placed=placed, things=(*seated.things, thing))
+        return Verdict(), self.with_thing(seated, thing)
+
+    def with_thing(self, seated: Seated, thing: PlacedThing) -> Seated:
+        """The same with one more thing, which was judged before."""
+        placed = None if seated.placed is None else seated.placed.with_groups([thing.group()])
+        return replace(seated, placed=placed, things=(*seated.things, thing))
 
     def _body(self, occupant: Occupant) -> _Body:
         slot, person, posed = occupant
@@ -262,7 +265,7 @@ def _in_car(placed: PlacedField, bodies: Sequence[_Body]) -> Verdict | None:
 
 def touched_by(alone: PlacedField, body: PosedSolids, tolerance_m: float) -> tuple[float, str] | None:
     """How deep the parts of a field are in a body beyond what they give and `tolerance_m`, and in which solid; None: not."""
-    points, vertex = body.skin_points()
+    points, vertex = body.skin_points
     touched = alone.deepest(points, tolerance_m)
     if touched is not None:
         return touched.depth_m, body.solid_of(vertex[touched.point])
@@ -272,7 +275,7 @@ def touched_by(alone: PlacedField, body: PosedSolids, tolerance_m: float) -> tup
 
 def _against_car(placed: PlacedField, somebody: _Body) -> Verdict | None:
     slot, body, joints = somebody
-    points, vertex = body.skin_points()
+    points, vertex = body.skin_points
     touched = placed.deepest(points, FLESH_M)
     if touched is not None:
         solid = body.solid_of(vertex[touched.point])

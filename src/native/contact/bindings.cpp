@@ -1,3 +1,5 @@
+#include <nanobind/stl/vector.h>
+
 #include "contact/depth.hpp"
 #include "contact/order.hpp"
 #include "core/bind.hpp"
@@ -8,8 +10,8 @@ namespace {
 void bind_triangles(nb::module_& m) {
   m.def("bin_triangles", &bin_triangles, "corners"_a, "origin"_a, "cell"_a, "dims"_a, unlocked(),
         "Triangles by grid cell: starts of the rows, and numbers of the triangles.");
-  m.def("signed_distance", &signed_distance, "points"_a, "radius"_a, "enough"_a, "corners"_a, "normals"_a, "closed"_a, "origin"_a,
-        "cell"_a, "dims"_a, "starts"_a, "entries"_a, "out"_a, unlocked(), "Distance of points to triangles, m, negative inside.");
+  m.def("signed_distance", &signed_distance, "points"_a, "radius"_a, "enough"_a, "mesh"_a, "out"_a, unlocked(),
+        "Distance of points to triangles, m, negative inside.");
 }
 
 void bind_grid(nb::module_& m) {
@@ -33,6 +35,8 @@ void bind_grid(nb::module_& m) {
   m.def("balls_of", &balls_of<double>, "points"_a, "balls"_a);
   m.def("points_below", &points_below, "points"_a, "balls"_a, "group_from_vehicle"_a, "field"_a, "threshold"_a, "seal"_a,
         unlocked(), "Numbers and clearance of the points below a threshold.");
+  m.def("any_deeper", &any_deeper, "points"_a, "balls"_a, "group_from_points"_a, "field"_a, "threshold"_a, "seal"_a, "lost"_a,
+        "parts"_a, unlocked(), "Whether any point is deeper in a part of a group than allowed.");
 }
 
 void bind_depth(nb::module_& m) {

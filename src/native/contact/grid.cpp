@@ -1,5 +1,6 @@
 #include "contact/grid.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -57,6 +58,33 @@ inline double interpolate(double x, double y, double z, const double* m, const F
 inline double to_segment(double along, double square, double per_square) {
   const double t = along * per_square, share = t < 0.0 ? 0.0 : t > 1.0 ? 1.0 : t;
   return share * (2.0 * along - share * square);
+}
+
+/// Calls `visit(n, value)` for the points (N, 3) whose value is below `threshold` until it returns true; whether it did.
+template <class Visit>
+bool any_below(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_points,
+               const FieldGrid& field, double threshold, double seal, Visit&& visit) {
+  const double* m = group_from_points.data();
+  double ends[3];
+  for (std::size_t axis = 0; axis < 3; ++axis) ends[axis] = static_cast<double>(field.values.size(axis)) * field.step;
+  for (Index b = 0; b < balls.size(); ++b) {
+    const double x = balls(b, 0), y = balls(b, 1), z = balls(b, 2), r = balls(b, 3);
+    const double u = m[0] * x + m[1] * y + m[2] * z + m[3] - field.origin[0];
+    const double v = m[4] * x + m[5] * y + m[6] * z + m[7] - field.origin[1];
+    const double w = m[8] * x + m[9] * y + m[10] * z + m[11] - field.origin[2];
+    const bool near = -r < u && u < ends[0] + r && -r < v && v < ends[1] + r && -r < w && w < ends[2] + r;
+    if (field.outside >= threshold && !near) continue;
+    // Clearance changes by no more than the way there: a ball whose centre is clear enough has no point below, nor one behind
+    // a gap that counts as closed.
+    const double centre = interpolate(x, y, z, m, field, -std::numeric_limits<double>::infinity()) * field.quantum;
+    if (centre - field.step - r >= std::max(threshold, seal)) continue;
+    for (Index n = b * run; n < std::min((b + 1) * run, points.size()); ++n) {
+      const double px = points(n, 0), py = points(n, 1), pz = points(n, 2);
+      const double value = field.quantum * interpolate(px, py, pz, m, field, field.outside / field.quantum);
+      if (value < threshold && visit(n, value)) return true;
+    }
+  }
+  return false;
 }
 
 constexpr double tiny = 1e-30;
@@ -357,30 +385,34 @@ Below points_below(Array<const float, any, 3> points, Array<const double, any, 4
                    const FieldGrid& field, double threshold, double seal) {
   Below found;
   auto& [index, clearance] = found;
-  const double* m = group_from_vehicle.data();
-  double ends[3];
-  for (std::size_t axis = 0; axis < 3; ++axis) ends[axis] = static_cast<double>(field.values.size(axis)) * field.step;
-  for (Index b = 0; b < balls.size(); ++b) {
-    const double x = balls(b, 0), y = balls(b, 1), z = balls(b, 2), r = balls(b, 3);
-    const double u = m[0] * x + m[1] * y + m[2] * z + m[3] - field.origin[0];
-    const double v = m[4] * x + m[5] * y + m[6] * z + m[7] - field.origin[1];
-    const double w = m[8] * x + m[9] * y + m[10] * z + m[11] - field.origin[2];
-    const bool near = -r < u && u < ends[0] + r && -r < v && v < ends[1] + r && -r < w && w < ends[2] + r;
-    if (field.outside >= threshold && !near) continue;
-    // Clearance changes by no more than the way there: a ball whose centre is clear enough has no point below, nor one behind
-    // a gap that counts as closed.
-    const double centre = interpolate(x, y, z, m, field, -std::numeric_limits<double>::infinity()) * field.quantum;
-    if (centre - field.step - r >= std::max(threshold, seal)) continue;
-    for (Index n = b * run; n < std::min((b + 1) * run, points.size()); ++n) {
-      const double px = points(n, 0), py = points(n, 1), pz = points(n, 2);
-      const double value = field.quantum * interpolate(px, py, pz, m, field, field.outside / field.quantum);
-      if (value < threshold) {
-        index.push_back(n);
-        clearance.push_back(value);
-      }
-    }
-  }
+  any_below(points, balls, group_from_vehicle, field, threshold, seal, [&](Index n, double value) {
+    index.push_back(n);
+    clearance.push_back(value);
+    return false;
+  });
   return found;
+}
+
+bool any_deeper(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_points,
+                const FieldGrid& field, double threshold, double seal, double lost, const std::vector<Yielding>& parts) {
+  const double* m = group_from_points.data();
+  return any_below(points, balls, group_from_points, field, threshold, seal, [&](Index n, double value) {
+    if (value < lost) return true;
+    const double x = points(n, 0), y = points(n, 1), z = points(n, 2);
+    double p[3];
+    for (int axis = 0; axis < 3; ++axis) {
+      const double* row = m + 4 * axis;
+      p[axis] = row[0] * x + row[1] * y + row[2] * z + row[3];
+    }
+    return std::any_of(parts.begin(), parts.end(), [&](const Yielding& part) {
+      for (int axis = 0; axis < 3; ++axis) {
+        if (p[axis] <= part.low[axis] || p[axis] >= part.high[axis]) return false;
+      }
+      // What is nearer than allowed to a closed part is not too deep, on whichever side; to a sheet, near is deep.
+      const double enough = part.mesh.closed ? part.allowed : 0.0;
+      return part.shell - signed_distance_to(p, part.radius, enough, part.mesh) > part.allowed;
+    });
+  });
 }
 
 }  // namespace cabinpose

@@ -79,4 +79,20 @@ using Below = std::pair<Grown<std::int64_t>, Grown<double>>;
 Below points_below(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_vehicle,
                    const FieldGrid& field, double threshold, double seal);
 
+/// A part of a group that points may be in: its mesh, how far its distance is measured and how deep they may be in it, m, half
+/// the thickness of an open surface, and the corners of the box outside of which it is not felt.
+struct Yielding {
+  Mesh mesh;
+  double radius = 0.0, allowed = 0.0, shell = 0.0;
+  Vector low, high;
+
+  auto members() { return std::tie(mesh, radius, allowed, shell, low, high); }
+};
+
+/// Whether any of the points (N, 3) is deeper in a part than allowed; see `points_below`.
+///
+/// Points whose value is not below `threshold` are in nothing, those below `lost` surely too deep; the others are measured.
+bool any_deeper(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_points,
+                const FieldGrid& field, double threshold, double seal, double lost, const std::vector<Yielding>& parts);
+
 }  // namespace cabinpose

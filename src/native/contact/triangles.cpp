@@ -9,13 +9,12 @@ struct Nearest {
   bool inside;
 };
 
-Nearest nearest_in(Index row, const double* p, Nearest best, Corners corners, Array<const double, any, 7, 3> normals,
-                   Array<const std::int32_t, any> starts, Array<const std::int32_t, any> entries) {
-  for (Index e = starts[row]; e < starts[row + 1]; ++e) {
-    const double* t = &corners(entries[e], 0, 0);
+Nearest nearest_in(Index row, const double* p, Nearest best, const Mesh& mesh) {
+  for (Index e = mesh.starts[row]; e < mesh.starts[row + 1]; ++e) {
+    const double* t = &mesh.corners(mesh.entries[e], 0, 0);
     const Closest c = closest_on_triangle(p[0], p[1], p[2], t, t + 3, t + 6);
     if (c.square < best.square) {
-      const double* n = &normals(entries[e], c.feature, 0);
+      const double* n = &mesh.normals(mesh.entries[e], c.feature, 0);
       best = {c.square, (p[0] - c.x) * n[0] + (p[1] - c.y) * n[1] + (p[2] - c.z) * n[2] < 0.0};
     }
   }
@@ -52,40 +51,41 @@ std::pair<Grown<std::int32_t>, Grown<std::int32_t>> bin_triangles(Corners corner
   return {std::move(starts), std::move(entries)};
 }
 
-void signed_distance(Array<const double, any, 3> points, double radius, double enough, Corners corners,
-                     Array<const double, any, 7, 3> normals, bool closed, Vector origin, double cell, Cells dims,
-                     Array<const std::int32_t, any> starts, Array<const std::int32_t, any> entries, Array<double, any> out) {
-  const double stop = enough * enough;
-  for (Index n = 0; n < points.size(); ++n) {
-    const double* p = &points(n, 0);
-    Index low[3], high[3], own[3];
-    for (int axis = 0; axis < 3; ++axis) {
-      low[axis] = std::max(static_cast<Index>(std::floor((p[axis] - radius - origin[axis]) / cell)), Index{0});
-      high[axis] = std::min(static_cast<Index>(std::floor((p[axis] + radius - origin[axis]) / cell)), dims[axis] - 1);
-      own[axis] = clamped((p[axis] - origin[axis]) / cell, dims[axis]);
-    }
-    auto row = [&](Index i, Index j, Index k) { return (i * dims[1] + j) * dims[2] + k; };
-    auto away = [&](Index i, int axis) {
-      const double at = origin[axis] + static_cast<double>(i) * cell;
-      return std::max({at - p[axis], p[axis] - origin[axis] - static_cast<double>(i + 1) * cell, 0.0});
-    };
-    Nearest best = nearest_in(row(own[0], own[1], own[2]), p, {radius * radius, false}, corners, normals, starts, entries);
-    for (Index i = low[0]; i <= high[0]; ++i) {
-      const double dx = away(i, 0);
-      if (dx * dx >= best.square || best.square <= stop) continue;
-      for (Index j = low[1]; j <= high[1]; ++j) {
-        const double dy = away(j, 1);
-        if (dx * dx + dy * dy >= best.square || best.square <= stop) continue;
-        for (Index k = low[2]; k <= high[2]; ++k) {
-          const double dz = away(k, 2);
-          if (dx * dx + dy * dy + dz * dz < best.square && best.square > stop) {
-            best = nearest_in(row(i, j, k), p, best, corners, normals, starts, entries);
-          }
+double signed_distance_to(const double* p, double radius, double enough, const Mesh& mesh) {
+  const double stop = enough * enough, cell = mesh.cell;
+  const Vector& origin = mesh.origin;
+  const Cells& dims = mesh.dims;
+  Index low[3], high[3], own[3];
+  for (int axis = 0; axis < 3; ++axis) {
+    low[axis] = std::max(static_cast<Index>(std::floor((p[axis] - radius - origin[axis]) / cell)), Index{0});
+    high[axis] = std::min(static_cast<Index>(std::floor((p[axis] + radius - origin[axis]) / cell)), dims[axis] - 1);
+    own[axis] = clamped((p[axis] - origin[axis]) / cell, dims[axis]);
+  }
+  auto row = [&](Index i, Index j, Index k) { return (i * dims[1] + j) * dims[2] + k; };
+  auto away = [&](Index i, int axis) {
+    const double at = origin[axis] + static_cast<double>(i) * cell;
+    return std::max({at - p[axis], p[axis] - origin[axis] - static_cast<double>(i + 1) * cell, 0.0});
+  };
+  Nearest best = nearest_in(row(own[0], own[1], own[2]), p, {radius * radius, false}, mesh);
+  for (Index i = low[0]; i <= high[0]; ++i) {
+    const double dx = away(i, 0);
+    if (dx * dx >= best.square || best.square <= stop) continue;
+    for (Index j = low[1]; j <= high[1]; ++j) {
+      const double dy = away(j, 1);
+      if (dx * dx + dy * dy >= best.square || best.square <= stop) continue;
+      for (Index k = low[2]; k <= high[2]; ++k) {
+        const double dz = away(k, 2);
+        if (dx * dx + dy * dy + dz * dz < best.square && best.square > stop) {
+          best = nearest_in(row(i, j, k), p, best, mesh);
         }
       }
     }
-    out[n] = closed && best.inside ? -std::sqrt(best.square) : std::sqrt(best.square);
   }
+  return mesh.closed && best.inside ? -std::sqrt(best.square) : std::sqrt(best.square);
+}
+
+void signed_distance(Array<const double, any, 3> points, double radius, double enough, const Mesh& mesh, Array<double, any> out) {
+  for (Index n = 0; n < points.size(); ++n) out[n] = signed_distance_to(&points(n, 0), radius, enough, mesh);
 }
 
 }  // namespace cabinpose

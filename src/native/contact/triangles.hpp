@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <tuple>
 #include <utility>
 
 #include "core/array.hpp"
@@ -94,13 +95,28 @@ using Vector = Array<const double, 3>;
 /// Triangles by grid cell, compressed rows: (cells + 1,) starts and the numbers of the triangles.
 std::pair<Grown<std::int32_t>, Grown<std::int32_t>> bin_triangles(Corners corners, Vector origin, double cell, Cells dims);
 
-/// Distance (N,) of points (N, 3) to triangles, m, negative inside where `closed`; `radius` stands for what is farther away.
+/// Triangles prepared for the search of the nearest: Python's `scene.contact.triangles.TriangleMesh`.
+///
+/// normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca · starts, entries: of `bin_triangles`.
+struct Mesh {
+  Corners corners;
+  Array<const double, any, 7, 3> normals;
+  bool closed = false;
+  Vector origin;
+  double cell = 0.0;
+  Cells dims;
+  Array<const std::int32_t, any> starts, entries;
+
+  auto members() { return std::tie(corners, normals, closed, origin, cell, dims, starts, entries); }
+};
+
+/// Distance of a point (3,) to a mesh, m, negative inside where it is closed; `radius` stands for what is farther away.
 ///
 /// The sign is that of the angle-weighted pseudo-normal of the closest feature (Baerentzen & Aanaes 2005). A distance that is
-/// found to be at most `enough` is not pursued. normals: (F, 7, 3) of face, vertices a b c, edges ab bc ca · starts, entries: of
-/// `bin_triangles`.
-void signed_distance(Array<const double, any, 3> points, double radius, double enough, Corners corners,
-                     Array<const double, any, 7, 3> normals, bool closed, Vector origin, double cell, Cells dims,
-                     Array<const std::int32_t, any> starts, Array<const std::int32_t, any> entries, Array<double, any> out);
+/// found to be at most `enough` is not pursued.
+double signed_distance_to(const double* point, double radius, double enough, const Mesh& mesh);
+
+/// The same (N,) of points (N, 3).
+void signed_distance(Array<const double, any, 3> points, double radius, double enough, const Mesh& mesh, Array<double, any> out);
 
 }  // namespace cabinpose

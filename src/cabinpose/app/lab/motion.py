@@ -302,7 +302,7 @@ class _Course:
         found = self_contact(body, posed.joints)
         contact = stage.validator.contact
         assert contact is not None  # a car's validator has the car's fields
-        touched = contact.at(stage.settings, wheel).deepest(body.skin_points()[0], FLESH_M)
+        touched = contact.at(stage.settings, wheel).deepest(body.skin_points[0], FLESH_M)
         return max(0.0 if found is None else found[1].excess_m, 0.0 if touched is None else touched.excess_m)
 
 

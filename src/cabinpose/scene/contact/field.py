@@ -94,12 +94,12 @@ class GroupField:
     interior: bool
     sealed: bool
 
-    @property
+    @cached_property
     def give_m(self) -> float:
         """The greatest give of the group's parts, m."""
         return max(p.give_m for p in self.parts)
 
-    @property
+    @cached_property
     def bound_m(self) -> float:
         """A distance changes by no more than the way to it, so interpolation is off by at most half a cell's diagonal."""
         return self.step * math.sqrt(3.0) / 2.0 + QUANTUM_M

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -200,6 +201,7 @@ class PosedSolids:
         at = int(np.flatnonzero(t.own == vertex)[0])
         return SOLIDS[int(np.searchsorted(t.own_rows[:, 1], at, side="right"))]
 
+    @cached_property
     def skin_points(self) -> tuple[Floats32, Ints32]:
         """Points (N, 3) of the skin no farther apart than `SPACING_M` along its edges, and a vertex (N,) near each."""
         points, vertex = native.sampled_skin(self.vertices, self.topology.order, self.topology.edges, SPACING_M)

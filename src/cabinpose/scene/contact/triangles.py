@@ -7,6 +7,7 @@ Aanæs 2005, "Signed distance computation using the angle weighted pseudonormal"
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +32,12 @@ class TriangleMesh:
     corners: Floats
     normals: Floats
     closed: bool
-    _origin: Floats
-    _dims: Ints
-    _starts: Ints32
-    _entries: Ints32
+    _cells: tuple[Floats, float, Ints, Ints32, Ints32]  # of the search grid: origin, size, number, and the triangles in each
+
+    @cached_property
+    def kernel(self) -> tuple[object, ...]:
+        """The mesh as the kernels take it."""
+        return self.corners, self.normals, self.closed, *self._cells
 
     @property
     def low(self) -> Floats:
@@ -53,10 +56,7 @@ class TriangleMesh:
         a distance is found to be at most `enough`, it is not pursued: either sign and any size up to `enough` may stand.
         """
         distance = np.empty(len(points))
-        native.signed_distance(
-            np.ascontiguousarray(points, np.float64), radius, enough, self.corners, self.normals, self.closed,
-            self._origin, CELL_M, self._dims, self._starts, self._entries, distance,
-        )  # fmt: skip
+        native.signed_distance(np.ascontiguousarray(points, np.float64), radius, enough, self.kernel, distance)
         return distance
 
 
@@ -74,9 +74,9 @@ def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *,
     corners = np.ascontiguousarray(welded[triangles])
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     dims = np.maximum(np.ceil((high - low) / CELL_M), 1).astype(np.int64)
-    starts, entries = native.bin_triangles(corners, low, CELL_M, dims)
     normals = _pseudo_normals(corners, triangles, len(welded))
-    return TriangleMesh(welded, triangles, corners, normals, closed, low, dims, starts, entries)
+    cells = (low, CELL_M, dims, *native.bin_triangles(corners, low, CELL_M, dims))
+    return TriangleMesh(welded, triangles, corners, normals, closed, cells)
 
 
 def edge_keys(faces: Ints32, count: int) -> Ints:

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, apply, axis_rotation, transform
 from cabinpose.scene.cabin.model import Seat, SeatSetting
-from cabinpose.scene.contact.field import OUTSIDE, PlacedField, balls_of
-from cabinpose.scene.things.thing import PlacedThing, Thing
+from cabinpose.scene.contact.field import OUTSIDE, GroupField, PlacedField
+from cabinpose.scene.things.thing import Cloud, PlacedThing, Thing
 
 PRESSED_M = 0.012  # into foam, by a child seat that is belted or latched
 RESTING_M = 0.004  # into foam, by what only lies there
@@ -34,25 +33,19 @@ class Obstacle(NamedTuple):
     excess_m: float
 
 
-def deepest_obstacle(
-    placed: PlacedField, points: Floats, pressed_m: float, only: Callable[[str], bool] | None = None
-) -> Obstacle:
-    """The part of a car that points (N, 3) m of the vehicle frame are deepest in, beyond `pressed_m` of its foam.
+def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) -> Obstacle:
+    """The part of a car that a thing is deepest in, beyond `pressed_m` of its foam.
 
-    Buckles are left out: they hang on webbing and are pushed aside. only: names of the groups that count.
+    Buckles are left out: they hang on webbing and are pushed aside.
     """
     worst = Obstacle("", -math.inf)
-    sampled = np.ascontiguousarray(points, np.float32)
-    balls = balls_of(sampled)
+    cloud = thing.thing.cloud
     for group, _, group_from_vehicle in placed.groups:
-        if only is not None and not only(group.name):
-            continue
-        index, clearance = native.points_below(
-            sampled, balls, group_from_vehicle, group.grid, group.give_m + group.bound_m, group.bound_m
-        )
+        group_from_thing = group_from_vehicle @ thing.vehicle_from_thing
+        index, clearance = native.points_below(*cloud, group_from_thing, group.grid, group.give_m + group.bound_m, group.bound_m)
         if not len(index):
             continue
-        local = apply(group_from_vehicle, points[index])
+        local = apply(group_from_thing, cloud.points[index])
         inside = np.zeros(len(index), bool)
         for part, low, high in zip(group.parts, group.part_low, group.part_high, strict=True):
             near = np.flatnonzero(np.asarray((local > low) & (local < high)).all(axis=1))
@@ -69,28 +62,28 @@ def deepest_obstacle(
     return worst
 
 
-def stands_free(placed: PlacedField, points: Floats, pressed_m: float, only: Callable[[str], bool] | None) -> bool:
-    """Whether no point is deeper in anything than `deepest_obstacle` allows: the same answer, sooner."""
-    sampled = np.ascontiguousarray(points, np.float32)
-    balls = balls_of(sampled)
-    for group, _, group_from_vehicle in placed.groups:
-        if only is not None and not only(group.name):
-            continue
-        enough = max(group.give_m - pressed_m, 0.0) + group.bound_m
-        index, clearance = native.points_below(sampled, balls, group_from_vehicle, group.grid, enough, group.bound_m)
-        if not len(index):
-            continue
-        if clearance.min() < -group.bound_m and not any(part.name.endswith("buckle") for part in group.parts):
-            return False
-        local = apply(group_from_vehicle, points[index])
-        for part, low, high in zip(group.parts, group.part_low, group.part_high, strict=True):
-            near = np.asarray((local > low) & (local < high)).all(axis=1)
-            if near.any() and not part.name.endswith("buckle"):
-                allowed = min(part.give_m, pressed_m)
-                depth = part.shell_m - part.mesh.signed_distance(local[near], part.give_m + 2.0 * group.bound_m)
-                if float(depth.max()) > allowed:
-                    return False
-    return True
+Parts = list[tuple[object, ...]]
+# How deep points may be in the parts of a group, as `native.any_deeper` takes it.
+Felt = tuple[tuple[object, ...], float, float, float, Parts]
+
+
+def felt(group: GroupField, pressed_m: float, yields_m: float = 0.0) -> Felt:
+    """A group whose foam may be pressed in by `pressed_m`, by points that yield by `yields_m` themselves."""
+    parts: Parts = []
+    for part, low, high in zip(group.parts, group.part_low, group.part_high, strict=True):
+        if not part.name.endswith("buckle"):
+            allowed = min(part.give_m, pressed_m) + yields_m
+            radius = part.give_m + 2.0 * group.bound_m + yields_m
+            parts.append((part.mesh.kernel, radius, allowed, part.shell_m, low, high))
+    threshold = max(group.give_m - pressed_m, 0.0) + group.bound_m - yields_m
+    lost = -group.bound_m - yields_m if len(parts) == len(group.parts) else -math.inf
+    return group.grid, threshold, group.bound_m, lost, parts
+
+
+def stands_free(group: Felt, cloud: Cloud, group_from_cloud: Matrix) -> bool:
+    """Whether no point is deeper in a group's parts than it may be."""
+    grid, threshold, seal, lost, parts = group
+    return not native.any_deeper(cloud.points, cloud.balls, group_from_cloud, grid, threshold, seal, lost, parts)
 
 
 def let_down(free: Callable[[float], bool], start: float, end: float) -> float:
@@ -144,16 +137,17 @@ def stand_on_seat(
         vehicle_from_thing, (4, 4).
     """
     cushion, own = cushion_frame(seat, setting), f"seat:{seat.slot}/"
-    has_own = any(group.name.startswith(own) for group, _, _ in placed.groups)
+    own_groups = [group for group in placed.groups if group[0].name.startswith(own)]
+    holders = [(felt(group, pressed_m), group_from) for group, _, group_from in own_groups or placed.groups]
 
     def at(x: float, z: float) -> Matrix:
         return np.asarray(cushion @ transform(turn, (x, aside_m, z)))
 
     def free(x: float, z: float) -> bool:
-        points = apply(at(x, z), thing.points)
-        return stands_free(placed, points, pressed_m, (lambda name: name.startswith(own)) if has_own else None)
+        vehicle_from_thing = at(x, z)
+        return all(stands_free(group, thing.cloud, group_from @ vehicle_from_thing) for group, group_from in holders)
 
-    turned = apply(transform(turn), thing.points)
+    turned = apply(transform(turn), thing.cloud.points)
     low = turned.min(axis=0)
     rear = turned[turned[:, 2] < low[2] + _UNDERSIDE_M, 0].min()
     x, lowest = (ahead_m if ahead_m > 0.0 else _BEFORE_BACK_M) - low[0], -low[2]
@@ -167,6 +161,5 @@ def stand_on_seat(
 
 def in_the_way(thing: PlacedThing, placed: PlacedField, pressed_m: float) -> Obstacle | None:
     """What a placed thing stands in, of everything around it; None where it stands free."""
-    points = apply(thing.vehicle_from_thing, thing.thing.points)
-    found = deepest_obstacle(placed, points, pressed_m)
+    found = deepest_obstacle(placed, thing, pressed_m)
     return found if found.excess_m > TOUCHING_M else None

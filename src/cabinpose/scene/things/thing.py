@@ -7,13 +7,14 @@ from functools import cache, cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cabinpose.core.arrays import Floats, Floats32
 from cabinpose.core.errors import unknown_name
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, group_field
+from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls_of, group_field
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things.child_seats import CHILD_SEATS
@@ -22,7 +23,21 @@ from cabinpose.scene.things.pieces import Piece
 
 VARIANTS = 4  # designs of each kind, of different sizes
 _POINTS_A_SIDE = 14  # by which a thing feels what is around it, along its longest side
+_CROWDED = 4.0  # of points nearer to each other than this share of that one is enough
 _SMALL_M = 0.12  # a thing thinner than this has a finer field
+
+
+class Cloud(NamedTuple):
+    """Points (N, 3) m that are held against a distance field, and the balls around them: see `balls_of`."""
+
+    points: Floats32
+    balls: Floats
+
+    @staticmethod
+    def of(points: NDArray[np.floating]) -> Cloud:
+        """Of points in an order in which neighbours are near each other."""
+        sampled = np.ascontiguousarray(points, np.float32)
+        return Cloud(sampled, balls_of(sampled))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +72,13 @@ class Thing:
         return group_field(self.kind, self.parts, step=FINE_STEP_M if extent < _SMALL_M else STEP_M)
 
     @cached_property
-    def points(self) -> Floats:
-        """(N, 3) m over its surface, no farther apart than a twentieth of its longest side."""
+    def cloud(self) -> Cloud:
+        """Points over its surface, about a fourteenth of its longest side from each other."""
         apart = float(np.ptp(self.box, axis=0).max()) / _POINTS_A_SIDE
-        return np.concatenate([sampled_surface(part.mesh.corners, apart) for part in self.field.parts])
+        points = np.concatenate([sampled_surface(part.mesh.corners, apart) for part in self.field.parts])
+        # Long thin triangles have more than are needed.
+        _, first = np.unique(np.floor(points * (_CROWDED / apart)), axis=0, return_index=True)
+        return Cloud.of(points[np.sort(first)])
 
     @property
     def box(self) -> Floats32:

@@ -7,7 +7,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from cabinpose.scene.cabin import Cabin, Seat
-from cabinpose.synth.posture.actions import ACTIONS, HOLDING, actions_for
+from cabinpose.synth.posture.actions import ACTIONS, HOLDING, actions_for, inboard_side
+from cabinpose.synth.posture.grasps import Hold, inboard_hand
 
 
 class Step(NamedTuple):
@@ -25,34 +26,42 @@ _PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
         "check_mirror": (Step("look_mirror", 0.5), Step("drive", 0.4)),
         "operate": (Step("reach_infotainment", 0.6), Step("drive", 0.3)),
         "phone_call": (Step("phone_text", 0.8), Step("phone_ear_outer", 1.5), Step("phone_text", 0.4)),
-        "drink": (Step("at_mouth", 1.0), Step("rest_lap", 0.3)),
+        "drink": (Step("drink", 1.0), Step("rest_lap", 0.3)),
         "eat": (Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5)),
-        "read": (Step("phone_text", 3.0),),
+        "read": (Step("read", 3.0),),
         "look_over_shoulder": (Step("look_back", 0.5), Step("rest_lap", 0.3)),
         "buckle_up": (Step("belt", 0.3), Step("rest_lap", 0.3)),
         "reach_down": (Step("reach_floor", 0.5), Step("rest_lap", 0.3)),
         "sleep": (Step("sleep", 5.0),),
     }
 )
+# The place of the hand in activities that need something in it.
+HELD_AT: Mapping[str, str] = MappingProxyType({"phone_call": "chest", "drink": "drink", "read": "book"})
 _SINGLE_HOLD_S = 0.8
 RECORDED = "mocap"  # what people do whom a recording moves: the kind of their profile
 ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(name for name in ACTIONS if name not in HOLDING and name not in _PROGRAMS))
 
 
-def resting(seat: Seat, cabin: Cabin) -> str:
-    """The action to which somebody in a seat comes back."""
-    return "drive" if seat.slot == "driver" and cabin.steering_wheel is not None else "rest_lap"
+def resting(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> str:
+    """The action to which somebody in a seat comes back, who may have something in the hand."""
+    drives = seat.slot == "driver" and cabin.steering_wheel is not None
+    return "rest_lap" if not drives else "drive" if hold is None else "drive_one_hand"
 
 
-def steps_of(activity: str, seat: Seat, cabin: Cabin) -> tuple[Step, ...]:
+def steps_of(activity: str, seat: Seat, cabin: Cabin, hold: Hold | None = None) -> tuple[Step, ...]:
     """The steps of an activity of `ACTIVITIES`; who drives goes back to the wheel."""
     steps = _PROGRAMS.get(activity) or (Step(activity, _SINGLE_HOLD_S),)
     if len(steps) == 1:
         return steps
-    return tuple(step._replace(action=resting(seat, cabin)) if step.action == "rest_lap" else step for step in steps)
+    return tuple(step._replace(action=resting(seat, cabin, hold)) if step.action == "rest_lap" else step for step in steps)
 
 
-def activities_for(seat: Seat, cabin: Cabin) -> tuple[str, ...]:
-    """The activities of which every step makes sense in a seat, in a fixed order."""
-    known = set(actions_for(seat, cabin))
-    return tuple(name for name in ACTIVITIES if all(step.action in known for step in steps_of(name, seat, cabin)))
+def activities_for(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> tuple[str, ...]:
+    """The activities of which every step makes sense in a seat, with what is held all the time, in a fixed order."""
+    inboard = inboard_side(seat)
+    known = {
+        name
+        for name in actions_for(seat, cabin)
+        if hold is None or inboard_hand(ACTIONS[name], hold.kind, hold.side, inboard) is not None
+    }
+    return tuple(name for name in ACTIVITIES if all(step.action in known for step in steps_of(name, seat, cabin, hold)))

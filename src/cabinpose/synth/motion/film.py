@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.sequences import DrawGoals, plan_tracks
 from cabinpose.synth.motion.track import Track
 from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.things import Blocked
 from cabinpose.synth.validate import Rejection, Seated, most_common
 
 if TYPE_CHECKING:  # which imports this module
@@ -27,10 +29,11 @@ FreeCamera = Callable[["_Cast", Callable[[], "Iterable[ScenePerson]"], Seated, n
 
 
 class Film(NamedTuple):
-    """A planned sequence: the cast, the tracks of people by slot, the view and its camera; see `synth.scene.Scene`."""
+    """A planned sequence: the cast, the tracks of people by slot, what stands on the seats, the view and its camera."""
 
     cast: _Cast
     tracks: Mapping[str, Track]
+    things: tuple[PlacedThing, ...]
     sequence: SequenceConfig
     pov: str
     camera: Matrix
@@ -42,9 +45,13 @@ class Film(NamedTuple):
         poses = {slot: track.at(time_s) for slot, track in self.tracks.items()}
         people = self.cast.people
         return [
-            self.cast.person(slot, self.tracks[slot].activity(time_s), people[slot].pose(pose.q, pose.root))
+            self.cast.person(slot, self.tracks[slot].activity(time_s), self.tracks[slot].body(people[slot], pose))
             for slot, pose in poses.items()
         ]
+
+    def things_with(self, people: Iterable[ScenePerson]) -> tuple[PlacedThing, ...]:
+        """What stands on the seats, and what these people hold."""
+        return (*self.things, *(thing for p in people for thing in self.tracks[p.slot].held(p.slot, p.posed)))
 
     def everybody(self) -> Iterator[ScenePerson]:
         """Everybody in every frame."""
@@ -70,11 +77,13 @@ def make_film(
     number: int,
     sequence: SequenceConfig,
     seed: int,
-    draw_cast: Callable[[np.random.Generator], _Cast],
+    draw_cast: Callable[[np.random.Generator], tuple[_Cast, tuple[PlacedThing, ...] | Blocked]],
     goals: Callable[[_Cast], DrawGoals],
     free_camera: FreeCamera,
     *,
     weights: Mapping[str, Mapping[str, float]],
+    recorded: Collection[str],
+    in_hand: float,
     poses_per_person: int,
 ) -> Film:
     """Plan a sequence.
@@ -84,8 +93,8 @@ def make_film(
     number, sequence, seed
         Which one of a dataset, and how long; all randomness comes from its first frame.
     draw_cast, goals, free_camera
-        Draw who is in which car, what people seek, and the camera.
-    weights, poses_per_person
+        Draw who is in which car with what on its seats, what people seek, and the camera.
+    weights, recorded, in_hand, poses_per_person
         See `plan_tracks`.
 
     Raises
@@ -98,17 +107,21 @@ def make_film(
     causes: Counter[Rejection] = Counter()
     tried, proposals = list[str](), 0
     for attempt in range(_SCENES):
-        cast = draw_cast(rng)
+        cast, things = draw_cast(rng)
         tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
+        if isinstance(things, Blocked):
+            causes[things.rejection] += 1
+            continue
         tracks, draws = plan_tracks(
             sequence, cast.people, cast.cabin, cast.validator, cast.settings, goals(cast), weights,
-            seed=seed, first=first, attempt=attempt, poses_per_person=poses_per_person, causes=causes,
+            recorded=recorded, things=things, in_hand=in_hand, seed=seed, first=first, attempt=attempt,
+            poses_per_person=poses_per_person, causes=causes,
         )  # fmt: skip
         proposals += draws
         if tracks is None:
             continue
-        film = Film(cast, tracks, sequence, "", np.eye(4), proposals, causes)
-        empty = cast.validator.empty(cast.settings, film.wheel_angle(0.0))
+        film = Film(cast, tracks, things, sequence, "", np.eye(4), proposals, causes)
+        empty = cast.validator.empty(cast.settings, film.wheel_angle(0.0), things)
         view = free_camera(cast, film.everybody, empty, rng)
         if view is not None:
             return film._replace(pov=view[0], camera=view[1])

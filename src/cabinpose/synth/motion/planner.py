@@ -17,13 +17,14 @@ from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, axis_rotation, invert, nearest_rigid, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.activities import Step, steps_of
-from cabinpose.synth.motion.track import Pose, Segment, Track, Way, duration
+from cabinpose.synth.motion.track import Pose, Segment, Track, duration, way_through
 from cabinpose.synth.posture.goals import between, given
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.streams import weighted
-from cabinpose.synth.validate import Rejection, Validator, Verdict
+from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 CHECKS_PER_FRAME = 3
 _INTERIOR = (0, 3, 7)  # poses between the ends of a way that are tried, one number after the other
@@ -63,25 +64,38 @@ class _Goal(NamedTuple):
 class Surroundings:
     """The car and everybody in it over time: those whose motion is known, and the others as they sit at first."""
 
-    def __init__(self, cabin: Cabin, validator: Validator, settings: Mapping[str, SeatSetting], rate_hz: float) -> None:
-        self.cabin, self.validator, self.settings = cabin, validator, settings
+    def __init__(
+        self, cabin: Cabin, validator: Validator, settings: Mapping[str, SeatSetting], rate_hz: float,
+        things: tuple[PlacedThing, ...] = (),
+    ) -> None:  # fmt: skip
+        self.cabin, self.validator, self.settings, self.things = cabin, validator, settings, things
         self.step_s = 1.0 / (rate_hz * CHECKS_PER_FRAME)
         self.people: dict[str, tuple[Person, Track]] = {}
+
+    def empty(self, wheel_angle: float) -> Seated:
+        """The car with what stands on its seats, and nobody in it."""
+        return self.validator.empty(self.settings, wheel_angle, self.things)
 
     def others(self, slot: str, time_s: float) -> list[tuple[str, Person, Pose]]:
         """Everybody but one, at a time."""
         return [(other, person, track.at(time_s)) for other, (person, track) in self.people.items() if other != slot]
 
     def verdict(self, slot: str, person: Person, pose: Pose, time_s: float) -> Verdict:
-        """Whether a pose is possible at a time: the body with itself, with those around, in the car."""
-        body = person.pose(pose.q, pose.root)
-        seated = self.validator.empty(self.settings, pose.wheel_angle)
+        """Whether a pose is possible at a time: the body with itself, with those around, in the car; and what the hand holds."""
+        own = self.people[slot][1]
+        body, seated = own.body(person, pose), self.empty(pose.wheel_angle)
         low, high = body.joints.min(axis=0) - _FLESH_M, body.joints.max(axis=0) + _FLESH_M
         for other, who, where in self.others(slot, time_s):
-            near = who.pose(where.q, where.root)
+            track = self.people[other][1]
+            near = track.body(who, where)
             if (near.joints.max(axis=0) > low).all() and (near.joints.min(axis=0) < high).all():
                 seated = self.validator.with_body(seated, (other, who, near))
-        return self.validator.admit(seated, (slot, person, body))[0]
+                for thing in track.held(other, near):
+                    seated = self.validator.with_thing(seated, thing)
+        verdict, seated = self.validator.admit(seated, (slot, person, body))
+        for thing in own.held(slot, body) if verdict.ok else ():
+            verdict, seated = self.validator.bring(seated, thing)
+        return verdict
 
     def sitters(self, slot: str, time_s: float) -> list[Sitter]:
         """Everybody but one, at a time, as the solver sees them."""
@@ -164,7 +178,7 @@ class Planner:
         self.tried += 1
         cabin, segments = self._around.cabin, self._track.segments
         first, done = len(segments), None
-        steps = steps_of(activity, cabin.seats[self._who.slot], cabin)
+        steps = steps_of(activity, cabin.seats[self._who.slot], cabin, self._track.hold)
         for step in steps:
             found = self._step(activity, step, now, time_s, number)
             if found is None:
@@ -181,11 +195,11 @@ class Planner:
         if goal is None:
             return None
         reason: Rejection | None = None
-        straight_s = duration(Way.through(np.stack([track.last, track.state_of(goal.pose)])), self._tempo)
+        straight_s = duration(way_through(np.stack([track.last, track.state_of(goal.pose)])), self._tempo)
         for interior in _INTERIOR:
             if interior == 0 and any(a and b for a, b in zip(now.holds, goal.holds, strict=True)):
                 continue
-            way = Way.through(self._between(track, now, goal, interior, time_s))
+            way = way_through(self._between(track, now, goal, interior, time_s))
             lasts_s = duration(way, self._tempo)
             if lasts_s > _ROUNDABOUT * straight_s + 0.3:
                 reason = reason or Rejection("way", self._who.slot, step.action)
@@ -221,7 +235,7 @@ class Planner:
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
             drawn = self._who.draw(step.action, now.pose.wheel_angle, number, time_s)
             angle = now.pose.wheel_angle
-        placed = self._around.validator.empty(self._around.settings, angle).placed
+        placed = self._around.empty(angle).placed
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
         if found.refused:
             self._causes[Rejection("reach", self._who.slot, found.refused, found.held_up_by)] += 1
@@ -253,7 +267,7 @@ class Planner:
             who = between(
                 self._who.person, seat, straight.q, straight.root, (palms[0], palms[1]), soles, (holds[0], holds[1])
             )  # fmt: skip
-            solve([who, *sitters], self._around.validator.empty(self._around.settings, straight.wheel_angle).placed)
+            solve([who, *sitters], self._around.empty(straight.wheel_angle).placed)
             states.append(track.state_of(Pose(who.q, who.root, straight.wheel_angle)))
         return np.stack([*states, ends[1]])
 

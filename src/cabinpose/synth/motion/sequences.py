@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.scene.body import Person
+from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.synth.motion.activities import RECORDED, activities_for, resting
+from cabinpose.scene.things import PlacedThing
+from cabinpose.scene.things.thing import VARIANTS
+from cabinpose.synth.motion.activities import HELD_AT, RECORDED, activities_for, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
 from cabinpose.synth.posing import pose_people
 from cabinpose.synth.posture.actions import ACTIONS
-from cabinpose.synth.posture.sampling import Drawn
-from cabinpose.synth.streams import sequence_rng
-from cabinpose.synth.validate import Rejection, Validator
+from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold
+from cabinpose.synth.posture.sampling import Drawn, OccupantPose
+from cabinpose.synth.streams import sequence_rng, weighted
+from cabinpose.synth.things import bring_along
+from cabinpose.synth.validate import Rejection, Seated, Validator
 
 _PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' own
 _DRAWS = 16  # of one person's habits: streams of a sequence
 
-# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, the time (s) since the first
-# frame, and the source of randomness.
-DrawGoals = Callable[[str, str, float | None, float, np.random.Generator], Drawn]
+# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, the time (s) since
+# the first frame, and the source of randomness.
+DrawGoals = Callable[[str, str, float | None, Hold | None, float, np.random.Generator], Drawn]
 
 
 def plan_tracks(
@@ -38,6 +42,9 @@ def plan_tracks(
     draw: DrawGoals,
     weights: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
     *,
+    recorded: Collection[str] = (),
+    things: tuple[PlacedThing, ...] = (),
+    in_hand: float = 0.0,
     seed: int,
     first: int,
     attempt: int,
@@ -58,6 +65,10 @@ def plan_tracks(
         Draws the goals of an action; the same randomness gives the same habits: feet, grips, place in the seat.
     weights
         Of the actions by slot, where they are not the usual ones.
+    recorded
+        The slots of those whom recordings move.
+    things, in_hand
+        What stands on the seats, and the share of people with something in the hand, of those who do what needs it.
     seed, first, attempt
         Of the dataset, the sequence's first frame, and how often its scene was drawn before.
     poses_per_person
@@ -75,9 +86,17 @@ def plan_tracks(
     lasts_s = (sequence.frames - 1) / sequence.rate_hz
     streams = {slot: 1 + _DRAWS * (len(people) * attempt + i) for i, slot in enumerate(people)}
     plans = {slot: sequence_rng(seed, first, stream) for slot, stream in streams.items()}
-    choices = {slot: _choices(sequence, cabin, slot, weights.get(slot)) for slot in people}
+    holds = {
+        slot: None
+        if slot in recorded
+        else _held(person, _choices(sequence, cabin, slot, weights.get(slot)), in_hand, rng=plans[slot])
+        for slot, person in people.items()
+    }
+    choices = {
+        slot: _choices(sequence, cabin, slot, weights.get(slot), hold, bare=in_hand == 0.0) for slot, hold in holds.items()
+    }
     habits = dict.fromkeys(people, 0)
-    actions = {slot: resting(cabin.seats[slot], cabin) for slot in people}
+    actions = {slot: resting(cabin.seats[slot], cabin, holds[slot]) for slot in people}
 
     def first_goals(slot: str) -> Drawn:
         habits[slot] = habits[slot] % (_DRAWS - 1) + 1
@@ -85,25 +104,32 @@ def plan_tracks(
 
     def goals(slot: str, action: str, wheel_angle: float | None, number: int = 0, time_s: float = 0.0) -> Drawn:
         habit = (habits[slot] + number - 1) % (_DRAWS - 1) + 1
-        return draw(slot, action, wheel_angle, time_s, sequence_rng(seed, first, streams[slot] + habit))
+        return draw(slot, action, wheel_angle, holds[slot], time_s, sequence_rng(seed, first, streams[slot] + habit))
 
-    posed, tried = pose_people(people, cabin, validator, settings, first_goals, poses_per_person=poses_per_person, causes=causes)
+    def bring(slot: str, pose: OccupantPose, body: PosedBody, seated: Seated) -> tuple[Rejection | None, Seated]:
+        return bring_along(None, slot, pose, body, validator, seated, rng=plans[slot])
+
+    posed, tried = pose_people(
+        people, cabin, validator, settings, first_goals, poses_per_person=poses_per_person, causes=causes,
+        things=things, bring=bring,
+    )  # fmt: skip
     if posed is None:
         return None, tried
-    around = Surroundings(cabin, validator, settings, sequence.rate_hz)
-    planners, recorded = {}, []
+    around = Surroundings(cabin, validator, settings, sequence.rate_hz, things)
+    planners, followers = {}, []
     for slot, (pose, _) in posed.poses.items():
         who = Somebody(slot, people[slot], partial(goals, slot), choices[slot])
         start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
-        around.people[slot] = people[slot], Track(start, pose.action, Idle.drawn(rng=plans[slot]), 0.0)
-        if pose.action == RECORDED:
-            recorded.append(who)
+        if slot in recorded:
+            around.people[slot] = people[slot], Track(start, RECORDED, Idle.drawn(rng=plans[slot]), 0.0)
+            followers.append(who)
         else:
+            around.people[slot] = people[slot], Track(start, actions[slot], Idle.drawn(rng=plans[slot]), 0.0, holds[slot])
             planners[slot] = Planner(who, around, causes, lasts_s=lasts_s, rng=plans[slot])
     # One after the other: those whose motion is planned are known over time, the others sit still.
-    if recorded:
+    if followers:
         from cabinpose.synth.motion.replay import replay  # noqa: PLC0415 - scipy's interpolation, for recordings alone
-    for who in recorded:
+    for who in followers:
         if not replay(who, around, causes, action=actions[who.slot], lasts_s=lasts_s):
             return None, tried
     for plan in (Planner.breathe, Planner.move):
@@ -115,10 +141,31 @@ def plan_tracks(
     return {slot: track for slot, (_, track) in around.people.items()}, tried
 
 
-def _choices(sequence: SequenceConfig, cabin: Cabin, slot: str, weights: Mapping[str, float] | None) -> dict[str, float]:
-    """The activities of whoever sits in a slot, by weight; where none of those asked for makes sense there, any that does."""
-    possible = activities_for(cabin.seats[slot], cabin)
+def _held(person: Person, choices: Mapping[str, float], in_hand: float, *, rng: np.random.Generator) -> Hold | None:
+    """What a person has in the hand, for an activity drawn of these; None where it needs nothing, or nothing fits."""
+    activity = weighted(choices, rng=rng) if in_hand > 0.0 else ""
+    if activity not in HELD_AT or rng.random() >= in_hand:
+        return None
+    place, side = HELD_AT[activity], int(rng.integers(2))
+    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
+    for kind, variant in (designs[n] for n in rng.permutation(len(designs)).tolist()):
+        if can_hold(person, place, kind, variant):
+            return hold(person, place, kind, variant, side)
+    return None
+
+
+def _choices(
+    sequence: SequenceConfig, cabin: Cabin, slot: str, weights: Mapping[str, float] | None, hold: Hold | None = None,
+    *, bare: bool = True,
+) -> dict[str, float]:  # fmt: skip
+    """The activities of whoever sits in a slot, by weight; where none of those asked for makes sense there, any that does.
+
+    bare: whether empty hands also do what needs a thing, and not only where there is nothing else to do.
+    """
+    possible = activities_for(cabin.seats[slot], cabin, hold)
     if weights is None:
         weights = {name: ACTIONS[name].weight if name in ACTIONS else _PROGRAM_WEIGHT for name in possible}
     usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
-    return {name: 1.0 for name in possible if name in (sequence.activities or ())} or usual
+    result = {name: 1.0 for name in possible if name in (sequence.activities or ())} or usual
+    handless = result if bare or hold is not None else {name: w for name, w in result.items() if name not in HELD_AT}
+    return handless or result

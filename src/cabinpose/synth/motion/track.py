@@ -9,12 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, rotation_vector, transform
-from cabinpose.scene.body import DOF_INDEX, DOFS
+from cabinpose.scene.body import DOF_INDEX, DOFS, Person, PosedBody
 from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
+from cabinpose.synth.posture.grasps import Hold
 
 _Q = len(DOFS)
 ROOT, WHEEL = slice(_Q, _Q + 6), _Q + 6
@@ -35,49 +38,14 @@ class Pose(NamedTuple):
     wheel_angle: float
 
 
-class Way(NamedTuple):
-    """A way through states: coefficients of natural cubic pieces between them, at equal shares of the progress.
-
-    states: (K, 51), K >= 2 · bends: (K, 51) second derivatives by the share.
-    """
-
-    states: Floats
-    bends: Floats
-
-    @staticmethod
-    def through(states: Floats) -> Way:
-        """The natural cubic spline through states (K, 51); of two, the straight way."""
-        pieces = len(states) - 1
-        bends = np.zeros_like(states)
-        if pieces > 1:
-            inner = pieces - 1
-            matrix = 4.0 * np.eye(inner) + np.eye(inner, k=1) + np.eye(inner, k=-1)
-            bends[1:-1] = np.linalg.solve(matrix, 6.0 * pieces**2 * (states[2:] - 2.0 * states[1:-1] + states[:-2]))
-        return Way(states, bends)
-
-    def at(self, share: Floats) -> Floats:
-        """(N, 51) states at shares (N,) of the way, 0..1."""
-        pieces = len(self.states) - 1
-        n = np.minimum((share * pieces).astype(np.int64), pieces - 1)
-        b = (share * pieces - n)[:, None]
-        a = 1.0 - b
-        straight = a * self.states[n] + b * self.states[n + 1]
-        return np.asarray(straight + ((a**3 - a) * self.bends[n] + (b**3 - b) * self.bends[n + 1]) / (6.0 * pieces**2))
-
-    def slopes(self, share: Floats) -> Floats:
-        """(N, 51) derivatives by the share."""
-        pieces = len(self.states) - 1
-        n = np.minimum((share * pieces).astype(np.int64), pieces - 1)
-        b = (share * pieces - n)[:, None]
-        a = 1.0 - b
-        straight = pieces * (self.states[n + 1] - self.states[n])
-        bent = (3.0 * b**2 - 1.0) * self.bends[n + 1] - (3.0 * a**2 - 1.0) * self.bends[n]
-        return np.asarray(straight + bent / (6.0 * pieces))
+def way_through(states: Floats) -> CubicSpline:
+    """The way through states (K, 51) at equal shares 0..1 of it: the natural cubic spline; of two, the straight way."""
+    return CubicSpline(np.linspace(0.0, 1.0, len(states)), states, bc_type="natural")
 
 
-def duration(way: Way, tempo: float) -> float:
+def duration(way: CubicSpline, tempo: float) -> float:
     """Seconds that somebody of this tempo (1: average) takes for a way, at `_COMFORT` of the fastest at the most."""
-    rate = np.abs(way.slopes(progress(_DENSE))) * progress_rate(_DENSE)[:, None]  # of a second's movement
+    rate = np.abs(way(progress(_DENSE), 1)) * progress_rate(_DENSE)[:, None]  # of a second's movement
     return max(_SHORTEST_S, float((rate.max(axis=0) / (_COMFORT * FASTEST_STATE)).max()) / tempo)
 
 
@@ -86,17 +54,17 @@ class Segment(NamedTuple):
 
     start_s: float
     lasts_s: float
-    way: Way
+    way: CubicSpline
     activity: str
 
     @property
     def last(self) -> Floats:
         """(51,) where it ends."""
-        return self.way.states[-1]
+        return np.asarray(self.way(1.0))
 
     def states(self, times_s: Floats) -> Floats:
         """(N, 51) states at times (N,) s from its start on."""
-        return self.way.at(progress((times_s - self.start_s) / self.lasts_s))
+        return np.asarray(self.way(progress((times_s - self.start_s) / self.lasts_s)))
 
     def named(self, activity: str) -> Segment:
         """The same movement by another name."""
@@ -161,10 +129,13 @@ class Idle(NamedTuple):
 
 
 class Track:
-    """One person's motion; see the module. It begins at a pose that is held until the first segment."""
+    """One person's motion; see the module. It begins at a pose that is held until the first segment.
 
-    def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float) -> None:
-        self.idle, self.idle_share = idle, idle_share
+    hold: what is in a hand all the time.
+    """
+
+    def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float, hold: Hold | None = None) -> None:
+        self.idle, self.idle_share, self.hold = idle, idle_share, hold
         self.segments: list[Movement] = []
         self._rotation = first.root[:3, :3]
         self._activity = activity
@@ -196,6 +167,14 @@ class Track:
     def at(self, time_s: float) -> Pose:
         """The pose at a time."""
         return self.pose_of(self.states(np.array([time_s]))[0])
+
+    def body(self, person: Person, pose: Pose) -> PosedBody:
+        """The person in a pose, with fingers around what the hand holds."""
+        return person.pose(pose.q, pose.root, None if self.hold is None else self.hold.fingers)
+
+    def held(self, slot: str, body: PosedBody) -> tuple[PlacedThing, ...]:
+        """What somebody in a seat and a pose holds."""
+        return () if self.hold is None else (self.hold.thing(slot, body),)
 
     def activity(self, time_s: float) -> str:
         """What is being done at a time."""

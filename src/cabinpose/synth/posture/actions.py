@@ -14,7 +14,7 @@ from typing import Literal
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
 
-Place = Literal["wheel", "thigh", "armrest", "ear", "mouth", "shin", "chest", "drink", "book", "belt", "reach", "either"]
+Place = Literal["wheel", "thigh", "armrest", "ear", "mouth", "shin", "chest", "drink", "book", "carry", "belt", "reach", "either"]
 Spread = tuple[float, float]  # mean and sigma, degrees
 
 

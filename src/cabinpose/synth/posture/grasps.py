@@ -13,13 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Ints
+from cabinpose.core.arrays import Bools, Floats, Floats32, Ints
 from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix, apply, axis_rotation, invert, transform
-from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
+from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person, PosedBody
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER
-from cabinpose.scene.things import Thing, make_thing
-from cabinpose.scene.things.placing import let_down
+from cabinpose.scene.things import PlacedThing, Thing, make_thing
+from cabinpose.scene.things.placing import felt, let_down, stands_free
+from cabinpose.scene.things.thing import Cloud
+from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
 
 PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
@@ -36,6 +38,7 @@ _BOOK_UP_M = 0.055  # its middle beyond the palm's
 _COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
 _SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
+_SPARED = ("either", "thigh", "armrest")  # places that a hand may leave to hold something
 HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "drink": ("bottle", "cup"), "book": ("open_book",)}
 
 
@@ -65,6 +68,21 @@ class Hold(NamedTuple):
         """vehicle_from_thing, (4, 4), of the thing in this hand. Things are their own mirror images in y = 0."""
         mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
         return np.asarray(vehicle_from_palm @ mirror @ self.grasp.palm_from_thing @ mirror)
+
+    def thing(self, slot: str, body: PosedBody) -> PlacedThing:
+        """The thing in the hand of a body that sits in a seat."""
+        return PlacedThing(make_thing(self.kind, self.variant), self.placed(body.palms["lr"[self.side]]), slot, "hand")
+
+
+def inboard_hand(action: Action, held: str, side: int, inboard: int) -> int | None:
+    """Which hand does the inboard part of an action while the hand `side` holds a thing of the kind `held`.
+
+    None where that hand is needed without it, or another thing is asked for. inboard: the hand that reaches for what is there.
+    """
+    hands = ((action.inboard, side), (action.outboard, 1 - side))
+    asked = [(place, s) for place, s in hands if place in HANDED]
+    found = [s for place, s in asked if held in HANDED[place]] if asked else [s for place, s in hands if place in _SPARED]
+    return next((s for s in found if not action.targets or s == inboard), None)
 
 
 def can_hold(person: Person, place: str, kind: str, variant: int) -> bool:
@@ -97,10 +115,10 @@ def _turned(thing: Thing, place: str) -> Matrix:
 class _Hand(NamedTuple):
     """Skin of a left hand and forearm, (N, 3) m of the palm frame, at each of `_CURLS`; finger: (N,) 0 to 4, -1 the rest."""
 
-    skin: Floats  # (C, N, 3)
+    skin: Floats32  # (C, N, 3)
     finger: Ints
 
-    def at(self, curl: Floats) -> Floats:
+    def at(self, curl: Floats) -> Floats32:
         """(N, 3) m with each finger at its curl (5,)."""
         of_finger = np.searchsorted(_CURLS, curl - 1e-9)
         rest = int(np.searchsorted(_CURLS, -1e-9))
@@ -121,31 +139,33 @@ def _hand(person: Person) -> _Hand:
     finger = np.full(len(rows), -1)
     for number in range(5):
         finger[np.isin(bone, [BONE_INDEX[f"lfinger{number + 1}_{phalanx}"] for phalanx in (1, 2, 3)])] = number
-    return _Hand(np.stack(skin), finger)
+    return _Hand(np.stack(skin).astype(np.float32), finger)
 
 
 @kept_with_person
 def _grasp(person: Person, place: str, kind: str, variant: int) -> Grasp | None:
     thing, hand = make_thing(kind, variant), _hand(person)
     turned, best, most = _turned(thing, place), None, _LEAST_TOUCHING - 1
+    opened = Cloud.of(hand.at(_OPEN))
+    pressed, bound = (felt(thing.field, 0.0, depth) for depth in (PRESSED_M, PRESSED_M + _AT_REST_M))
     for along in _ALONG_M:
-        at = _brought_near(thing, turned, hand.at(_OPEN), along)
+        at = _brought_near(thing, turned, opened, along)
         thing_from_palm = invert(at)
         curl = _OPEN.copy()
         for finger in range(5):
-            mine = hand.finger == finger
+            mine = hand.skin[:, hand.finger == finger]
 
-            def closed(tried: float, mine: Bools = mine, thing_from_palm: Matrix = thing_from_palm) -> bool:
-                skin = hand.skin[np.searchsorted(_CURLS, tried - 1e-9)][mine]
-                return float(_distance(thing, apply(thing_from_palm, skin)).min()) >= -PRESSED_M
+            def closed(tried: int, mine: Floats32 = mine, thing_from_palm: Matrix = thing_from_palm) -> bool:
+                return stands_free(pressed, Cloud.of(mine[tried]), thing_from_palm)
 
             last = _last_free(closed, float(curl[finger]))
             curl[finger] = _LOOSE[finger] if last == len(_CURLS) - 1 else _CURLS[last]
-        skin = apply(thing_from_palm, hand.at(curl))
-        clear = _distance(thing, skin)
-        touches = clear < _TOUCHES_M
+        closed_hand = Cloud.of(hand.at(curl))
+        skin = apply(thing_from_palm, closed_hand.points)
+        touches = _touch(thing, skin)
         touching = int(touches.sum())
-        if touching > most and clear.min() >= -PRESSED_M - _AT_REST_M and (place != "drink" or _encloses(skin[touches])):
+        possible = touching > most and stands_free(bound, closed_hand, thing_from_palm)
+        if possible and (place != "drink" or _encloses(skin[touches])):
             most, best = touching, Grasp(curl, at)
     return best
 
@@ -156,27 +176,30 @@ def _encloses(touching: Floats) -> bool:
     return float(np.linalg.norm(around.mean(axis=0))) < _ONE_SIDED
 
 
-def _brought_near(thing: Thing, turned: Matrix, hand: Floats, along: float) -> Matrix:
-    """palm_from_thing of a thing that is brought to the palm of a hand (N, 3), palm frame, as near as it lets it."""
+def _brought_near(thing: Thing, turned: Matrix, hand: Cloud, along: float) -> Matrix:
+    """palm_from_thing of a thing that is brought to the palm of a hand (palm frame) as near as it lets it."""
 
     def at(off: float) -> Matrix:
         return np.asarray(transform(None, (along, 0.0, off)) @ turned)
 
+    untouched = felt(thing.field, 0.0, _AT_REST_M)
+
     def free(off: float) -> bool:
-        return float(_distance(thing, apply(invert(at(off)), hand)).min()) >= -_AT_REST_M
+        return stands_free(untouched, hand, invert(at(off)))
 
     return at(let_down(free, _FARTHEST_M, _NEAREST_M))
 
 
-def _last_free(closed: Callable[[float], bool], start: float) -> int:
+def _last_free(closed: Callable[[int], bool], start: float) -> int:
     """The number of the last of `_CURLS` up to which a finger closes, of those from `start` on."""
     low = int(np.searchsorted(_CURLS, start - 1e-9))
     for coarse in (_COARSE, 1):  # a finger that is beyond a thin thing is free again
-        while low + coarse < len(_CURLS) and closed(float(_CURLS[low + coarse])):
+        while low + coarse < len(_CURLS) and closed(low + coarse):
             low += coarse
     return low
 
 
-def _distance(thing: Thing, points: Floats) -> Floats:
-    """(N,) m from points to the nearest piece, negative inside; cut at 20 mm."""
-    return np.min([part.mesh.signed_distance(points, 0.02) for part in thing.field.parts], axis=0)
+def _touch(thing: Thing, points: Floats) -> Bools:
+    """Which of the points (N, 3), thing frame, are at the surface of a piece."""
+    near = [np.abs(part.mesh.signed_distance(points, 2.0 * _TOUCHES_M)) < _TOUCHES_M for part in thing.field.parts]
+    return np.asarray(np.any(near, axis=0))

@@ -34,6 +34,7 @@ class LimbTask(NamedTuple):
 
 
 _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
+_CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
 _OVER_THIGH_M = 0.028  # of the palm's skin: fingers and trousers lie between
@@ -52,6 +53,7 @@ REACH_ARM = np.radians((65.0, 15.0, 10.0, 25.0, 40.0, 0.0, 0.0))
 SIDE_ARM = np.radians((10.0, 28.0, 0.0, 70.0, 45.0, 0.0, 0.0))
 FACE_ARM = np.radians((45.0, 25.0, 15.0, 125.0, 0.0, 0.0, 0.0))
 CROSS_ARM = np.radians((40.0, 0.0, 50.0, 95.0, 20.0, 0.0, 0.0))
+CARRY_ARM = np.radians((25.0, 12.0, 15.0, 80.0, 10.0, 0.0, 0.0))
 UP_ARM = np.radians((95.0, 25.0, 0.0, 45.0, 20.0, 0.0, 0.0))
 
 
@@ -170,18 +172,6 @@ def at_ear(person: Person, skeleton: Frames, side: int, gap: float = 0.04) -> Li
     return LimbTask(target, _FIRM, np.array([0.04, 0.04, 0.04]), FACE_ARM, _STIFFNESS)
 
 
-def at_mouth(person: Person, skeleton: Frames, side: int, gap: float) -> LimbTask:
-    """A hand that holds something `gap` m before its own mouth, upright."""
-    head = skeleton.bone("head")
-    s = 1.0 - 2.0 * side
-    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
-    length, height = float(np.ptp(skin[:, 0])), float(np.ptp(skin[:, 2]))
-    local = np.array([0.5 * length + gap, s * 0.03, -0.05 * height])
-    point = head[:3, :3] @ local + head[:3, 3]
-    target = palm_frame(point, head[:3, :3] @ np.array([-0.5, -s * 0.85, 0.0]), head[:3, :3] @ np.array([0.1, -s * 0.5, 0.85]))
-    return LimbTask(target, _FIRM, np.array([0.02, 0.02, 0.02]), FACE_ARM, _STIFFNESS)
-
-
 def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: float) -> LimbTask:
     """A hand that holds a telephone before the chest: palm towards the face, at an offset (m) from the upper chest."""
     thorax = skeleton.bone("spine01")
@@ -193,7 +183,7 @@ def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: fl
 
 
 def before_mouth(person: Person, skeleton: Frames, side: int, forward: float, level: float) -> LimbTask:
-    """A hand that holds a drink `forward` m before its own mouth, its palm `level` m below it, thumb up."""
+    """A hand that brings something to its own mouth, its palm `forward` m before and `level` m below it, thumb up."""
     head = skeleton.bone("head")
     s = 1.0 - 2.0 * side
     skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
@@ -204,6 +194,16 @@ def before_mouth(person: Person, skeleton: Frames, side: int, forward: float, le
     inwards = head[:3, :3] @ np.array((-0.35, -s, 0.0))
     fingers = head[:3, :3] @ np.array((1.0, -0.35 * s, 0.15))
     return LimbTask(palm_frame(point, inwards, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), FACE_ARM, _STIFFNESS)
+
+
+def over_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, *, upright: bool) -> LimbTask:
+    """A hand that holds something over its own thigh: a thing that stands thumb up, others with the palm to the face."""
+    bone, s = skeleton.bone("lr"[side] + "thigh"), 1.0 - 2.0 * side
+    up, ahead, inwards = bone[:3, 0], -bone[:3, 2], -s * bone[:3, 1]
+    top = float(np.interp(_CARRIED_ALONG, np.linspace(0.0, 1.0, len(fit.thigh_top)), fit.thigh_top))
+    point = bone[:3, 3] + _CARRIED_ALONG * femur * ahead + (top + _CARRIED_M) * up + 0.02 * inwards
+    normal, fingers = (inwards, ahead) if upright else (0.75 * up - 0.65 * ahead, 0.6 * inwards + 0.65 * ahead + 0.4 * up)
+    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), CARRY_ARM, _STIFFNESS)
 
 
 def at_belt(person: Person, skeleton: Frames, side: int, upper: Floats) -> LimbTask:

@@ -36,7 +36,7 @@ from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
 from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
-from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold
+from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold, inboard_hand
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.neighbours import Neighbours
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
@@ -48,7 +48,7 @@ _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-thre
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {
     "wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "mouth": 0.5, "shin": 0.06, "chest": 0.5, "drink": 0.4,
-    "book": 0.1, "belt": 0.6, "reach": 0.25,
+    "book": 0.1, "carry": 0.4, "belt": 0.6, "reach": 0.25,
 }  # fmt: skip
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
@@ -61,7 +61,7 @@ _HELD_GRIP = 0.5  # stands for the fingers of a hand that holds something: each 
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
 _CARRIED_BY: Mapping[str, str] = {
     "thigh": "{side}thigh", "ear": "head", "mouth": "head", "drink": "head", "chest": "spine01", "book": "spine01",
-    "belt": "spine01",
+    "carry": "{side}thigh", "belt": "spine01",
 }  # fmt: skip
 
 
@@ -110,6 +110,7 @@ class _Situation:
     wheel_angle: float
     comfort: Floats  # (2, 7) what each arm's prior departs by, rad
     close: tuple[bool, bool]  # neighbours within touch, at the left hand and at the right
+    carried: Hold | None = None
 
     @property
     def up(self) -> Floats:
@@ -158,7 +159,7 @@ def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None, in_hand: bool = False,
-    rng: np.random.Generator,
+    carried: Hold | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
@@ -181,6 +182,8 @@ def draw_pose(
         What the people beside and opposite mean for this person; None where there is nobody.
     in_hand
         Whether a hand holds what the action speaks of: a telephone, a drink, a book.
+    carried
+        What a hand holds whatever is done; the action must leave it that hand (`inboard_hand`).
     wheel_angle
         How the wheel is turned (rad, + left), in place of a drawn angle.
     rng
@@ -206,8 +209,11 @@ def draw_pose(
     inboard = inboard_side(seat)
     if abs(float(seat.design_h_point[1])) < 0.05 and rng.random() < 0.5:
         inboard = 1 - inboard
+    spared = None if carried is None else inboard_hand(chosen, carried.kind, carried.side, inboard)
+    inboard = inboard if spared is None else spared
     hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
-    hands, holds_it = _holding(person, hands, rng) if in_hand else (hands, None)
+    hands = hands if carried is None else _carrying(hands, carried)
+    hands, holds_it = _holding(person, hands, rng) if in_hand and carried is None else (hands, carried)
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
     turned = turned if wheel_angle is None else wheel_angle
@@ -220,7 +226,7 @@ def draw_pose(
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(chosen, inboard, rng)  # + left
     close = (False, False) if neighbours is None else neighbours.close
-    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close)
+    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close, carried)
     plans = _foot_plans(seat, cabin, rng)
     feet = foot_goals(
         person,
@@ -384,6 +390,14 @@ def _holding(person: Person, hands: tuple[_Hand, _Hand], rng: np.random.Generato
     return (rest[0], rest[1]), hold(person, place, kind, variant, side)
 
 
+def _carrying(hands: tuple[_Hand, _Hand], carried: Hold) -> tuple[_Hand, _Hand]:
+    """The hands of somebody who holds a thing all the time: over the lap, where the action has no use for it."""
+    mine, other = hands[carried.side], hands[1 - carried.side]
+    mine = mine if carried.kind in HANDED.get(mine.place, ()) else mine._replace(place="carry")
+    other = other._replace(place="thigh") if other.place in HANDED else other
+    return (mine, other) if carried.side == 0 else (other, mine)
+
+
 def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     """+1 where the action turns or leans to the left: the side of the reaching hand, or a random one."""
     random = 1.0 if rng.random() < 0.5 else -1.0
@@ -452,7 +466,7 @@ def _gaze(
 
 def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
     """The palm's target for the trunk as it is now."""
-    a, b, c = hand.noise
+    (a, b, c), femur = hand.noise, s.person.segment_lengths["thigh"]
     shoulder = skeleton.bone("lr"[side] + "upperarm")[:3, 3]
     if hand.place == "wheel" and s.wheel is not None:
         return at.on_rim(s.wheel, hand.clock + s.wheel_angle, at.rim_grip(s.person, s.wheel.rim_section_m), 0.5 + 0.1 * b)
@@ -463,7 +477,7 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
     if hand.place == "ear":
         return at.at_ear(s.person, skeleton, side, gap=0.048)
     if hand.place == "mouth":
-        return at.at_mouth(s.person, skeleton, side, 0.06 + 0.01 * a)
+        return at.before_mouth(s.person, skeleton, side, 0.07 + 0.01 * a, 0.03)
     if hand.place == "shin":
         left = np.array([-s.forward[1], s.forward[0], 0.0])
         below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * s.up + (0.10 - 0.2 * side) * left
@@ -474,11 +488,12 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         return at.before_chest(skeleton, side, 0.38 + 0.02 * a, 0.04 + 0.02 * b, 0.02 * c)
     if hand.place == "drink":
         return at.before_mouth(s.person, skeleton, side, 0.085 + 0.02 * a, 0.13 + 0.02 * c)
+    if hand.place == "carry" and s.carried is not None:
+        return at.over_thigh(skeleton, s.fit, femur, side, upright=s.carried.kind in HANDED["drink"])
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
     if hand.place == "reach" and hand.point is not None:
         high = hand.point[2] > shoulder[2]
         return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
-    femur = s.person.segment_lengths["thigh"]
     along, inward = (_ARM_BEFORE if s.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
     return at.on_thigh(skeleton, s.fit, femur, side, side, float(along), float(inward))
