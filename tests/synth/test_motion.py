@@ -140,7 +140,7 @@ def test_people_move_on_while_a_frame_is_exposed(film) -> None:
         depths = np.stack([moving._view(shown).depth_m for shown in (exposures[0], exposures[-1])])
         near = ndimage.binary_dilation(np.abs(depths[1] - depths[0]) > 1e-6, iterations=3)
         away = ~near & np.isfinite(a["depth"]) & np.isfinite(b["depth"])
-        assert away.sum() > 0.3 * away.size
+        assert away.sum() > 0.2 * away.size
         apart = np.abs(a["depth"] - b["depth"])[away]
         assert np.quantile(apart, 0.99) < 1e-5
         assert apart.max() < 1e-3  # a dark pixel
@@ -166,6 +166,8 @@ def test_depth_is_the_median_over_the_frames_before(film) -> None:
         expected[np.isnan(depths[index])] = np.nan
         np.testing.assert_array_equal(late.make(index)[0]["depth"], expected)
         assert (np.nan_to_num(expected) != np.nan_to_num(depths[index])).any() == (index == 3)
+
+
 def test_what_is_held_moves_with_the_hand_and_is_pressed_by_it(film) -> None:
     """Rigidly with its holder's palm, up and down; touched by trimesh, and not pierced; what stands on a seat stands still."""
     hold, raised = film.tracks["front_passenger"].hold, []

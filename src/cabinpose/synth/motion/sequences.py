@@ -28,8 +28,8 @@ from cabinpose.synth.validate import Rejection, Seated, Validator
 _PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' own
 _DRAWS = 16  # of one person's habits: streams of a sequence
 
-# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, the time (s) since
-# the first frame, and the source of randomness.
+# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, the time (s)
+# since the first frame, and the source of randomness.
 DrawGoals = Callable[[str, str, float | None, Hold | None, float, np.random.Generator], Drawn]
 
 
