@@ -168,7 +168,7 @@ def range_error(direct: Any, every: Any) -> Any:
 def blocks(image: Any) -> Any:
     """Medians of 4 x 4 pixels (H / 4, W / 4): less noise of the paths, and less to store."""
     parts = image.reshape(SIZE[1] // 4, 4, SIZE[0] // 4, 4).swapaxes(1, 2).reshape(SIZE[1] // 4, SIZE[0] // 4, 16)
-    return np.where(np.isnan(parts).any(axis=-1), np.nan, np.median(parts, axis=-1))
+    return np.median(parts, axis=-1)  # NaN where a pixel is
 
 
 def compare(folder: Path, keep: Path | None) -> None:
@@ -186,19 +186,20 @@ def compare(folder: Path, keep: Path | None) -> None:
         theirs = 1e3 * range_error(light["direct"], light["all"])
         error, buffers = ours(scene, 0.15 if "material" in scene else 0.0)
         error *= 1e3
-        use = np.isfinite(theirs) & np.isfinite(error) & ~np.isin(buffers.material, (ID["nothing"], ID["glass"]))
-        use.flat[buffers.mixed] = False
+        seen = np.isfinite(theirs) & np.isfinite(error) & ~np.isin(buffers.material, (ID["nothing"], ID["glass"]))
+        seen.flat[buffers.mixed] = False
+        images = [np.where(seen, image, np.nan).astype(np.float32) for image in (theirs, error, error - theirs)]
+        means = [blocks(image) for image in images[:2]]
         if "material" not in scene:
-            kept[name] = blocks(np.where(use, theirs, np.nan)).astype(np.float16)
-        a, b = theirs[use], error[use]
+            kept[name] = means[0].astype(np.float16)
+        a, b = (image[np.isfinite(image)] for image in means)
         rms = [float(np.sqrt(np.mean(x**2))) for x in (a, b, b - a)]
         spread = [", ".join(f"{q:.0f}" for q in np.percentile(x, (50, 95))) for x in (a, b)]
         print(f"| {name} | {rms[0]:.1f} | {rms[1]:.1f} | {rms[2] / rms[0]:.0%} | {spread[0]} | {spread[1]} |")
         if name in PICTURED:
             top = float(np.percentile(a, 98))
-            images = [np.where(use, x, np.nan).astype(np.float32) for x in (theirs, error)]
-            images = [depth_image(x, 0.0, top) for x in images] + [depth_image(np.where(use, error - theirs, np.nan), -top, top)]
-            rows.append(np.concatenate(images, axis=1))
+            drawn = [depth_image(image, low, top) for image, low in zip(images, (0.0, 0.0, -top), strict=True)]
+            rows.append(np.concatenate(drawn, axis=1))
     write_png(folder / "multipath.png", np.concatenate(rows))
     if keep is not None:
         np.savez_compressed(keep, **kept)

@@ -15,8 +15,9 @@ namespace {
 constexpr double speed_of_light = 299'792'458.0;  // m/s
 constexpr Index most = 2;                         // frequencies
 constexpr double least_cosine = 0.05;             // of a patch seen at a slant
-// What patches another's pixels are in: those whose planes it is on, to a hundredth of their radius.
-constexpr double off_plane = 1e-4;
+
+// A patch's light counts at pixels in its plane, to a sixth of its radius.
+constexpr double off_plane = 3e-2;
 constexpr float least_share = 1e-3f, least_weight = 1e-6f;
 // A point between two patches is inside of what the camera sees where it is this much behind that, and not in front of something
 // else: as thick as a headrest's edge, an arm, a door's trim. Thicker ones hide too much, thinner ones too little.
