@@ -14,7 +14,6 @@ namespace cabinpose {
 
 namespace {
 
-constexpr double speed_of_light = 299'792'458.0;  // m/s
 constexpr Index most_frequencies = 2;
 // What is kept of a row of pixels: energy, ambient light, (cos, sin) a frequency and, where it is asked for, the range.
 constexpr Index energy = 0, ambient = 1, phasors = 2;

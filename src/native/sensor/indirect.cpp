@@ -12,9 +12,8 @@ namespace cabinpose {
 
 namespace {
 
-constexpr double speed_of_light = 299'792'458.0;  // m/s
-constexpr Index most = 2;                         // frequencies
-constexpr double least_cosine = 0.05;             // of a patch seen at a slant
+constexpr Index most = 2;              // frequencies
+constexpr double least_cosine = 0.05;  // of a patch seen at a slant
 
 // A patch's light counts at pixels in its plane, to a sixth of its radius.
 constexpr double off_plane = 3e-2;
@@ -111,11 +110,11 @@ void make_patches(const Scene& scene, Workspace& to) {
       if (!scene.hit(v, u)) continue;
       const Vec3 p = scene.point(v, u);
       Vec3 normal = cross(scene.slope(v, u, 1, 0), scene.slope(v, u, 0, 1));
-      const double length = norm(normal), range = norm(p);
-      if (!(length > 0.0)) continue;
+      const double length = norm(normal), range = norm(p), flux = static_cast<double>(scene.lit.flux(i, j));
+      if (!(length > 0.0) || !(flux > 0.0)) continue;
       normal = (dot(normal, p) > 0.0 ? -1.0 : 1.0) / length * normal;
       const double cosine = std::max(-dot(normal, p) / range, least_cosine);
-      const double flux = static_cast<double>(scene.lit.flux(i, j)), lit = static_cast<double>(scene.lit.illumination(v, u));
+      const double lit = static_cast<double>(scene.lit.illumination(v, u));
       const double rho = static_cast<double>(scene.lit.table(scene.view.material(v, u), 0));
       const double disc = flux / lit * range * range / cosine / pi;
       const auto number = [](double value) { return static_cast<float>(value); };

@@ -10,6 +10,8 @@
 
 namespace cabinpose {
 
+inline constexpr double speed_of_light = 299'792'458.0;  // m/s
+
 /// sin(2 pi a) for |a| <= 1/4, in powers of a^2: least squares on Chebyshev nodes, error below 1e-8.
 inline float sine_of_quarter(float a) {
   const float b = a * a;
