@@ -378,12 +378,13 @@ SWITCHES: dict[str, object] = {
     "reflectance": False, "incidence": False, "vignetting": False, "glass": False, "range_window": False,
     "low_amplitude": False, "circular_field": False, "remove_edges": True, "sun": 200.0, "fixed_pattern_mm": 5.0,
     "fixed_pattern_gain": 0.01, "low_amplitude_spread": 0.4,
-    "light_offset_m": 0.05,
+    "light_offset_m": 0.05, "multipath": True, "lens_scatter": 0.05,
 }  # fmt: skip
 # Fields that only say how a switch of them acts, with that switch.
 DETAILS: dict[str, tuple[object, dict[str, object]]] = {
     "edge_threshold_m": (0.9, {"remove_edges": True}), "edge_width_px": (3, {"remove_edges": True}),
     "sun_width_m": (0.1, {"sun": 200.0}), "fixed_pattern_seed": (1, {"fixed_pattern_mm": 5.0}),
+    "multipath_unseen": (0.5, {"multipath": True}), "lens_scatter_px": (60.0, {"lens_scatter": 0.05}),
 }  # fmt: skip
 
 

@@ -16,6 +16,13 @@ def simulate_continuous_wave(
 ) -> None:
     """One frame of a continuous-wave Time-of-Flight camera."""
 
+def indirect_light(
+    view: tuple[object, ...],
+    scene: tuple[object, ...],
+    out: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order="C", device="cpu")],
+) -> None:
+    """Light that surfaces send on to others, by virtual point lights."""
+
 def simulate_empirical(
     view: tuple[object, ...],
     camera: tuple[object, ...],

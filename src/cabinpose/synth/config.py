@@ -96,11 +96,6 @@ class Camera(Model):
         return views
 
     @property
-    def recorded(self) -> tuple[str, ...]:
-        """The seats of those whom recordings move."""
-        return tuple(slot for slot in OCCUPANT_SLOTS if (profile := self.profile_of(slot)) and profile.kind == "mocap")
-
-    @property
     def weights(self) -> Mapping[str, float]:
         """The views that are taken, with their weights; own ones have 1."""
         weights = {name: view if isinstance(view, float) else 1.0 for name, view in self.views.items()}

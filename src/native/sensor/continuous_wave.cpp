@@ -8,12 +8,12 @@
 #include "core/math.hpp"
 #include "sensor/decode.hpp"
 #include "sensor/light.hpp"
+#include "sensor/scatter.hpp"
 
 namespace cabinpose {
 
 namespace {
 
-constexpr double speed_of_light = 299'792'458.0;  // m/s
 constexpr Index most_frequencies = 2;
 // What is kept of a row of pixels: energy, ambient light, (cos, sin) a frequency and, where it is asked for, the range.
 constexpr Index energy = 0, ambient = 1, phasors = 2;
@@ -119,6 +119,7 @@ struct Light {
     for (Index v = 0; v < height; ++v) {
       collect_pixels(v, raw);
       if (camera.parts) collect_parts(v, raw);
+      if (v < camera.indirect.size()) add_indirect(v, raw);
       for (Index k = 0; k < planes; ++k) blur_row(raw + k * stride, width, share, blurred[v % 3] + k * stride);
       if (v > 0) finish_row(v - 1, moment);
     }
@@ -162,6 +163,18 @@ struct Light {
         set(part.in_phase, planes - 1);
       }
     }
+  }
+
+  /// Adds indirect light to a row.
+  void add_indirect(Index v, float* out) const {
+    for (Index k = 0; k <= 2 * frequencies; ++k) {
+      float* plane = out + (k == 0 ? energy : phasors + k - 1) * stride;
+      const float* light = &camera.indirect(v, k, 0);
+      for (Index u = 0; u < width; ++u) plane[u] += light[u];
+    }
+    if (camera.wrapping) return;
+    const float* light = &camera.indirect(v, 0, 0);
+    for (Index u = 0; u < width; ++u) out[(planes - 1) * stride + u] += light[u] * range[u];  // unwrapped by the direct light
   }
 
   /// Copies the samples of m pixels of row v, elements `which` of `mixed`, beside each other.
@@ -214,6 +227,14 @@ struct Light {
     for (Index u = 0; u < width; ++u) to[u] += weight * of[u];
   }
 
+  /// Scatters the active light of all pixels.
+  void scatter_light() const {
+    for (Index k = 0; k <= 2 * frequencies; ++k) {
+      scatter(row(0, k == 0 ? energy : phasors + k - 1), height, width, planes * stride, static_cast<float>(camera.scatter),
+              camera.scatter_px);
+    }
+  }
+
   /// Stray light (electrons): a share of the mean over the image of energy and of (cos, sin) a frequency, (1 + 2 F,).
   void stray(float* out) const {
     for (Index k = 0; k <= 2 * frequencies; ++k) {
@@ -236,6 +257,7 @@ void decode(const Light& light, Array<const std::uint16_t, any, any> ranks, cons
                   static_cast<float>(camera.read_noise * camera.read_noise), static_cast<float>(camera.full_well)};
   const Limits limits{static_cast<float>(camera.min_amplitude), static_cast<float>(camera.near), static_cast<float>(camera.far),
                       static_cast<float>(speed_of_light / (4.0 * pi * std::sqrt(2.0 * squares)))};
+  if (camera.scatter > 0.0) light.scatter_light();
   float stray[1 + 2 * most_frequencies];
   light.stray(stray);
   Workspace& memory = light.memory;

@@ -29,12 +29,16 @@ struct ContinuousWave {
   bool parts;            // a pixel of `mixed` is the mean of its parts
   bool lambert;          // light returned falls with the cosine of incidence
   bool shot_noise;
-  bool wrapping;  // the phase repeats beyond the unambiguous range
+  bool wrapping;      // the phase repeats beyond the unambiguous range
+  double scatter;     // share of a pixel's light that lens and sensor scatter
+  double scatter_px;  // least deviation of the scattered light, see `scatter`
+  Array<const float, any, any, any>
+      indirect;  // (H, 1 + 2 F, W) energy and (cos, sin) a frequency of indirect light, or (0, ., .)
 
   auto members() {
     return std::tie(range_over_depth, parts_range_over_depth, gain, ambient_gain, table, frequencies, p, q, gloss_width, triangle,
                     blur, stray_light, contrast, read_noise, full_well, min_amplitude, near, far, tolerance, parts, lambert,
-                    shot_noise, wrapping);
+                    shot_noise, wrapping, scatter, scatter_px, indirect);
   }
 };
 

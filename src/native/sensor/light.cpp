@@ -5,17 +5,9 @@
 #include <cstring>
 #include <limits>
 
-#include "sensor/view.hpp"
-
 namespace cabinpose {
 
 namespace {
-
-/// sin(2 pi a) for |a| <= 1/4, in powers of a^2: least squares on Chebyshev nodes, error below 1e-8.
-inline float sine_of_quarter(float a) {
-  const float b = a * a;
-  return a * (6.283185295f + b * (-41.341685009f + b * (81.602766802f + b * (-76.587869912f + b * 39.809924751f))));
-}
 
 /// The columns of `table` for n samples.
 inline void look_up(const std::uint8_t* material, Index n, const float* table, float* first, float* second, float* third) {

@@ -4,9 +4,26 @@
 // first cache from one loop to the next.
 #pragma once
 
-#include "core/array.hpp"
+#include <cmath>
+
+#include "sensor/view.hpp"
 
 namespace cabinpose {
+
+inline constexpr double speed_of_light = 299'792'458.0;  // m/s
+
+/// sin(2 pi a) for |a| <= 1/4, in powers of a^2: least squares on Chebyshev nodes, error below 1e-8.
+inline float sine_of_quarter(float a) {
+  const float b = a * a;
+  return a * (6.283185295f + b * (-41.341685009f + b * (81.602766802f + b * (-76.587869912f + b * 39.809924751f))));
+}
+
+/// Cosine and sine of an angle (turns).
+inline void cosine_and_sine(float turns, float& cosine, float& sine) {
+  const float t = turns - floor_of_small(turns + 0.5f), magnitude = std::fabs(t);  // -1/2 .. 1/2
+  cosine = sine_of_quarter(0.25f - magnitude);
+  sine = sine_of_quarter(std::copysign(0.25f - std::fabs(magnitude - 0.25f), t));
+}
 
 /// Where samples of geometry lie, n of each.
 struct Samples {

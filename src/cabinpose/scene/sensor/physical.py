@@ -22,6 +22,7 @@ from cabinpose.core.arrays import Bools, Floats, Floats32
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import EdgeRule, invalidate
+from cabinpose.scene.sensor.indirect import indirect_light
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
@@ -57,6 +58,25 @@ class PhysicalNoise(EdgeRule):
         ge=0,
         le=1,
         description="Share of the mean light of the image that the lens scatters onto every pixel (multipath).",
+    )
+    multipath: bool = Field(default=False, description="Light that reaches a surface by way of others lengthens its range.")
+    multipath_unseen: float = Field(
+        default=0.15,
+        ge=0,
+        lt=1,
+        description="Reflectance of what the camera does not see of a car's cabin, for multipath; 0 where that is open.",
+    )
+    lens_scatter: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.5,
+        description="Share of a pixel's light that lens and sensor scatter over the image: what is near pulls what is dark.",
+    )
+    lens_scatter_px: float = Field(
+        default=20.0,
+        ge=8,
+        le=200,
+        description="Width of the scattered light (pixels): Gaussians of one, two and four times that.",
     )
     ambient: float = Field(
         default=0.01, ge=0, description="Ambient irradiance in the cabin at 850 nm, relative to the camera's own light at 1 m."
@@ -113,8 +133,10 @@ _PATTERN_STREAM = 0xF1ED  # of a camera's seed: apart from the streams of frames
 _ContinuousWave = namedtuple(
     "_ContinuousWave",
     "range_over_depth parts_range_over_depth gain ambient_gain table frequencies p q gloss_width triangle blur stray_light"
-    " contrast read_noise full_well min_amplitude near far tolerance parts lambert shot_noise wrapping",
+    " contrast read_noise full_well min_amplitude near far tolerance parts lambert shot_noise wrapping scatter scatter_px"
+    " indirect",
 )
+_NO_INDIRECT = np.zeros((0, 0, 0), np.float32)
 
 
 @lru_cache(maxsize=8)
@@ -150,6 +172,9 @@ def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> 
         lambert=noise.incidence,
         shot_noise=noise.shot_noise,
         wrapping=noise.wrapping,
+        scatter=noise.lens_scatter,
+        scatter_px=noise.lens_scatter_px,
+        indirect=_NO_INDIRECT,
     )
 
 
@@ -199,6 +224,12 @@ def simulate_physical(
             hint="give the geometry at each of `sample_times`",
         )
     camera = _continuous_wave(sensor, noise, buffers.supersample)
+    if noise.multipath:
+        lit = _unlit(buffers, light_shadow(buffers.depth_m, sensor.camera, noise.light_offset_m)) if noise.light_offset_m else buffers
+        light = indirect_light(
+            lit, sensor, camera.table, camera.frequencies, falloff=noise.vignetting, unseen=noise.multipath_unseen
+        )
+        camera = camera._replace(indirect=light)
     if noise.sun > 0:
         camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)
     first = len(samples) if sensor.second_integration_s is None else len(samples) // 2
