@@ -142,7 +142,7 @@ def test_people_move_on_while_a_frame_is_exposed(film) -> None:
         away = ~near & np.isfinite(a["depth"]) & np.isfinite(b["depth"])
         assert away.sum() > 0.2 * away.size
         apart = np.abs(a["depth"] - b["depth"])[away]
-        assert np.quantile(apart, 0.99) < 1e-5
+        assert np.quantile(apart, 0.99) < 1e-4
         assert apart.max() < 1e-3  # a dark pixel
         assert np.nanmax(np.abs(a["depth"] - b["depth"])[near]) > 5e-3
         assert a["noise"].dtype == np.uint16

@@ -225,9 +225,8 @@ def simulate_physical(
         )
     camera = _continuous_wave(sensor, noise, buffers.supersample)
     if noise.multipath:
-        lit = _unlit(buffers, light_shadow(buffers.depth_m, sensor.camera, noise.light_offset_m)) if noise.light_offset_m else buffers
         light = indirect_light(
-            lit, sensor, camera.table, camera.frequencies, falloff=noise.vignetting, unseen=noise.multipath_unseen
+            _lit(buffers, sensor, noise), sensor, camera.table, camera.frequencies, falloff=noise.vignetting, unseen=noise.multipath_unseen
         )
         camera = camera._replace(indirect=light)
     if noise.sun > 0:
@@ -254,8 +253,7 @@ def _exposed(
     which = [next(i for i, view in enumerate(views) if view is sample) for sample in samples]
     frequencies = len(camera.frequencies)
     shares = _shares(which, frequencies, 2 + 2 * frequencies + (not camera.wrapping))
-    if noise.light_offset_m:
-        views = [_unlit(v, light_shadow(v.depth_m, sensor.camera, noise.light_offset_m)) for v in views]
+    views = [_lit(view, sensor, noise) for view in views]
     frame = SensorFrame.empty(views[0].shape)
     words = random_words(views[0].shape, rng=rng).view(np.uint16)
     native.simulate_continuous_wave([v.arrays for v in views], shares, camera, words, normal_quantiles(), frame)
@@ -281,8 +279,11 @@ def _take_shorter(
     frame.amplitude[full] = np.minimum(shorter.amplitude[full] / ratio, 65535.0).astype(np.uint16)
 
 
-def _unlit(buffers: GeometryBuffers, shadow: Bools) -> GeometryBuffers:
-    """Geometry of which the pixels (H, W) of a shadow, and their parts, return nothing of the camera's light."""
+def _lit(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise) -> GeometryBuffers:
+    """Geometry of which pixels in the light source's shadow, and their parts, return nothing of the camera's light."""
+    if not noise.light_offset_m:
+        return buffers
+    shadow = light_shadow(buffers.depth_m, sensor.camera, noise.light_offset_m)
     parts = np.where(shadow.ravel()[buffers.mixed][:, None], np.float32(0.0), buffers.parts_cos_incidence)
     return replace(buffers, cos_incidence=np.where(shadow, np.float32(0.0), buffers.cos_incidence), parts_cos_incidence=parts)
 
