@@ -145,7 +145,7 @@ def test_cloth_bridges_what_skin_shows(name: str, monkeypatch: pytest.MonkeyPatc
     skin = unevenness(body.rest_skin, body.skin_faces)[front]
     cloth = unevenness(worn.vertices[: len(body.rest_skin)], body.skin_faces)[front]
     assert np.sqrt((cloth**2).mean()) < 0.85 * np.sqrt((skin**2).mean())
-    assert cloth.clip(0).mean() < 0.55 * skin.clip(0).mean()
+    assert cloth.clip(0).mean() < 0.6 * skin.clip(0).mean()
 
 
 def fold_heights(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarray]:
@@ -165,9 +165,9 @@ def test_folds_are_seen_by_the_sensor(name: str, monkeypatch: pytest.MonkeyPatch
     assert 0.005 < np.percentile(height[cloth], 95) < 0.015
     assert height.max() < 0.020
     p = seen_chart().rest
-    front = cloth & (p[:, 0] > 0.03) & (seen_chart().arm < 0.05) & (p[:, 2] > 0.0) & (p[:, 2] < 0.40)
-    y, z = np.meshgrid(np.arange(-0.08, 0.081, 0.02), np.arange(0.03, 0.37, 0.005), indexing="ij")
-    profile = griddata(p[front][:, 1:], height[front], (y, z), method="linear")
+    belly = cloth & (p[:, 0] > 0.03) & (seen_chart().arm < 0.05) & (p[:, 2] > 0.06) & (p[:, 2] < 0.33)
+    y, z = np.meshgrid(np.arange(-0.08, 0.081, 0.02), np.arange(0.09, 0.30, 0.005), indexing="ij")
+    profile = griddata(p[belly][:, 1:], height[belly], (y, z), method="linear")
     assert np.isfinite(profile).all()
     profile -= profile.mean(axis=1, keepdims=True)
     power = (np.abs(np.fft.rfft(profile * np.hanning(profile.shape[1]), axis=1)) ** 2).sum(axis=0)

@@ -27,7 +27,7 @@ TOP_ENDS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 )  # fmt: skip
 BOTTOM_ENDS: Mapping[str, float] = MappingProxyType({"trousers": 1.99, "jeans": 1.99, "shorts": 0.78})
 HEM_M = 0.006  # width of the strip beyond a garment's border over which it ends
-_WAIST, _SOCK = 0.27, 1.72
+_WAIST, _SOCK, _OVER_LAP = 0.27, 1.72, 0.08
 
 
 def step(x: Floats, edge: float, width: float) -> Floats:
@@ -43,7 +43,8 @@ def bump(x: Floats, centre: float, width: float) -> Floats:
 
 def _top(name: str) -> Floats:
     c, (sleeve, hem, collar) = load_chart(), TOP_ENDS[name]
-    trunk = np.minimum((c.up - hem) * UP_M, (collar - c.neck - c.head) * NECK_M)
+    lap = _OVER_LAP * step(c.rest[:, 0], 0.03, 0.08)  # in front it lies on the lap of who sits, and not in the groin
+    trunk = np.minimum((c.up - hem - lap) * UP_M, (collar - c.neck - c.head) * NECK_M)
     return np.where(c.arm > 0.5, (sleeve - c.along_arm) * ARM_M, trunk)
 
 
