@@ -249,6 +249,7 @@ def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Float
         depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
         regions.append((inside["beard"], "hair", None))
     if outfit.cap:
-        depth = np.where(_mask("cap") > 0, CAP_DEPTH_M * _mask("cap"), depth)
+        field = _seen_field("cap")  # hair lies flat under it and next to its rim
+        depth = np.where(field > 0, CAP_DEPTH_M + 0.25 * depth, np.maximum(CAP_DEPTH_M * _mask("cap"), depth * step(-field, 0.01, 0.02)))
         regions.append((inside["cap"], "cotton", "headwear"))
     return depth
