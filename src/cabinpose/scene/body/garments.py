@@ -249,7 +249,8 @@ def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Float
         depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
         regions.append((inside["beard"], "hair", None))
     if outfit.cap:
-        field = _seen_field("cap")  # hair lies flat under it and next to its rim
-        depth = np.where(field > 0, CAP_DEPTH_M + 0.25 * depth, np.maximum(CAP_DEPTH_M * _mask("cap"), depth * step(-field, 0.01, 0.02)))
+        field, rim = _seen_field("cap"), CAP_DEPTH_M * _mask("cap")
+        flat = depth * step(-field, 0.01, 0.02)  # hair lies flat under a cap and next to its rim
+        depth = np.where(field > 0, CAP_DEPTH_M + 0.25 * depth, np.maximum(rim, flat))
         regions.append((inside["cap"], "cotton", "headwear"))
     return depth

@@ -16,6 +16,7 @@ from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
+from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.dress import Dressed, dress
 from cabinpose.scene.body.kinematics import RestArrays, main_frames
@@ -37,6 +38,8 @@ class Person:
         self.outfit = outfit
         self._space = space
         skin, heads = space.shape(phenotype)
+        if phenotype.asymmetry:
+            skin, heads = asymmetric(skin, heads, space.heads, phenotype.asymmetry)
         if phenotype.stature_m is not None:
             scale = phenotype.stature_m / float(np.ptp(skin[:, 2]))
             skin, heads = skin * np.float32(scale), heads * scale
@@ -68,7 +71,7 @@ class Person:
 
     @cached_property
     def segment_lengths(self) -> MappingProxyType[str, float]:
-        """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; both sides are equal."""
+        """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; of the left side."""
         o = self.rest.offsets
         length = {
             name: float(np.linalg.norm(o[BONE_INDEX[child]]))
