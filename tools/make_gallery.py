@@ -30,6 +30,16 @@ PAIR, ALONE = "scene.occupancy={driver: 1, front_passenger: 1}", "scene.occupanc
 FULL = "scene.occupancy={driver: 1, front_passenger: 1, rear_left: 1, rear_center: 1, rear_right: 1}"
 ACTIONS = ("drive", "drive_one_hand", "reach_infotainment", "gear", "phone_text", "phone_ear_outer", "rest_lap", "armrest")
 PEOPLE = ("S01", "S02", "S03", "S04", "S06", "S07", "S08", "S10", "S11", "S12", "S13", "S15")
+CLOSEUPS = (
+    ("jeans, slack hands", "lap", "S09", "rest_lap", 1),
+    ("jumper", "lap", "S12", "rest_lap", 3),
+    ("shorts", "lap", "S15", "rest_lap", 5),
+    ("jacket", "lap", "S04", "rest_lap", 7),
+    ("long hair", "face", "S02", "look_around", 2),
+    ("cap and beard", "face", "S13", "look_around", 4),
+    ("knot", "face", "S11", "look_around", 6),
+    ("belt", "face", "S14", "belt", 8),
+)
 SENSORS = ("pico_monstar_105/3", "pico_monstar_105/4", "pico_monstar_105/5", "evk75023", "evk75123")
 
 
@@ -89,6 +99,18 @@ def people() -> list[Cell]:
     """Twelve of the named people."""
     scene = ("scene.cars=[hatchback]", LEFT, ALONE, DRIVER, SENSOR)
     return [Cell(name, (*scene, f"people.subjects=[{name}]"), seed) for seed, name in enumerate(PEOPLE)]
+
+
+def closeups() -> list[Cell]:
+    """Passengers from 60 cm: clothes, hands, hair."""
+    scene = ("scene.cars=[sedan]", LEFT, SENSOR, "camera.jitter_m=0", "camera.jitter_deg=0", "scene.people_jitter_m=0")
+    lap = "camera.views={near: {position_m: [-0.36, -0.30, 0.92], look_at_m: [-0.66, -0.37, 0.36]}}"
+    face = "camera.views={near: {position_m: [-0.40, -0.18, 0.92], look_at_m: [-0.98, -0.37, 0.78]}}"
+    cells = []
+    for caption, view, subject, action, seed in CLOSEUPS:
+        sits = f"scene.occupants={{front_passenger: {{subject: {subject}, action: {action}, belted: {seed % 2 == 0}}}}}"
+        cells.append(Cell(caption, (*scene, lap if view == "lap" else face, sits), seed))
+    return cells
 
 
 def sensors() -> list[Cell]:

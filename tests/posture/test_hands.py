@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+from seated_posture import solve_posture
 
 from cabinpose.core.frames import apply, invert
+from cabinpose.scene import labels
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, SUBJECTS, BodyModel, Person
 from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.cabin import build_cabin
 from cabinpose.synth.posture.hands import BY_GRIP, fingers_at, lying
 
 THIGH_RADIUS_M = 0.09
@@ -84,3 +88,23 @@ def test_resting_hands_differ() -> None:
     assert drawn("thigh", 300, rim=0.3)[:, 1:5].mean(axis=1).max() < 0.25  # there is little room under a wheel
     assert (drawn("wheel", 100, rim=0.3)[:, :5] <= 0.3).all()
     assert np.isnan(drawn("belt", 3)).all()
+
+
+@pytest.mark.parametrize("name", ["S01", "S12", "S15"])
+def test_a_hand_in_the_lap_lies_on_the_trousers(name: str) -> None:
+    """Hardly any of it is below the cloth that is seen, and some of it is near."""
+    person = BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
+    sedan = build_cabin("sedan")
+    seat = sedan.seats["front_passenger"]
+    found = solve_posture(person, seat, seat.default, sedan, hands="lap")
+    pose = person.pose(found.q, found.vehicle_from_root)
+    surface = pose.surface(1)
+    worn = np.isin(surface.label, [labels.ID[part + side] for part in ("thigh", "knee", "hip") for side in ("_left", "_right")])
+    cloth = np.unique(surface.faces[worn])
+    for side in ("lhand", "rhand"):
+        skin = pose.skin[person.skin_segment == SEGMENTS.index(side)]
+        distance, near = cKDTree(surface.vertices[cloth]).query(skin, k=4)
+        off = ((skin[:, None] - surface.vertices[cloth][near]) * surface.normals[cloth][near]).sum(axis=2).mean(axis=1)
+        close = distance[:, 0] < 0.03
+        assert (close & (off < -0.004)).mean() < 0.05
+        assert off[close].min() < 0.010

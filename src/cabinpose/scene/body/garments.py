@@ -44,10 +44,10 @@ class _Cut:
 
 
 TOPS = {
-    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.30, "cotton"),
-    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.30, "cotton"),
+    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.18, "cotton"),
+    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.20, "cotton"),
     "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "wool"),
-    "jacket": _Cut(0.012, 0.018, 0.018, 0.16, "synthetic_fabric"),
+    "jacket": _Cut(0.012, 0.018, 0.018, 0.12, "synthetic_fabric"),
 }
 BOTTOMS = {
     "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "cotton"),

@@ -122,7 +122,7 @@ def fingers_at(place: str, noise: tuple[float, ...], rim: float | None) -> Float
     if place == "wheel" and rim is not None:  # none is tighter, some index fingers lie along the rim
         loose = np.abs(rng.standard_normal(5)) * (0.03, 0.05, 0.025, 0.025, 0.04)
         loose[1] += 0.15 * (rng.random() < 0.15)
-        curl, closed = rim - loose, 0.5
+        curl, closed = rim - loose, 0.85
     elif place in _SHAPES:
         shapes = _UNDER_WHEEL if place == "thigh" and rim is not None else _SHAPES[place]
         shares = np.array([shape.share for shape in shapes])
