@@ -37,8 +37,8 @@ CLOSEUPS = (
     ("jacket", "lap", "S04", "rest_lap", 7),
     ("long hair", "face", "S02", "look_around", 2),
     ("cap and beard", "face", "S13", "look_around", 4),
-    ("knot", "face", "S11", "look_around", 6),
-    ("belt", "face", "S14", "belt", 8),
+    ("a cuff over the belt", "face", "S14", "belt", 8),
+    ("a raised sleeve", "face", "S04", "sun_visor", 6),
 )
 SENSORS = ("pico_monstar_105/3", "pico_monstar_105/4", "pico_monstar_105/5", "evk75023", "evk75123")
 
@@ -140,6 +140,11 @@ def skeleton_panel(frame: dict[str, Any]) -> Image:
     return image
 
 
+def plain_panel(frame: dict[str, Any]) -> Image:
+    """Amplitude alone."""
+    return np.asarray(amplitude_image(frame["amplitude"], float(np.quantile(frame["amplitude"], 0.97))))
+
+
 def label_panel(frame: dict[str, Any]) -> Image:
     """The classes in their colours."""
     colours = np.zeros((256, 3), np.uint8)
@@ -175,7 +180,7 @@ def pair_rows(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
 def with_labels(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
     """Rows of depth, amplitude and classes."""
     frames = [(cell.caption, frame_of(cell)) for cell in cells]
-    plain = [amplitude_image(f["amplitude"], float(np.quantile(f["amplitude"], 0.97))) for _, f in frames]
+    plain = [plain_panel(f) for _, f in frames]
     return [
         [(name, depth_panel(f)) for name, f in frames],
         [("", picture) for picture in plain],
@@ -226,6 +231,7 @@ def main() -> None:
         "views": grid([row for half in wrapped(views(), 3) for row in pair_rows(half)]),
         "actions": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in actions()])),
         "people": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in people()])),
+        "closeups": grid(wrapped([(cell.caption, plain_panel(frame_of(cell))) for cell in closeups()])),
         "things": grid([row for half in wrapped(things(), 3) for row in with_labels(half)]),
         "sensors": grid(pair_rows(sensors())),
         "room": room(),
