@@ -30,6 +30,16 @@ PAIR, ALONE = "scene.occupancy={driver: 1, front_passenger: 1}", "scene.occupanc
 FULL = "scene.occupancy={driver: 1, front_passenger: 1, rear_left: 1, rear_center: 1, rear_right: 1}"
 ACTIONS = ("drive", "drive_one_hand", "reach_infotainment", "gear", "phone_text", "phone_ear_outer", "rest_lap", "armrest")
 PEOPLE = ("S01", "S02", "S03", "S04", "S06", "S07", "S08", "S10", "S11", "S12", "S13", "S15")
+CLOSEUPS = (
+    ("jeans, slack hands", "lap", "S09", "rest_lap", 1),
+    ("jumper", "lap", "S12", "rest_lap", 3),
+    ("shorts", "lap", "S15", "rest_lap", 5),
+    ("jacket", "lap", "S04", "rest_lap", 7),
+    ("long hair", "face", "S02", "look_around", 2),
+    ("cap and beard", "face", "S13", "look_around", 4),
+    ("a cuff over the belt", "face", "S14", "belt", 8),
+    ("a raised sleeve", "face", "S04", "sun_visor", 6),
+)
 SENSORS = ("pico_monstar_105/3", "pico_monstar_105/4", "pico_monstar_105/5", "evk75023", "evk75123")
 
 
@@ -91,6 +101,18 @@ def people() -> list[Cell]:
     return [Cell(name, (*scene, f"people.subjects=[{name}]"), seed) for seed, name in enumerate(PEOPLE)]
 
 
+def closeups() -> list[Cell]:
+    """Passengers from 60 cm: clothes, hands, hair."""
+    scene = ("scene.cars=[sedan]", LEFT, SENSOR, "camera.jitter_m=0", "camera.jitter_deg=0", "scene.people_jitter_m=0")
+    lap = "camera.views={near: {position_m: [-0.36, -0.30, 0.92], look_at_m: [-0.66, -0.37, 0.36]}}"
+    face = "camera.views={near: {position_m: [-0.40, -0.18, 0.92], look_at_m: [-0.98, -0.37, 0.78]}}"
+    cells = []
+    for caption, view, subject, action, seed in CLOSEUPS:
+        sits = f"scene.occupants={{front_passenger: {{subject: {subject}, action: {action}, belted: {seed % 2 == 0}}}}}"
+        cells.append(Cell(caption, (*scene, lap if view == "lap" else face, sits), seed))
+    return cells
+
+
 def sensors() -> list[Cell]:
     """One scene, seen by several cameras."""
     scene = ("scene.cars=[van]", LEFT, PAIR, FRONT_ROW)
@@ -116,6 +138,11 @@ def skeleton_panel(frame: dict[str, Any]) -> Image:
         if np.isfinite(joints).any():
             draw_skeleton(image, joints, visibility)
     return image
+
+
+def plain_panel(frame: dict[str, Any]) -> Image:
+    """Amplitude alone."""
+    return np.asarray(amplitude_image(frame["amplitude"], float(np.quantile(frame["amplitude"], 0.97))))
 
 
 def label_panel(frame: dict[str, Any]) -> Image:
@@ -153,7 +180,7 @@ def pair_rows(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
 def with_labels(cells: Sequence[Cell]) -> list[list[tuple[str, Image]]]:
     """Rows of depth, amplitude and classes."""
     frames = [(cell.caption, frame_of(cell)) for cell in cells]
-    plain = [amplitude_image(f["amplitude"], float(np.quantile(f["amplitude"], 0.97))) for _, f in frames]
+    plain = [plain_panel(f) for _, f in frames]
     return [
         [(name, depth_panel(f)) for name, f in frames],
         [("", picture) for picture in plain],
@@ -204,6 +231,7 @@ def main() -> None:
         "views": grid([row for half in wrapped(views(), 3) for row in pair_rows(half)]),
         "actions": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in actions()])),
         "people": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in people()])),
+        "closeups": grid(wrapped([(cell.caption, plain_panel(frame_of(cell))) for cell in closeups()])),
         "things": grid([row for half in wrapped(things(), 3) for row in with_labels(half)]),
         "sensors": grid(pair_rows(sensors())),
         "room": room(),

@@ -11,12 +11,13 @@ from scipy.interpolate import griddata
 
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, Outfit, Phenotype, garments
-from cabinpose.scene.body.accessories import accessories
+from cabinpose.scene.body.accessories import accessories, bun, hanging_hair
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.coverage import borders
 from cabinpose.scene.body.folds import seen_chart
 from cabinpose.scene.body.garments import Layer, layer
 from cabinpose.scene.body.parts import cut_skin
+from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
 
 BARE = Outfit("none", "none", "none", "bald")
@@ -145,7 +146,7 @@ def test_cloth_bridges_what_skin_shows(name: str, monkeypatch: pytest.MonkeyPatc
     skin = unevenness(body.rest_skin, body.skin_faces)[front]
     cloth = unevenness(worn.vertices[: len(body.rest_skin)], body.skin_faces)[front]
     assert np.sqrt((cloth**2).mean()) < 0.85 * np.sqrt((skin**2).mean())
-    assert cloth.clip(0).mean() < 0.55 * skin.clip(0).mean()
+    assert cloth.clip(0).mean() < 0.6 * skin.clip(0).mean()
 
 
 def fold_heights(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarray]:
@@ -165,9 +166,9 @@ def test_folds_are_seen_by_the_sensor(name: str, monkeypatch: pytest.MonkeyPatch
     assert 0.005 < np.percentile(height[cloth], 95) < 0.015
     assert height.max() < 0.020
     p = seen_chart().rest
-    front = cloth & (p[:, 0] > 0.03) & (seen_chart().arm < 0.05) & (p[:, 2] > 0.0) & (p[:, 2] < 0.40)
-    y, z = np.meshgrid(np.arange(-0.08, 0.081, 0.02), np.arange(0.03, 0.37, 0.005), indexing="ij")
-    profile = griddata(p[front][:, 1:], height[front], (y, z), method="linear")
+    belly = cloth & (p[:, 0] > 0.03) & (seen_chart().arm < 0.05) & (p[:, 2] > 0.06) & (p[:, 2] < 0.33)
+    y, z = np.meshgrid(np.arange(-0.08, 0.081, 0.02), np.arange(0.09, 0.30, 0.005), indexing="ij")
+    profile = griddata(p[belly][:, 1:], height[belly], (y, z), method="linear")
     assert np.isfinite(profile).all()
     profile -= profile.mean(axis=1, keepdims=True)
     power = (np.abs(np.fft.rfft(profile * np.hanning(profile.shape[1]), axis=1)) ** 2).sum(axis=0)
@@ -198,7 +199,7 @@ def test_tops_end_above_the_trousers() -> None:
 def test_borders_of_materials_run_smoothly(name: str) -> None:
     """Nearly all of a border's edges lie on the line where its field is 0, not along the mesh as it was."""
     cut, field = cut_skin(), borders()[name]
-    edge = field + garments.HEM_M if name == "t_shirt" else field
+    edge = field + garments.HEM_M if name in ("t_shirt", "cap") else field
     value = np.concatenate([edge, cut.blend @ edge])
     pairs = np.sort(np.stack([cut.faces, np.roll(cut.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     inside = np.repeat(cut.inside[name], 3)
@@ -237,6 +238,28 @@ def test_accessories_are_closed_and_turned_outwards(hair: str) -> None:
         if part.material[0] != materials.ID["spectacle_lens"]:  # a lens is a sheet
             assert mesh.is_watertight
             assert mesh.volume > 0
+
+
+@pytest.mark.parametrize(("name", "cap"), [("S02", False), ("S05", True), ("S09", False), ("S11", True)])
+def test_hair_sits_on_its_head(name: str, *, cap: bool) -> None:
+    """A knot grows out of the head, below a cap; long hair begins inside the hair on the head and covers the back of it."""
+    body = BodyModel.load().person(SUBJECTS[name].phenotype, Outfit(hair="bun", cap=cap))
+    skin, eyes = body.rest_skin.astype(np.float64), body.eyes_rest
+    mesh = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
+    knot = bun(skin, eyes, cap=cap).vertices
+    off = -trimesh.proximity.signed_distance(mesh, knot)
+    assert (off < garments.HAIR_DEPTH_M["bun"]).mean() > 0.15
+    assert 0.035 < off.max() < 0.06
+    if cap:
+        assert knot[off > 0.01, 2].max() < eyes[2] + 0.012  # where the rim is, behind
+    hair = hanging_hair(skin, eyes, body.rest.heads[BONE_INDEX["neck01"]], cap=cap)
+    first = hair.vertices[:30]  # the outer sheet's upper border
+    _, away, _ = trimesh.proximity.closest_point(mesh, first)
+    assert away.max() < garments.HAIR_DEPTH_M["long"]
+    above_neck = (skin[:, 2] > eyes[2] - 0.06) & (skin[:, 2] < eyes[2]) & (load_chart().head > 0.9) & (borders()["ears"] < 0)
+    back = skin[above_neck & (skin[:, 0] < eyes[0] - 0.13)]
+    assert len(back) > 20
+    assert trimesh.Trimesh(hair.vertices, hair.faces).bounding_box.contains(back).all()
 
 
 def test_glasses_and_cap_sit_on_the_head() -> None:

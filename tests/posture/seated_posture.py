@@ -17,7 +17,7 @@ from cabinpose.synth.posture.feet import MISS_M, default_plans, foot_goals
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.gaze import head_rotation
 from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, sitter
-from cabinpose.synth.posture.hands import on_rim, on_thigh, rim_grip
+from cabinpose.synth.posture.hands import lying, on_rim, on_thigh, rim_grip
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
 from cabinpose.synth.posture.solver import solve
 
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Hands = Literal["wheel", "lap"]
 
 REST_GRIP = 0.06  # of the fingers' curl
+_FLAT = np.array([REST_GRIP] * 5 + [1.1 * REST_GRIP])
 _LAP_ALONG, _LAP_INWARD = 0.69, 0.02
 _LEVEL_PITCH = np.radians(-4.0)
 
@@ -70,7 +71,8 @@ def solve_posture(
             palms.append((task, ""))
         else:
             q[DOF_INDEX["lr"[side] + "hand.grip"]] = REST_GRIP
-            task = on_thigh(skeleton, fit, person.segment_lengths["thigh"], side, side, _LAP_ALONG, _LAP_INWARD)
+            lies = lying(person, _FLAT)
+            task = on_thigh(skeleton, fit, person.segment_lengths["thigh"], side, side, _LAP_ALONG, _LAP_INWARD, 0.45, lies)
             palms.append((task, "lr"[side] + "thigh"))
     head = head_rotation(seat.facing_yaw, _LEVEL_PITCH)
     who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, (holds, holds))

@@ -80,6 +80,17 @@ def test_random_people_by_years() -> None:
     assert "years" in str(caught.value.hint)
 
 
+def test_sides_differ_where_they_are_to() -> None:
+    """Whoever has a name is the same in all datasets; a crowd is drawn anew."""
+    plain = SynthConfig.parse({"people": {"random": {"count": 2}}})
+    config = SynthConfig.parse({"people": {"random": {"count": 2}, "asymmetric": True}})
+    assert subject_body(plain, 1, "S03")[0].asymmetry == subject_body(plain, 1, "R0001")[0].asymmetry == 0
+    one, two = ({name: subject_body(config, seed, name)[0].asymmetry for name in ("S03", "S04", "R0001")} for seed in (1, 2))
+    assert 0 not in one.values()
+    assert one["S03"] == two["S03"] != one["S04"]
+    assert one["R0001"] != two["R0001"]
+
+
 def test_a_random_car_keeps_its_wheel_on_one_side() -> None:
     """A preset may have it on either; the share is the configured one."""
     plan = Plan(small_config(cars=("sedan",), random_cars=150, right_hand_drive=0.4), SEED)

@@ -87,6 +87,7 @@ class People(Model):
     subjects: tuple[str, ...] = Field(tuple(SUBJECTS), description="Named people of the package, S01 .. S18.")
     own: Mapping[str, OwnPerson] = Field({}, description="People of your own by name, beside them.")
     random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
+    asymmetric: bool = Field(False, description="Whether the left and right sides of bodies differ, of each in its own way.")
     driver_years: float = Field(17.0, ge=0.0, description="Age from which people drive, where anybody is as old; 0: anyone.")
 
     @model_validator(mode="after")

@@ -22,7 +22,7 @@ from cabinpose.scene.cabin import CabinDimensions, random_dimensions
 from cabinpose.synth.cars import ChangedPreset, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.people import OwnPerson
-from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.streams import frame_rng, own_rng
 
 DriveSide = Literal["left", "right"]
 # Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
@@ -49,6 +49,14 @@ def brings_things(config: SynthConfig) -> bool:
 
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
     """Shape and clothes of a person of this dataset; a function of the arguments alone, whatever was drawn before."""
+    phenotype, outfit = _symmetric_body(config, seed, subject)
+    if config.people.asymmetric:  # whoever has a name is the same in all datasets
+        named = subject in SUBJECTS or subject in config.people.own
+        phenotype = replace(phenotype, asymmetry=int(own_rng(0 if named else seed, subject).integers(1, 1 << 31)))
+    return phenotype, outfit
+
+
+def _symmetric_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
     if subject in SUBJECTS:
         return SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit
     if subject in config.people.own:

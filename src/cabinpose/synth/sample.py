@@ -113,7 +113,7 @@ class SceneSampler:
         raise ImpossibleSceneError(index, proposals, causes, tried, own_car)
 
     def _make_person(self, subject: str) -> Person:
-        if subject in SUBJECTS:
+        if subject in SUBJECTS and not self._config.people.asymmetric:
             return _named_person(subject)
         return self._model.person(*subject_body(self._config, self._seed, subject))
 

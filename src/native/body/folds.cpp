@@ -11,6 +11,7 @@ namespace {
 
 constexpr Index block = 128;      // vertices that are worked on together
 constexpr double weakest = 0.01;  // strength of a train below which it is left out
+constexpr double sway = 2.0;      // rad that noise bends a train by: more makes waves shorter than the mesh shows
 
 /// Smooth step from 0 to 1 about `edge`.
 double step(double x, double edge, double width) {
@@ -64,7 +65,7 @@ void raise_folds(const Trains& trains, Array<const double, any, any> noise, Arra
       for (Index i = 0; i < many; ++i) {
         const Index v = where[first + i];
         if (!(trains.strength(k, v) > weakest)) continue;
-        angle[found] = trains.phase(k, v) * length + start + 2.4 * noise(v, k % 3);
+        angle[found] = trains.phase(k, v) * length + start + sway * noise(v, k % 3);
         chosen[found] = i, ++found;
       }
       for (Index i = 0; i < found; ++i) wave[i] = loops::sin(angle[i]);

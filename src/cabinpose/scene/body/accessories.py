@@ -10,9 +10,11 @@ from functools import cache
 
 import numpy as np
 
+from cabinpose._native import body
 from cabinpose.core.arrays import Bools, Bytes, Floats, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.coverage import borders, cap_rim_m
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.rig import BONE_INDEX
@@ -161,33 +163,48 @@ def _head_box(skin: Floats, eyes: Floats) -> tuple[float, float, float, float]:
     return float(above[:, 1].max()), float(above[:, 0].max()), float(above[:, 0].min()), float(above[:, 2].max())
 
 
-def bun(skin: Floats, eyes: Floats) -> Accessory:
-    """A knot of hair at the back of the head."""
-    _, _, back, top = _head_box(skin, eyes)
-    radius = 0.038 * top / 0.116
+def bun(skin: Floats, eyes: Floats, *, cap: bool) -> Accessory:
+    """A knot of hair at the back of the head, below a cap's rim."""
+    top = _head_box(skin, eyes)[3]
+    radius, height = 0.034 * top / 0.116, (-0.2 if cap else 0.4) * top
+    head = skin[load_chart().head > 0.9] - eyes
+    back = head[(np.abs(head[:, 1]) < 0.02) & (np.abs(head[:, 2] - height) < 0.015)][:, 0].min()
     u, v = np.linspace(0.15, np.pi - 0.15, 8), np.linspace(0, 2 * np.pi, 14, endpoint=False)
     shape = np.stack([np.sin(u)[:, None] * np.cos(v), np.sin(u)[:, None] * np.sin(v), np.cos(u)[:, None] * np.ones(14)], axis=2)
-    vertices, faces = _tube(shape * radius * (0.9, 1.1, 1.0) + eyes + (back - 0.6 * radius, 0.0, 0.45 * top))
+    vertices, faces = _tube(shape * radius * (0.8, 1.1, 1.0) + eyes + (back - 0.5 * radius, 0.0, height))
     return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "hair", "hair")
 
 
-def hanging_hair(skin: Floats, eyes: Floats, neck: Floats) -> Accessory:
-    """Long hair: a thick sheet round the back of the head from temple to temple, down to below the shoulders."""
+def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Accessory:
+    """Long hair: from inside the hair on the head, or a cap's rim, round its back and down to below the shoulders.
+
+    It lies on the head and hangs straight down from where that is widest, thick in the middle and thin along its borders.
+    """
     half, _, back, top = _head_box(skin, eyes)
-    middle_x = back * 0.5
-    columns, rows = 18, 9
-    angle = np.linspace(np.radians(62), np.radians(298), columns)
-    height = np.linspace(0.35 * top, neck[2] - eyes[2] - 0.10, rows)
-    drop = np.linspace(0, 1, rows)
-    wide = (half + 0.016) * (1 - 0.12 * np.sin(np.pi * drop) + 0.18 * drop)
-    deep = (middle_x - back + 0.018) * (1 - 0.06 * np.sin(np.pi * drop) + 0.12 * drop)
-    sheets = []
-    for inner in (0.0, 0.028):
-        x = middle_x + (deep[:, None] - inner) * np.cos(angle) - 0.012 * drop[:, None]
-        y = (wide[:, None] - inner) * np.sin(angle)
-        sheets.append(np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=2))
-    vertices, faces = _sheet(sheets[0] + eyes, sheets[1] + eyes)
-    weight_neck = np.tile(np.repeat(0.8 * np.clip(drop * 1.6 - 0.6, 0, 1), columns), 2)
+    middle_x, size = back * 0.5, top / 0.116
+    columns, rows = 30, 14
+    angle = np.linspace(np.radians(64), np.radians(296), columns)
+    behind = np.sin(np.linspace(0, np.pi, columns)) ** 2
+    drop = np.linspace(0, 1, rows)[:, None]
+    ends = neck[2] - eyes[2] - 0.03 - 0.07 * behind + 0.012 * np.sin(5.3 * angle) * np.sin(2.1 * angle + 1.0)
+    begins = size * cap_rim_m((middle_x + half * np.cos(angle)) / size) if cap else np.full(columns, 0.45 * top)
+    z = begins + drop * (ends - begins)
+    head = skin[(load_chart().head > 0.5) & (borders()["ears"] < 0)] - eyes - (middle_x, 0, 0)
+    turn = np.broadcast_to((angle + np.pi) % (2 * np.pi) - np.pi, z.shape)
+    radius = np.empty(len(head) + z.size)
+    body.hang(
+        np.concatenate([-head[:, 2], -z.ravel()]), np.concatenate([np.hypot(head[:, 0], head[:, 1]), np.zeros(z.size)]),
+        np.concatenate([np.arctan2(head[:, 1], head[:, 0]), turn.ravel()]), np.full(48, 0.12), radius,
+    )  # fmt: skip
+    strands = 0.003 * np.sin(17 * angle + 2 * np.sin(5 * angle)) * drop
+    outer = radius[len(head) :].reshape(z.shape) + 0.010 + 0.014 * np.minimum(4 * drop, 1) + strands
+    thick = 0.004 + 0.022 * behind * np.minimum(4 * drop, 1)
+    sheets = [
+        np.stack([middle_x + r * np.cos(angle) - 0.010 * drop, r * np.sin(angle), z], axis=2) + eyes
+        for r in (outer, outer - thick)
+    ]
+    vertices, faces = _sheet(sheets[0], sheets[1])
+    weight_neck = np.tile(np.repeat(0.8 * np.clip(drop[:, 0] * 1.6 - 0.6, 0, 1), columns), 2)
     count = len(faces)
     return Accessory(
         vertices, _outward(vertices - vertices.mean(axis=0), faces), ("head", "spine01"),
@@ -268,9 +285,9 @@ def accessories(skin: Floats, rest: RestArrays, eyes: Floats, outfit: Outfit) ->
     if outfit.shoes != "none":
         made += [shoe(skin, rest, side, outfit.shoes) for side in "lr"]
     if outfit.hair == "bun":
-        made.append(bun(skin, eyes))
+        made.append(bun(skin, eyes, cap=outfit.cap))
     if outfit.hair == "long":
-        made.append(hanging_hair(skin, eyes, rest.heads[BONE_INDEX["neck01"]]))
+        made.append(hanging_hair(skin, eyes, rest.heads[BONE_INDEX["neck01"]], cap=outfit.cap))
     if outfit.cap:
         made.append(visor(skin, eyes))
     if outfit.glasses:

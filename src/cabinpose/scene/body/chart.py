@@ -43,7 +43,7 @@ class Chart:
     heads: MappingProxyType[str, Floats]
 
 
-def _along(points: Floats, chain: list[Floats]) -> Floats:
+def along_chain(points: Floats, chain: list[Floats]) -> Floats:
     """Position along a polyline, 1 per piece, by the nearest piece; beyond its ends in lengths of the end pieces."""
     best = np.full(len(points), np.inf)
     result = np.zeros(len(points))
@@ -80,8 +80,8 @@ def load_chart() -> Chart:
         arm = [named[side + b] for b in ("upperarm01", "lowerarm01", "wrist", "finger3_1")]
         leg = [named[side + b] for b in ("upperleg01", "lowerleg01", "foot")]
         leg.append(np.array([*leg[-1][:2], points[:, 2].min()]))
-        along_arm[mask] = _along(points[mask], arm)
-        along_leg[mask] = _along(points[mask], leg)
+        along_arm[mask] = along_chain(points[mask], arm)
+        along_leg[mask] = along_chain(points[mask], leg)
     head = share("head") + dense[:, BONE_INDEX["head"]]
     neck = dense[:, [BONE_INDEX[b] for b in ("neck01", "neck02", "neck03")]].sum(axis=1)
     return Chart(

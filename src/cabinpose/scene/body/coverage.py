@@ -27,7 +27,7 @@ TOP_ENDS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 )  # fmt: skip
 BOTTOM_ENDS: Mapping[str, float] = MappingProxyType({"trousers": 1.99, "jeans": 1.99, "shorts": 0.78})
 HEM_M = 0.006  # width of the strip beyond a garment's border over which it ends
-_WAIST, _SOCK = 0.27, 1.72
+_WAIST, _SOCK, _OVER_LAP = 0.27, 1.72, 0.08
 
 
 def step(x: Floats, edge: float, width: float) -> Floats:
@@ -43,7 +43,8 @@ def bump(x: Floats, centre: float, width: float) -> Floats:
 
 def _top(name: str) -> Floats:
     c, (sleeve, hem, collar) = load_chart(), TOP_ENDS[name]
-    trunk = np.minimum((c.up - hem) * UP_M, (collar - c.neck - c.head) * NECK_M)
+    lap = _OVER_LAP * step(c.rest[:, 0], 0.03, 0.08)  # in front it lies on the lap of who sits, and not in the groin
+    trunk = np.minimum((c.up - hem - lap) * UP_M, (collar - c.neck - c.head) * NECK_M)
     return np.where(c.arm > 0.5, (sleeve - c.along_arm) * ARM_M, trunk)
 
 
@@ -86,9 +87,14 @@ def _scalp(*, over_ears: bool) -> Floats:
     return np.maximum(hair, _ears()) if over_ears else np.minimum(hair, -_ears())
 
 
+def cap_rim_m(x: Floats) -> Floats:
+    """Height of a cap's rim over the eyes of the average adult, `x` m before them, m."""
+    return np.asarray(np.interp(x, (-0.16, -0.06, 0.02), (0.0, 0.03, 0.040)))
+
+
 def _cap() -> Floats:
     x, z, _ = _face()
-    return np.minimum(z - np.interp(x, (-0.16, -0.06, 0.02), (0.0, 0.03, 0.040)), (load_chart().head - 0.5) * NECK_M)
+    return np.minimum(z - cap_rim_m(x), (load_chart().head - 0.5) * NECK_M)
 
 
 def _beard() -> Floats:
@@ -96,7 +102,7 @@ def _beard() -> Floats:
     x, z, y = _face()
     cheek = np.interp(x, (-0.075, -0.05, 0.0, 0.03), (-0.030, -0.055, -0.062, -0.050))
     jaw = np.minimum(np.minimum(cheek - z, x + 0.075), z + 0.135)
-    sideburn = np.minimum(np.minimum(0.016 - np.abs(x + 0.055), y - 0.052), 0.03 - np.abs(z + 0.03))
+    sideburn = np.minimum(0.022 - 0.2 * (z + 0.06) - np.abs(x + 0.045), np.minimum(y - 0.052, 0.04 - np.abs(z + 0.02)))
     mouth = 0.024 * (np.hypot(y / 0.024, (z + 0.0685) / 0.011) - 1)
     mouth = np.where(x > 0.0, mouth, 0.1)
     hair = np.minimum(np.maximum(jaw, sideburn), mouth) + _waver(0.0008)

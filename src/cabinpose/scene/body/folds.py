@@ -16,6 +16,7 @@ from cabinpose.scene.body.chart import Chart, load_chart
 from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
 from cabinpose.scene.body.parts import cut_skin
 
+_BREAST = (0.107, 0.372)  # y and z (m) of its apex on the average adult: cloth is taut there
 _SWAY_M, _PATCH_M = 0.16, 0.20  # wavelengths of the noise that bends a train, and of that which lets it come and go
 
 
@@ -79,6 +80,13 @@ def _mirrored() -> tuple[Floats, Floats, Floats]:
 
 
 @cache
+def front_of_thigh() -> Floats:
+    """(V + N,) 1 where cloth is taut on who sits, falling off to the sides and to hip and knee."""
+    c, (_, _, about_leg) = seen_chart(), _mirrored()
+    return np.asarray(c.leg * (0.5 + 0.5 * np.cos(about_leg)) * bump(c.along_leg, 0.6, 0.45))
+
+
+@cache
 def _trains(*, top: bool) -> tuple[Floats, Floats]:
     """Phase (T, N) rad and strength (T, N), 0 .. 1, of a top's or a bottom's trains."""
     c, turn = seen_chart(), 2 * np.pi
@@ -89,13 +97,15 @@ def _trains(*, top: bool) -> tuple[Floats, Floats]:
         armpit = c.heads["lupperarm01"] - (0.0, 0.02, 0.07)
         off = p - armpit
         down = step(-c.up, -0.62, 0.35)
-        arm, trunk, inner = c.arm, 1 - c.arm, 0.6 + 0.4 * np.cos(about_arm)
+        arm, inner = c.arm, 0.6 + 0.4 * np.cos(about_arm)
+        taut = 1 - 0.9 * step(p[:, 0], 0.05, 0.06) * bump(np.hypot(p[:, 1] - _BREAST[0], p[:, 2] - _BREAST[1]), 0.0, 0.065)
+        trunk = (1 - c.arm) * taut
         made = [
             (turn * (p[:, 2] + 0.15 * p[:, 1]) / 0.050, trunk * bump(c.up, 0.20, 0.15)),
             (turn * (p[:, 2] - 0.6 * p[:, 1]) / 0.068, trunk * 0.7 * bump(c.up, 0.42, 0.16)),
             (
                 13 * np.arctan2(off[:, 2], -off[:, 1]) + 2 * front,
-                bump(np.hypot(off[:, 1], off[:, 2]), 0.11, 0.07) * step(-off[:, 2], -0.04, 0.1),
+                taut * bump(np.hypot(off[:, 1], off[:, 2]), 0.11, 0.07) * step(-off[:, 2], -0.04, 0.1),
             ),
             (14 * np.arctan2(c.rest[:, 1], c.rest[:, 0]), trunk * down * 0.9),
             (turn * c.along_arm * ARM_M / 0.042 + 1.2 * np.sin(about_arm), arm * 0.7 * inner * bump(c.along_arm, 1.0, 0.25)),
@@ -103,7 +113,7 @@ def _trains(*, top: bool) -> tuple[Floats, Floats]:
             (turn * c.along_arm * ARM_M / 0.040 + 2 * about_arm, arm * 0.5 * bump(c.along_arm, 1.78, 0.22)),
         ]
     else:
-        leg = np.maximum(c.leg, step(-c.up, -0.12, 0.15) * (1 - c.arm))
+        leg = np.maximum(c.leg, step(-c.up, -0.12, 0.15) * (1 - c.arm)) * (1 - 0.7 * front_of_thigh())
         behind = 0.5 - 0.5 * np.cos(about_leg)
         crotch = p - (0.03, 0.0, -0.09)
         made = [

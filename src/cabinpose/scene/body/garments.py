@@ -16,7 +16,7 @@ from cabinpose._native import body
 from cabinpose.core.arrays import Bools, Floats, Floats32, Ints32
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
-from cabinpose.scene.body.folds import around, blend_rows, folds, seen_chart, smooth_noise
+from cabinpose.scene.body.folds import around, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
@@ -29,6 +29,7 @@ _SECTORS = 48  # of the turn about what cloth hangs from
 _CLEAR_M = 0.002  # about how much smoothing flattens a bump of the body
 _INWARDS_M = 0.006  # smoothing moves a vertex inwards by no more than this
 _LIFT_M = 0.005  # of a top off the trousers' folds: its hem shows
+_BEYOND_M = 0.04  # cloth is hung as if it went on so far beyond its border: its hem is even, however coarse the mesh
 
 
 @dataclass(frozen=True)
@@ -43,10 +44,10 @@ class _Cut:
 
 
 TOPS = {
-    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.30, "cotton"),
-    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.30, "cotton"),
+    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.18, "cotton"),
+    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.20, "cotton"),
     "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "wool"),
-    "jacket": _Cut(0.012, 0.018, 0.018, 0.16, "synthetic_fabric"),
+    "jacket": _Cut(0.012, 0.018, 0.018, 0.12, "synthetic_fabric"),
 }
 BOTTOMS = {
     "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "cotton"),
@@ -98,7 +99,7 @@ def _looseness(*, top: bool) -> Floats:
     c = seen_chart()
     trunk = 0.10 + 0.90 * step(-c.up, -0.70, 0.40)
     arm = 0.30 + 0.70 * step(c.along_arm, 0.45, 0.6) - 0.85 * step(c.along_arm, 1.75, 0.35)
-    leg = 0.45 + 0.25 * bump(c.along_leg, 1.0, 0.3) + 0.45 * step(c.along_leg, 1.4, 0.6)
+    leg = 0.45 + 0.25 * bump(c.along_leg, 1.0, 0.3) + 0.45 * step(c.along_leg, 1.4, 0.6) - 0.25 * front_of_thigh()
     waist = 1.0 if top else 1 - 0.9 * step(c.up, 0.10, 0.25)
     return np.asarray((c.arm * arm + c.leg * leg + (1 - c.arm - c.leg).clip(0) * trunk) * waist)
 
@@ -145,7 +146,7 @@ def _hanging(down: Floats, radius: Floats, angle: Floats, narrowing: Floats) -> 
 def _hung(points: Floats32, name: str, rest: RestArrays, narrowing: float, *, top: bool) -> Floats32:
     """The garment (V, 3) m, wider where it hangs from the chest, or about each limb."""
     c = load_chart()
-    mask = _mask(name)[: len(points)]
+    mask = step(_seen_field(name)[: len(points)], -_BEYOND_M, 0.5 * _BEYOND_M)
     out = points.astype(np.float64)
     limb, along, weight = (
         (("upperarm", "forearm", "hand"), c.along_arm, c.arm) if top else (("thigh", "shank", "foot"), c.along_leg, c.leg)
@@ -162,7 +163,8 @@ def _hung(points: Floats32, name: str, rest: RestArrays, narrowing: float, *, to
         radius = np.linalg.norm(off, axis=1)
         length = np.linalg.norm(heads[1:] - heads[:-1], axis=1)
         below = np.cumsum([0.0, *length])[k] + (at - k) * length[k]
-        fall = np.full(_SECTORS, narrowing if not top else 0.20)
+        # On who sits, cloth lies on the thighs and hangs below them.
+        fall = np.full(_SECTORS, 0.20) if top else narrowing + 0.12 * (1 + np.cos(_sectors()))
         target = _hanging(below, radius, around(off, heads[2] - heads[0]), fall)
         share = mask[inside] * step(weight[inside], 0.75, 0.5) * step(at, 0.25, 0.5)
         out[inside] += off * (share * np.maximum(target / radius - 1, 0))[:, None]
@@ -185,28 +187,37 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     regions: list[tuple[Bools, str, str | None]] = []
     if outfit.shoes != "none":
         regions.append((cut.inside["socks"], "cotton", None))
-    draped, depth = skin, np.zeros(len(bare))
+    evened = np.max([_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * outfit.cap], axis=0)
+    draped, depth = _relaxed(skin, np.float32(0.6) * evened.astype(np.float32), _EVENING), np.zeros(len(bare))
+    head, (moved, normals) = draped, _refined(draped)
     for name, cuts in ((outfit.bottom, BOTTOMS), (outfit.top, TOPS)):
         if name not in cuts:
             continue
-        worn, top = cuts[name], cuts is TOPS
+        worn, top, mask = cuts[name], cuts is TOPS, _mask(name)
         slack = 0.25 + 0.75 * outfit.fit
-        draped = _hung(_stretched(draped, name, worn.thickness), name, rest, worn.narrowing * (1.4 - 0.8 * outfit.fit), top=top)
-        where = np.flatnonzero(_mask(name) > 0)
+        if top and outfit.bottom != "none":  # the waistband does not show through
+            hidden = np.where(mask > 0, step(_seen_field(outfit.bottom), 0.06, 0.08), 1.0)
+            draped = skin + (draped - skin) * hidden[: len(skin), None].astype(np.float32)
+            depth *= hidden
+        hung = _hung(_stretched(draped, name, worn.thickness), name, rest, worn.narrowing * (1.4 - 0.8 * outfit.fit), top=top)
+        where = np.flatnonzero(mask > 0)
         height = np.zeros(len(bare))
         height[where] = (
             worn.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[name] > -0.05, outfit.folds, top=top, size=size)
         )
         own = worn.loose * slack * _looseness(top=top) + height
-        depth = np.maximum(depth, _mask(name) * np.maximum(own + worn.thickness, np.where(depth > 0, depth + _LIFT_M, 0)))
+        below = np.where(depth > 0, depth + _LIFT_M * step(depth, 0.003, 0.006), 0)
+        depth = np.maximum(depth, mask * np.maximum(own + worn.thickness, below))
         regions.append((cut.inside[name], worn.material, None))
+        share = mask.astype(np.float32)[:, None]
+        draped = draped + share[: len(skin)] * (hung - draped)
+        there, facing = _refined(hung)
+        moved += share * (there - moved)
+        normals += share * (facing - normals)
     depth += _hair(outfit, regions)
-    evened = np.max([_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * outfit.cap], axis=0)
-    draped = _relaxed(draped, np.float32(0.6) * evened.astype(np.float32), _EVENING)
-    moved, normals = _refined(draped)
-    moved += normals * depth.astype(np.float32)[:, None]
+    moved += normals * (depth.astype(np.float32) / np.maximum(np.linalg.norm(normals, axis=1), 1e-6))[:, None]
     if outfit.hair in ("medium", "long"):  # ears vanish under the hair
-        flat, normals = _refined(_relaxed(draped, (borders()["ears"] > -0.003).astype(np.float32), 5 * _EVENING))
+        flat, normals = _refined(_relaxed(head, (borders()["ears"] > -0.003).astype(np.float32), 5 * _EVENING))
         covered = _seen_field("ears") > -0.003
         moved[covered] = flat[covered] + normals[covered] * np.float32(0.4 * HAIR_DEPTH_M[outfit.hair])
         lifted = ~covered
@@ -238,6 +249,8 @@ def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Float
         depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
         regions.append((inside["beard"], "hair", None))
     if outfit.cap:
-        depth = np.where(_mask("cap") > 0, CAP_DEPTH_M * _mask("cap"), depth)
+        field, rim = _seen_field("cap"), CAP_DEPTH_M * _mask("cap")
+        flat = depth * step(-field, 0.01, 0.02)  # hair lies flat under a cap and next to its rim
+        depth = np.where(field > 0, CAP_DEPTH_M + 0.25 * depth, np.maximum(rim, flat))
         regions.append((inside["cap"], "cotton", "headwear"))
     return depth

@@ -16,14 +16,15 @@ from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
+from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.dress import Dressed, dress
-from cabinpose.scene.body.kinematics import main_frames
+from cabinpose.scene.body.kinematics import RestArrays, main_frames
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
-from cabinpose.scene.body.skeleton import rest_arrays
+from cabinpose.scene.body.skeleton import CLOSING, rest_arrays
 from cabinpose.scene.surface import Surface
 
 BODY_DENSITY = 985.0  # kg/m3, whole body at mid breath (Durnin & Womersley 1974 give 1.02 to 1.07 without lung air)
@@ -37,6 +38,8 @@ class Person:
         self.outfit = outfit
         self._space = space
         skin, heads = space.shape(phenotype)
+        if phenotype.asymmetry:
+            skin, heads = asymmetric(skin, heads, space.heads, phenotype.asymmetry)
         if phenotype.stature_m is not None:
             scale = phenotype.stature_m / float(np.ptp(skin[:, 2]))
             skin, heads = skin * np.float32(scale), heads * scale
@@ -68,7 +71,7 @@ class Person:
 
     @cached_property
     def segment_lengths(self) -> MappingProxyType[str, float]:
-        """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; both sides are equal."""
+        """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; of the left side."""
         o = self.rest.offsets
         length = {
             name: float(np.linalg.norm(o[BONE_INDEX[child]]))
@@ -89,14 +92,15 @@ class Person:
         native.joint_positions(self.rest, rotation, position, out)
         return out
 
-    def skin_part(self, rows: NDArray[np.integer]) -> Callable[[Floats, Matrix], Floats]:
-        """What gives (q, vehicle_from_root) -> (R, 3) m, `pose(...).skin[rows]`, without the rest of the skin."""
+    def skin_part(self, rows: NDArray[np.integer], fingers: Floats | None = None) -> Callable[[Floats, Matrix], Floats]:
+        """What gives (q, vehicle_from_root) -> (R, 3) m, `pose(..., fingers).skin[rows]`, without the rest of the skin."""
         index, weight = self._space.bone_index[rows], self._space.bone_weight[rows]
         rest = self.rest_skin[None, rows]
 
         def posed(q: Floats, vehicle_from_root: Matrix) -> Floats:
             transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(rest)
-            native.skin_transforms(checked(q), self.rest, *main_frames(q, self.rest, vehicle_from_root), transforms)
+            bones = _with_fingers(self.rest, q, fingers)
+            native.skin_transforms(checked(q), bones, *main_frames(q, self.rest, vehicle_from_root), transforms)
             native.skin_layers(transforms, index, weight, rest, out)
             return out[0].astype(np.float64)
 
@@ -111,7 +115,8 @@ class Person:
     def pose(self, q: Floats, vehicle_from_root: Matrix, fingers: Floats | None = None) -> PosedBody:
         """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point.
 
-        fingers: (2, 5) curl of the left and right hand's fingers, thumb first, where they do not follow the grip (NaN: they do).
+        fingers: (2, 5) curl of the left and right hand's fingers, thumb first, where they do not follow the grip (NaN: they do);
+        or (2, 6), with how far the fingers are closed up, 0 spread to 1 side by side.
         """
         return PosedBody(self, checked(q), np.ascontiguousarray(vehicle_from_root, np.float64), fingers)
 
@@ -122,6 +127,25 @@ def checked(q: Floats) -> Floats:
     if result.shape != (len(DOFS),):
         raise ValueError(f"q has shape {result.shape}, expected ({len(DOFS)},)")
     return result
+
+
+def _with_fingers(rest: RestArrays, q: Floats, fingers: Floats | None) -> RestArrays:
+    """The skeleton with fingers that bend as `Person.pose` takes them: the kernel curls each by its hand's grip."""
+    if fingers is None:
+        return rest
+    grips = np.maximum(q[[DOF_INDEX["lhand.grip"], DOF_INDEX["rhand.grip"]], None], 1e-6)
+    share = np.where(np.isnan(fingers), 1.0, fingers / grips)
+    curl = rest.finger_curl.reshape(2, 5, 3) * share[:, :5, None]
+    if fingers.shape[1] == 5:
+        return rest._replace(finger_curl=curl.reshape(-1))
+    turns = rest.finger_axes.reshape(2, 5, 3, 3) * curl[..., None]
+    for side in np.flatnonzero(~np.isnan(fingers[:, 5])):  # knuckles turn about the hand's y axis, not in step with the curl
+        across = rest.frames[BONE_INDEX["lr"[side] + "hand"]][:, 1]
+        closing = rest.finger_axes.reshape(2, 5, 3, 3)[side, 1:, 0] @ across * rest.finger_curl.reshape(2, 5, 3)[side, 1:, 0]
+        turns[side, 1:, 0] += ((share[side, 5] / CLOSING - share[side, 1:5]) * closing)[:, None] * across
+    turns = turns.reshape(-1, 3)
+    angle = np.linalg.norm(turns, axis=1)
+    return rest._replace(finger_axes=turns / np.maximum(angle, 1e-12)[:, None], finger_curl=angle)
 
 
 class PosedBody:
@@ -135,11 +159,7 @@ class PosedBody:
         self._rotation, self._position = np.empty((N_MAIN, 3, 3)), np.empty((N_MAIN, 3))
         self._vehicle_from_mesh, self.joints = np.empty((len(BONES), 3, 4)), np.empty((20, 3))
         palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
-        rest = person.rest
-        if fingers is not None:  # the kernel curls a finger by its hand's grip
-            grips = q[[DOF_INDEX["lhand.grip"], DOF_INDEX["rhand.grip"]], None]
-            share = np.where(np.isnan(fingers), 1.0, fingers / np.maximum(grips, 1e-6))
-            rest = rest._replace(finger_curl=(rest.finger_curl.reshape(2, 5, 3) * share[..., None]).reshape(-1))
+        rest = _with_fingers(person.rest, q, fingers)
         native.pose(
             q, rest, vehicle_from_root, self._rotation, self._position, self._vehicle_from_mesh, self.joints, palms, soles
         )

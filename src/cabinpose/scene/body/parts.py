@@ -241,7 +241,8 @@ def cut_skin() -> CutSkin:
         cutter.cut(value["along_leg"] - low, on_leg)
     cutter.cut(value["leg"] - 0.5, (value["along_leg"] > 0) & (value["up"] < 0.2))
     # A garment ends over a narrow strip of its own material.
-    edges = {name: field + HEM_M if name in TOP_ENDS or name in BOTTOM_ENDS else field for name, field in borders().items()}
+    hemmed = (*TOP_ENDS, *BOTTOM_ENDS, "cap")
+    edges = {name: field + HEM_M if name in hemmed else field for name, field in borders().items()}
     for name, field in borders().items():
         cutter.cut(field, np.ones_like(trunk))
         if edges[name] is not field:

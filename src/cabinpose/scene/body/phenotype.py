@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -44,8 +44,8 @@ class Phenotype:
 
     gender: 0 male, 1 female · age: 0 child of about ten, 0.5 young adult, 1 old · muscle and weight: 0.5 average ·
     height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon · stature_m: the body is scaled
-    evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the woman). Raises ConfigError
-    outside.
+    evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the woman) · asymmetry: number of the
+    pattern by which the sides differ, 0 where they do not. Raises ConfigError outside.
     """
 
     gender: float = 0.5
@@ -55,6 +55,7 @@ class Phenotype:
     height: float = 0.5
     proportions: float = 0.5
     stature_m: float | None = None
+    asymmetry: int = 0
 
     def __post_init__(self) -> None:
         for name in DEFAULT_RANGES:
@@ -80,7 +81,7 @@ class Phenotype:
         `ranges` has `stature_m`. Eight numbers are drawn whatever the ranges. Raises ConfigError for unknown names, for
         ranges that are turned round and for those outside the limits.
         """
-        names = tuple(field.name for field in fields(cls))
+        names = (*DEFAULT_RANGES, "stature_m")
         chosen = dict(DEFAULT_RANGES)
         for given, (low, high) in (ranges or {}).items():
             name = {"years": "age", "stature_cm": "stature_m"}.get(given, given)

@@ -31,7 +31,7 @@ _JOINT = {
 }  # fmt: skip
 # Full curl (deg) of the phalanges, thumb first, then each finger's MCP, PIP and DIP joint.
 _THUMB_Y = (0.1, 0.6, 0.6)  # the thumb's base swings out of the palm, its other joints bend towards the fingers
-_CLOSING = 1.1  # share of their spread by which fingers close up over the whole curl
+CLOSING = 1.1  # share of their spread by which fingers close up over the whole curl
 # The rim's axis: this share of the way from the wrist to the knuckles, and this far in front of them besides its radius.
 _RIM_BELOW, _PALM_DEPTH = 0.84, 0.21
 _CURL_DEG = ((60.0, 40.0, 60.0), (90.0, 100.0, 70.0))
@@ -99,7 +99,7 @@ def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[
                 curled = np.array([-s * np.radians(_CURL_DEG[1][phalanx]), 0.0, 0.0])
                 if phalanx == 0:  # spread fingers close up while they curl
                     along = hand.T @ (head(side, f"finger{finger + 1}_2") - head(side, f"finger{finger + 1}_1"))
-                    curled[1] = np.arctan2(along[0], -along[2]) * _CLOSING
+                    curled[1] = np.arctan2(along[0], -along[2]) * CLOSING
                 curl[f] = np.linalg.norm(curled)
                 axes[f] = hand @ curled / curl[f]
     offsets = np.zeros((N_MAIN, 3))

@@ -225,9 +225,8 @@ def simulate_physical(
         )
     camera = _continuous_wave(sensor, noise, buffers.supersample)
     if noise.multipath:
-        light = indirect_light(
-            _lit(buffers, sensor, noise), sensor, camera.table, camera.frequencies, falloff=noise.vignetting, unseen=noise.multipath_unseen
-        )
+        lit, falloff, unseen = _lit(buffers, sensor, noise), noise.vignetting, noise.multipath_unseen
+        light = indirect_light(lit, sensor, camera.table, camera.frequencies, falloff=falloff, unseen=unseen)
         camera = camera._replace(indirect=light)
     if noise.sun > 0:
         camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)

@@ -7,18 +7,51 @@ of the palm; the thumb points along -y of a right hand and +y of a left one.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, cross
+from cabinpose.core.arrays import Floats, Ints
+from cabinpose.core.frames import Matrix, apply, axis_rotation, cross, invert, transform
 from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
+from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import SeatFit
+
+
+class Fingers(NamedTuple):
+    """How the fingers of a hand lie: mean curl of each, thumb to little finger, how closed they are, and how often.
+
+    closed: how far they lie side by side, 0 spread to 1.
+    """
+
+    curl: tuple[float, float, float, float, float]
+    closed: float
+    share: float
+
+
+# Of a hand that rests, at a full curl of 90, 100, 70 deg (MCP, PIP, DIP): flat, slack, slack with bent fingers, spread, a fist.
+# Slack fingers are bent more from the index to the little finger (Taylor & Schwarz 1955, Artificial Limbs 2(2)), most at the
+# PIP joint, by 20 to 45 deg (Lee & Jung 2014, Int. J. Occup. Saf. Ergon. 20(1)).
+_RESTING = (
+    Fingers((0.05, 0.05, 0.05, 0.06, 0.08), 0.75, 0.22),
+    Fingers((0.20, 0.18, 0.24, 0.30, 0.36), 0.95, 0.40),
+    Fingers((0.30, 0.36, 0.44, 0.52, 0.58), 1.0, 0.20),
+    Fingers((0.00, 0.04, 0.04, 0.05, 0.06), 0.1, 0.10),
+    Fingers((0.60, 0.86, 0.90, 0.92, 0.92), 1.0, 0.08),
+)
+_POINTING = (
+    Fingers((0.30, 0.06, 0.40, 0.48, 0.52), 0.6, 0.5),
+    Fingers((0.15, 0.14, 0.20, 0.26, 0.32), 0.6, 0.5),
+)
+_SHAPES = {"thigh": _RESTING, "armrest": _RESTING, "reach": _POINTING}
+_UNDER_WHEEL = tuple(shape for shape in _RESTING if max(shape.curl) < 0.1)  # a wheel leaves no room for more
+BY_GRIP = np.full(6, np.nan)
+_HAND_SIGMA, _FINGER_SIGMA, _CLOSED_SIGMA = 0.05, 0.035, 0.2
 
 
 class LimbTask(NamedTuple):
@@ -37,7 +70,9 @@ _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
-_OVER_THIGH_M = 0.028  # of the palm's skin: fingers and trousers lie between
+_CLOTH_M, _THIGH_RADIUS_M = 0.012, 0.09  # between what is lowest of a hand and the thigh's skin; the thigh's own
+_OVER_ARMREST_M = 0.020
+_SLOPES = np.linspace(-0.2, 0.6, 33)  # of a lying hand
 PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
 _STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.010, 0.012, 0.016])
@@ -78,6 +113,58 @@ def palm_frame(origin: Floats, normal: Floats, fingers: Floats) -> Matrix:
     palm = np.eye(4)
     palm[:3, 0], palm[:3, 1], palm[:3, 2], palm[:3, 3] = cross(y, z), y, z, origin
     return palm
+
+
+def fingers_at(place: str, noise: tuple[float, ...], rim: float | None) -> Floats:
+    """(6,) fingers of a hand at a place of `actions`, as `Person.pose` takes them; NaN where they follow the grip.
+
+    noise: the hand's own, of which they are drawn · rim: the curl that holds the wheel before the seat, None where there is none.
+    """
+    rng = np.random.Generator(np.random.Philox(key=np.array(noise[:2]).view(np.uint64)))
+    if place == "wheel" and rim is not None:  # none is tighter, some index fingers lie along the rim
+        loose = np.abs(rng.standard_normal(5)) * (0.03, 0.05, 0.025, 0.025, 0.04)
+        loose[1] += 0.15 * (rng.random() < 0.15)
+        curl, closed = rim - loose, 0.85
+    elif place in _SHAPES:
+        shapes = _UNDER_WHEEL if place == "thigh" and rim is not None else _SHAPES[place]
+        shares = np.array([shape.share for shape in shapes])
+        shape = shapes[int(rng.choice(len(shapes), p=shares / shares.sum()))]
+        curl = np.array(shape.curl) + _HAND_SIGMA * rng.standard_normal() + _FINGER_SIGMA * rng.standard_normal(5)
+        closed = shape.closed
+    else:
+        return BY_GRIP
+    return np.append(np.clip(curl, 0.0, 1.0), np.clip(closed + _CLOSED_SIGMA * rng.standard_normal(), 0.0, 1.0))
+
+
+class Lying(NamedTuple):
+    """How a hand lies on a thigh: its palm frame's origin is `above` m over it, its fingers are lower by `pitch` rad."""
+
+    above: float
+    pitch: float
+
+
+def lying(person: Person, fingers: Floats) -> Lying:
+    """A hand with its fingers (6,) as it lies on a thigh, on the heel of the hand and what is lowest of the fingers."""
+    q = np.zeros(len(LOWER))
+    q[DOF_INDEX["lhand.grip"]] = 1.0  # the kernel curls by the share of it
+    skin = person.skin_part(_hand_rows(), np.stack((fingers, np.full(6, np.nan))))(q, np.eye(4))
+    x, y, z = apply(_palm_from_root(person), skin).T
+    # The flattest support below the palm's origin: of all planes that no point lies beyond the nearest one.
+    reach = (z - y * y / (2.0 * _THIGH_RADIUS_M) - np.outer(_SLOPES, x)).max(axis=1)
+    best = int(reach.argmin())
+    pitch = math.atan(_SLOPES[best])
+    return Lying(float(reach[best]) * math.cos(pitch), pitch)
+
+
+@cache
+def _hand_rows() -> Ints:
+    """Vertices of a left hand, one of three."""
+    return np.flatnonzero(vertex_segments() == SEGMENTS.index("lhand"))[::3]
+
+
+@kept_with_person
+def _palm_from_root(person: Person) -> Matrix:
+    return invert(person.pose(np.zeros(len(LOWER)), np.eye(4)).palms["l"])
 
 
 class RimGrip(NamedTuple):
@@ -125,8 +212,13 @@ def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5)
     return LimbTask(target, _GRASP, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
 
 
-def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int, along: float, inward: float) -> LimbTask:
-    """A hand that rests on a thigh at the share `along` of its length, `inward` m from its ridge to the middle."""
+def on_thigh(
+    skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int, along: float, inward: float, turn: float, lies: Lying
+) -> LimbTask:
+    """A hand that rests on a thigh at the share `along` of its length, `inward` m from its ridge to the middle.
+
+    turn: of the fingers from the leg's direction to the middle, tangent · lies: how the hand lies there.
+    """
     bone = skeleton.bone("lr"[thigh] + "thigh")
     s = 1.0 - 2.0 * thigh
     up, down_leg, left = bone[:3, 0], -bone[:3, 2], bone[:3, 1]
@@ -136,17 +228,19 @@ def on_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int
     slope = math.atan2(tip_top - heel_top, 0.35 * femur)  # and a cone: the hand lies along its skin
     origin = bone[:3, 3] + along * femur * down_leg
     down_leg, up = math.cos(slope) * down_leg + math.sin(slope) * up, math.cos(slope) * up - math.sin(slope) * down_leg
-    point = origin + (top - drop - PALM_M + _OVER_THIGH_M) * up - s * inward * left
+    point = origin + (top - drop + lies.above + _CLOTH_M) * up - s * inward * left
     tilt = np.clip(inward / max(top, 0.03), -0.8, 0.8)
     normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
     mine = 1.0 - 2.0 * side
-    fingers = down_leg - mine * 0.45 * left
-    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
+    fingers = down_leg - mine * turn * left
+    target = palm_frame(point, normal, fingers) @ transform(axis_rotation("y", lies.pitch))
+    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
 
 
-def on_surface(point: Floats, fingers: Floats, up: Floats) -> LimbTask:
+def on_surface(point: Floats, fingers: Floats, up: Floats, lies: Lying) -> LimbTask:
     """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
-    target = palm_frame(point + (0.045 - PALM_M) * up, -up, fingers)
+    pitched = transform(axis_rotation("y", lies.pitch))
+    target = palm_frame(point + (lies.above + _OVER_ARMREST_M) * up, -up, fingers) @ pitched
     return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), SIDE_ARM, _STIFFNESS)
 
 

@@ -47,9 +47,9 @@ from cabinpose.synth.profiles import Profile
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {
-    "wheel": 0.36, "thigh": 0.06, "armrest": 0.06, "ear": 0.5, "mouth": 0.5, "shin": 0.06, "chest": 0.5, "drink": 0.4,
-    "book": 0.1, "carry": 0.4, "belt": 0.6, "reach": 0.25,
+    "ear": 0.5, "mouth": 0.5, "shin": 0.06, "chest": 0.5, "drink": 0.4, "book": 0.1, "carry": 0.4, "belt": 0.6,
 }  # fmt: skip
+_LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
@@ -73,7 +73,7 @@ class OccupantPose:
     rad, + left, None where there is no wheel before the seat · residuals_m: by how much feet and hands miss their places, and
     how far the femur heads' middle is from the H-point · refused: which of them is too far from its place, "" where none is ·
     held_up_by: what was most in the way then, "" where nothing was ·
-    fingers: (2, 5) as `Person.pose` takes them, hold: what is in a hand; None where nothing is.
+    fingers: (2, 5 or 6) as `Person.pose` takes them, None where all follow the grip · hold: what is in a hand, if anything.
     """
 
     q: Floats
@@ -88,12 +88,15 @@ class OccupantPose:
 
 
 class _Hand(NamedTuple):
-    """One hand's intent, drawn once: its place, three standard normal numbers, the clock angle, and the point to reach."""
+    """One hand's intent, drawn once: its place, three standard normal numbers, the clock angle, the point to reach, and how the
+    fingers lie: (6,) as `Person.pose` takes them, NaN where they follow the grip.
+    """
 
     place: Place
     noise: tuple[float, float, float]
     clock: float
     point: Floats | None
+    fingers: Floats = at.BY_GRIP
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +147,7 @@ def _shares(actions: tuple[str, ...]) -> Floats:
 class Drawn:
     """The goals of one person, drawn once, and the start of the solver's search: the input of `settled`.
 
-    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame.
+    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame · fingers, hold: as in `OccupantPose`.
     """
 
     sitter: Sitter
@@ -152,6 +155,7 @@ class Drawn:
     wheel_angle: float | None
     must: Floats
     h_point: Floats
+    fingers: Floats
     hold: Hold | None = None
 
 
@@ -214,6 +218,9 @@ def draw_pose(
     hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
     hands = hands if carried is None else _carrying(hands, carried)
     hands, holds_it = _holding(person, hands, rng) if in_hand and carried is None else (hands, carried)
+    rim = None if wheel is None else at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
+    left, right = (hand._replace(fingers=at.fingers_at(hand.place, hand.noise, rim)) for hand in hands)
+    hands = left, right
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
     turned = turned if wheel_angle is None else wheel_angle
@@ -249,12 +256,15 @@ def draw_pose(
         prior[1] = max(prior[1], at.elbow_room(person) + comfort[side, 1])
         palms.append((task._replace(prior=prior), _CARRIED_BY.get(hand.place, "").format(side="lr"[side])))
         must.append(HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M)
-        grip = _GRIP[hand.place]
-        if wheel is not None and hand.place == "wheel":
-            grip = at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
-        q[DOF_INDEX["lr"[side] + "hand.grip"]] = _clip(grip + _GRIP_SIGMA * min(rng.standard_normal(), 1.0), 0.0, 1.0)
+        grip = _GRIP.get(hand.place, 0.0) + _GRIP_SIGMA * min(rng.standard_normal(), 1.0)
         if holds_it is not None and holds_it.side == side:
-            q[DOF_INDEX["lr"[side] + "hand.grip"]] = _HELD_GRIP
+            grip = _HELD_GRIP
+        elif not np.isnan(hand.fingers).any():
+            grip = max(float(hand.fingers[1:5].mean()), _LEAST_GRIP)
+        q[DOF_INDEX["lr"[side] + "hand.grip"]] = _clip(grip, 0.0, 1.0)
+    fingers = np.stack([hand.fingers for hand in hands])
+    if holds_it is not None:
+        fingers[holds_it.side, :5] = holds_it.grasp.curl
     must += [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
     head = _gaze(s, chosen, hands, side_sign, skeleton, rng)
     holds = hands[0].place == "wheel", hands[1].place == "wheel"
@@ -263,7 +273,10 @@ def draw_pose(
         who = _with_profile(who, initial, index, rng)
     if profile is not None:
         who, action = _with_profile(who, profile, index, rng), profile.kind if profile.followed else action
-    return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting), holds_it)
+    for chosen_profile in (initial, profile):
+        if chosen_profile is not None:
+            fingers[[_names_grip(chosen_profile, side) for side in (0, 1)]] = np.nan
+    return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting), fingers, holds_it)
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
@@ -291,10 +304,7 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
         missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - d.h_point))
         late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
         refused, held_up_by = (TASKS[late[0]], found.into) if len(late) else ("", "")
-        fingers = None if d.hold is None else d.hold.fingers
-        result.append(
-            OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold)
-        )  # fmt: skip
+        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, d.fingers, d.hold))
     return result
 
 
@@ -340,6 +350,10 @@ def _clip(value: float, low: float, high: float) -> float:
 
 def _draw(spread: Spread, rng: np.random.Generator) -> float:
     return math.radians(spread[0] + spread[1] * float(rng.standard_normal()))
+
+
+def _names_grip(profile: Profile, side: int) -> bool:
+    return bool(profile.followed) or "lr"[side] + "hand.grip" in profile.held
 
 
 def _names_arm(profile: Profile, side: int) -> bool:
@@ -473,7 +487,8 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
     if hand.place == "armrest" and hand.point is not None:
         inward = s.seat.design_h_point - hand.point
         beside = _BESIDE_DOOR_M * np.array([0.0, math.copysign(1.0, inward[1]), 0.0])
-        return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up)
+        lies = at.lying(s.person, hand.fingers)
+        return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up, lies)
     if hand.place == "ear":
         return at.at_ear(s.person, skeleton, side, gap=0.048)
     if hand.place == "mouth":
@@ -496,4 +511,5 @@ def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
         high = hand.point[2] > shoulder[2]
         return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
     along, inward = (_ARM_BEFORE if s.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
-    return at.on_thigh(skeleton, s.fit, femur, side, side, float(along), float(inward))
+    turn, lies = 0.45 + 0.15 * c, at.lying(s.person, hand.fingers)
+    return at.on_thigh(skeleton, s.fit, femur, side, side, float(along), float(inward), turn, lies)
