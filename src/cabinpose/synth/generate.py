@@ -19,13 +19,13 @@ from cabinpose.core.optional import optional_module
 from cabinpose.scene.labels import LABELS, THINGS, ticam_class
 from cabinpose.scene.materials import MATERIALS, OF_THINGS
 from cabinpose.store import Manifest, PartPlan, create_dataset
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import GAZE_VARIABLES
 from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.write import Content, FrameReport, make_frames
+from cabinpose.synth.write import RESTRAINTS, Content, FrameReport, make_frames
 
 
 @dataclass(frozen=True)
@@ -155,6 +155,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
             *images,
             *(("itop_joints_3d",) if standing else ()),
             *(("things",) if things else ()),
+            *(RESTRAINTS if isinstance(config.scene, CabinScene) and config.scene.tells_restraints else ()),
             *(GAZE_VARIABLES if config.output.gaze else ()),
         ),
     )
