@@ -30,6 +30,7 @@ _HIP_OFF_M = (0.085, 0.065)  # of a child, off back and cushion of a child seat
 _LUMBAR, _THORAX = np.radians((30.0, 8.0))  # flexion of the spine against standing
 _ABDUCTION = np.radians(7.0)  # of the thighs, at rest
 _CUSHION_FRONT_M = 0.375  # front edge of production cushions ahead of the H-point
+_EDGES_M = 0.37, 0.33  # where those of front and rear seats are round
 _IN_CAR = _CUSHION_FRONT_M, _ON_FOAM
 _MAX_SLIDE_M = 0.12
 _ROUNDS = 7
@@ -44,8 +45,8 @@ class SeatFit:
 
     q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above the
     horizontal while the thigh rests on the cushion, rad · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest ·
-    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee · over_m: how far ahead of the H-point the car's
-    cushion goes on below the shins of somebody in a child seat; -inf where thighs end at its edge.
+    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee · edge_m: x of the edge of the
+    car's cushion, over which shins hang of somebody in a child seat; -inf where thighs end at it.
     """
 
     q: Floats
@@ -54,7 +55,7 @@ class SeatFit:
     shoulders: Floats
     front: Floats32
     thigh_top: Floats
-    over_m: float = -np.inf
+    edge_m: float = -np.inf
 
 
 def fit_seat(person: Person, seat: Seat, torso_angle: float) -> SeatFit:
@@ -106,7 +107,7 @@ def fit_child_seat(person: Person, seat: Seat, torso_angle: float, sitting: Sitt
     moved = fit.seat_from_root.copy()
     moved[:3, 3] += hip
     skin = fit.front + hip.astype(np.float32)
-    return replace(fit, seat_from_root=moved, shoulders=fit.shoulders + hip, front=skin, over_m=_CUSHION_FRONT_M)
+    return replace(fit, seat_from_root=moved, shoulders=fit.shoulders + hip, front=skin, edge_m=_EDGES_M[seat.slot.startswith("rear")])
 
 
 def _posture(pitch: float, thigh: float) -> Floats:
