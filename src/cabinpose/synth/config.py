@@ -22,6 +22,7 @@ from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, BeltMisuse
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
+from cabinpose.scene.things.objects import SOFT
 from cabinpose.scene.things.thing import Attachment
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
@@ -31,7 +32,7 @@ from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.posture.actions import HOLDING
 from cabinpose.synth.profiles import IncrementalProfile, Profile
-from cabinpose.synth.things import Choice, check_child_seats, check_shares
+from cabinpose.synth.things import Choice, check_child_seats, check_shares, weights_of
 
 Vector = tuple[float, float, float]
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
@@ -171,8 +172,8 @@ class CabinScene(Model):
     objects: Mapping[str, Choice] = Field(
         {},
         exclude_if=operator.not_,
-        description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any, or how likely each is, on the seat or on"
-        " the lap of whoever sits there.",
+        description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any (of these), blanket, jacket, or how"
+        " likely each is, on the seat or on the lap of whoever sits there.",
     )
     in_hand: Probability = Field(
         0.0,
@@ -188,6 +189,12 @@ class CabinScene(Model):
     def tells_restraints(self) -> bool:
         """Whether frames say how people and child seats are held, and who is a child."""
         return bool(self.children or self.belt_misuse or self.attachments or any(o.belt for o in self.occupants.values()))
+
+    @property
+    def soft_things(self) -> frozenset[str]:
+        """Which of `SOFT` frames may show."""
+        named = {kind for choice in self.objects.values() for kind in weights_of(choice, ())}
+        return frozenset(SOFT) & (named | {thing.kind for thing in self.things})
 
     @property
     def brings_things(self) -> bool:

@@ -15,7 +15,7 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import BeltWear
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.scene.things.child_seats import IN_USE
-from cabinpose.scene.things.objects import HELD
+from cabinpose.scene.things.objects import HELD, SOFT
 from cabinpose.scene.things.thing import Attachment
 from cabinpose.synth.people import Model
 from cabinpose.synth.posture import ACTIONS
@@ -75,7 +75,7 @@ class ExactThing(Model):
 
     @model_validator(mode="after")
     def _known(self) -> ExactThing:
-        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS, *HELD, *IN_USE)):
+        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS, *HELD, *IN_USE, *SOFT)):
             raise unknown_name("thing", self.kind, known)
         if self.slot not in OCCUPANT_SLOTS:
             raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)

@@ -27,9 +27,11 @@ from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.things import PlacedThing
 from cabinpose.scene.things.child_seats import SITTING
-from cabinpose.scene.things.thing import sitting_in
+from cabinpose.scene.things.objects import SOFT
+from cabinpose.scene.things.thing import VARIANTS, sitting_in
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car, place_name
 from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, RoomScene, SynthConfig
+from cabinpose.synth.draping import draped
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.film import Film, make_film
 from cabinpose.synth.motion.sequences import DrawGoals
@@ -54,7 +56,10 @@ _FACE_M = 0.08  # nothing alive is nearer to a lens than this
 
 
 class _Cast(NamedTuple):
-    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given."""
+    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given.
+
+    soft: kind and design of what is draped over seats and laps, by slot.
+    """
 
     car: str
     cabin: Cabin
@@ -64,6 +69,7 @@ class _Cast(NamedTuple):
     settings: Mapping[str, SeatSetting]
     given: Mapping[str, OccupantPose]
     brought: Brought
+    soft: Mapping[str, tuple[str, int]]
 
     def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
@@ -246,14 +252,17 @@ class SceneSampler:
         }
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
-        return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, objects))
+        soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if kind in SOFT}
+        soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if thing.kind in SOFT}
+        hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
+        return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft)
 
     def _things(
         self, scene: CabinScene, cast: _Cast, settings: dict[str, SeatSetting], rng: np.random.Generator
     ) -> tuple[PlacedThing, ...] | Blocked:
         """What stands on the seats; may move empty ones, in place of their settings."""
         if scene.things:
-            return tuple(thing.placed for thing in scene.things)
+            return tuple(thing.placed for thing in scene.things if thing.kind not in SOFT)
         if not any(cast.brought) or cast.validator.contact is None:
             return ()
         found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng=rng)
@@ -277,6 +286,11 @@ class SceneSampler:
         dressed = tuple(self._dressed(p, scene, cast.cabin, cast.settings, on.get(p.slot), rng) for p in people)
         fastenings = tuple(fastening(t, cast.cabin, cast.settings[t.slot]) for t in things if t.attachment == "belt")
         backdrop = cast.cabin.surface(cast.settings, wheel_angle=wheel_angle)
+        for slot, (kind, variant) in cast.soft.items():
+            who = next((p for p in dressed if p.slot == slot), None)
+            below = ((), None) if who is None else (who.surfaces, who.posed)
+            cloth = draped(kind, variant, slot, cast.cabin, cast.settings[slot], below[1], below[0])
+            things = things if cloth is None else (*things, cloth)
         place = place_name(cast.car)
         return Scene(
             backdrop, dressed, camera, place, pov, cast.cabin, cast.settings, wheel_angle, things=things, fastenings=fastenings

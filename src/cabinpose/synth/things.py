@@ -18,7 +18,7 @@ from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PosedSolids
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.scene.things.child_seats import HOLDING_CHILDREN, SITTING
-from cabinpose.scene.things.objects import LAP_OBJECTS
+from cabinpose.scene.things.objects import LAP_OBJECTS, SOFT
 from cabinpose.scene.things.placing import NOTHING_PLACED, PRESSED_M, RESTING_M, Obstacle, in_the_way, let_down, stand_on_seat
 from cabinpose.scene.things.thing import VARIANTS, Thing
 from cabinpose.synth.people import Probability
@@ -78,7 +78,9 @@ def check_child_seats(child_seats: Mapping[str, Choice], occupied: Sequence[str]
                 hint=f"leave out one of the two, or give the child {' or '.join(HOLDING_CHILDREN)}",
             )
     for slot, choice in objects.items():
-        check_choice(f"objects.{slot}", choice, tuple(OBJECTS))
+        check_choice(f"objects.{slot}", choice, (*OBJECTS, *SOFT))
+        if slot == "driver" and set(SOFT) & set(weights_of(choice, ())):
+            raise ConfigError("nothing is draped over the driver", hint="give blanket and jacket to another seat")
 
 
 def check_size(name: str, stature_m: float, kind: str) -> None:
@@ -135,7 +137,8 @@ def draw_objects(
         if slot not in objects:
             continue
         kind = drawn(weights_of(objects[slot], LAP_OBJECTS if slot in taken else tuple(OBJECTS)), rng=rng)
-        if kind is not None and slot in cabin.seats and slot not in child_seats and (slot not in taken or kind in LAP_OBJECTS):
+        fits = slot not in taken or kind in (*LAP_OBJECTS, *SOFT)
+        if kind is not None and slot in cabin.seats and slot not in child_seats and fits:
             result[slot] = kind
     return result
 
@@ -282,7 +285,7 @@ def bring_along(
     refused: Rejection | None = None
     for number in range(_LAP_PLACES):
         thing = make_thing(kind, int(rng.integers(VARIANTS)))
-        lap, length = _lap(posed)
+        lap, length = lap_frame(posed)
         ahead = rng.uniform(0.42, 0.60) * length - float(thing.box[0, 0]) + _FARTHER_M * number
         turn = axis_rotation("z", math.radians(8.0) * rng.standard_normal())
         lies = stand_on_lap(thing, lap @ transform(turn, (ahead, rng.uniform(-0.03, 0.03), 0.0)), seated.bodies[-1].solids)
@@ -296,7 +299,7 @@ def bring_along(
     return refused, seated
 
 
-def _lap(posed: PosedBody) -> tuple[Matrix, float]:
+def lap_frame(posed: PosedBody) -> tuple[Matrix, float]:
     """vehicle_from_lap, between the femur heads, x to the knees and z off the thighs; and how far the knees are, m."""
     at = {name: posed.joints[INDEX[name]] for name in ("lpelvis", "rpelvis", "lknee", "rknee")}
     hips = 0.5 * (at["lpelvis"] + at["rpelvis"])

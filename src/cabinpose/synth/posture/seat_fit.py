@@ -106,8 +106,8 @@ def fit_child_seat(person: Person, seat: Seat, torso_angle: float, sitting: Sitt
     fit = _fit(person, rounded[0], rounded[1], rounded[2], rounded[3], rounded[4], _ON_PADDING)
     moved = fit.seat_from_root.copy()
     moved[:3, 3] += hip
-    skin = fit.front + hip.astype(np.float32)
-    return replace(fit, seat_from_root=moved, shoulders=fit.shoulders + hip, front=skin, edge_m=_EDGES_M[seat.slot.startswith("rear")])
+    skin, edge = fit.front + hip.astype(np.float32), _EDGES_M[seat.slot.startswith("rear")]
+    return replace(fit, seat_from_root=moved, shoulders=fit.shoulders + hip, front=skin, edge_m=edge)
 
 
 def _posture(pitch: float, thigh: float) -> Floats:
