@@ -118,7 +118,10 @@ def test_what_cannot_be_is_refused(scene: dict[str, object], message: str) -> No
 def test_a_named_child_takes_the_seat() -> None:
     people = {"subjects": ["S01"], "own": {"mia": {"years": 7, "stature_cm": 122, "gender": "female"}}}
     named = SynthConfig.parse(
-        {"scene": SUV | {"child_seats": {"rear_left": "booster"}, "occupants": {"rear_left": {"subject": "mia"}}}, "people": people}
+        {
+            "scene": SUV | {"child_seats": {"rear_left": "booster"}, "occupants": {"rear_left": {"subject": "mia"}}},
+            "people": people,
+        }
     )
     (child,) = SceneSampler(named, 0).sample(0, rng=frame_rng(0, 0)).people
     assert (child.subject, child.person.stature_m) == ("mia", pytest.approx(1.22))
@@ -145,7 +148,7 @@ def test_frames_say_who_is_held_by_what_and_are_kept() -> None:
 def test_cloth_lies_on_what_is_below_and_nothing_comes_through(taken: bool, kind: str) -> None:
     import trimesh
 
-    scene_of = {"objects": {"rear_left": {kind: 1.0}}, "child_seats": {}, "children": 0.0, "motion": {"rear_left": {"rest_lap": 1.0}}}
+    scene_of = {"objects": {"rear_left": {kind: 1.0}}, "child_seats": {}, "motion": {"rear_left": {"rest_lap": 1.0}}}
     occupants = {"rear_left" if taken else "driver": {"subject": "S02"}}
     scene = SceneSampler(config("booster", **scene_of, occupants=occupants), 0).sample(0, rng=frame_rng(0, 0))
     (cloth,) = scene.things

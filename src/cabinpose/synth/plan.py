@@ -61,7 +61,8 @@ def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotyp
     if child := CHILD_NAME.fullmatch(subject):
         rng = frame_rng(seed, _CHILD_STREAM + int(child[1]))
         years = np.interp(int(child[1]) + rng.random(), (0, CHILDREN), _CHILD_YEARS)
-        return Phenotype.random({"years": (years, years)}, rng=rng), Outfit.random(rng=rng)
+        body, outfit = Phenotype.random({"years": (years, years)}, rng=rng), Outfit.random(rng=rng)
+        return body, replace(outfit, beard=False, hair="short" if outfit.hair == "bald" else outfit.hair)
     crowd = config.people.random
     if crowd is None or not subject.startswith("R"):
         raise unknown_name("subject", subject, config.people.names)
