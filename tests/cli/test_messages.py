@@ -34,6 +34,11 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ("line", "error", "hint"),
     [
         ("synt --frames 1", "there is no command 'synt'", "did you mean synth? `cabinpose --help` lists them"),
+        (
+            "synth --frames 1 --out o scene.child_seats.rear_left=booster scene.occupants.rear_left.subject=S01",
+            "S01 is 1.75 m tall: a booster holds children of 1.00 to 1.25 m",
+            "leave the child seat out, or name a child",
+        ),
         ("frobnicate", "there is no command 'frobnicate'", "`cabinpose --help` lists them"),
         (
             "predict --data d --model in_car --out f.jsonl",

@@ -50,6 +50,8 @@ def test_frames_say_what_is_in_them(tmp_path: Path) -> None:
 def test_datasets_without_things_do_not_know_of_them() -> None:
     plain = build_manifest(config(child_seats={}, objects={}), 1, 0)
     assert not {label.id for label in THINGS} & {row.id for row in plain.labels}
+    assert not {"blanket", "jacket"} & {row.name for row in build_manifest(config(), 1, 0).labels}
+    assert not {"belt", "child"} & set(build_manifest(config(), 1, 0).variables)
     assert "things" not in plain.variables
     assert not {"child_seats", "objects", "things"} & set(plain.config["scene"])
     assert "ticam" not in plain.to_mapping()["labels"][0]

@@ -15,7 +15,7 @@ from cabinpose.scene import labels, materials
 from cabinpose.scene.cabin import Cabin
 from cabinpose.scene.contact import ContactField, PlacedField
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
-from cabinpose.scene.things.objects import LAP_OBJECTS
+from cabinpose.scene.things.objects import LAP_OBJECTS, SOFT
 from cabinpose.scene.things.pieces import turned_body
 from cabinpose.scene.things.placing import PRESSED_M, TOUCHING_M, cushion_frame, felt, in_the_way, stand_on_seat, stands_free
 from cabinpose.scene.things.thing import VARIANTS, Cloud
@@ -23,6 +23,7 @@ from cabinpose.scene.things.thing import VARIANTS, Cloud
 # Largest extents (m) that designs may have: UN R16 Annex 17's fixtures for child seats, common sense for the rest.
 LARGEST = {
     "infant": (0.75, 0.44, 0.66), "toddler": (0.60, 0.44, 0.72), "booster": (0.60, 0.44, 0.72),
+    "booster_cushion": (0.50, 0.46, 0.20),
     "box": (0.36, 0.40, 0.28), "bag": (0.20, 0.38, 0.42), "backpack": (0.32, 0.34, 0.52), "bottle": (0.08, 0.08, 0.26),
     "cup": (0.10, 0.10, 0.17), "book": (0.16, 0.24, 0.04), "laptop": (0.40, 0.38, 0.27), "phone": (0.08, 0.17, 0.01),
 }  # fmt: skip
@@ -144,8 +145,8 @@ def test_unknown_things_list_those_that_there_are() -> None:
 
 def test_every_thing_has_a_class_that_ticam_knows() -> None:
     kinds = {**CHILD_SEATS, **OBJECTS}.values()
-    assert {label.name for label in labels.THINGS} == {kind.label for kind in kinds}
+    assert {label.name for label in labels.THINGS} == {kind.label for kind in kinds} | set(SOFT)
     classes = {label.name: labels.ticam_class(label) for label in labels.LABELS}
     assert classes["hand_left"] == classes["hair"] == 1
     assert classes["seat"] == classes["seat_belt"] == 0
-    assert sorted(classes[kind.label] for kind in {**CHILD_SEATS, **OBJECTS}.values()) == [2, 4, 5, 6, 8, 9, 10, 13, 14, 14, 15]
+    assert sorted(classes[label.name] for label in labels.THINGS) == [2, 3, 4, 5, 6, 7, 8, 9, 10, 13, 14, 15]

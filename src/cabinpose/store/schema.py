@@ -102,6 +102,16 @@ VARIABLES: tuple[Variable, ...] = (
         coordinate=True, default=False,
     ),
     Variable(
+        "belt", ("frame", "person"), "str", "worn, behind_back, under_arm, harness, none; empty = nobody in this place",
+        coordinate=True, default=False,
+    ),
+    Variable("child", ("frame", "person"), "uint8", "1 = somebody of less than twelve years", coordinate=True, default=False),
+    Variable("child_seat", ("frame", "person"), "str", "empty, taken; nothing = there is none", coordinate=True, default=False),
+    Variable(
+        "attachment", ("frame", "person"), "str", "what holds the child seat: isofix, belt; nothing = it is not said",
+        coordinate=True, default=False,
+    ),
+    Variable(
         "gaze_target", ("frame", "person"), "str", "what the line of sight meets first; empty = nobody in this place",
         coordinate=True, default=False,
     ),

@@ -20,8 +20,10 @@ from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
-from cabinpose.scene.cabin import PRESETS
+from cabinpose.scene.cabin import PRESETS, BeltMisuse
 from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
+from cabinpose.scene.things.objects import SOFT
+from cabinpose.scene.things.thing import Attachment
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.occupant import ExactThing, Matrix4, Occupant
@@ -30,7 +32,7 @@ from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.posture.actions import HOLDING
 from cabinpose.synth.profiles import IncrementalProfile, Profile
-from cabinpose.synth.things import Choice, check_child_seats
+from cabinpose.synth.things import Choice, check_child_seats, check_shares, weights_of
 
 Vector = tuple[float, float, float]
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
@@ -164,13 +166,25 @@ class CabinScene(Model):
     child_seats: Mapping[str, Choice] = Field(
         {},
         exclude_if=operator.not_,
-        description="By seat: infant, toddler, booster, any, or how likely each is. Nobody sits where one stands.",
+        description="By seat: infant, toddler, booster, booster_cushion, any (of the first three), or how likely each is."
+        " Occupants who are named for the seat sit in it; the others are empty, but for `children`.",
+    )
+    children: Probability = Field(
+        0.0, exclude_if=operator.not_, description="Share of toddler seats and boosters in which a child of 3 to 11 years sits."
+    )
+    attachments: Mapping[Attachment, Probability] = Field(
+        {},
+        exclude_if=operator.not_,
+        description="How likely infant carriers and toddler seats are held by isofix and by belt; left out: neither is said.",
+    )
+    belt_misuse: Mapping[BeltMisuse, Probability] = Field(
+        {}, exclude_if=operator.not_, description="Share of those who wear the belt who do so behind_back and under_arm."
     )
     objects: Mapping[str, Choice] = Field(
         {},
         exclude_if=operator.not_,
-        description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any, or how likely each is, on the seat or on"
-        " the lap of whoever sits there.",
+        description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any (of these), blanket, jacket, or how"
+        " likely each is, on the seat or on the lap of whoever sits there.",
     )
     in_hand: Probability = Field(
         0.0,
@@ -181,6 +195,17 @@ class CabinScene(Model):
     things: tuple[ExactThing, ...] = Field(
         (), exclude_if=operator.not_, description="Child seats and objects to the last bit, in place of drawn ones."
     )
+
+    @property
+    def tells_restraints(self) -> bool:
+        """Whether frames say how people and child seats are held, and who is a child."""
+        return bool(self.children or self.belt_misuse or self.attachments or any(o.belt for o in self.occupants.values()))
+
+    @property
+    def soft_things(self) -> frozenset[str]:
+        """Which of `SOFT` frames may show."""
+        named = {kind for choice in self.objects.values() for kind in weights_of(choice, ())}
+        return frozenset(SOFT) & (named | {thing.kind for thing in self.things})
 
     @property
     def brings_things(self) -> bool:
@@ -241,6 +266,8 @@ class CabinScene(Model):
                 hint="leave out the occupant's subject, or give factorial.seat another seat",
             )
         check_child_seats(self.child_seats, self.always_taken, self.objects)
+        check_shares("attachments", self.attachments)
+        check_shares("belt_misuse", self.belt_misuse)
         if not any(self.occupancy.values()) and not self.always_taken:
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
         if self.sequence is not None and self._still:

@@ -55,17 +55,17 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             wheel_angle_rad=scene.wheel_angle if person.slot == "driver" else None,
             fingers=None if (fingers := person.posed.fingers) is None else _curls(fingers),
         )
-        belted = len(person.surfaces) > 1
-        occupants[person.slot] = Occupant(subject=person.subject, action=person.action, belted=belted, pose=pose)
+        worn = {"none": {"belted": False}, "worn": {"belted": True}, "harness": {}}.get(person.belt, {"belt": person.belt})
+        occupants[person.slot] = Occupant(subject=person.subject, action=person.action, pose=pose, **worn)
     things = tuple(
         ExactThing(
             kind=thing.thing.kind, variant=thing.thing.variant, slot=thing.slot, where=thing.at,
-            vehicle_from_thing=_rows(thing.vehicle_from_thing),
+            vehicle_from_thing=_rows(thing.vehicle_from_thing), attachment=thing.attachment,
         )
         for thing in scene.things
     )  # fmt: skip
-    named = config.scene.cars if isinstance(config.scene, CabinScene) else ()
-    car = next((car for car in named if place_name(car) == scene.place), scene.place)
+    drawn = config.scene if isinstance(config.scene, CabinScene) else CabinScene()
+    car = next((car for car in drawn.cars if place_name(car) == scene.place), scene.place)
     camera = {scene.pov: ExactCameraPose(vehicle_from_camera=_rows(scene.world_from_camera))}
     return SynthConfig(
         scene=CabinScene(
@@ -74,6 +74,9 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             occupants=occupants,
             occupancy={},
             things=things,
+            children=drawn.children,
+            belt_misuse=drawn.belt_misuse,
+            attachments=drawn.attachments,
         ),
         people=config.people,
         camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),

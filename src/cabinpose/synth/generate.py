@@ -18,14 +18,15 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.optional import optional_module
 from cabinpose.scene.labels import LABELS, THINGS, ticam_class
 from cabinpose.scene.materials import MATERIALS, OF_THINGS
+from cabinpose.scene.things.objects import SOFT
 from cabinpose.store import Manifest, PartPlan, create_dataset
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import GAZE_VARIABLES
 from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.write import Content, FrameReport, make_frames
+from cabinpose.synth.write import RESTRAINTS, Content, FrameReport, make_frames
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     camera = config.camera.sensor_model.camera
     standing = config.scene.kind == "room"
     things = brings_things(config)
+    absent = frozenset(SOFT) - (config.scene.soft_things if isinstance(config.scene, CabinScene) else frozenset())
     images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
     if config.images is not None:
         images += (*config.images.variables, "light", "renderer")
@@ -147,7 +149,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         height=camera.height,
         persons=person_slots(config),
         licence=config.output.licence,
-        labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS]
+        labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS if label.name not in absent]
         if things
         else [label._asdict() for label in LABELS if label not in THINGS],
         materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
@@ -156,6 +158,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
             *(("noise",) if config.output.noise else ()),
             *(("itop_joints_3d",) if standing else ()),
             *(("things",) if things else ()),
+            *(RESTRAINTS if isinstance(config.scene, CabinScene) and config.scene.tells_restraints else ()),
             *(GAZE_VARIABLES if config.output.gaze else ()),
         ),
     )

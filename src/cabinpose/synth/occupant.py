@@ -12,7 +12,11 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.frames import is_rigid
 from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.scene.cabin import BeltWear
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
+from cabinpose.scene.things.child_seats import IN_USE
+from cabinpose.scene.things.objects import HELD, SOFT
+from cabinpose.scene.things.thing import Attachment
 from cabinpose.synth.people import Model
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import Profile, check_within, dof_scale, limits_deg, standing
@@ -61,15 +65,17 @@ class ExactThing(Model):
     slot: str = Field(description="The seat on which it is, or of whose occupant it is.")
     where: Literal["seat", "lap", "hand"]
     vehicle_from_thing: Matrix4
+    attachment: Attachment | None = Field(None, exclude_if=lambda value: value is None)
 
     @property
     def placed(self) -> PlacedThing:
         """The thing where it is."""
-        return PlacedThing(make_thing(self.kind, self.variant), np.array(self.vehicle_from_thing), self.slot, self.where)
+        thing = make_thing(self.kind, self.variant)
+        return PlacedThing(thing, np.array(self.vehicle_from_thing), self.slot, self.where, self.attachment)
 
     @model_validator(mode="after")
     def _known(self) -> ExactThing:
-        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS)):
+        if self.kind not in (known := (*CHILD_SEATS, *OBJECTS, *HELD, *IN_USE, *SOFT)):
             raise unknown_name("thing", self.kind, known)
         if self.slot not in OCCUPANT_SLOTS:
             raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)
@@ -88,6 +94,9 @@ class Occupant(Model):
         " the rest of the body is solved around them.",
     )
     belted: bool | None = Field(None, description="Whether the seat belt is worn.")
+    belt: BeltWear | Literal["none"] | None = Field(
+        None, exclude_if=lambda value: value is None, description="How it is worn, in place of `belted`."
+    )
     pose: ExactPose | None = Field(None, description="A whole pose, in place of a solved one.")
 
     @field_validator("initial_pose_deg")
@@ -107,6 +116,8 @@ class Occupant(Model):
             raise ConfigError(
                 "a whole pose leaves nothing to a profile or an initial pose", hint="leave `pose` or the others out"
             )
+        if self.belted is not None and self.belt is not None:
+            raise ConfigError("belted and belt say the same of a person", hint="give one of the two")
         if self.action is not None and self.action not in ACTIONS and self.pose is None:
             raise unknown_name("action", self.action, list(ACTIONS))
         return self

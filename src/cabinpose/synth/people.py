@@ -15,6 +15,7 @@ from cabinpose.synth.streams import frame_rng
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 _RANDOM_PERSON = re.compile(r"R\d{4,}")
+CHILD_NAME = re.compile(r"K(0\d|1\d|2[0-3])")  # who sits in child seats
 
 
 class Model(BaseModel):
@@ -97,7 +98,7 @@ class People(Model):
                 hint = "people of your own take part without being named here" if name in self.own else None
                 raise ConfigError(str(unknown_name("subject", name, ())), hint=hint or f"known: {', '.join(SUBJECTS)}")
         for name in self.own:
-            if name in SUBJECTS or _RANDOM_PERSON.fullmatch(name) or not name:
+            if name in SUBJECTS or _RANDOM_PERSON.fullmatch(name) or CHILD_NAME.fullmatch(name) or not name:
                 raise ConfigError(f"'{name}' is the name of somebody else", hint="give a person of your own another name")
         if not self.names:
             raise ConfigError("nobody can take part", hint="name subjects, describe own people, or ask for random ones")
@@ -111,4 +112,4 @@ class People(Model):
     def knows(self, name: str) -> bool:
         """Whether there is somebody of this name, whom `subjects` need not list."""
         drawn = self.random is not None and _RANDOM_PERSON.fullmatch(name) and int(name[1:]) < self.random.count
-        return name in SUBJECTS or name in self.own or bool(drawn)
+        return name in SUBJECTS or name in self.own or bool(drawn or CHILD_NAME.fullmatch(name))

@@ -21,7 +21,7 @@ from cabinpose.scene.body.phenotype import YEARS_LIMITS, age_of, usual_stature_m
 from cabinpose.scene.cabin import CabinDimensions, random_dimensions
 from cabinpose.synth.cars import ChangedPreset, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
-from cabinpose.synth.people import OwnPerson
+from cabinpose.synth.people import CHILD_NAME, OwnPerson
 from cabinpose.synth.streams import frame_rng, own_rng
 
 DriveSide = Literal["left", "right"]
@@ -30,6 +30,8 @@ _PEOPLE_STREAM = 2**64 - 1
 _CAR_STREAM = 2**63 + 2**62
 _ROOM_STREAM = 2**63
 _ORDER_STREAM = 2**62
+_CHILD_STREAM = 2**61
+CHILDREN, _CHILD_YEARS = 24, (3.0, 11.5)  # for child seats, of evenly spread ages
 _ROUNDS = 2**32  # of a kind of thing, a stream each
 PEOPLE_IN_PLAY, CARS_IN_PLAY = 24, 8
 _FRAMES_A_PERSON, _FRAMES_A_CAR = 6, 50  # until one leaves
@@ -64,6 +66,11 @@ def _symmetric_body(config: SynthConfig, seed: int, subject: str) -> tuple[Pheno
             return _own_body(config.people.own[subject])
         except ConfigError as error:
             raise ConfigError(f"{subject}: {error}", hint=error.hint) from None
+    if child := CHILD_NAME.fullmatch(subject):
+        rng = frame_rng(seed, _CHILD_STREAM + int(child[1]))
+        years = np.interp(int(child[1]) + rng.random(), (0, CHILDREN), _CHILD_YEARS)
+        body, outfit = Phenotype.random({"years": (years, years)}, rng=rng), Outfit.random(rng=rng)
+        return body, replace(outfit, beard=False, hair="short" if outfit.hair == "bald" else outfit.hair)
     crowd = config.people.random
     if crowd is None or not subject.startswith("R"):
         raise unknown_name("subject", subject, config.people.names)
@@ -153,6 +160,12 @@ class Plan:
         """So many people of frame `index`: different ones and none of those `without`, as long as there are enough."""
         among = [name for name in self._people_in_play(index) if name not in without] or self._people_in_play(index)
         return [among[i] for i in rng.choice(len(among), size=count, replace=count > len(among))]
+
+    def children(self, stature_m: tuple[float, float]) -> list[str]:
+        """The children of a dataset whose stature is in a range, m."""
+        names = (f"K{number:02d}" for number in range(CHILDREN))
+        statures = {name: subject_body(self._config, self._seed, name)[0].stature_m or 0.0 for name in names}
+        return [name for name, stature in statures.items() if stature_m[0] <= stature <= stature_m[1]]
 
     def driver_first(self, index: int, names: list[str], *, without: Collection[str] = (), rng: np.random.Generator) -> list[str]:
         """The same people, the first of whom is old enough to drive; where nobody is, somebody in play takes the first place."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError
+from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, CabinDimensions, build_cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
@@ -16,6 +17,7 @@ from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.pictures.path_tracing import mitsuba
 from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, subject_body
 from cabinpose.synth.posture import actions_for
+from cabinpose.synth.things import check_size, weights_of
 
 LENS_M = 0.01  # free space a lens needs around it
 
@@ -38,6 +40,13 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         subject_body(config, 0, name)  # ConfigError where no body has the mass
     if isinstance(scene, RoomScene):
         return
+    for slot, occupant in scene.occupants.items():
+        who = occupant.subject
+        if who is not None and slot in scene.child_seats and (who in SUBJECTS or who in config.people.own):
+            stature = subject_body(config, 0, who)[0].stature_m
+            assert stature is not None
+            for kind in weights_of(scene.child_seats[slot], ()):
+                check_size(who, stature, kind)
     if scene.factorial is not None and scene.factorial.seat == "driver":
         _check_drivers(config)
     unusual = not _every_car_has(config, scene)

@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,16 @@ from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
 from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting, belt_surface
+from cabinpose.scene.cabin import PRESETS, BeltWear, Cabin, CabinDimensions, SeatSetting, belt_surface, harness_surface
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.things import PlacedThing
+from cabinpose.scene.things.child_seats import SITTING
+from cabinpose.scene.things.objects import SOFT
+from cabinpose.scene.things.thing import VARIANTS, sitting_in
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car, place_name
 from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, RoomScene, SynthConfig
+from cabinpose.synth.draping import draped
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.film import Film, make_film
 from cabinpose.synth.motion.sequences import DrawGoals
@@ -35,16 +39,17 @@ from cabinpose.synth.occupant import ExactPose, Occupant
 from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, room_rng, subject_body
 from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action
-from cabinpose.synth.posture.actions import HOLDING, TELEPHONING
+from cabinpose.synth.posture.actions import HOLDING, IN_CHILD_SEAT, TELEPHONING
 from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M, open_cabin
 from cabinpose.synth.profiles import MocapProfile
+from cabinpose.synth.restraints import belt_guide, fastening, restrained, straps
 from cabinpose.synth.scene import ImpossibleSceneError, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.streams import sequence_rng, weighted
-from cabinpose.synth.things import Blocked, Brought, SeatThings, bring_along, draw_child_seats, draw_objects
+from cabinpose.synth.things import Blocked, Brought, SeatThings, bring_along, check_size, draw_child_seats, draw_objects, drawn
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
@@ -54,7 +59,10 @@ _FACE_M = 0.08  # nothing alive is nearer to a lens than this
 
 
 class _Cast(NamedTuple):
-    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given."""
+    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given.
+
+    soft: kind and design of what is draped over seats and laps, by slot.
+    """
 
     car: str
     cabin: Cabin
@@ -64,6 +72,7 @@ class _Cast(NamedTuple):
     settings: Mapping[str, SeatSetting]
     given: Mapping[str, OccupantPose]
     brought: Brought
+    soft: Mapping[str, tuple[str, int]]
 
     def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
@@ -134,7 +143,7 @@ class SceneSampler:
         tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
 
         def draw(slot: str) -> Drawn:
-            return self._draw(scene, index, cast.people, cabin, slot, settings[slot], rng)
+            return self._draw(scene, index, cast.people, cabin, slot, settings[slot], rng, on=child_seats.get(slot))
 
         def bring(slot: str, pose: OccupantPose, posed: PosedBody, seated: Seated) -> tuple[Rejection | None, Seated]:
             return bring_along(cast.brought.objects.get(slot), slot, pose, posed, cast.validator, seated, rng=rng)
@@ -143,6 +152,7 @@ class SceneSampler:
         if isinstance(things, Blocked):
             causes[things.rejection] += 1
             return None, 1
+        child_seats = {thing.slot: thing for thing in things if thing.thing.kind in SITTING}
         limit = self._config.limits.poses_per_person
         posed, draws = pose_people(
             cast.people, cabin, cast.validator, settings, draw, poses_per_person=limit, causes=causes, given=cast.given,
@@ -157,8 +167,7 @@ class SceneSampler:
         if view is None:
             causes[Rejection("camera")] += len(people_in)
             return None, draws
-        shown = self._assembled(scene, cast, people_in, seated.wheel_angle, *view, rng)
-        return replace(shown, things=seated.things), draws
+        return self._assembled(scene, cast, people_in, seated.wheel_angle, *view, rng, seated.things), draws
 
     def _free_camera(
         self, cabin: Cabin, index: int, people: Callable[[], Iterable[ScenePerson]], seated: Seated, rng: np.random.Generator
@@ -262,7 +271,7 @@ class SceneSampler:
         pov, camera = self._cabin_camera(cast.cabin, index, rng)
         if _blocked(camera[:3, 3], people_in, seated):
             verdicts.append(Verdict(Rejection("camera"), where=camera[:3, 3]))
-        shown = replace(self._assembled(scene, cast, people_in, wheel, pov, camera, rng), things=seated.things)
+        shown = self._assembled(scene, cast, people_in, wheel, pov, camera, rng, seated.things)
         return shown, tuple(verdict for verdict in verdicts if not verdict.ok)
 
     def _cast(self, scene: CabinScene, index: int, rng: np.random.Generator) -> _Cast:
@@ -270,31 +279,37 @@ class SceneSampler:
         car, drive_side = self._plan.car(index, rng=rng)
         cabin, validator = self._cabin(self._changed.get(car, car), drive_side)
         child_seats = draw_child_seats(scene.child_seats, cabin, rng=rng) if scene.child_seats and not scene.things else {}
-        names = self._who(scene, cabin, index, child_seats, rng)
+        children = self._children(scene, child_seats, rng)
+        names = self._who(scene, cabin, index, child_seats, children, rng)
         people = {slot: self._person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
         settings = {
             slot: _exact_setting(exact[slot])
             if slot in exact
             else choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
-            if slot in people
+            if slot in people and slot not in child_seats
             else seat.default
             for slot, seat in cabin.seats.items()
         }
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
-        return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, objects))
+        soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if kind in SOFT}
+        soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if thing.kind in SOFT}
+        hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
+        return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft)
 
     def _things(
         self, scene: CabinScene, cast: _Cast, settings: dict[str, SeatSetting], rng: np.random.Generator
     ) -> tuple[PlacedThing, ...] | Blocked:
         """What stands on the seats; may move empty ones, in place of their settings."""
         if scene.things:
-            return tuple(thing.placed for thing in scene.things)
+            return tuple(thing.placed for thing in scene.things if thing.kind not in SOFT)
         if not any(cast.brought) or cast.validator.contact is None:
             return ()
         found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng=rng)
-        return found if isinstance(found, Blocked) else tuple(found)
+        if isinstance(found, Blocked):
+            return found
+        return tuple(restrained(thing, scene.attachments, taken=thing.slot in cast.people, rng=rng) for thing in found)
 
     def _assembled(
         self,
@@ -305,18 +320,50 @@ class SceneSampler:
         pov: str,
         camera: Matrix,
         rng: np.random.Generator,
+        things: tuple[PlacedThing, ...] = (),
     ) -> Scene:
-        """The scene of posed people, who are dressed here."""
-        dressed = tuple(self._dressed(p, scene, cast.cabin, cast.settings, rng) for p in people)
+        """The scene of posed people, who are dressed and belted here, with child seats belted to the car."""
+        on = {thing.slot: thing for thing in things if thing.thing.kind in SITTING}
+        dressed = tuple(self._dressed(p, scene, cast.cabin, cast.settings, on.get(p.slot), rng) for p in people)
+        fastenings = tuple(fastening(t, cast.cabin, cast.settings[t.slot]) for t in things if t.attachment == "belt")
         backdrop = cast.cabin.surface(cast.settings, wheel_angle=wheel_angle)
-        return Scene(backdrop, dressed, camera, place_name(cast.car), pov, cast.cabin, cast.settings, wheel_angle)
+        for slot, (kind, variant) in cast.soft.items():
+            who = next((p for p in dressed if p.slot == slot), None)
+            below = ((), None) if who is None else (who.surfaces, who.posed)
+            cloth = draped(kind, variant, slot, cast.cabin, cast.settings[slot], below[1], below[0])
+            things = things if cloth is None else (*things, cloth)
+        place = place_name(cast.car)
+        return Scene(
+            backdrop, dressed, camera, place, pov, cast.cabin, cast.settings, wheel_angle, things=things, fastenings=fastenings
+        )  # fmt: skip
+
+    def _children(self, scene: CabinScene, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
+        """Who sits in which child seat. Raises ConfigError for somebody who is too tall or too small for it."""
+        result: dict[str, str] = {}
+        for slot, kind in child_seats.items():
+            occupant = scene.occupants.get(slot)
+            if kind not in SITTING or (occupant is None and not (scene.children and rng.random() < scene.children)):
+                continue
+            if occupant is not None and occupant.subject is not None:
+                result[slot] = occupant.subject
+                check_size(occupant.subject, self._person(occupant.subject).stature_m, kind)
+            else:
+                able = [name for name in self._plan.children(SITTING[kind](0).stature_m) if name not in result.values()]
+                result[slot] = able[int(rng.integers(len(able)))]
+        return result
 
     def _who(
-        self, scene: CabinScene, cabin: Cabin, index: int, without: Collection[str], rng: np.random.Generator
+        self,
+        scene: CabinScene,
+        cabin: Cabin,
+        index: int,
+        without: Collection[str],
+        children: Mapping[str, str],
+        rng: np.random.Generator,
     ) -> dict[str, str]:
-        """The people of frame `index` by the seats they take, none of those `without`: those that are named, others drawn."""
-        taken = _occupied(scene, cabin, without, rng)
-        named = {slot: o.subject for slot, o in scene.occupants.items() if o.subject is not None}
+        """The people of frame `index` by the seats they take, none of those `without`: named ones and children, others drawn."""
+        taken = _occupied(scene, cabin, without, children, rng)
+        named = {slot: o.subject for slot, o in scene.occupants.items() if o.subject is not None} | dict(children)
         cell = self._plan.cell(index)
         if cell is not None and scene.factorial is not None:
             named[scene.factorial.seat] = cell.subject
@@ -340,12 +387,17 @@ class SceneSampler:
         action: str | None = None,
         wheel_angle: float | None = None,
         carried: Hold | None = None,
+        on: PlacedThing | None = None,
     ) -> Drawn:
-        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried: what a hand holds all the time."""
+        """Somebody's goals.
+
+        action, wheel_angle: given, in place of what is drawn · carried: what a hand holds all the time · on: the child seat in
+        which a child sits.
+        """
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
-        weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot)
+        weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot, on and IN_CHILD_SEAT)
         left_out = frozenset[str]() if neighbours is None else neighbours.left_out
         if action is None:
             action = weighted(weights, rng=rng) if weights else random_action(
@@ -355,7 +407,7 @@ class SceneSampler:
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
             offset=offset, neighbours=neighbours, wheel_angle=wheel_angle,
-            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, rng=rng,
+            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, on=on, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
@@ -374,16 +426,33 @@ class SceneSampler:
         return name, place_camera(view.eye, view.target, **jitter, rng=rng)
 
     def _dressed(
-        self, person: ScenePerson, scene: CabinScene, cabin: Cabin, settings: Mapping[str, SeatSetting], rng: np.random.Generator
+        self,
+        person: ScenePerson,
+        scene: CabinScene,
+        cabin: Cabin,
+        settings: Mapping[str, SeatSetting],
+        on: PlacedThing | None,
+        rng: np.random.Generator,
     ) -> ScenePerson:
-        """The person with clothes on, and with the belt over them for the configured share of people."""
-        seat = cabin.seats[person.slot]
+        """The person with clothes on, and with the belt over them for the configured share of people; on: their child seat."""
+        seat, given = cabin.seats[person.slot], scene.occupants.get(person.slot, _ANYBODY)
         clothed = person.posed.surface(1 + self._slots.index(person.slot))
-        belted, given = rng.random() < scene.belted, scene.occupants.get(person.slot, _ANYBODY).belted
-        if seat.belt is None or not (belted if given is None else given):
+        how: BeltWear | Literal["none"] = "worn" if rng.random() < scene.belted else "none"
+        misused = drawn(scene.belt_misuse, rng=rng) if scene.belt_misuse else None
+        if given.belt is not None:
+            how = given.belt
+        elif given.belted is not None:
+            how = "worn" if given.belted else "none"
+        elif how == "worn" and misused is not None:
+            how = misused
+        body = clothed.vertices, clothed.faces, person.posed.joints
+        if on is not None and sitting_in(on.thing).harness:
+            return replace(person, surfaces=(clothed, harness_surface(*body, *straps(on, person.posed))), belt="harness")
+        if seat.belt is None or how == "none":
             return replace(person, surfaces=(clothed,))
-        belt = belt_surface(clothed.vertices, clothed.faces, person.posed.joints, seat, settings[person.slot], cabin)
-        return replace(person, surfaces=(clothed, belt))
+        guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
+        belt = belt_surface(*body, seat, settings[person.slot], cabin, worn=how, guide=guide)
+        return replace(person, surfaces=(clothed, belt), belt=how)
 
     def _standing(
         self, scene: RoomScene, index: int, causes: Counter[Rejection], tried: list[str], rng: np.random.Generator
@@ -445,10 +514,12 @@ def _in_hand(scene: CabinScene, action: str, rng: np.random.Generator) -> bool:
     return action in HOLDING or (scene.in_hand > 0.0 and action in TELEPHONING and rng.random() < scene.in_hand)
 
 
-def _occupied(scene: CabinScene, cabin: Cabin, without: Collection[str], rng: np.random.Generator) -> list[str]:
-    """The seats taken, in the standard's order: each by its own probability, at least one; none of those `without`."""
+def _occupied(
+    scene: CabinScene, cabin: Cabin, without: Collection[str], sure: Collection[str], rng: np.random.Generator
+) -> list[str]:
+    """The seats taken, in the standard's order: each by its own probability, at least one; those `sure`, none of `without`."""
     chances = {
-        slot: 1.0 if slot in scene.always_taken else 0.0 if slot in without else scene.occupancy.get(slot, 0.0)
+        slot: 1.0 if slot in scene.always_taken or slot in sure else 0.0 if slot in without else scene.occupancy.get(slot, 0.0)
         for slot in cabin.seats
     }
     draws = rng.random(len(OCCUPANT_SLOTS))

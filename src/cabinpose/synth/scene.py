@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from cabinpose.core.frames import Matrix
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
 from cabinpose.scene.body import SEGMENTS, Person, PosedBody
-from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.body.phenotype import CHILD_YEARS
+from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
@@ -23,7 +24,10 @@ from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
 
 @dataclass(frozen=True)
 class ScenePerson:
-    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included)."""
+    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included).
+
+    belt: how it is worn, "harness" in a child seat that has one.
+    """
 
     slot: str
     subject: str
@@ -31,6 +35,12 @@ class ScenePerson:
     person: Person
     posed: PosedBody
     surfaces: tuple[Surface, ...] = ()
+    belt: BeltWear | Literal["none", "harness"] = "none"
+
+    @property
+    def child(self) -> bool:
+        """Whether it is one, of less than twelve years."""
+        return self.person.phenotype.years < CHILD_YEARS
 
     def itop_joints(self) -> Floats:
         """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
@@ -55,7 +65,8 @@ class Scene:
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
     sequence, sync_ns: the sequence that it belongs to, and the time since its start; 0 where it is a scene of its own ·
     cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
-    proposals, rejections: how many poses were tried for it and why they failed · things: child seats and objects.
+    proposals, rejections: how many poses were tried for it and why they failed · things: child seats and objects ·
+    fastenings: the belts that hold child seats.
     """
 
     backdrop: Surface
@@ -69,6 +80,7 @@ class Scene:
     proposals: int = 0
     rejections: Mapping[Rejection, int] = field(default_factory=dict)
     things: tuple[PlacedThing, ...] = ()
+    fastenings: tuple[Surface, ...] = ()
     sequence: int = 0
     sync_ns: int = 0
 
@@ -80,7 +92,8 @@ class Scene:
     def surface(self) -> Surface:
         """Everything that can be seen, in the scene's frame."""
         things = [thing.surface(self._instance(thing)) for thing in self.things]
-        return merge([self.backdrop, *(surface for person in self.people for surface in person.surfaces), *things])
+        people = (surface for person in self.people for surface in person.surfaces)
+        return merge([self.backdrop, *people, *things, *self.fastenings])
 
     @staticmethod
     def _instance(thing: PlacedThing) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
-from cabinpose.scene.things.objects import LAP_OBJECTS
+from cabinpose.scene.things.child_seats import HOLDING_CHILDREN, SITTING
+from cabinpose.scene.things.objects import LAP_OBJECTS, SOFT
 from cabinpose.scene.things.placing import (
     NOTHING_PLACED,
     PRESSED_M,
@@ -34,7 +35,9 @@ from cabinpose.synth.people import Probability
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by
 
+Name = TypeVar("Name", bound=str)
 Choice = str | Mapping[str, Probability]  # a kind, "any", or how likely each is
+ANY_CHILD_SEAT = ("infant", "toddler", "booster")  # what `any` stands for
 _PLACES = 6  # tried for an object before the scene is drawn anew
 _LYING = ("bottle", "cup")  # on a seat
 _LEANING = ("bag", "backpack")  # on the backrest
@@ -57,6 +60,11 @@ def check_choice(where: str, choice: Choice, known: Sequence[str]) -> None:
     for kind in weights:
         if kind not in known:
             raise unknown_name("child seat" if tuple(known) == tuple(CHILD_SEATS) else "object", kind, ["any", *known])
+    check_shares(where, weights)
+
+
+def check_shares(where: str, weights: Mapping[Name, float]) -> None:
+    """Raises ConfigError for probabilities that are more than one together."""
     if sum(weights.values()) > 1.0 + 1e-9:
         raise ConfigError(
             f"{where}: the probabilities are {sum(weights.values()):g} together",
@@ -73,12 +81,29 @@ def check_child_seats(child_seats: Mapping[str, Choice], occupied: Sequence[str]
         check_choice(f"child_seats.{slot}", choice, tuple(CHILD_SEATS))
         if slot == "driver":
             raise ConfigError("no child seat stands in the driver's seat", hint="give it to another seat")
-        if slot in occupied:
+        empty = [kind for kind, weight in weights_of(choice, ANY_CHILD_SEAT).items() if weight > 0.0 and kind not in SITTING]
+        if slot in occupied and empty:
             raise ConfigError(
-                f"the {slot} seat has an occupant and a child seat", hint="leave out one of the two; child seats are empty"
+                f"the {slot} seat has an occupant and a child seat in which nobody sits: {', '.join(empty)}",
+                hint=f"leave out one of the two, or give the child {' or '.join(HOLDING_CHILDREN)}",
             )
     for slot, choice in objects.items():
-        check_choice(f"objects.{slot}", choice, tuple(OBJECTS))
+        check_choice(f"objects.{slot}", choice, (*OBJECTS, *SOFT))
+        if slot == "driver" and set(SOFT) & set(weights_of(choice, ())):
+            raise ConfigError("nothing is draped over the driver", hint="give blanket and jacket to another seat")
+
+
+def check_size(name: str, stature_m: float, kind: str) -> None:
+    """Raises ConfigError for somebody whom a kind of child seat cannot hold."""
+    low, high = SITTING[kind](0).stature_m
+    if low <= stature_m <= high:
+        return
+    ranges = {other: SITTING[other](0).stature_m for other in HOLDING_CHILDREN}
+    others = [other for other, (least, most) in ranges.items() if least <= stature_m <= most]
+    raise ConfigError(
+        f"{name} is {stature_m:.2f} m tall: a {kind} holds children of {low:.2f} to {high:.2f} m",
+        hint=f"seat {name} in a {others[0]}" if others else "leave the child seat out, or name a child",
+    )
 
 
 class Brought(NamedTuple):
@@ -91,7 +116,8 @@ class Brought(NamedTuple):
 NOTHING = Brought({}, {})
 
 
-def _drawn(weights: Mapping[str, float], rng: np.random.Generator) -> str | None:
+def drawn(weights: Mapping[Name, float], *, rng: np.random.Generator) -> Name | None:
+    """One of the names, by how likely each is; None: none of them."""
     left = rng.random()
     for kind, weight in weights.items():
         left -= weight
@@ -102,10 +128,9 @@ def _drawn(weights: Mapping[str, float], rng: np.random.Generator) -> str | None
 
 def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, *, rng: np.random.Generator) -> dict[str, str]:
     """The kinds of child seats of one frame, by seat."""
-    drawn = {
-        slot: _drawn(weights_of(child_seats[slot], tuple(CHILD_SEATS)), rng) for slot in OCCUPANT_SLOTS if slot in child_seats
-    }
-    return {slot: kind for slot, kind in drawn.items() if kind is not None and slot in cabin.seats}
+    asked = {slot: weights_of(child_seats[slot], ANY_CHILD_SEAT) for slot in OCCUPANT_SLOTS if slot in child_seats}
+    kinds = {slot: drawn(weights, rng=rng) for slot, weights in asked.items()}
+    return {slot: kind for slot, kind in kinds.items() if kind is not None and slot in cabin.seats}
 
 
 def draw_objects(
@@ -121,8 +146,9 @@ def draw_objects(
     for slot in OCCUPANT_SLOTS:
         if slot not in objects:
             continue
-        kind = _drawn(weights_of(objects[slot], LAP_OBJECTS if slot in taken else tuple(OBJECTS)), rng)
-        if kind is not None and slot in cabin.seats and slot not in child_seats and (slot not in taken or kind in LAP_OBJECTS):
+        kind = drawn(weights_of(objects[slot], LAP_OBJECTS if slot in taken else tuple(OBJECTS)), rng=rng)
+        fits = slot not in taken or kind in (*LAP_OBJECTS, *SOFT)
+        if kind is not None and slot in cabin.seats and slot not in child_seats and fits:
             result[slot] = kind
     return result
 
@@ -272,7 +298,7 @@ def bring_along(
     refused: Rejection | None = None
     for number in range(_LAP_PLACES):
         thing = make_thing(kind, int(rng.integers(VARIANTS)))
-        lap, length = _lap(posed)
+        lap, length = lap_frame(posed)
         ahead = rng.uniform(0.42, 0.60) * length - float(thing.box[0, 0]) + _FARTHER_M * number
         turn = axis_rotation("z", math.radians(8.0) * rng.standard_normal())
         lies = stand_on_lap(thing, lap @ transform(turn, (ahead, rng.uniform(-0.03, 0.03), 0.0)), seated.bodies[-1].solids)
@@ -286,7 +312,7 @@ def bring_along(
     return refused, seated
 
 
-def _lap(posed: PosedBody) -> tuple[Matrix, float]:
+def lap_frame(posed: PosedBody) -> tuple[Matrix, float]:
     """vehicle_from_lap, between the femur heads, x to the knees and z off the thighs; and how far the knees are, m."""
     at = {name: posed.joints[INDEX[name]] for name in ("lpelvis", "rpelvis", "lknee", "rknee")}
     hips = 0.5 * (at["lpelvis"] + at["rpelvis"])

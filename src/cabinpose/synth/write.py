@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, median_of_valid, sample_times, simulate
+from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS
 from cabinpose.store import Manifest, PartPlan, PartWriter
 from cabinpose.store.part import EncodedFrame, encode_frame
 from cabinpose.synth.config import CabinScene, SynthConfig
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 Frame = dict[str, Any]
 Content = Literal["cars", "people", "seats", "views"]
+RESTRAINTS = ("belt", "child", "child_seat", "attachment")
 _AHEAD = 3  # frames that a thread may be ahead of what is written
 # Interval (s) after which the interpreter lets another thread run. Kernels release the lock; at Python's default of 5 ms a thread
 # that returns from one would wait for half of a frame's 10 ms of work.
@@ -68,6 +70,7 @@ class FrameMaker:
 
             self._pictures = PictureMaker(config.images, self._sensor, seed)
         self._slots = person_slots(config)
+        self._tells_restraints = isinstance(config.scene, CabinScene) and config.scene.tells_restraints
         self._instances = np.arange(1, len(self._slots) + 1, dtype=np.uint8)
 
     @contextmanager
@@ -147,6 +150,7 @@ class FrameMaker:
             "pov": scene.pov,
             **({"things": self._things(scene)} if brings_things(self._config) else {}),
             **({"noise": _micrometres(seen.noise_m)} if self._config.output.noise else {}),
+            **(self._restraints(scene) if self._tells_restraints else {}),
             **(gaze_labels(scene, self._slots) if self._config.output.gaze else {}),
         }
 
@@ -157,7 +161,20 @@ class FrameMaker:
 
     def _things(self, scene: Scene) -> list[str]:
         """What is in each place, kinds divided by commas."""
-        return [",".join(sorted(thing.thing.kind for thing in scene.things if thing.slot == slot)) for slot in self._slots]
+        kinds = [(thing.slot, thing.thing.kind.removesuffix("_in_use")) for thing in scene.things]
+        return [",".join(sorted(kind for at, kind in kinds if at == slot)) for slot in self._slots]
+
+    def _restraints(self, scene: Scene) -> Frame:
+        """What holds people and child seats, and who is a child: `RESTRAINTS`."""
+        seats = {thing.slot: thing for thing in scene.things if thing.at == "seat" and thing.thing.label in CHILD_SEAT_LABELS}
+        people = {person.slot: person for person in scene.people}
+        states = {slot: "taken" if slot in people else "empty" for slot in seats}
+        return {
+            "belt": self._per_slot(scene, "belt"),
+            "child": np.array([slot in people and people[slot].child for slot in self._slots], np.uint8),
+            "child_seat": [states.get(slot, "") for slot in self._slots],
+            "attachment": [(seats[slot].attachment or "") if slot in seats else "" for slot in self._slots],
+        }
 
     def _per_slot(self, scene: Scene, attribute: str) -> list[str]:
         names = {person.slot: getattr(person, attribute) for person in scene.people}

@@ -18,21 +18,22 @@ DEFAULT_RANGES = MappingProxyType(
         "proportions": (0.0, 0.6),
     }
 )  # fmt: skip
-# Mean and standard deviation of adults' stature (m), men and women, and what is left of it at ten and at eighty years:
-# Fryar et al. 2021 (NHANES 2015-2018), Vital and Health Statistics 3-46.
+# Mean and standard deviation of adults' stature (m), men and women, and what is left of it at three, ten and eighty years:
+# Fryar et al. 2021 (NHANES 2015-2018), Vital and Health Statistics 3-46; Kuczmarski et al. 2002 (CDC growth charts), 11-246.
 _STATURE_M = ((1.754, 0.075), (1.615, 0.071))
-_OF_ADULT = (0.80, 1.0, 0.97)
-_AGES, _YEARS = (0.0, 0.5, 1.0), (10.0, 25.0, 80.0)  # what the body data's `age` stands for
+_OF_ADULT = (0.56, 0.80, 1.0, 0.97)
+_AGES, _YEARS = (-0.7, 0.0, 0.5, 1.0), (3.0, 10.0, 25.0, 80.0)  # what `age` stands for
 YEARS_LIMITS = (_YEARS[0], _YEARS[-1])
+CHILD_YEARS = 12.0  # who is younger is a child
 
 
 def age_of(years: float) -> float:
-    """The body data's `age` of somebody of 10 to 80 years."""
+    """The body data's `age` of somebody of 3 to 80 years; below 0 under ten."""
     return float(np.interp(years, _YEARS, _AGES))
 
 
 def usual_stature_m(gender: float, age: float) -> tuple[float, float]:
-    """Mean and standard deviation (m) of the stature of people of this gender and age (both from 0 to 1)."""
+    """Mean and standard deviation (m) of the stature of people of this gender and age (as `Phenotype` has them)."""
     (male, male_sd), (female, female_sd) = _STATURE_M
     of_adult = float(np.interp(age, _AGES, _OF_ADULT))
     return (male + gender * (female - male)) * of_adult, (male_sd + gender * (female_sd - male_sd)) * of_adult
@@ -42,7 +43,7 @@ def usual_stature_m(gender: float, age: float) -> tuple[float, float]:
 class Phenotype:
     """Shape parameters, each from 0 to 1 (Anny's, after MakeHuman's macro details), and a stature.
 
-    gender: 0 male, 1 female · age: 0 child of about ten, 0.5 young adult, 1 old · muscle and weight: 0.5 average ·
+    gender: 0 male, 1 female · age: -0.7 child of three, 0 child of ten, 0.5 young adult, 1 old · muscle and weight: 0.5 average ·
     height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon · stature_m: the body is scaled
     evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the woman) · asymmetry: number of the
     pattern by which the sides differ, 0 where they do not. Raises ConfigError outside.
@@ -60,8 +61,9 @@ class Phenotype:
     def __post_init__(self) -> None:
         for name in DEFAULT_RANGES:
             value = getattr(self, name)
-            if not 0.0 <= value <= 1.0:
-                raise ConfigError(f"phenotype {name} is {value}", hint="each phenotype parameter lies between 0 and 1")
+            least = _AGES[0] if name == "age" else 0.0
+            if not least <= value <= 1.0:
+                raise ConfigError(f"phenotype {name} is {value}", hint=f"it lies between {least:g} and 1")
         low, high = STATURE_LIMITS_M
         if self.stature_m is not None and not low <= self.stature_m <= high:
             raise ConfigError(f"a stature of {self.stature_m} m", hint=f"statures from {low} to {high} m")
@@ -75,7 +77,7 @@ class Phenotype:
     def random(cls, ranges: Mapping[str, tuple[float, float]] | None = None, *, rng: np.random.Generator) -> Phenotype:
         """Parameters drawn evenly from `ranges` (name -> (least, greatest)), from `DEFAULT_RANGES` where none is given.
 
-        `years` (10 to 80) may stand for `age`, `stature_cm` for `stature_m`.
+        `years` (3 to 80) may stand for `age`, `stature_cm` for `stature_m`.
 
         The stature is normally distributed around the mean of the gender and age within 2.5 standard deviations, unless
         `ranges` has `stature_m`. Eight numbers are drawn whatever the ranges. Raises ConfigError for unknown names, for
@@ -88,7 +90,10 @@ class Phenotype:
             if name not in names:
                 raise unknown_name("phenotype parameter", name, ("years", "stature_cm", *names))
             metres = STATURE_LIMITS_M
-            limits = {"stature_m": metres, "stature_cm": (100.0 * metres[0], 100.0 * metres[1]), "years": YEARS_LIMITS}
+            limits = {
+                "stature_m": metres, "stature_cm": (100.0 * metres[0], 100.0 * metres[1]), "years": YEARS_LIMITS,
+                "age": (_AGES[0], 1.0),
+            }  # fmt: skip
             least, greatest = limits.get(given, (0.0, 1.0))
             if not least <= low <= high <= greatest:
                 raise ConfigError(

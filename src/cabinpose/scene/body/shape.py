@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from cabinpose.core.errors import AssetError
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONES
 
-ASSET = "body.npz"
+ASSET, YOUNGER = "body.npz", "younger.npz"
+_BABY_AGE = -0.9  # that `YOUNGER` leads to, of a year
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class ShapeSpace:
 
     Anny's shape is multilinear in the phenotypes between the corners of a grid (2 genders, 3 ages, 3 muscles, 3 weights,
     2 heights, 2 proportions); `coefficients` (216, rank) are those of the corners. faces: (F, 3) · bone_index,
-    bone_weight: (V, 8), strongest first · mirror: (V,) each vertex's image on the other side.
+    bone_weight: (V, 8), strongest first · mirror: (V,) each vertex's image on the other side ·
+    younger: (N, 3) what makes a baby of a child of ten, of which those in between have a share, as in MakeHuman.
     """
 
     mean: Floats32
@@ -36,6 +39,7 @@ class ShapeSpace:
     bone_index: Bytes
     bone_weight: Floats32
     mirror: Ints32
+    younger: Floats32
     heads: MappingProxyType[str, int]
     provenance: str
 
@@ -43,10 +47,13 @@ class ShapeSpace:
         """Skin (V, 3) float32 and bone heads (H, 3) float64 at rest, m, Anny's origin, x forward, y left, z up."""
         weights = np.ones(1)
         p = phenotype
-        for value, anchors in ((p.gender, 2), (p.age, 3), (p.muscle, 3), (p.weight, 3), (p.height, 2), (p.proportions, 2)):
+        age = max(p.age, 0.0)
+        for value, anchors in ((p.gender, 2), (age, 3), (p.muscle, 3), (p.weight, 3), (p.height, 2), (p.proportions, 2)):
             weights = np.multiply.outer(weights, _hat(value, anchors)).ravel()
         points = np.empty_like(self.mean)
         native.blend_shapes(self.mean, self.basis, (weights[:, None] * self.coefficients).sum(axis=0), points)
+        if p.age < 0.0:
+            points += np.float32(p.age / _BABY_AGE) * self.younger
         return points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
 
 
@@ -57,11 +64,12 @@ def _hat(value: float, anchors: int) -> Floats:
 
 @cache
 def load_shape_space() -> ShapeSpace:
-    """The packaged asset, read once per process. Raises AssetError where it is missing, damaged or of another rig."""
-    path = files("cabinpose.scene.body") / "assets" / ASSET
+    """The packaged assets, read once per process. Raises AssetError where it is missing, damaged or of another rig."""
+    folder, asset = files("cabinpose.scene.body") / "assets", dict[str, Any]()
     try:
-        with path.open("rb") as stream, np.load(stream) as data:
-            asset = {name: data[name] for name in data.files}
+        for file in (YOUNGER, ASSET):
+            with (folder / file).open("rb") as stream, np.load(stream) as data:
+                asset |= {name: data[name] for name in data.files}
         if tuple(asset["bones"].tolist()) != BONES:
             raise AssetError(f"{ASSET} is of another rig", hint="write it anew with tools/export_body.py")
         weight = asset["bone_weight"].astype(np.float32) / np.float32(65535)
@@ -74,6 +82,7 @@ def load_shape_space() -> ShapeSpace:
             asset["bone_index"],
             weight,
             asset["mirror"],
+            (asset["change"] * asset["step"]).astype(np.float32),
             MappingProxyType({str(name): i for i, name in enumerate(asset["heads"])}),
             str(asset["provenance"]),
         )

@@ -5,7 +5,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from cabinpose.scene.cabin.belt import belt_surface
+from cabinpose.scene.cabin.belt import BeltMisuse, BeltWear, belt_surface, fastening_surface, harness_surface
 from cabinpose.scene.cabin.build import SEATS_OF_ALL, VIEWS_OF_ALL, build_cabin
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.draw import random_dimensions
@@ -22,6 +22,8 @@ __all__ = [
     "SEATS_OF_ALL",
     "VIEWS_OF_ALL",
     "BeltAnchors",
+    "BeltMisuse",
+    "BeltWear",
     "Cabin",
     "CabinDimensions",
     "CabinFile",
@@ -32,6 +34,8 @@ __all__ = [
     "ViewAnchor",
     "belt_surface",
     "build_cabin",
+    "fastening_surface",
+    "harness_surface",
     "load_cabin",
     "random_dimensions",
 ]

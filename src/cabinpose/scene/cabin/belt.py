@@ -5,7 +5,9 @@ Each ribbon runs in planes through its two anchors and a point of the body: the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,14 +16,17 @@ from cabinpose.core.arrays import Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.cabin.model import Cabin, Seat, SeatSetting, Vector
+from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
 from cabinpose.scene.cabin.shapes import slab_faces
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
 
+BeltMisuse = Literal["behind_back", "under_arm"]
+BeltWear = Literal["worn"] | BeltMisuse
 WEBBING_WIDTH = 0.047  # UN R16: at least 46 mm wide under load
 WEBBING_THICKNESS = 0.0015
+_ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads the belt
 STEPS = 40  # cross-sections of a ribbon
 
 # Bones by which a triangle of the skin is told to be trunk or not: ends, the piece of the bone (0 first end .. 1 second),
@@ -44,57 +49,176 @@ _PIECE = np.array([piece for _, _, *piece, _ in _TRUNK + _OTHER])[:, :, None]
 _GIRTH = np.array([girth for *_, girth in _TRUNK + _OTHER])
 
 
+class _Trunk(NamedTuple):
+    """What belts lie on: the surface, the pieces of bones that tell its trunk, and directions and places of the body, m.
+
+    below_shoulders: shoulders are not its trunk, whole: all of it is.
+    """
+
+    skin: Floats32
+    faces: Ints32
+    bones: Floats
+    at: Mapping[str, Floats]
+    pelvis: Vector
+    up: Vector
+    ahead: Vector
+    size: float
+    below_shoulders: bool = False
+    whole: bool = False
+
+    @classmethod
+    def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats) -> _Trunk:
+        at = {name: joints[i] for name, i in INDEX.items()}
+        pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
+        up = at["chest"] - pelvis
+        up = up / np.linalg.norm(up)
+        across = at["lpelvis"] - at["rpelvis"]
+        ahead = cross(across, up)
+        ahead = ahead / np.linalg.norm(ahead)
+        size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
+        ends = joints[_BONES]
+        bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
+        vertices, faces = np.ascontiguousarray(skin, dtype=np.float32), np.ascontiguousarray(skin_faces, dtype=np.int32)
+        return cls(vertices, faces, bones, at, pelvis, up, ahead, size)
+
+    def near(self, anchor: Vector) -> str:
+        """The shoulder beside an anchor."""
+        return min(("lshoulder", "rshoulder"), key=lambda name: float(np.linalg.norm(self.at[name] - anchor)))
+
+    def collar(self, shoulder: str) -> Vector:
+        """The middle between neck and arm."""
+        return np.asarray(0.52 * self.at["neck"] + 0.48 * self.at[shoulder] + 0.03 * self.size * self.ahead)
+
+
 def belt_surface(
-    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004
-) -> Surface:
+    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004,
+    worn: BeltWear = "worn", guide: Vector | None = None,
+) -> Surface:  # fmt: skip
     """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
 
     skin: (V, 3) the posed body, or whatever the belt lies on (a clothed surface), m · skin_faces: (F, 3) ·
-    joints: (20, 3) of the same pose · gap_m: clearance of the webbing from the surface. Raises ConfigError for a
-    seat that has no belt or is not in the cabin.
+    joints: (20, 3) of the same pose · gap_m: clearance of the webbing from the surface · worn: how · guide: (3,) m, through
+    which a booster leads the belt to the shoulder. Raises ConfigError for a seat that has no belt or is not in the cabin.
     """
+    anchors = _anchors(seat, setting, cabin)
+    body = _Trunk.of(skin, skin_faces, joints)
+    ahead, up, size = body.ahead, body.up, body.size
+    near = body.near(anchors.upper)
+    collar, front = body.collar(near), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
+    front_of_pelvis = body.pelvis + size * (0.10 * ahead + 0.065 * up)
+    start, courses = anchors.upper, list[_Course]()
+    if worn == "behind_back":
+        behind = body.at["chest"] + 0.3 * (body.at[near] - body.at["neck"]) - 0.12 * size * ahead
+        courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
+    else:
+        if worn == "under_arm":
+            body = body._replace(below_shoulders=True)
+            armpit = body.at[near] + 0.2 * (body.at["neck"] - body.at[near]) - 0.17 * size * up
+            guide, collar = armpit - 0.03 * size * ahead, 0.5 * (armpit + body.at["chest"]) + 0.12 * size * ahead
+        elif guide is not None:
+            collar = 0.5 * (guide + anchors.buckle) + 0.3 * ahead
+        if guide is not None:
+            courses.append(_Course(start, collar, guide, None))
+            start = guide
+        courses.append(_Course(start, _kept_in_front(start, collar, anchors.buckle, front), anchors.buckle, front))
+    courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up))
+    return merge([_ribbon(body, course, gap_m) for course in courses])
+
+
+def harness_surface(
+    skin: Floats32, skin_faces: Ints32, joints: Floats, slots: Floats, hips: Floats, *, gap_m: float = 0.004
+) -> Surface:
+    """The harness of a child seat over the child in it, vehicle frame, class child_seat.
+
+    skin, skin_faces, joints, gap_m: as for `belt_surface` · slots, hips: (2, 3) m, where its straps come out of the shell behind
+    the left and the right shoulder, and beside the hips.
+    """
+    body = _Trunk.of(skin, skin_faces, joints)
+    buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
+    courses = [_Course(slot, body.collar(side + "shoulder"), buckle, body.ahead) for side, slot in zip("lr", slots, strict=True)]
+    courses += [_Course(hip, body.pelvis + 0.12 * body.size * body.ahead, buckle, body.ahead + body.up) for hip in hips]
+    return merge([_ribbon(body, course, gap_m, "child_seat") for course in courses])
+
+
+def fastening_surface(surface: Surface, seat: Seat, setting: SeatSetting, cabin: Cabin, path: Floats, *, over: bool) -> Surface:
+    """The belt that fastens a child seat, vehicle frame, class seat_belt.
+
+    surface: of what the belt can lie on · path: (2, 3) m, where its lap part and its shoulder part run · over: they lie on
+    the surface there; else they pass straight through it, as through the guides of a base.
+    """
+    anchors = _anchors(seat, setting, cabin)
+    forward, up = seat.vehicle_from_seat(setting)[:3, 0], np.array([0.0, 0.0, 1.0])
+    nowhere = np.zeros(3)
+    body = _Trunk(surface.vertices, surface.faces, np.zeros((len(_GIRTH), 2, 3)), {}, nowhere, up, forward, 1.0, whole=True)
+    lap, shoulder = path
+    if over:
+        courses = [
+            _Course(anchors.outer_lap, lap, anchors.buckle, forward + up),
+            _Course(anchors.upper, shoulder, anchors.buckle, forward),
+        ]
+    else:
+        ways = ((anchors.outer_lap, lap), (lap, anchors.buckle), (anchors.upper, shoulder), (shoulder, lap))
+        courses = [_Course(a, a + forward, b, None) for a, b in ways]
+    return merge([_ribbon(body, course, 0.004) for course in courses])
+
+
+def _anchors(seat: Seat, setting: SeatSetting, cabin: Cabin) -> BeltAnchors:
     if seat.slot not in cabin.seats:
         raise ConfigError(f"cabin '{cabin.name}' has no seat '{seat.slot}'", hint=f"its seats: {', '.join(cabin.seats)}")
     anchors = seat.belt_anchors(setting)
     if anchors is None:
         raise ConfigError(f"seat '{seat.slot}' of cabin '{cabin.name}' has no belt", hint="leave the belt out for this seat")
-    at = {name: joints[i] for name, i in INDEX.items()}
-    frame = seat.vehicle_from_seat(setting)[:3, :3]
-    pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
-    up = at["chest"] - pelvis
-    up = up / np.linalg.norm(up)
-    across = at["lpelvis"] - at["rpelvis"]
-    ahead = cross(across, up)
-    ahead = ahead / np.linalg.norm(ahead)
-    size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
-    near = min(("lshoulder", "rshoulder"), key=lambda name: float(np.linalg.norm(at[name] - anchors.upper)))
-    collar = 0.52 * at["neck"] + 0.48 * at[near] + 0.03 * size * ahead
-    front_of_pelvis = pelvis + size * (0.10 * ahead + 0.065 * up)
-    vertices = np.ascontiguousarray(skin, dtype=np.float32)
-    faces = np.ascontiguousarray(skin_faces, dtype=np.int32)
-    ends = joints[_BONES]
-    bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
-    ribbons = (
-        (anchors.upper, collar, anchors.buckle, 0.4 * ahead + 0.6 * frame[:, 0]),
-        (anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up),
-    )
-    return merge([_ribbon(vertices, faces, bones, start, by, end, front, gap_m) for start, by, end, front in ribbons])
+    return anchors
 
 
-def _ribbon(
-    skin: Floats32, faces: Ints32, bones: Floats,
-    start: Vector, through: Vector, end: Vector, front: Vector, gap: float,
-) -> Surface:  # fmt: skip
-    """One ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body that `front` points to."""
-    course = np.array((start, through, end, front), dtype=np.float64)
+_BELOW_SHOULDERS = np.array([0, 1, 2, 3, 8, 9, 4, 5, 6, 7, *range(len(_TRUNK), len(_GIRTH))])  # shoulders count as arms
+
+
+def _kept_in_front(start: Vector, through: Vector, end: Vector, front: Vector) -> Vector:
+    """The point of the body that a belt's plane goes through, turned about the line of its ends where it is too far aside.
+
+    Somebody who leans or twists far has the collar bone beside that line: a belt in its plane would lie on the outside of the
+    other arm. A real one has slipped towards the belly.
+    """
+    chord = (end - start) / np.linalg.norm(end - start)
+    aside, ahead = (v - (v @ chord) * chord for v in (through - start, front))
+    reach = float(np.linalg.norm(aside))
+    aside, ahead = aside / reach, ahead / np.linalg.norm(ahead)
+    angle = float(np.arccos(np.clip(aside @ ahead, -1.0, 1.0)))
+    if angle <= _ASIDE:
+        return through
+    kept = max(_ASIDE - (angle - _ASIDE), 0.0)  # without a jump from one pose to the next
+    across = aside - (aside @ ahead) * ahead
+    across /= max(float(np.linalg.norm(across)), 1e-9)
+    return np.asarray(through + reach * (np.cos(kept) * ahead + np.sin(kept) * across - aside))
+
+
+class _Course(NamedTuple):
+    """A ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body to which `front` points, m.
+
+    front: None for one that is straight, whatever is in its way.
+    """
+
+    start: Vector
+    through: Vector
+    end: Vector
+    front: Vector | None
+
+
+def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt") -> Surface:
+    straight = course.front is None
+    rows = np.array((*course[:3], course.through - course.start if straight else course.front), dtype=np.float64)
     vertices, normals = np.empty((2, STEPS, 3, 3), np.float32), np.empty((2, STEPS, 3, 3), np.float32)
-    trunk, webbing = (bones, _GIRTH, len(_TRUNK)), (WEBBING_WIDTH, WEBBING_THICKNESS, gap)
-    topology = _ribbon_faces(native.belt_ribbon(skin, faces, trunk, course, webbing, vertices, normals))
+    order = _BELOW_SHOULDERS if body.below_shoulders else slice(None)
+    count = len(_GIRTH) if body.whole else 6 if body.below_shoulders else len(_TRUNK)
+    trunk, webbing = (body.bones[order], _GIRTH[order], count), (WEBBING_WIDTH, WEBBING_THICKNESS, gap)
+    faces = body.faces[:0] if straight else body.faces
+    topology = _ribbon_faces(native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices, normals))
     return Surface(
         vertices.reshape(-1, 3),
         normals.reshape(-1, 3),
         topology,
-        np.full(len(topology), LABEL["seat_belt"], np.uint8),
+        np.full(len(topology), LABEL[label], np.uint8),
         np.full(len(topology), MATERIAL["belt_webbing"], np.uint8),
         np.zeros(len(topology), np.uint8),
     )

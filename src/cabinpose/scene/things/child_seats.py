@@ -1,4 +1,4 @@
-"""Child seats: a rearward-facing infant carrier, a forward-facing toddler seat, a booster with a back.
+"""Child seats: a rearward-facing infant carrier, a forward-facing toddler seat, boosters with and without a back.
 
 Each stands in a frame with x forwards along the car's cushion, z off the cushion, and the origin below where it meets the
 backrest, which leans back by about ten degrees there. Outer measures stay within the fixtures that UN R16 (Annex 17, Appendix 2)
@@ -7,8 +7,9 @@ and UN R129 hold car seats against: 440 mm wide, a forward-facing seat up to 720
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from cabinpose.scene.cabin.shapes import Solid, join, prism, rounded_box, slab, 
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
 
 PADDING_M = 0.020  # of a child seat gives way, on which a hand or a neighbour's arm may lie
+ARMREST_M = 0.028  # of a booster, from its cushion to the middle of the rests
 _LINER, _SHELL = (0.0, 0.022), (0.020, 0.040)  # padding over the shell that carries it
 
 
@@ -68,6 +70,11 @@ def _infant(variant: int) -> tuple[Piece, ...]:
     return _scaled(pieces, of_design(0.91, 1.0, variant, 1))
 
 
+def _toddler_in_use(variant: int) -> tuple[Piece, ...]:
+    """The same with a child in it, on which the harness lies then."""
+    return tuple(piece for piece in _toddler(variant) if piece.name not in ("harness", "buckle"))
+
+
 def _toddler(variant: int) -> tuple[Piece, ...]:
     """A seat of the sizes ISO/F2X to ISO/F3, with a harness of five points."""
     seat = [(-0.020, 0.655), (0.012, 0.520), (0.045, 0.380), (0.080, 0.260), (0.130, 0.185), (0.230, 0.165), (0.340, 0.185),
@@ -94,6 +101,21 @@ def _toddler(variant: int) -> tuple[Piece, ...]:
     return _scaled(pieces, of_design(0.92, 1.04, variant, 1))
 
 
+def _cushion(high: float) -> tuple[Piece, ...]:
+    """What a child sits on, with rests under which the belt runs."""
+    cushion = rounded_box((0.400, 0.380, high), (0.050, 0.045, 0.035), (4, 4, 1), corner=2).shifted(0.235, 0.0, high / 2.0)
+    rests = [
+        rounded_box((0.250, 0.045, 0.070), 0.022, (3, 1, 1), corner=1).shifted(0.215, s * 0.190, high + ARMREST_M)
+        for s in (-1.0, 1.0)
+    ]
+    return (Piece("cushion", cushion, "seat_fabric", PADDING_M), Piece("armrests", join(rests), "hard_plastic"))
+
+
+def _booster_cushion(variant: int) -> tuple[Piece, ...]:
+    """A cushion alone, for the tallest children (UN R129: from 1.25 m)."""
+    return _scaled(_cushion(of_design(0.090, 0.120, variant, 2)), of_design(0.95, 1.02, variant, 1))
+
+
 def _booster(variant: int) -> tuple[Piece, ...]:
     """A cushion of 0.10 to 0.14 m with a back whose wings stand beside shoulders and head."""
     high = of_design(0.100, 0.140, variant, 2)
@@ -101,14 +123,8 @@ def _booster(variant: int) -> tuple[Piece, ...]:
     back = [(-0.048, 0.640), (-0.026, 0.560), (0.000, 0.450), (0.028, 0.330), (0.055, 0.200), (0.070, 0.120 + lift)]
     half = (0.120, 0.140, 0.170, 0.160, 0.160, 0.160)
     wall = (0.120, 0.150, 0.130, 0.070, 0.050, 0.030)
-    cushion = rounded_box((0.400, 0.380, high), (0.050, 0.045, 0.035), (4, 4, 1), corner=2).shifted(0.235, 0.0, high / 2.0)
-    rests = [
-        rounded_box((0.250, 0.045, 0.070), 0.022, (3, 1, 1), corner=1).shifted(0.215, s * 0.190, high + 0.028)
-        for s in (-1.0, 1.0)
-    ]
     pieces = (
-        Piece("cushion", cushion, "seat_fabric", PADDING_M),
-        Piece("armrests", join(rests), "hard_plastic"),
+        *_cushion(high),
         Piece("back", shell(back, half, wall, _SHELL), "hard_plastic"),
         Piece("padding", shell(back, half, wall, _LINER), "seat_fabric", PADDING_M),
     )
@@ -121,5 +137,53 @@ CHILD_SEATS: Mapping[str, Kind] = MappingProxyType(
         "infant": Kind("infant_seat", _infant),
         "toddler": Kind("child_seat", _toddler),
         "booster": Kind("child_seat", _booster),
+        "booster_cushion": Kind("child_seat", _booster_cushion),
     }
 )
+
+
+# What stands there in place of one of them once a child sits in it.
+IN_USE: Mapping[str, Kind] = MappingProxyType({"toddler_in_use": Kind("child_seat", _toddler_in_use)})
+
+
+class Sitting(NamedTuple):
+    """Where a child sits in a child seat, in its frame seen from the side.
+
+    stature_m: of the children that it holds · cushion: height (m) of the padding at x = 0, and its slope · back: x (m) of the
+    padding at z = 0, and how it leans, dx/dz; None where the car's own backrest carries the back · front_m: x of the cushion's
+    front edge · harness: whether it has one; else the car's belt is worn.
+    """
+
+    stature_m: tuple[float, float]
+    cushion: tuple[float, float]
+    back: tuple[float, float] | None
+    front_m: float
+    harness: bool = False
+
+
+def _in_booster(variant: int) -> Sitting:
+    scale, high = of_design(0.93, 1.0, variant, 1), of_design(0.100, 0.140, variant, 2)
+    return Sitting((1.00, 1.25), (scale * high, 0.0), (scale * 0.099, -0.22), scale * 0.430)
+
+
+def _on_booster_cushion(variant: int) -> Sitting:
+    scale, high = of_design(0.95, 1.02, variant, 1), of_design(0.090, 0.120, variant, 2)
+    return Sitting((1.20, 1.50), (scale * high, 0.0), None, scale * 0.430)
+
+
+def _in_toddler(variant: int) -> Sitting:
+    scale = of_design(0.92, 1.04, variant, 1)
+    return Sitting((0.90, 1.05), (scale * 0.130, 0.15), (scale * 0.135, -0.236), scale * 0.41, harness=True)
+
+
+# By kind, of a design; statures after UN R129. Nobody lies in an infant carrier: the bodies begin at three years.
+SITTING: Mapping[str, Callable[[int], Sitting]] = MappingProxyType(
+    {
+        "toddler": _in_toddler,
+        "toddler_in_use": _in_toddler,
+        "booster": _in_booster,
+        "booster_cushion": _on_booster_cushion,
+    }
+)
+HOLDING_CHILDREN = tuple(kind for kind in SITTING if kind in CHILD_SEATS)
+CHILD_SEAT_LABELS = frozenset(kind.label for kind in CHILD_SEATS.values())

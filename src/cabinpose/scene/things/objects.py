@@ -149,4 +149,5 @@ OBJECTS: Mapping[str, Kind] = MappingProxyType(
 )
 # What hands hold beside them: a book that is read is open.
 HELD: Mapping[str, Kind] = MappingProxyType({"open_book": Kind("book", _open_book)})
+SOFT = ("blanket", "jacket")  # what is draped over a seat or a lap once everybody sits
 LAP_OBJECTS = ("box", "bag", "backpack", "book", "laptop")  # large enough to lie across two thighs

@@ -17,7 +17,7 @@ from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls_of, group_field
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.scene.things.child_seats import CHILD_SEATS
+from cabinpose.scene.things.child_seats import CHILD_SEATS, IN_USE, SITTING, Sitting
 from cabinpose.scene.things.objects import HELD, OBJECTS
 from cabinpose.scene.things.pieces import Piece
 
@@ -89,24 +89,37 @@ class Thing:
 @cache
 def make_thing(kind: str, variant: int) -> Thing:
     """The design of this number of a kind of thing; the same object on every call. Raises ConfigError for an unknown kind."""
-    known = {**CHILD_SEATS, **OBJECTS, **HELD}
+    known = {**CHILD_SEATS, **OBJECTS, **HELD, **IN_USE}
     if kind not in known:
         raise unknown_name("thing", kind, tuple(known))
     label, pieces = known[kind].label, known[kind].make(variant % VARIANTS)
     return Thing(kind, variant % VARIANTS, label, pieces)
 
 
+def sitting_in(thing: Thing) -> Sitting:
+    """Where a child sits in a child seat. Raises KeyError for other things."""
+    return SITTING[thing.kind](thing.variant)
+
+
+Attachment = Literal["isofix", "belt"]
+
+
 class PlacedThing(NamedTuple):
-    """A thing somewhere in a car: on the seat `slot`, on the lap of whoever sits there, or in a hand of theirs."""
+    """A thing somewhere in a car: on the seat `slot`, on the lap of whoever sits there, or in a hand of theirs.
+
+    attachment: what fastens a child seat, where that is said.
+    """
 
     thing: Thing
     vehicle_from_thing: Matrix
     slot: str
     at: Literal["seat", "lap", "hand"]
+    attachment: Attachment | None = None
 
     def group(self) -> tuple[GroupField, Matrix]:
         """The field with its name here, and where it is. What somebody sits on counts as part of the seat."""
-        name = f"seat:{self.slot}/{self.thing.kind}" if self.thing.kind in CHILD_SEATS else f"{self.slot} {self.thing.kind}"
+        own = self.thing.kind in CHILD_SEATS or self.thing.kind in IN_USE
+        name = f"seat:{self.slot}/{self.thing.kind}" if own else f"{self.slot} {self.thing.kind}"
         return replace(self.thing.field, name=name), self.vehicle_from_thing
 
     def surface(self, instance: int) -> Surface:

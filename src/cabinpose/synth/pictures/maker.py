@@ -85,6 +85,7 @@ class PictureMaker:
             parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in person.surfaces[1:]]
         for thing, *_ in scene.things:
             parts.append(thing_colours(thing.surface, rng=own_rng(self._seed, f"{thing.kind} {thing.variant}")))
+        parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in scene.fastenings]
         return np.concatenate(parts)
 
     def _radiance(

@@ -122,6 +122,7 @@ ACTIONS: Mapping[str, Action] = MappingProxyType(
     {a.name: a for a in _DRIVER + _REACH_FRONT + _ANYWHERE + _PASSENGER + _STEPS + _HOLDING}
 )
 HOLDING = frozenset(action.name for action in _HOLDING)  # what nobody does without something in the hand
+IN_CHILD_SEAT: Mapping[str, float] = MappingProxyType({"rest_lap": 3.0, "look_around": 2.0, "sleep": 2.0, "phone_text": 1.0})
 TELEPHONING = frozenset({"phone_ear", "phone_ear_outer", "phone_text"})
 
 

@@ -40,6 +40,8 @@ _SHOE_M, _HALF_SHOE_M = 0.12, 0.055  # with what is between two of them
 _TOE_GAP_M = 0.01  # from the middle between two who face each other
 LOW_TUNNEL_M = 0.04  # which feet stand on
 _TUNNEL_AHEAD_M = 1.0  # of the rearmost seat, where feet stand
+_HANGING_SHIN = math.asin(0.12)  # before the vertical, rad
+_STRETCHED = 0.9  # sine of the angle of a shin over the edge of a cushion, at most
 _SHIN_BEHIND = 0.015  # how far an ankle may stand behind the knee: what the seat's base leaves
 
 
@@ -108,10 +110,12 @@ def _on_floor(
     heel_x = float((seat_from_vehicle[:3, :3] @ (seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
     reach = min(heel_x - _SHORT_OF_HEEL_M, ahead - _FOOT_SHARE * person.stature_m) - float(sole[0, 3])  # of the ankle
     shin = lengths["shin"]
-    hangs = drop >= shin  # the floor is out of reach
+    hangs = drop >= shin or fit.edge_m > knee[0]  # the floor is out of reach
     if hangs:
-        ankle = knee + np.array([0.12 * shin + plan.forward, 0.0, -shin * 0.99])
-        pitch = math.radians(12.0)
+        over = min(max((fit.edge_m - knee[0]) / shin, 0.0), _STRETCHED)  # the edge of a cushion that goes on below the shins
+        swing = max(_HANGING_SHIN, math.asin(over), math.acos(min(drop / shin, 1.0)))
+        ankle = knee + np.array([math.sin(swing) * shin + plan.forward, 0.0, -shin * min(math.cos(swing), 0.99)])
+        pitch = math.radians(12.0) if swing == _HANGING_SHIN else -0.7 * swing
     else:
         lean = min(np.sqrt(shin * shin - drop * drop), _SHIN_LEAN * shin)
         ankle_x = min(knee[0] + lean, max(reach, knee[0] - _SHIN_BEHIND))

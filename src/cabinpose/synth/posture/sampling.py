@@ -12,12 +12,12 @@ import numpy as np
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix, rotation_vector, transform
+from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.contact import PlacedField
-from cabinpose.scene.things.thing import VARIANTS
+from cabinpose.scene.things.thing import VARIANTS, PlacedThing, sitting_in
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     ACTIONS,
@@ -39,7 +39,7 @@ from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_go
 from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold, inboard_hand
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.neighbours import Neighbours
-from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
+from cabinpose.synth.posture.seat_fit import SeatFit, fit_child_seat, fit_seat
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.profiles import Profile
@@ -163,7 +163,7 @@ def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None, in_hand: bool = False,
-    carried: Hold | None = None, rng: np.random.Generator,
+    carried: Hold | None = None, on: PlacedThing | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
@@ -190,6 +190,8 @@ def draw_pose(
         What a hand holds whatever is done; the action must leave it that hand (`inboard_hand`).
     wheel_angle
         How the wheel is turned (rad, + left), in place of a drawn angle.
+    on
+        The child seat in which the person sits.
     rng
         Source of all randomness.
 
@@ -208,7 +210,7 @@ def draw_pose(
     """
     chosen = action_named(action, seat, cabin)
     seat.check(setting)
-    fit = fit_seat(person, seat, setting.torso_angle)
+    fit = fit_seat(person, seat, setting.torso_angle) if on is None else _fit_on(person, seat, setting, on)
     wheel = cabin.steering_wheel if seat.slot == "driver" else None
     inboard = inboard_side(seat)
     if abs(float(seat.design_h_point[1])) < 0.05 and rng.random() < 0.5:
@@ -277,6 +279,11 @@ def draw_pose(
         if chosen_profile is not None:
             fingers[[_names_grip(chosen_profile, side) for side in (0, 1)]] = np.nan
     return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting), fingers, holds_it)
+
+
+def _fit_on(person: Person, seat: Seat, setting: SeatSetting, on: PlacedThing) -> SeatFit:
+    seat_from_thing = invert(seat.vehicle_from_seat(setting)) @ on.vehicle_from_thing
+    return fit_child_seat(person, seat, setting.torso_angle, sitting_in(on.thing), seat_from_thing)
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:

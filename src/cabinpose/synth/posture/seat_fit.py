@@ -9,7 +9,7 @@ away from the H-point is reported. Sitting turns the pelvis backwards and takes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -20,15 +20,18 @@ from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
 from cabinpose.scene.body.chart import vertex_segments
 from cabinpose.scene.cabin import Seat
+from cabinpose.scene.things.child_seats import Sitting
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.memory import kept_with_person
 
-BACK_SAG_M = 0.022  # of the skin behind the backrest's free surface
-CUSHION_SAG_M = 0.038  # of the buttocks below the cushion's free surface
-THIGH_SAG_M = 0.014
+# How far the skin of the back is behind the free surface, of buttocks and thighs below it: of a car's seat, of a child's.
+_ON_FOAM, _ON_PADDING = (0.022, 0.038, 0.014), (0.008, 0.012, 0.006)
+_HIP_OFF_M = (0.085, 0.065)  # of a child, off back and cushion of a child seat
 _LUMBAR, _THORAX = np.radians((30.0, 8.0))  # flexion of the spine against standing
 _ABDUCTION = np.radians(7.0)  # of the thighs, at rest
 _CUSHION_FRONT_M = 0.375  # front edge of production cushions ahead of the H-point
+_EDGES_M = 0.37, 0.33  # where those of front and rear seats are round
+_IN_CAR = _CUSHION_FRONT_M, _ON_FOAM
 _MAX_SLIDE_M = 0.12
 _ROUNDS = 7
 _COMMON_SEAT = (0.25, 0.058, 0.095, 0.42)  # angle of the cushion, H-point above it and before the back, torso angle (rad, m)
@@ -42,7 +45,8 @@ class SeatFit:
 
     q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above the
     horizontal while the thigh rests on the cushion, rad · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest ·
-    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee.
+    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee · edge_m: x of the edge of the
+    car's cushion, over which shins hang of somebody in a child seat; -inf where thighs end at it.
     """
 
     q: Floats
@@ -51,16 +55,59 @@ class SeatFit:
     shoulders: Floats
     front: Floats32
     thigh_top: Floats
+    edge_m: float = -np.inf
 
 
 def fit_seat(person: Person, seat: Seat, torso_angle: float) -> SeatFit:
     """The fit of a person in a seat whose backrest stands at `torso_angle` (rad from the vertical); cached."""
-    return _fit(person, seat.cushion_angle, seat.cushion_below_h_m, seat.backrest_behind_h_m, round(float(torso_angle), 6))
+    recline = round(float(torso_angle), 6)
+    return _fit(person, seat.cushion_angle, seat.cushion_below_h_m, seat.backrest_behind_h_m, recline, *_IN_CAR)
 
 
 def common_fit(person: Person) -> SeatFit:
     """The fit of a person in a seat of middling dimensions, for what hardly depends on the seat."""
-    return _fit(person, *_COMMON_SEAT)
+    return _fit(person, *_COMMON_SEAT, *_IN_CAR)
+
+
+def fit_child_seat(person: Person, seat: Seat, torso_angle: float, sitting: Sitting, seat_from_thing: Matrix) -> SeatFit:
+    """The fit of a child in a child seat that stands in a seat of the car.
+
+    Parameters
+    ----------
+    person, seat, torso_angle
+        Who, where, and the angle of the car's backrest, rad from the vertical.
+    sitting
+        Where the child sits in the child seat.
+    seat_from_thing
+        (4, 4), of the child seat.
+
+    Returns
+    -------
+    SeatFit
+        In the frame of the car's seat.
+    """
+    tilt = float(np.arctan2(seat_from_thing[2, 0], seat_from_thing[0, 0])) + np.arctan(sitting.cushion[1])
+    corner = seat_from_thing[:3, 3]
+    if sitting.back is None:
+        lean = torso_angle
+        behind = np.array([-np.cos(lean), 0.0, -np.sin(lean)]) * seat.backrest_behind_h_m
+    else:
+        lean = tilt - np.arctan(sitting.cushion[1]) - np.arctan(sitting.back[1])
+        behind = (seat_from_thing @ (sitting.back[0], 0.0, 0.0, 1.0))[:3]
+    out, off = np.array([np.cos(lean), 0.0, np.sin(lean)]), np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+    base = (seat_from_thing @ (0.0, 0.0, sitting.cushion[0], 1.0))[:3]
+    # Where the femur heads come to lie, about: so far from both planes.
+    planes = np.array([out[[0, 2]], off[[0, 2]]])
+    x, z = np.linalg.solve(planes, (out @ behind + _HIP_OFF_M[0], off @ base + _HIP_OFF_M[1]))
+    hip = np.array([x, corner[1], z])
+    front = float(np.hypot(*(seat_from_thing @ (sitting.front_m, 0.0, sitting.cushion[0], 1.0))[[0, 2]] - hip[[0, 2]]))
+    measures = (tilt, _HIP_OFF_M[1] / np.cos(tilt), _HIP_OFF_M[0], lean, front)
+    rounded = [round(float(measure), 6) for measure in measures]
+    fit = _fit(person, rounded[0], rounded[1], rounded[2], rounded[3], rounded[4], _ON_PADDING)
+    moved = fit.seat_from_root.copy()
+    moved[:3, 3] += hip
+    skin, edge = fit.front + hip.astype(np.float32), _EDGES_M[seat.slot.startswith("rear")]
+    return replace(fit, seat_from_root=moved, shoulders=fit.shoulders + hip, front=skin, edge_m=edge)
 
 
 def _posture(pitch: float, thigh: float) -> Floats:
@@ -114,7 +161,10 @@ def _lowest(values: Floats, count: int) -> float:
 
 
 @kept_with_person
-def _fit(person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float) -> SeatFit:
+def _fit(
+    person: Person, cushion_angle: float, below: float, behind: float, torso_angle: float,
+    front: float, sags: tuple[float, float, float],
+) -> SeatFit:  # fmt: skip
     mesh = _skin()
     up = np.array([-np.sin(torso_angle), 0.0, np.cos(torso_angle)])  # along the torso line
     normal = np.array([np.cos(torso_angle), 0.0, np.sin(torso_angle)])  # out of the backrest
@@ -122,7 +172,7 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
     free_cushion = -below * cushion[2]
     size = person.stature_m / 1.75
     femur = person.segment_lengths["thigh"]
-    slide = float(np.clip(_CUSHION_FRONT_M - 0.01 - femur, 0.0, _MAX_SLIDE_M))  # short thighs: knees to the edge
+    slide = float(np.clip(front - 0.01 - femur, 0.0, _MAX_SLIDE_M))  # short thighs: knees to the edge
 
     pitch, thigh, place = torso_angle + 0.20, cushion_angle, np.array([slide, 0.0, 0.0])
     whole = person.skin_part(mesh.rows)
@@ -138,7 +188,7 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
         depth, height = skin @ normal, skin @ up
         lower = _lowest(depth[(height > -0.02) & (height < 0.17 * size)], 6)
         upper = _lowest(depth[(height > 0.28 * size) & (height < 0.42 * size)], 6)
-        wanted = -(behind + BACK_SAG_M)
+        wanted = -(behind + sags[0])
         skin = bottom_skin(q, root)
         above, ahead = skin @ cushion - free_cushion, skin[:, 0] - place[0]
         if slide > 0.0:
@@ -146,17 +196,17 @@ def _fit(person: Person, cushion_angle: float, below: float, behind: float, tors
         else:
             pitch += 0.9 * (upper + 0.006 - lower) / (0.27 * size)
             place[0] += (wanted - lower) / normal[0]
-        place[2] -= _lowest(above[(ahead > -0.16) & (ahead < 0.08)], 8) + CUSHION_SAG_M
-        thigh -= 0.8 * (_lowest(above[thighs & (ahead > 0.45 * femur) & (ahead < 0.75 * femur)], 8) + THIGH_SAG_M) / (0.6 * femur)
+        place[2] -= _lowest(above[(ahead > -0.16) & (ahead < 0.08)], 8) + sags[1]
+        thigh -= 0.8 * (_lowest(above[thighs & (ahead > 0.45 * femur) & (ahead < 0.75 * femur)], 8) + sags[2]) / (0.6 * femur)
         pitch, thigh = float(np.clip(pitch, -0.2, 1.1)), float(np.clip(thigh, -0.1, 0.7))
 
     q, root = _posture(pitch, thigh), _root(pitch, place)
     skin = whole(q, root)
     skeleton = frames(q, person.rest, root)
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
-    front = skin[mesh.trunk & (skin @ normal > 0.0)][::4].astype(np.float32)
+    skin_before = skin[mesh.trunk & (skin @ normal > 0.0)][::4].astype(np.float32)
     thigh_top = _thigh_top(skin[mesh.left_thigh], skeleton.bone("lthigh"), femur)
-    return SeatFit(q, root, thigh, shoulders, front, thigh_top)
+    return SeatFit(q, root, thigh, shoulders, skin_before, thigh_top)
 
 
 def _thigh_top(skin: Floats, vehicle_from_thigh: Matrix, femur: float) -> Floats:

@@ -1,0 +1,72 @@
+"""What holds children and child seats: guides and harnesses, the belt or the isofix of a seat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cabinpose.core.arrays import Floats
+from cabinpose.core.frames import apply, invert
+from cabinpose.core.skeleton import INDEX
+from cabinpose.scene.body import PosedBody
+from cabinpose.scene.cabin import Cabin, SeatSetting, fastening_surface
+from cabinpose.scene.surface import Surface, merge
+from cabinpose.scene.things import PlacedThing, make_thing
+from cabinpose.scene.things.child_seats import IN_USE
+from cabinpose.scene.things.thing import Attachment, sitting_in
+from cabinpose.synth.things import drawn
+
+_GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it
+_SLOT_M, _HIP_M = (0.010, 0.055, 0.010), (0.100, 0.125, 0.035)  # likewise; the hips' above the cushion
+# Where belts run, by what they hold (m, in its frame): lap part and shoulder part, over the shell or through the base.
+_PATHS = {
+    "infant": (((0.330, 0.0, 0.28), (0.610, 0.0, 0.36)), True),
+    "toddler": (((0.120, 0.0, 0.13), (0.000, 0.0, 0.40)), False),
+}
+
+
+def restrained(
+    thing: PlacedThing, attachments: Mapping[Attachment, float], *, taken: bool, rng: np.random.Generator
+) -> PlacedThing:
+    """A child seat as it is with a child in it, and with what fastens it."""
+    kind, variant = thing.thing.kind, thing.thing.variant
+    if attachments and kind in _PATHS:
+        thing = thing._replace(attachment=drawn(attachments, rng=rng))
+    used = f"{kind}_in_use"
+    return thing._replace(thing=make_thing(used, variant)) if taken and used in IN_USE else thing
+
+
+def fastening(thing: PlacedThing, cabin: Cabin, setting: SeatSetting) -> Surface:
+    """The belt that holds a child seat, vehicle frame."""
+    path, over = _PATHS[thing.thing.kind.removesuffix("_in_use")]
+    shell = merge([part.surface for part in thing.thing.parts if part.name.endswith((" shell", " padding"))])
+    points = apply(thing.vehicle_from_thing, np.array(path))
+    return fastening_surface(shell.moved(thing.vehicle_from_thing), cabin.seats[thing.slot], setting, cabin, points, over=over)
+
+
+def _beside_back(on: PlacedThing, height: float, ahead: float, aside: float) -> Floats:
+    """(3,) m, vehicle frame: a point before the back of a child seat, at a height of its frame."""
+    back = sitting_in(on.thing).back
+    assert back is not None
+    return np.asarray(apply(on.vehicle_from_thing, np.array([back[0] + back[1] * height + ahead, aside, height])))
+
+
+def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | None:
+    """Where a booster leads the belt to the shoulder, (3,) m, vehicle frame; None for one without a back."""
+    if sitting_in(on.thing).back is None:
+        return None
+    joints = [body.joints[INDEX[name]] for name in ("lshoulder", "rshoulder", "neck")]
+    local = apply(invert(on.vehicle_from_thing), np.stack((anchor, *joints)))
+    side = float(np.sign(local[0, 1]))
+    shoulder = local[1 if side > 0.0 else 2]
+    aside = 0.5 * (shoulder[1] + local[3, 1]) + side * _GUIDE_M[1]
+    return _beside_back(on, shoulder[2] + _GUIDE_M[2], _GUIDE_M[0], aside)
+
+
+def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
+    """Where a harness comes out of its shell, (2, 3) m each, vehicle frame: behind the shoulders and beside the hips."""
+    height = apply(invert(on.vehicle_from_thing), body.joints[[INDEX["lshoulder"], INDEX["rshoulder"]]])[:, 2].mean()
+    places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (sitting_in(on.thing).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
+    slots, hips = (np.stack([_beside_back(on, z, ahead, s * aside) for s in (1.0, -1.0)]) for z, ahead, aside in places)
+    return slots, hips
