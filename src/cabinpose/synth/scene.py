@@ -23,7 +23,10 @@ from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
 
 @dataclass(frozen=True)
 class ScenePerson:
-    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included)."""
+    """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included).
+
+    coming_head: (3, 3) the rotation that a moving head is about to have, which the eyes have reached; None where it stays.
+    """
 
     slot: str
     subject: str
@@ -31,6 +34,7 @@ class ScenePerson:
     person: Person
     posed: PosedBody
     surfaces: tuple[Surface, ...] = ()
+    coming_head: Floats | None = None
 
     def itop_joints(self) -> Floats:
         """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.

@@ -30,6 +30,7 @@ _PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
         "eat": (Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5)),
         "read": (Step("read", 3.0),),
         "look_over_shoulder": (Step("look_back", 0.5), Step("rest_lap", 0.3)),
+        "turn_to_back_seat": (Step("turn_back", 1.5), Step("rest_lap", 0.3)),
         "buckle_up": (Step("belt", 0.3), Step("rest_lap", 0.3)),
         "reach_down": (Step("reach_floor", 0.5), Step("rest_lap", 0.3)),
         "sleep": (Step("sleep", 5.0),),
