@@ -193,9 +193,9 @@ class SceneSampler:
         first = number * scene.sequence.frames
 
         def goals(cast: _Cast) -> DrawGoals:
-            return lambda slot, action, wheel_angle, carried, rng: self._draw(
+            return lambda slot, action, wheel_angle, carried, point, rng: self._draw(
                 scene, first, cast.people, cast.cabin, slot, cast.settings[slot], rng,
-                action=action, wheel_angle=wheel_angle, carried=carried,
+                action=action, wheel_angle=wheel_angle, carried=carried, point=point,
             )  # fmt: skip
 
         def furnished(*, rng: np.random.Generator) -> tuple[_Cast, tuple[PlacedThing, ...] | Blocked]:
@@ -311,8 +311,9 @@ class SceneSampler:
         action: str | None = None,
         wheel_angle: float | None = None,
         carried: Hold | None = None,
+        point: Floats | None = None,
     ) -> Drawn:
-        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried: what a hand holds all the time."""
+        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried, point: see `draw_pose`."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
@@ -326,7 +327,7 @@ class SceneSampler:
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
             offset=offset, neighbours=neighbours, wheel_angle=wheel_angle,
-            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, rng=rng,
+            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, point=point, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
