@@ -11,16 +11,19 @@ import numpy as np
 import pytest
 from exact_contact import thing_penetrations
 from scipy import ndimage
+from scipy.spatial import cKDTree
 from synth_scenes import fingerprint, small_config
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import invert
 from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.body import DOFS
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.scene.body import DOFS, SEGMENTS
+from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
+from cabinpose.synth.motion.activities import activities_for
+from cabinpose.synth.motion.film import EYES_LEAD_S
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
 from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
 from cabinpose.synth.motion.track import WIDTH, duration, way_through
@@ -186,6 +189,32 @@ def test_what_is_held_moves_with_the_hand_and_is_pressed_by_it(film) -> None:
         assert max(p.excess_m for p in found) < 1e-6
         raised.append(held.vehicle_from_thing[2, 3])
     assert np.ptp(raised) > 0.04
+
+
+def test_eyes_are_where_the_head_will_be(film) -> None:
+    turned = 0.0
+    for t in (0.4, 1.0, 2.2):
+        for now, later in zip(film.people(t), film.people(t + EYES_LEAD_S), strict=True):
+            head = later.posed.bones[BONE_INDEX["head"]][:3, :3]
+            np.testing.assert_allclose(now.coming_head, head, atol=1e-9)
+            turned = max(turned, np.abs(now.posed.bones[BONE_INDEX["head"]][:3, :3] - head).max())
+    assert turned > 1e-3
+
+
+def test_a_neighbour_is_hit_by_who_has_one() -> None:
+    """Only where somebody sits at the inboard hand; the hand comes to the skin of the other's arm."""
+    film = _sampler(activities=["hit"])._film(0)
+    seats, cabin = film.cast.cabin.seats, film.cast.cabin
+    assert "hit" in activities_for(seats["driver"], cabin, taken=TWO)
+    assert "hit" not in activities_for(seats["driver"], cabin, taken=["driver", "rear_left"])
+    near = []
+    for slot, track in film.tracks.items():
+        for segment in (s for s in track.segments if s.activity == "hit"):
+            people = {p.slot: p for p in film.people(segment.start_s + segment.lasts_s)}
+            mine, other = people.pop(slot), *people.values()
+            hands = np.isin(mine.person.skin_segment, [SEGMENTS.index(side + "hand") for side in "lr"])
+            near.append(cKDTree(other.posed.skin).query(mine.posed.skin[hands])[0].min())
+    assert min(near) < 0.02
 
 
 def test_hands_stay_on_the_wheel_that_turns(film) -> None:

@@ -251,6 +251,7 @@ class CabinScene(Model):
             "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
             "pose": any(o.pose for o in occupants),
             "scene.things": self.things,
+            "children in child seats": self.children or self.occupants.keys() & self.child_seats.keys(),
         }
         return next((name for name, value in asked.items() if value), "")
 

@@ -1,7 +1,8 @@
 """Gaze and head pose of everybody in a scene, as labels.
 
 The head does a known share of a gaze's yaw and pitch from straight ahead (`posture.gaze.HEAD_SHARE`, after Stahl 1999), the eyes
-the rest: so the gaze follows from the head, as it was solved, and the seat's heading. What it meets first is its target.
+the rest: so the gaze follows from the head, as it was solved, and the seat's heading. In sequences it follows from the head a
+moment later: the eyes lead. What it meets first is its target.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def gaze_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
         if person.action == _ASLEEP:
             targets[row] = "nothing"
             continue
-        gaze[row] = line_of_sight(heads[row, :3, :3], _heading(scene, person))
+        head = heads[row, :3, :3] if person.coming_head is None else person.coming_head
+        gaze[row] = line_of_sight(head, _heading(scene, person))
         targets[row] = _target(scene, person, gaze[row])
     return {"gaze": gaze.astype(np.float32), "gaze_target": targets, "vehicle_from_head": heads}
 

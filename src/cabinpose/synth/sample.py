@@ -210,12 +210,10 @@ class SceneSampler:
         film, time_s = self._film(number), frame / sequence.rate_hz + later_s
         rng = sequence_rng(self._seed, number * sequence.frames, 0)  # the same belts in all frames
         people = film.people(time_s)
-        shown = self._assembled(scene, film.cast, people, film.wheel_angle(time_s), film.pov, film.camera, rng)
+        wheel_angle, things = film.wheel_angle(time_s), film.things_with(people)
+        shown = self._assembled(scene, film.cast, people, wheel_angle, film.pov, film.camera, rng, things)
         counts = (film.proposals, film.rejections) if frame == 0 else (0, {})
-        return replace(
-            shown, things=film.things_with(people), proposals=counts[0], rejections=counts[1], sequence=number,
-            sync_ns=round(1e9 * time_s),
-        )  # fmt: skip
+        return replace(shown, proposals=counts[0], rejections=counts[1], sequence=number, sync_ns=round(1e9 * time_s))
 
     def _make_film(self, number: int) -> Film:
         """Sequence `number`. Raises SceneError where no scene is found in which everybody has a way."""
@@ -230,9 +228,9 @@ class SceneSampler:
             return round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
 
         def goals(cast: _Cast) -> DrawGoals:
-            return lambda slot, action, wheel_angle, carried, time_s, rng: self._draw(
+            return lambda slot, action, wheel_angle, carried, point, time_s, rng: self._draw(
                 scene, of_profile(slot, time_s), cast.people, cast.cabin, slot, cast.settings[slot], rng,
-                action=action, wheel_angle=wheel_angle, carried=carried,
+                action=action, wheel_angle=wheel_angle, carried=carried, point=point,
             )  # fmt: skip
 
         def furnished(*, rng: np.random.Generator) -> tuple[_Cast, tuple[PlacedThing, ...] | Blocked]:
@@ -387,13 +385,10 @@ class SceneSampler:
         action: str | None = None,
         wheel_angle: float | None = None,
         carried: Hold | None = None,
+        point: Floats | None = None,
         on: PlacedThing | None = None,
     ) -> Drawn:
-        """Somebody's goals.
-
-        action, wheel_angle: given, in place of what is drawn · carried: what a hand holds all the time · on: the child seat in
-        which a child sits.
-        """
+        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried, point, on: see `draw_pose`."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
@@ -407,7 +402,7 @@ class SceneSampler:
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
             offset=offset, neighbours=neighbours, wheel_angle=wheel_angle,
-            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, on=on, rng=rng,
+            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, point=point, on=on, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:

@@ -26,7 +26,8 @@ from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
 class ScenePerson:
     """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included).
 
-    belt: how it is worn, "harness" in a child seat that has one.
+    belt: how it is worn, "harness" in a child seat that has one · coming_head: (3, 3) the rotation that a moving head is about to
+    have, which the eyes have reached; None where it stays.
     """
 
     slot: str
@@ -36,6 +37,7 @@ class ScenePerson:
     posed: PosedBody
     surfaces: tuple[Surface, ...] = ()
     belt: BeltWear | Literal["none", "harness"] = "none"
+    coming_head: Floats | None = None
 
     @property
     def child(self) -> bool:

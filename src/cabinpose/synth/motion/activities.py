@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.actions import ACTIONS, HOLDING, actions_for, inboard_side
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
+from cabinpose.synth.posture.neighbours import beside_each_other
 
 
 class Step(NamedTuple):
-    """A pose of an activity: the action, how long it is held (s, mean), and whether a driver turns the wheel on the way."""
+    """A pose of an activity: the action, how long it is held (s, mean), and whether a driver turns the wheel on the way.
+
+    haste: speed against the person's usual one · at_neighbour: whether the hand goes to the arm of whoever sits beside.
+    """
 
     action: str
     hold_s: float = 0.4
     steers: bool = False
+    haste: float = 1.0
+    at_neighbour: bool = False
 
 
 # What takes more than one action; every other action is an activity of one step.
@@ -30,6 +37,8 @@ _PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
         "eat": (Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5)),
         "read": (Step("read", 3.0),),
         "look_over_shoulder": (Step("look_back", 0.5), Step("rest_lap", 0.3)),
+        "turn_to_back_seat": (Step("turn_back", 1.5), Step("rest_lap", 0.3)),
+        "hit": (Step("hit", 0.1, haste=3.0, at_neighbour=True), Step("rest_lap", 0.4)),
         "buckle_up": (Step("belt", 0.3), Step("rest_lap", 0.3)),
         "reach_down": (Step("reach_floor", 0.5), Step("rest_lap", 0.3)),
         "sleep": (Step("sleep", 5.0),),
@@ -56,12 +65,25 @@ def steps_of(activity: str, seat: Seat, cabin: Cabin, hold: Hold | None = None) 
     return tuple(step._replace(action=resting(seat, cabin, hold)) if step.action == "rest_lap" else step for step in steps)
 
 
-def activities_for(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> tuple[str, ...]:
-    """The activities of which every step makes sense in a seat, with what is held all the time, in a fixed order."""
+def inboard_neighbour(seat: Seat, cabin: Cabin, taken: Iterable[str]) -> str | None:
+    """The seat of whoever sits next to somebody, at the inboard hand; None where nobody does."""
+    ahead, left = math.cos(seat.facing_yaw), 1.0 - 2.0 * inboard_side(seat)
+    row = [other for other in taken if beside_each_other(seat, cabin.seats[other])]
+    away = {other: left * ahead * float(cabin.seats[other].design_h_point[1] - seat.design_h_point[1]) for other in row}
+    return min((other for other in row if away[other] > 0.0), key=away.__getitem__, default=None)
+
+
+def activities_for(seat: Seat, cabin: Cabin, hold: Hold | None = None, taken: Iterable[str] = ()) -> tuple[str, ...]:
+    """The activities that make sense in a seat, with what is held all the time and the seats `taken`, in a fixed order."""
     inboard = inboard_side(seat)
     known = {
         name
         for name in actions_for(seat, cabin)
         if hold is None or inboard_hand(ACTIONS[name], hold.kind, hold.side, inboard) is not None
     }
-    return tuple(name for name in ACTIVITIES if all(step.action in known for step in steps_of(name, seat, cabin, hold)))
+    alone = inboard_neighbour(seat, cabin, taken) is None
+    return tuple(
+        name
+        for name in ACTIVITIES
+        if all(s.action in known and not (alone and s.at_neighbour) for s in steps_of(name, seat, cabin, hold))
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from cabinpose.synth.cars import place_name
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.sequences import DrawGoals, plan_tracks
 from cabinpose.synth.motion.track import Track
+from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.streams import frame_rng
 from cabinpose.synth.things import Blocked
 from cabinpose.synth.validate import Rejection, Seated, most_common
@@ -23,6 +25,9 @@ if TYPE_CHECKING:  # which imports this module
     from cabinpose.synth.sample import _Cast
     from cabinpose.synth.scene import ScenePerson
 
+# By which a gaze is ahead of the head: both start within tens of milliseconds of each other in natural tasks (Herst, Epelboim,
+# Steinman 2001, Vision Research 41), but a saccade is over long before the head has turned.
+EYES_LEAD_S = 0.15
 _SCENES = 8  # drawn for a sequence until the run ends
 # A view and its camera before which none of the people comes, in the car with nobody in it; None where none is found.
 FreeCamera = Callable[["_Cast", Callable[[], "Iterable[ScenePerson]"], Seated, np.random.Generator], "tuple[str, Matrix] | None"]
@@ -42,12 +47,13 @@ class Film(NamedTuple):
 
     def people(self, time_s: float) -> list[ScenePerson]:
         """Everybody at a time, not yet dressed."""
-        poses = {slot: track.at(time_s) for slot, track in self.tracks.items()}
-        people = self.cast.people
-        return [
-            self.cast.person(slot, self.tracks[slot].activity(time_s), self.tracks[slot].body(people[slot], pose))
-            for slot, pose in poses.items()
-        ]
+        result = []
+        for slot, track in self.tracks.items():
+            person, coming = self.cast.people[slot], track.at(time_s + EYES_LEAD_S)
+            somebody = self.cast.person(slot, track.activity(time_s), track.body(person, track.at(time_s)))
+            head = frames(coming.q, person.rest, coming.root).bone("head")[:3, :3]
+            result.append(replace(somebody, coming_head=head))
+        return result
 
     def things_with(self, people: Iterable[ScenePerson]) -> tuple[PlacedThing, ...]:
         """What stands on the seats, and what these people hold."""

@@ -15,11 +15,13 @@ import numpy as np
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, axis_rotation, invert, nearest_rigid, transform
+from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.motion.activities import Step, steps_of
+from cabinpose.synth.motion.activities import Step, inboard_neighbour, steps_of
 from cabinpose.synth.motion.track import Pose, Segment, Track, duration, way_through
+from cabinpose.synth.posture.actions import inboard_side
 from cabinpose.synth.posture.goals import between, given
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
@@ -43,8 +45,9 @@ _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
 _WHEEL_SIGMA, _WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 
-# The goals of one person: an action, the wheel's angle, a number (other feet and grips with each), and the time (s).
-DrawGoal = Callable[[str, float, int, float], Drawn]
+# The goals of one person: an action, the wheel's angle, a number (other feet and grips with each), the time (s), and where hands
+# reach.
+DrawGoal = Callable[[str, float, int, float, Floats | None], Drawn]
 
 
 class Somebody(NamedTuple):
@@ -190,17 +193,18 @@ class Planner:
         return done
 
     def _step(self, activity: str, step: Step, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
-        track, hold_s = self._track, step.hold_s * float(self._rng.uniform(1.0 - _SETTLE, 1.0 + _SETTLE))
+        track, tempo = self._track, step.haste * self._tempo
+        hold_s = step.hold_s * float(self._rng.uniform(1.0 - _SETTLE, 1.0 + _SETTLE))
         goal = self._goal(step, now, time_s, number)
         if goal is None:
             return None
         reason: Rejection | None = None
-        straight_s = duration(way_through(np.stack([track.last, track.state_of(goal.pose)])), self._tempo)
+        straight_s = duration(way_through(np.stack([track.last, track.state_of(goal.pose)])), tempo)
         for interior in _INTERIOR:
             if interior == 0 and any(a and b for a, b in zip(now.holds, goal.holds, strict=True)):
                 continue
             way = way_through(self._between(track, now, goal, interior, time_s))
-            lasts_s = duration(way, self._tempo)
+            lasts_s = duration(way, tempo)
             if lasts_s > _ROUNDABOUT * straight_s + 0.3:
                 reason = reason or Rejection("way", self._who.slot, step.action)
                 continue
@@ -231,9 +235,10 @@ class Planner:
         angle = now.pose.wheel_angle
         if step.steers:
             angle = float(np.clip(angle + _WHEEL_SIGMA * self._rng.standard_normal(), -_WHEEL_LIMIT, _WHEEL_LIMIT))
-        drawn = self._who.draw(step.action, angle, number, time_s)
+        point = self._beside(time_s) if step.at_neighbour else None
+        drawn = self._who.draw(step.action, angle, number, time_s, point)
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
-            drawn = self._who.draw(step.action, now.pose.wheel_angle, number, time_s)
+            drawn = self._who.draw(step.action, now.pose.wheel_angle, number, time_s, point)
             angle = now.pose.wheel_angle
         placed = self._around.empty(angle).placed
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
@@ -246,6 +251,20 @@ class Planner:
             self._causes[rejection] += 1
             return None
         return _Goal(pose, drawn.sitter.holds)
+
+    def _beside(self, time_s: float) -> Floats | None:
+        """(3,) m on the bone of the near upper arm of whoever sits beside, at a time; None where nobody does.
+
+        The solver keeps a hand that goes there off the skin.
+        """
+        seats = self._around.cabin.seats
+        mine, others = seats[self._who.slot], self._around.others(self._who.slot, time_s)
+        name = inboard_neighbour(mine, self._around.cabin, [slot for slot, *_ in others])
+        for slot, person, pose in others:
+            if slot == name:
+                joints, near = person.pose(pose.q, pose.root).joints, "rl"[inboard_side(mine)]
+                return np.asarray(0.6 * joints[INDEX[near + "shoulder"]] + 0.4 * joints[INDEX[near + "elbow"]])
+        return None
 
     def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:
         """(K, 51) states from one pose to another, with poses in between that the solver finds."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 
+from cabinpose.core.arrays import Floats
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
@@ -28,9 +29,9 @@ from cabinpose.synth.validate import Rejection, Seated, Validator
 _PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' own
 _DRAWS = 16  # of one person's habits: streams of a sequence
 
-# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, the time (s)
-# since the first frame, and the source of randomness.
-DrawGoals = Callable[[str, str, float | None, Hold | None, float, np.random.Generator], Drawn]
+# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, where hands
+# reach beside the car's own places, the time (s) since the first frame, and the source of randomness.
+DrawGoals = Callable[[str, str, float | None, Hold | None, Floats | None, float, np.random.Generator], Drawn]
 
 
 def plan_tracks(
@@ -89,11 +90,12 @@ def plan_tracks(
     holds = {
         slot: None
         if slot in recorded
-        else _held(person, _choices(sequence, cabin, slot, weights.get(slot)), in_hand, rng=plans[slot])
+        else _held(person, _choices(sequence, cabin, slot, people, weights.get(slot)), in_hand, rng=plans[slot])
         for slot, person in people.items()
     }
     choices = {
-        slot: _choices(sequence, cabin, slot, weights.get(slot), hold, bare=in_hand == 0.0) for slot, hold in holds.items()
+        slot: _choices(sequence, cabin, slot, people, weights.get(slot), hold, bare=in_hand == 0.0)
+        for slot, hold in holds.items()
     }
     habits = dict.fromkeys(people, 0)
     actions = {slot: resting(cabin.seats[slot], cabin, holds[slot]) for slot in people}
@@ -102,9 +104,11 @@ def plan_tracks(
         habits[slot] = habits[slot] % (_DRAWS - 1) + 1
         return goals(slot, actions[slot], None)
 
-    def goals(slot: str, action: str, wheel_angle: float | None, number: int = 0, time_s: float = 0.0) -> Drawn:
+    def goals(
+        slot: str, action: str, wheel_angle: float | None, number: int = 0, time_s: float = 0.0, point: Floats | None = None
+    ) -> Drawn:
         habit = (habits[slot] + number - 1) % (_DRAWS - 1) + 1
-        return draw(slot, action, wheel_angle, holds[slot], time_s, sequence_rng(seed, first, streams[slot] + habit))
+        return draw(slot, action, wheel_angle, holds[slot], point, time_s, sequence_rng(seed, first, streams[slot] + habit))
 
     def bring(slot: str, pose: OccupantPose, body: PosedBody, seated: Seated) -> tuple[Rejection | None, Seated]:
         return bring_along(None, slot, pose, body, validator, seated, rng=plans[slot])
@@ -155,14 +159,14 @@ def _held(person: Person, choices: Mapping[str, float], in_hand: float, *, rng: 
 
 
 def _choices(
-    sequence: SequenceConfig, cabin: Cabin, slot: str, weights: Mapping[str, float] | None, hold: Hold | None = None,
-    *, bare: bool = True,
+    sequence: SequenceConfig, cabin: Cabin, slot: str, taken: Iterable[str], weights: Mapping[str, float] | None,
+    hold: Hold | None = None, *, bare: bool = True,
 ) -> dict[str, float]:  # fmt: skip
     """The activities of whoever sits in a slot, by weight; where none of those asked for makes sense there, any that does.
 
     bare: whether empty hands also do what needs a thing, and not only where there is nothing else to do.
     """
-    possible = activities_for(cabin.seats[slot], cabin, hold)
+    possible = activities_for(cabin.seats[slot], cabin, hold, taken)
     if weights is None:
         weights = {name: ACTIONS[name].weight if name in ACTIONS else _PROGRAM_WEIGHT for name in possible}
     usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}

@@ -111,6 +111,11 @@ _PASSENGER = (Action("reach_glovebox", "either", "reach", _HAND, ("glovebox",)),
 
 # Steps of activities that no still frame shows by itself.
 _STEPS = (
+    Action("hit", "reach", "either", _HAND, trunk={"thorax.rotation": (8.0, 3.0), "lumbar.lateral": (5.0, 2.0)}, weight=0.0),
+    Action(
+        "turn_back", "either", "thigh", Gaze((125.0, 10.0), (-14.0, 6.0), either_side=True),
+        trunk={"thorax.rotation": (24.0, 4.0), "lumbar.rotation": (7.0, 2.0), "lumbar.flexion": (3.0, 2.0)}, weight=0.0,
+    ),
     Action("at_mouth", "mouth", "either", Gaze((0.0, 8.0), (-4.0, 5.0)), weight=0.0),
     Action(
         "reach_floor", "shin", "thigh", Gaze((0.0, 10.0), (-40.0, 6.0)),

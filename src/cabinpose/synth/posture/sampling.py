@@ -163,7 +163,7 @@ def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None, in_hand: bool = False,
-    carried: Hold | None = None, on: PlacedThing | None = None, rng: np.random.Generator,
+    carried: Hold | None = None, point: Floats | None = None, on: PlacedThing | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
@@ -188,6 +188,8 @@ def draw_pose(
         Whether a hand holds what the action speaks of: a telephone, a drink, a book.
     carried
         What a hand holds whatever is done; the action must leave it that hand (`inboard_hand`).
+    point
+        (3,) m, vehicle frame: where hands reach that have no place of the cabin to reach for.
     wheel_angle
         How the wheel is turned (rad, + left), in place of a drawn angle.
     on
@@ -217,7 +219,7 @@ def draw_pose(
         inboard = 1 - inboard
     spared = None if carried is None else inboard_hand(chosen, carried.kind, carried.side, inboard)
     inboard = inboard if spared is None else spared
-    hands = _intents(chosen, seat, cabin, inboard, wheel is not None, rng)
+    hands = _intents(chosen, seat, cabin, inboard, wheel is not None, point, rng)
     hands = hands if carried is None else _carrying(hands, carried)
     hands, holds_it = _holding(person, hands, rng) if in_hand and carried is None else (hands, carried)
     rim = None if wheel is None else at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
@@ -369,7 +371,7 @@ def _names_arm(profile: Profile, side: int) -> bool:
 
 
 def _intents(
-    action: Action, seat: Seat, cabin: Cabin, inboard: int, drives: bool, rng: np.random.Generator
+    action: Action, seat: Seat, cabin: Cabin, inboard: int, drives: bool, reached: Floats | None, rng: np.random.Generator
 ) -> tuple[_Hand, _Hand]:
     """What each hand does, left then right; places that a seat lacks become the lap."""
     clock = math.radians(float(rng.choice(_CLOCKS_DEG, p=_CLOCK_SHARES)))
@@ -388,7 +390,7 @@ def _intents(
             place = "thigh"
         noise = tuple(float(v) for v in np.clip(rng.standard_normal(3), -2.0, 2.0))
         mine = clock + math.radians(5.0) * noise[0]
-        point = None
+        point = reached if place == "reach" else None
         if place == "reach" and point_name is not None:
             point = cabin.reach_targets[point_name] + 0.012 * np.array(noise)
         elif place == "armrest":
