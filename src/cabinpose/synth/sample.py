@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -20,63 +20,43 @@ from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, axis_rotation, transform
 from cabinpose.core.once import cached_once
-from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
-from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.cabin import PRESETS, BeltWear, Cabin, CabinDimensions, SeatSetting, belt_surface, harness_surface
+from cabinpose.core.pose import STANDING_SLOT
+from cabinpose.scene.body import Person, PosedBody
+from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, belt_surface, harness_surface
 from cabinpose.scene.room import Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.things import PlacedThing
 from cabinpose.scene.things.child_seats import SITTING
 from cabinpose.scene.things.objects import SOFT
-from cabinpose.scene.things.thing import VARIANTS, sitting_in
-from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car, place_name
+from cabinpose.scene.things.thing import sitting_in
+from cabinpose.synth.cars import is_car_file, place_name
+from cabinpose.synth.casting import Cast, Casting
 from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, RoomScene, SynthConfig
 from cabinpose.synth.draping import draped
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.film import Film, make_film
 from cabinpose.synth.motion.sequences import DrawGoals
-from cabinpose.synth.occupant import ExactPose, Occupant
-from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, person_slots, room_rng, subject_body
-from cabinpose.synth.posing import pose_people, slimmest_in_the_middle
-from cabinpose.synth.posture import choose_setting, draw_offset, random_action
+from cabinpose.synth.occupant import Occupant
+from cabinpose.synth.plan import Plan, person_slots, room_rng
+from cabinpose.synth.posing import pose_people
+from cabinpose.synth.posture import draw_offset, random_action
 from cabinpose.synth.posture.actions import HOLDING, IN_CHILD_SEAT, TELEPHONING
 from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
-from cabinpose.synth.preflight import LENS_M, open_cabin
+from cabinpose.synth.preflight import LENS_M
 from cabinpose.synth.profiles import MocapProfile
 from cabinpose.synth.restraints import belt_guide, fastening, restrained, straps
 from cabinpose.synth.scene import ImpossibleSceneError, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.streams import sequence_rng, weighted
-from cabinpose.synth.things import Blocked, Brought, SeatThings, bring_along, check_size, draw_child_seats, draw_objects, drawn
+from cabinpose.synth.things import Blocked, SeatThings, bring_along, drawn
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
 _ANYBODY = Occupant()
 _SAME_M = 1e-3  # what moves less while samples are exposed stands still: each is half of it off, a tenth of a pixel at 1 m
 _FACE_M = 0.08  # nothing alive is nearer to a lens than this
-
-
-class _Cast(NamedTuple):
-    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given.
-
-    soft: kind and design of what is draped over seats and laps, by slot.
-    """
-
-    car: str
-    cabin: Cabin
-    validator: Validator
-    names: Mapping[str, str]
-    people: Mapping[str, Person]
-    settings: Mapping[str, SeatSetting]
-    given: Mapping[str, OccupantPose]
-    brought: Brought
-    soft: Mapping[str, tuple[str, int]]
-
-    def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
-        """Whoever sits in a slot, posed and not yet dressed."""
-        return ScenePerson(slot, self.names[slot], action, self.people[slot], body)
 
 
 class SceneSampler:
@@ -86,21 +66,15 @@ class SceneSampler:
         """like: a sampler whose people, cars and rooms are taken over as far as configuration and seed make the same ones."""
         self._config = config
         self._seed = seed
-        self._model = BodyModel.load()
         self._plan = Plan(config, seed)
+        self._casting: Casting = Casting(config, seed, self._plan, like=None if like is None else like._casting)
         self._slots = person_slots(config)
-        cars = config.scene.cars if isinstance(config.scene, CabinScene) else ()
-        self._changed = {car.name: car.dimensions for car in cars if isinstance(car, ChangedPreset)}
         self._bodies = Validator(None)
-        self._person = cached_once(32)(self._make_person)
-        self._cabin = cached_once(20)(self._make_cabin)
         self._room = cached_once(64)(self._make_room)
         self._seat_things = cached_once(20)(SeatThings)
         self._film = cached_once(64)(self._make_film)
         if like is not None and like._seed == seed:
-            self._cabin, self._room = like._cabin, like._room
-            if like._config.people == config.people:
-                self._person = like._person
+            self._room = like._room
 
     def sample(self, index: int, *, rng: np.random.Generator) -> Scene:
         """The scene of frame `index`. Raises SceneError where none is found within the configured limits."""
@@ -121,16 +95,6 @@ class SceneSampler:
         own_car = next(filter(is_car_file, self._plan.cars), "")
         raise ImpossibleSceneError(index, proposals, causes, tried, own_car)
 
-    def _make_person(self, subject: str) -> Person:
-        if subject in SUBJECTS and not self._config.people.asymmetric:
-            return _named_person(subject)
-        return self._model.person(*subject_body(self._config, self._seed, subject))
-
-    def _make_cabin(self, car: str | CabinDimensions, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-        if isinstance(car, str) and is_random_car(car):
-            car = car_dimensions(self._seed, car)
-        return judged_cabin(car, drive_side)
-
     def _make_room(self, number: int) -> Room:
         return furnish_room(rng=room_rng(self._seed, number))
 
@@ -138,7 +102,7 @@ class SceneSampler:
         self, scene: CabinScene, index: int, causes: Counter[Rejection], tried: list[str], rng: np.random.Generator
     ) -> tuple[Scene | None, int]:
         """One draw of the outer ring: a scene in a car, or None, and the number of poses it took."""
-        cast = self._cast(scene, index, rng)
+        cast = self._casting.cast(scene, index, rng=rng)
         cabin, settings = cast.cabin, dict(cast.settings)
         tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
 
@@ -227,14 +191,14 @@ class SceneSampler:
             profile = scene.profile_of(slot)
             return round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
 
-        def goals(cast: _Cast) -> DrawGoals:
+        def goals(cast: Cast) -> DrawGoals:
             return lambda slot, action, wheel_angle, carried, point, time_s, rng: self._draw(
                 scene, of_profile(slot, time_s), cast.people, cast.cabin, slot, cast.settings[slot], rng,
                 action=action, wheel_angle=wheel_angle, carried=carried, point=point,
             )  # fmt: skip
 
-        def furnished(*, rng: np.random.Generator) -> tuple[_Cast, tuple[PlacedThing, ...] | Blocked]:
-            cast = self._cast(scene, first, rng)
+        def furnished(*, rng: np.random.Generator) -> tuple[Cast, tuple[PlacedThing, ...] | Blocked]:
+            cast = self._casting.cast(scene, first, rng=rng)
             settings = dict(cast.settings)
             things = self._things(scene, cast, settings, rng)
             return cast._replace(settings=settings), things
@@ -254,7 +218,7 @@ class SceneSampler:
         scene = self._config.scene
         if not isinstance(scene, CabinScene):
             raise ConfigError("only scenes in cars have given poses", hint="give a scene of people in a car")
-        cast = self._cast(scene, index, rng)
+        cast = self._casting.cast(scene, index, rng=rng)
         wheel = next((pose.wheel_angle for pose in cast.given.values() if pose.wheel_angle is not None), 0.0)
         things, verdicts, people_in = self._things(scene, cast, dict(cast.settings), rng), list[Verdict](), []
         if isinstance(things, Blocked):
@@ -272,32 +236,8 @@ class SceneSampler:
         shown = self._assembled(scene, cast, people_in, wheel, pov, camera, rng, seated.things)
         return shown, tuple(verdict for verdict in verdicts if not verdict.ok)
 
-    def _cast(self, scene: CabinScene, index: int, rng: np.random.Generator) -> _Cast:
-        """Which car frame `index` shows, who sits where in it, and how the seats are set."""
-        car, drive_side = self._plan.car(index, rng=rng)
-        cabin, validator = self._cabin(self._changed.get(car, car), drive_side)
-        child_seats = draw_child_seats(scene.child_seats, cabin, rng=rng) if scene.child_seats and not scene.things else {}
-        children = self._children(scene, child_seats, rng)
-        names = self._who(scene, cabin, index, child_seats, children, rng)
-        people = {slot: self._person(name) for slot, name in names.items()}
-        exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
-        settings = {
-            slot: _exact_setting(exact[slot])
-            if slot in exact
-            else choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
-            if slot in people and slot not in child_seats
-            else seat.default
-            for slot, seat in cabin.seats.items()
-        }
-        given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
-        objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
-        soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if kind in SOFT}
-        soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if thing.kind in SOFT}
-        hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
-        return _Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft)
-
     def _things(
-        self, scene: CabinScene, cast: _Cast, settings: dict[str, SeatSetting], rng: np.random.Generator
+        self, scene: CabinScene, cast: Cast, settings: dict[str, SeatSetting], rng: np.random.Generator
     ) -> tuple[PlacedThing, ...] | Blocked:
         """What stands on the seats; may move empty ones, in place of their settings."""
         if scene.things:
@@ -312,7 +252,7 @@ class SceneSampler:
     def _assembled(
         self,
         scene: CabinScene,
-        cast: _Cast,
+        cast: Cast,
         people: Sequence[ScenePerson],
         wheel_angle: float,
         pov: str,
@@ -334,43 +274,6 @@ class SceneSampler:
         return Scene(
             backdrop, dressed, camera, place, pov, cast.cabin, cast.settings, wheel_angle, things=things, fastenings=fastenings
         )  # fmt: skip
-
-    def _children(self, scene: CabinScene, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
-        """Who sits in which child seat. Raises ConfigError for somebody who is too tall or too small for it."""
-        result: dict[str, str] = {}
-        for slot, kind in child_seats.items():
-            occupant = scene.occupants.get(slot)
-            if kind not in SITTING or (occupant is None and not (scene.children and rng.random() < scene.children)):
-                continue
-            if occupant is not None and occupant.subject is not None:
-                result[slot] = occupant.subject
-                check_size(occupant.subject, self._person(occupant.subject).stature_m, kind)
-            else:
-                able = [name for name in self._plan.children(SITTING[kind](0).stature_m) if name not in result.values()]
-                result[slot] = able[int(rng.integers(len(able)))]
-        return result
-
-    def _who(
-        self,
-        scene: CabinScene,
-        cabin: Cabin,
-        index: int,
-        without: Collection[str],
-        children: Mapping[str, str],
-        rng: np.random.Generator,
-    ) -> dict[str, str]:
-        """The people of frame `index` by the seats they take, none of those `without`: named ones and children, others drawn."""
-        taken = _occupied(scene, cabin, without, children, rng)
-        named = {slot: o.subject for slot, o in scene.occupants.items() if o.subject is not None} | dict(children)
-        cell = self._plan.cell(index)
-        if cell is not None and scene.factorial is not None:
-            named[scene.factorial.seat] = cell.subject
-        free = [slot for slot in taken if slot not in named]
-        drawn = self._plan.people(index, len(free), without=named.values(), rng=rng)
-        if free[:1] == ["driver"] and cabin.steering_wheel is not None:
-            drawn = self._plan.driver_first(index, drawn, without=named.values(), rng=rng)
-        people = named | dict(zip(free, drawn, strict=True))
-        return slimmest_in_the_middle({slot: people[slot] for slot in taken}, cabin, self._person, stay=named)
 
     def _draw(
         self,
@@ -456,7 +359,7 @@ class SceneSampler:
         number = self._plan.room(rng=rng)
         room = self._room(number)
         (subject,) = self._plan.people(index, 1, rng=rng)
-        person = self._person(subject)
+        person = self._casting.person(subject)
         tried.append(f"room {number} ({subject})")
         camera = place_room_camera(rng=rng)
         spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))
@@ -475,51 +378,9 @@ class SceneSampler:
         return None, self._config.limits.poses_per_person
 
 
-def judged_cabin(car: str | CabinDimensions, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-    """A cabin and who judges scenes in it. A preset's are built once a process; a user's mesh may change between calls."""
-    if isinstance(car, str) and car in PRESETS:
-        return _judged_preset(car, drive_side)
-    cabin = open_cabin(car, drive_side)
-    return cabin, Validator(cabin)
-
-
-@cached_once(16)
-def _judged_preset(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-    cabin = open_cabin(car, drive_side)
-    return cabin, Validator(cabin)
-
-
-@cached_once(len(SUBJECTS))
-def _named_person(subject: str) -> Person:
-    return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
-
-
-def _exact_setting(pose: ExactPose) -> SeatSetting:
-    return SeatSetting(pose.fore_aft_m, pose.height_m, pose.torso_angle_rad)
-
-
-def _exact_pose(pose: ExactPose, action: str) -> OccupantPose:
-    q = np.array([pose.angles_rad.get(dof.name, 0.0) for dof in DOFS])
-    fingers = None if pose.fingers is None else np.array(pose.fingers, np.float64)
-    return OccupantPose(q, np.array(pose.vehicle_from_root), action, pose.wheel_angle_rad, {}, fingers=fingers)
-
-
 def _in_hand(scene: CabinScene, action: str, rng: np.random.Generator) -> bool:
     """Whether somebody who does this has something in the hand."""
     return action in HOLDING or (scene.in_hand > 0.0 and action in TELEPHONING and rng.random() < scene.in_hand)
-
-
-def _occupied(
-    scene: CabinScene, cabin: Cabin, without: Collection[str], sure: Collection[str], rng: np.random.Generator
-) -> list[str]:
-    """The seats taken, in the standard's order: each by its own probability, at least one; those `sure`, none of `without`."""
-    chances = {
-        slot: 1.0 if slot in scene.always_taken or slot in sure else 0.0 if slot in without else scene.occupancy.get(slot, 0.0)
-        for slot in cabin.seats
-    }
-    draws = rng.random(len(OCCUPANT_SLOTS))
-    taken = [slot for i, slot in enumerate(OCCUPANT_SLOTS) if draws[i] < chances.get(slot, 0.0)]
-    return taken or [weighted(chances, rng=rng)]
 
 
 def _blocked(eye: Floats, people: Iterable[ScenePerson], seated: Seated) -> bool:

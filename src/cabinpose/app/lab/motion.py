@@ -27,10 +27,10 @@ from cabinpose.scene.body.kinematics import main_frames
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, person_contact, self_contact, solid_topology
+from cabinpose.synth.casting import judged_cabin
 from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation
 from cabinpose.synth.posture.goals import turn_head
-from cabinpose.synth.sample import judged_cabin
 from cabinpose.synth.validate import Validator
 
 F64 = NDArray[np.float64]

@@ -53,7 +53,7 @@ def indirect_light(
     falloff: bool,
     unseen: float = 0.0,
 ) -> Floats32:
-    """Light that reaches what the camera sees by way of other surfaces that it sees, as it comes back to the camera.
+    """Light that reaches what the camera sees by way of other surfaces, as it comes back to the camera.
 
     Parameters
     ----------
@@ -67,6 +67,8 @@ def indirect_light(
         (F,) modulation frequencies, Hz.
     falloff
         Whether the light falls off as the sensor says; even in all directions otherwise.
+    unseen
+        Reflectance of the rest of a car's cabin; 0 where there is none.
 
     Returns
     -------

@@ -22,7 +22,7 @@ from cabinpose.synth.things import Blocked
 from cabinpose.synth.validate import Rejection, Seated, most_common
 
 if TYPE_CHECKING:  # which imports this module
-    from cabinpose.synth.sample import _Cast
+    from cabinpose.synth.casting import Cast
     from cabinpose.synth.scene import ScenePerson
 
 # By which a gaze is ahead of the head: both start within tens of milliseconds of each other in natural tasks (Herst, Epelboim,
@@ -30,13 +30,13 @@ if TYPE_CHECKING:  # which imports this module
 EYES_LEAD_S = 0.15
 _SCENES = 8  # drawn for a sequence until the run ends
 # A view and its camera before which none of the people comes, in the car with nobody in it; None where none is found.
-FreeCamera = Callable[["_Cast", Callable[[], "Iterable[ScenePerson]"], Seated, np.random.Generator], "tuple[str, Matrix] | None"]
+FreeCamera = Callable[["Cast", Callable[[], "Iterable[ScenePerson]"], Seated, np.random.Generator], "tuple[str, Matrix] | None"]
 
 
 class Film(NamedTuple):
     """A planned sequence: the cast, the tracks of people by slot, what stands on the seats, the view and its camera."""
 
-    cast: _Cast
+    cast: Cast
     tracks: Mapping[str, Track]
     things: tuple[PlacedThing, ...]
     sequence: SequenceConfig
@@ -83,8 +83,8 @@ def make_film(
     number: int,
     sequence: SequenceConfig,
     seed: int,
-    draw_cast: Callable[[np.random.Generator], tuple[_Cast, tuple[PlacedThing, ...] | Blocked]],
-    goals: Callable[[_Cast], DrawGoals],
+    draw_cast: Callable[[np.random.Generator], tuple[Cast, tuple[PlacedThing, ...] | Blocked]],
+    goals: Callable[[Cast], DrawGoals],
     free_camera: FreeCamera,
     *,
     weights: Mapping[str, Mapping[str, float]],

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,34 +16,31 @@ from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.contact import PlacedField
-from cabinpose.scene.things.thing import VARIANTS, PlacedThing, sitting_in
+from cabinpose.scene.things.thing import PlacedThing, sitting_in
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     ACTIONS,
     BREATHING,
     HOLDING,
     Action,
-    Place,
     Spread,
     action_named,
     actions_for,
-    armrest_point_name,
     inboard_side,
-    target_name,
 )
 from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default_plans, foot_goals, tunnel_m
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
 from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
-from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold, inboard_hand
+from cabinpose.synth.posture.grasps import HANDED, Hold, inboard_hand
 from cabinpose.synth.posture.hands import LimbTask
+from cabinpose.synth.posture.intents import Hand, carrying, holding, intents
 from cabinpose.synth.posture.neighbours import Neighbours
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_child_seat, fit_seat
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.profiles import Profile
 
-_CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
 _GRIP: Mapping[str, float] = {
     "ear": 0.5, "mouth": 0.5, "shin": 0.06, "chest": 0.5, "drink": 0.4, "book": 0.1, "carry": 0.4, "belt": 0.6,
@@ -85,18 +81,6 @@ class OccupantPose:
     held_up_by: str = ""
     fingers: Floats | None = None
     hold: Hold | None = None
-
-
-class _Hand(NamedTuple):
-    """One hand's intent, drawn once: its place, three standard normal numbers, the clock angle, the point to reach, and how the
-    fingers lie: (6,) as `Person.pose` takes them, NaN where they follow the grip.
-    """
-
-    place: Place
-    noise: tuple[float, float, float]
-    clock: float
-    point: Floats | None
-    fingers: Floats = at.BY_GRIP
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,9 +203,9 @@ def draw_pose(
         inboard = 1 - inboard
     spared = None if carried is None else inboard_hand(chosen, carried.kind, carried.side, inboard)
     inboard = inboard if spared is None else spared
-    hands = _intents(chosen, seat, cabin, inboard, wheel is not None, point, rng)
-    hands = hands if carried is None else _carrying(hands, carried)
-    hands, holds_it = _holding(person, hands, rng) if in_hand and carried is None else (hands, carried)
+    hands = intents(chosen, seat, cabin, inboard, wheel is not None, point, rng=rng)
+    hands = hands if carried is None else carrying(hands, carried)
+    hands, holds_it = holding(person, hands, rng=rng) if in_hand and carried is None else (hands, carried)
     rim = None if wheel is None else at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
     left, right = (hand._replace(fingers=at.fingers_at(hand.place, hand.noise, rim)) for hand in hands)
     hands = left, right
@@ -370,57 +354,6 @@ def _names_arm(profile: Profile, side: int) -> bool:
     return any(name.split(".")[0] in joints for name in profile.held)
 
 
-def _intents(
-    action: Action, seat: Seat, cabin: Cabin, inboard: int, drives: bool, reached: Floats | None, rng: np.random.Generator
-) -> tuple[_Hand, _Hand]:
-    """What each hand does, left then right; places that a seat lacks become the lap."""
-    clock = math.radians(float(rng.choice(_CLOCKS_DEG, p=_CLOCK_SHARES)))
-    point_name = target_name(action, seat, cabin)
-    result = []
-    for side in (0, 1):
-        place: Place = action.inboard if side == inboard else action.outboard
-        other: Place = action.outboard if side == inboard else action.inboard
-        chance = float(rng.random())
-        if place == "either":
-            if drives:
-                place = "wheel" if other != "wheel" and chance < 0.8 else "thigh"
-            else:
-                place = "armrest" if side != inboard and chance < 0.2 else "thigh"
-        if place == "armrest" and armrest_point_name(seat, cabin) is None:
-            place = "thigh"
-        noise = tuple(float(v) for v in np.clip(rng.standard_normal(3), -2.0, 2.0))
-        mine = clock + math.radians(5.0) * noise[0]
-        point = reached if place == "reach" else None
-        if place == "reach" and point_name is not None:
-            point = cabin.reach_targets[point_name] + 0.012 * np.array(noise)
-        elif place == "armrest":
-            point = cabin.reach_targets[armrest_point_name(seat, cabin) or ""]
-        result.append(_Hand(place, (noise[0], noise[1], noise[2]), mine if side == 0 else -mine, point))
-    return result[0], result[1]
-
-
-def _holding(person: Person, hands: tuple[_Hand, _Hand], rng: np.random.Generator) -> tuple[tuple[_Hand, _Hand], Hold | None]:
-    """What one of the hands holds, the first design that fits into it; a second hand beside it goes to the lap."""
-    able = [side for side in (0, 1) if hands[side].place in HANDED]
-    if not able:
-        return hands, None
-    side = able[int(rng.integers(len(able)))]
-    place = hands[side].place
-    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
-    order = [designs[n] for n in rng.permutation(len(designs)).tolist()]
-    kind, variant = next((d for d in order if can_hold(person, place, *d)), order[0])
-    rest = [h._replace(place="thigh") if s != side and s in able else h for s, h in enumerate(hands)]
-    return (rest[0], rest[1]), hold(person, place, kind, variant, side)
-
-
-def _carrying(hands: tuple[_Hand, _Hand], carried: Hold) -> tuple[_Hand, _Hand]:
-    """The hands of somebody who holds a thing all the time: over the lap, where the action has no use for it."""
-    mine, other = hands[carried.side], hands[1 - carried.side]
-    mine = mine if carried.kind in HANDED.get(mine.place, ()) else mine._replace(place="carry")
-    other = other._replace(place="thigh") if other.place in HANDED else other
-    return (mine, other) if carried.side == 0 else (other, mine)
-
-
 def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     """+1 where the action turns or leans to the left: the side of the reaching hand, or a random one."""
     random = 1.0 if rng.random() < 0.5 else -1.0
@@ -467,7 +400,7 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
 
 
 def _gaze(
-    s: _Situation, action: Action, hands: tuple[_Hand, _Hand], side_sign: float, skeleton: Frames, rng: np.random.Generator
+    s: _Situation, action: Action, hands: tuple[Hand, Hand], side_sign: float, skeleton: Frames, rng: np.random.Generator
 ) -> Matrix:
     """vehicle_from_head (4, 4), its rotation, of somebody who looks where the action says."""
     gaze = action.gaze
@@ -487,7 +420,7 @@ def _gaze(
     return head_rotation(s.seat.facing_yaw + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
 
 
-def _task(s: _Situation, hand: _Hand, side: int, skeleton: Frames) -> LimbTask:
+def _task(s: _Situation, hand: Hand, side: int, skeleton: Frames) -> LimbTask:
     """The palm's target for the trunk as it is now."""
     (a, b, c), femur = hand.noise, s.person.segment_lengths["thigh"]
     shoulder = skeleton.bone("lr"[side] + "upperarm")[:3, 3]
