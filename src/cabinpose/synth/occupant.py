@@ -45,7 +45,8 @@ class ExactPose(Model):
     fingers: tuple[tuple[float | None, ...], ...] | None = Field(
         None,
         exclude_if=lambda fingers: fingers is None,
-        description="Curl of the fingers of the left and the right hand, thumb first, where they do not follow the grip.",
+        description="Of the left and the right hand: curl of each finger, thumb first, and how far they are closed (0..1), where"
+        " they do not follow the grip.",
     )
 
     @field_validator("angles_rad")
