@@ -98,6 +98,17 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "--port is from 0 to 65535, --max-message-mb from 1 to 1024",
             "leave them out for 8001 and 64",
         ),
+        (
+            "train-style scene.yaml d --out x.onnx",
+            "scene.yaml is no style frame",
+            "write it with numpy.savez(PATH, depth_m=..., regions=...): see docs/style.md",
+        ),
+        (
+            "train-style nope.npz d --out x.onnx",
+            "cannot read nope.npz: No such file or directory",
+            "write it with numpy.savez(PATH, depth_m=..., regions=...): see docs/style.md",
+        ),
+        ("train-style nope.npz d --out x", "x is no name of a model", "let it end in .onnx"),
         ("predict nope --model in_car --out f.jsonl", "nope does not exist", "give the folder of a dataset"),
         ("info nope.mcap", "the recording nope.mcap does not exist", "give the path of a recording"),
         ("view nope.mcap --out v", "the recording nope.mcap does not exist", "give the path of a recording"),

@@ -32,6 +32,7 @@ from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.posture.actions import HOLDING
 from cabinpose.synth.profiles import IncrementalProfile, Profile
+from cabinpose.synth.style.settings import Style
 from cabinpose.synth.things import Choice, check_child_seats, check_shares, weights_of
 
 Vector = tuple[float, float, float]
@@ -325,6 +326,9 @@ class SynthConfig(Model):
     images: Images | None = Field(
         None, exclude_if=lambda images: images is None, description="Colour and near-infrared pictures beside the depth."
     )
+    style: Style | None = Field(
+        None, exclude_if=lambda style: style is None, description="Depth with the look of a real camera's beside the depth."
+    )
     output: Output = Output()
     limits: Limits = Limits()
 
@@ -448,7 +452,10 @@ def _overridden(data: Any, overrides: Sequence[str]) -> Any:
 
 
 def _with_paths(data: dict[str, Any], base: Path) -> dict[str, Any]:
-    """A copy in which the paths of own cars and recordings are absolute."""
+    """A copy in which the paths of own cars, recordings and styles are absolute."""
+    if isinstance(style := data.get("style"), dict):
+        paths = {key: str((base / style[key]).resolve()) for key in ("by", "vgg19") if isinstance(style.get(key), str)}
+        data = {**data, "style": {**style, **paths}}
     scene = data.get("scene")
     if not isinstance(scene, dict):
         return data

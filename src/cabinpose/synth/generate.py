@@ -25,6 +25,7 @@ from cabinpose.synth.gaze import GAZE_VARIABLES
 from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
+from cabinpose.synth.style.settings import STYLE_VARIABLES
 from cabinpose.synth.validate import Rejection, by_cause
 from cabinpose.synth.write import RESTRAINTS, Content, FrameReport, make_frames
 
@@ -45,8 +46,9 @@ class GenerationReport:
     """What a run made. `frames` were made by this run, `frames_total` are in the dataset.
 
     rejections: by cause · acceptance: accepted / proposed poses of people ·
-    stages_ms: mean milliseconds of CPU time a frame, by stage · content: this run's frames by car and view, its people by name
-    and seat, the most frequent first.
+    stages_ms: mean milliseconds of CPU time a frame, by stage · content: this run's frames by car, view and style, its
+    people by name and seat, the most frequent first · label_shift: the farthest that styling moved an edge (px) and the mean
+    depth of a part (mm) in this run's styled frames.
     """
 
     out: str
@@ -59,6 +61,7 @@ class GenerationReport:
     acceptance: float
     stages_ms: Mapping[str, float]
     content: Mapping[Content, Mapping[str, int]]
+    label_shift: Mapping[str, float]
 
 
 def generate(
@@ -138,6 +141,8 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
     if config.images is not None:
         images += (*config.images.variables, "light", "renderer")
+    if config.style is not None:
+        images += STYLE_VARIABLES
     return Manifest(
         generator="cabinpose.synth",
         generator_version=cabinpose.__version__,
@@ -190,4 +195,5 @@ def _summary(out: Path, total: FrameReport, before: int, seconds: float) -> Gene
         acceptance=1.0 - rejected / total.proposals if total.proposals else 1.0,
         content={kind: {n: c for (k, n), c in total.content.most_common() if k == kind} for kind in get_args(Content)},
         stages_ms={name: 1000 * s / total.frames for name, s in total.stage_seconds.items()} if total.frames else {},
+        label_shift=total.label_shift,
     )

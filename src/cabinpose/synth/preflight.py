@@ -23,12 +23,16 @@ LENS_M = 0.01  # free space a lens needs around it
 
 
 def preflight(config: SynthConfig, *, frames: int) -> None:
-    """Raises for what a run of `frames` frames would fail of: ConfigError, MocapError, SceneError, and DependencyError where
-    Mitsuba is needed and missing. Warns of open meshes.
+    """Raises for what a run of `frames` frames would fail of: ConfigError, MocapError, ModelError, SceneError, and
+    DependencyError where Mitsuba or torch is needed and missing. Warns of open meshes.
     """
     scene = config.scene
     if config.images is not None and config.images.renderer == "path_traced":
         mitsuba()
+    if config.style is not None:
+        from cabinpose.synth.style.stage import FrameStyler  # noqa: PLC0415 - ONNX Runtime, where depth is styled
+
+        FrameStyler(config.style)
     if config.frames is not None and frames > config.frames:
         raise ConfigError(
             f"{frames} frames are asked for, but all combinations are {config.frames}",

@@ -32,13 +32,15 @@ from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import ImpossibleSceneError, Scene
 from cabinpose.synth.streams import frame_rng, noise_rng
+from cabinpose.synth.style.settings import LEFT
 from cabinpose.synth.validate import Rejection, by_cause
 
 if TYPE_CHECKING:
     from cabinpose.synth.pictures.maker import PictureMaker
+    from cabinpose.synth.style.stage import FrameStyler
 
 Frame = dict[str, Any]
-Content = Literal["cars", "people", "seats", "views"]
+Content = Literal["cars", "people", "seats", "styles", "views"]
 RESTRAINTS = ("belt", "child", "child_seat", "attachment")
 _AHEAD = 3  # frames that a thread may be ahead of what is written
 # Interval (s) after which the interpreter lets another thread run. Kernels release the lock; at Python's default of 5 ms a thread
@@ -51,7 +53,7 @@ class FrameMaker:
 
     def __init__(self, config: SynthConfig, seed: int, sampler: SceneSampler | None = None, *, pictures: bool = True) -> None:
         """sampler: of the same configuration and seed, to share people and cars with; its own by default · pictures: False
-        leaves out those that the configuration asks for, which nobody looks at.
+        leaves out those that the configuration asks for, and styled depth, which nobody looks at.
         """
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._config = config
@@ -69,6 +71,11 @@ class FrameMaker:
             from cabinpose.synth.pictures.maker import PictureMaker  # noqa: PLC0415 - loaded where there are pictures
 
             self._pictures = PictureMaker(config.images, self._sensor, seed)
+        self._styler: FrameStyler | None = None
+        if pictures and config.style is not None:
+            from cabinpose.synth.style.stage import FrameStyler  # noqa: PLC0415 - loaded where depth is styled
+
+            self._styler = FrameStyler(config.style)
         self._slots = person_slots(config)
         self._tells_restraints = isinstance(config.scene, CabinScene) and config.scene.tells_restraints
         self._instances = np.arange(1, len(self._slots) + 1, dtype=np.uint8)
@@ -127,9 +134,14 @@ class FrameMaker:
         if self._pictures is not None:
             with self.stage("pictures"):
                 pictures = self._pictures.take(scene, surface, rng=rng)
+        styled: Frame = {}
+        if self._styler is not None:
+            with self.stage("style"):
+                styled = self._styler.take(seen.depth_m, rendered.depth_clean, rendered.labels, rendered.instance, rng=rng)
         camera = self._sensor.camera
         return {
             **pictures,
+            **styled,
             "depth": seen.depth_m,
             "depth_clean": rendered.depth_clean,
             "amplitude": seen.amplitude,
@@ -204,7 +216,8 @@ def _micrometres(noise_m: np.ndarray) -> np.ndarray:
 @dataclass
 class FrameReport:
     """What making some frames took. frames: written, without those skipped · proposals, rejections: poses of people ·
-    stage_seconds: CPU time of the threads that made them · content: frames by car and view, people by name and seat.
+    stage_seconds: CPU time of the threads that made them · content: frames by car, view and style, people by name and seat ·
+    label_shift: the farthest that styling moved an edge (px) and the mean depth of a part (mm), of styled frames.
     """
 
     frames: int = 0
@@ -212,6 +225,7 @@ class FrameReport:
     rejections: Counter[Rejection] = field(default_factory=Counter)
     stage_seconds: Counter[str] = field(default_factory=Counter)
     content: Counter[tuple[Content, str]] = field(default_factory=Counter)
+    label_shift: dict[str, float] = field(default_factory=dict)
 
     def add(self, other: FrameReport) -> None:
         """Count another report in."""
@@ -220,6 +234,8 @@ class FrameReport:
         self.rejections.update(other.rejections)
         self.stage_seconds.update(other.stage_seconds)
         self.content.update(other.content)
+        for name, most in other.label_shift.items():
+            self.label_shift[name] = max(most, self.label_shift.get(name, 0.0))
 
 
 class _Made(NamedTuple):
@@ -275,7 +291,11 @@ def make_frames(
             return _Made(None, FrameReport(0, error.proposals, error.rejections, Counter(maker.seconds)))
         with maker.stage("write"):
             encoded = encode_frame(frame, index, manifest)
-        return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(maker.seconds), _content(scene)))
+        content, shift = _content(scene), {}
+        if "style" in frame:
+            content["styles", frame["style"]] = 1
+            shift = {name: frame[f"style_{name}"] for name in ("edge_px", "part_mm")} if frame["style"] != LEFT else {}
+        return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(maker.seconds), content, shift))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
     indices, before = chain.from_iterable(map(_frames, plans)), _sequences_ahead(shared, config, plans, threads)

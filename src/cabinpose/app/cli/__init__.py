@@ -22,7 +22,7 @@ from cabinpose.app.cli.output import printable
 
 GROUPS = MappingProxyType(
     {
-        "datasets": ("synth", "config", "car", "info", "view", "export", "import"),
+        "datasets": ("synth", "train-style", "config", "car", "info", "view", "export", "import"),
         "detectors": ("train", "models", "predict", "evaluate", "live", "serve"),
         "recordings": (
             "record",

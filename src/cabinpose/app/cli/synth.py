@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -35,6 +37,8 @@ class Synth(PrintsJson):
     """Changes to the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
     config: Maybe[Path] = None
     """Configuration (YAML), as `cabinpose config init` writes it; default: people in all seven cars."""
+    style: Maybe[Path] = None
+    """Model of a camera's look (.onnx of `cabinpose train-style`) or a style frame (.npz): adds depth_styled."""
     workers: Maybe[int] = None
     """Threads; default: one per core."""
     scheduler: Maybe[str] = None
@@ -60,7 +64,8 @@ def run(command: Synth) -> None:
             "--workers are threads of this process, --scheduler is a cluster elsewhere",
             hint="give one of --workers and --scheduler",
         )
-    config = SynthConfig.load(command.config, command.overrides)
+    styled = () if command.style is None else (f"style.by={json.dumps(str(command.style.resolve()))}",)
+    config = SynthConfig.load(command.config, (*command.overrides, *styled))
     frames = config.frames_or_all(command.frames)
     with progress(frames, "frames", start=_frames_there(command)) as report:
         warn_at = _FEW_POSES
@@ -91,9 +96,14 @@ def run(command: Synth) -> None:
             ("acceptance", f"{100 * result.acceptance:.1f} % of {result.proposals} poses; rejected: {causes}"),
             ("ms a frame", ", ".join(f"{name} {ms:.2f}" for name, ms in result.stages_ms.items()) or "nothing was left to make"),
             *((name, listed(counts, most=8)) for name, counts in result.content.items() if counts),
+            *([("styling moved", _shift(result.label_shift))] if result.label_shift else ()),
         ]
     )
     print(f"look at it with: cabinpose view {command.out} --out {command.out}-view", file=sys.stderr)
+
+
+def _shift(moved: Mapping[str, float]) -> str:
+    return f"edges at labels' borders by {moved['edge_px']:.2f} px at most, mean depths of parts by {moved['part_mm']:.2f} mm"
 
 
 def _warn_of_rejections(state: Progress, accepted: int) -> None:

@@ -1,0 +1,1 @@
+"""Depth with the look of a real camera: neural style transfer that keeps to the labels."""
