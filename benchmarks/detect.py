@@ -18,7 +18,8 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.estimate.onnx_model import BATCH
 from cabinpose.estimate.predictor import OnnxPredictor, load_model, packaged_models
-from cabinpose.synth.config import CabinScene, Camera, SynthConfig, room_preset
+from cabinpose.synth.camera import Camera
+from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
 from cabinpose.synth.write import FrameMaker
 
 AIMS = {"compact": 60.0, "paf": 8.0}  # frames a second, one at a time, on two cores

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cabinpose.synth.config import CabinScene, Camera, Output, SynthConfig
+from cabinpose.synth.camera import Camera
+from cabinpose.synth.config import CabinScene, Output, SynthConfig
 from cabinpose.synth.generate import generate
 
 OUT = Path("my-dataset")

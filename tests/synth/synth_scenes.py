@@ -9,7 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from cabinpose.synth.config import CabinScene, Camera, Output, SynthConfig
+from cabinpose.synth.camera import Camera
+from cabinpose.synth.config import CabinScene, Output, SynthConfig
 from cabinpose.synth.people import People
 
 PART = 3

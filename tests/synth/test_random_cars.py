@@ -12,7 +12,8 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.store import open_dataset
 from cabinpose.synth import preflight as preflight_module
-from cabinpose.synth.config import Camera, SynthConfig
+from cabinpose.synth.camera import Camera
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.plan import car_dimensions, car_names
 from cabinpose.synth.preflight import preflight

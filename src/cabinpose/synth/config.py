@@ -14,19 +14,20 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.core.yaml_text import parse_yaml, read_yaml
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, BeltMisuse
-from cabinpose.scene.sensor import SENSORS, NoiseModel, PhysicalNoise, Sensor, StructuredLightNoise, sensor_by_name
+from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
 from cabinpose.scene.things.objects import SOFT
 from cabinpose.scene.things.thing import Attachment
+from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
-from cabinpose.synth.occupant import ExactThing, Matrix4, Occupant
+from cabinpose.synth.occupant import ExactThing, Occupant
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
@@ -35,79 +36,7 @@ from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
 from cabinpose.synth.things import Choice, check_child_seats, check_shares, weights_of
 
-Vector = tuple[float, float, float]
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
-
-
-class CameraPose(Model):
-    """A camera pose of the user's own, in the vehicle frame (room: world frame)."""
-
-    position_m: Vector
-    look_at_m: Vector
-    roll_deg: float = 0.0
-
-
-class ExactCameraPose(Model):
-    """A camera pose as `cabinpose config frame` writes it, to the last bit."""
-
-    vehicle_from_camera: Matrix4
-
-    @property
-    def position_m(self) -> Vector:
-        """Where the lens is."""
-        return tuple(row[3] for row in self.vehicle_from_camera[:3])  # type: ignore[return-value]
-
-
-class Camera(Model):
-    """Which sensor looks from where."""
-
-    sensor: str | Sensor = Field(
-        "pico_monstar_105/5",
-        description="A preset (use case after a slash), one with fields changed ({preset: evk75123, fps: 15}), or the mapping of"
-        " an own sensor: see docs/sensor-model.md.",
-    )
-    views: Mapping[str, Probability | CameraPose | ExactCameraPose] = Field(
-        {"driver": 0.5, "front_row": 0.5},
-        description="Weights of the cabin's views (driver, front_row, rear), or own poses by name (each of weight 1).",
-    )
-    jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="The position moves by up to this along each of the camera's axes.")
-    jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="The orientation turns by up to this about each of its axes.")
-    supersample: int = Field(2, ge=1, le=4, description="Parts a side of a pixel that sees an edge (flying pixels need 2).")
-
-    @field_validator("sensor", mode="before")
-    @classmethod
-    def _changed(cls, sensor: Any) -> Any:
-        if not isinstance(sensor, dict) or "preset" not in sensor:
-            return sensor
-        for field in sensor.keys() - {"preset"} - Sensor.model_fields.keys():
-            raise unknown_name("field of a sensor", field, list(Sensor.model_fields))
-        changes = {field: value for field, value in sensor.items() if field != "preset"}
-        return sensor_by_name(str(sensor["preset"])).model_dump() | changes
-
-    @field_validator("sensor")
-    @classmethod
-    def _known(cls, sensor: str | Sensor) -> str | Sensor:
-        if isinstance(sensor, str):
-            sensor_by_name(sensor)
-        return sensor
-
-    @field_validator("views")
-    @classmethod
-    def _some(cls, views: Mapping[str, Any]) -> Mapping[str, Any]:
-        if not any(not isinstance(v, float) or v > 0 for v in views.values()):
-            raise ConfigError("no view has a weight above 0", hint="give at least one of driver, front_row, rear a weight")
-        return views
-
-    @property
-    def weights(self) -> Mapping[str, float]:
-        """The views that are taken, with their weights; own ones have 1."""
-        weights = {name: view if isinstance(view, float) else 1.0 for name, view in self.views.items()}
-        return {name: weight for name, weight in weights.items() if weight > 0.0}
-
-    @property
-    def sensor_model(self) -> Sensor:
-        """The sensor itself, where `sensor` may only name it."""
-        return self.sensor if isinstance(self.sensor, Sensor) else SENSORS[self.sensor]
 
 
 class Factorial(Model):

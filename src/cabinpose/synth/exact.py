@@ -9,8 +9,9 @@ from cabinpose.core.arrays import Floats
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOFS
+from cabinpose.synth.camera import ExactCameraPose
 from cabinpose.synth.cars import place_name
-from cabinpose.synth.config import CabinScene, ExactCameraPose, SynthConfig
+from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.occupant import ExactPose, ExactThing, Matrix4, Occupant
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene

@@ -29,9 +29,10 @@ from cabinpose.scene.things import PlacedThing
 from cabinpose.scene.things.child_seats import SITTING
 from cabinpose.scene.things.objects import SOFT
 from cabinpose.scene.things.thing import sitting_in
+from cabinpose.synth.camera import CameraPose, ExactCameraPose
 from cabinpose.synth.cars import is_car_file, place_name
 from cabinpose.synth.casting import Cast, Casting
-from cabinpose.synth.config import CabinScene, CameraPose, ExactCameraPose, RoomScene, SynthConfig
+from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.draping import draped
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.film import Film, make_film

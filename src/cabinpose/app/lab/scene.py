@@ -16,8 +16,8 @@ from cabinpose.core.recorded import ToFFrame
 from cabinpose.scene.cabin import belt_surface
 from cabinpose.scene.room import Room
 from cabinpose.scene.sensor import Sensor
+from cabinpose.synth.camera import Camera as CameraConfig
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
-from cabinpose.synth.config import Camera as CameraConfig
 from cabinpose.synth.plan import person_slots
 from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.write import FrameMaker

@@ -25,8 +25,9 @@ from cabinpose.core.yaml_text import read_yaml
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import SeatSetting
 from cabinpose.scene.cabin.car_file import read_car_file
+from cabinpose.synth.camera import Camera, CameraPose
 from cabinpose.synth.cars import is_car_file
-from cabinpose.synth.config import CabinScene, Camera, CameraPose, SynthConfig
+from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.exact import exact_scene, without_defaults
 from cabinpose.synth.posture.goals import hand_to
 from cabinpose.synth.sample import SceneSampler
