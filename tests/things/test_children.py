@@ -68,7 +68,7 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
     sits = local[np.isin(child.person.skin_segment, [SEGMENTS.index(name) for name in ("pelvis", "lthigh", "rthigh")])]
     height, slope = sitting_in(seat.thing).cushion
     under = sits[:, 2] - height - slope * sits[:, 0]
-    assert -0.028 < under.min() < -0.002  # pressed into the padding
+    assert -0.028 < under.min() < 0.0  # on the padding, or pressed into it
 
 
 @pytest.mark.parametrize("kind", ["booster", "booster_cushion"])
