@@ -1,8 +1,9 @@
 """Does realistic noise help? Detectors trained on frames of one kind, tested on frames of another: `noise_study.py FOLDER`.
 
 The scenes of the training sets are the same, and so are the network, its first weights and the order of frames: what
-differs is the noise. Nobody in the tests, and no car of theirs, was trained on. `--reference DATASET` adds frames whose
-indirect light was path traced (`tools/multipath_reference.py`), `--style MODEL` a detector that learnt from styled depth.
+differs is the noise. Nobody in the tests, and no car of theirs, was trained on. `--style MODEL` adds a detector that learnt from
+styled depth. `--traced N` adds N test frames whose indirect light is path traced: the first call writes their scenes to
+FOLDER/traced and stops, `tools/multipath_reference.py trace FOLDER/traced --paths 128` traces them, and the next call goes on.
 A step whose folder is there is not done again. It prints the table of docs/does-it-help.md.
 """
 
@@ -16,7 +17,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from multipath_reference import FOV, SIZE, SPEED_OF_LIGHT
+from scipy import ndimage
 
 SCENES: Mapping[str, Any] = {
     "scene": {
@@ -80,6 +84,65 @@ def detector(folder: Path, data: Path, recipe: Mapping[str, Any]) -> Path:
     return model
 
 
+def traced(folder: Path, frames: int) -> Path | None:
+    """The folder of a dataset with path-traced indirect light; None where that is still to be traced."""
+    from cabinpose.scene.sensor import physical
+    from cabinpose.scene.sensor.optics import material_table
+    from cabinpose.synth.config import SynthConfig
+    from cabinpose.synth.generate import generate
+    from cabinpose.synth.write import FrameMaker
+
+    config = SynthConfig.parse(dict(SCENES) | UNSEEN | {"noise": {"multipath": True}})
+    lights = [folder / "traced" / f"light_{i:03d}.npz" for i in range(frames)]
+    if not all(light.exists() for light in lights):
+        maker, reflectance = FrameMaker(config, 901), material_table(True, True, 0.0, 0.0)[:, 0]
+        (folder / "traced").mkdir(exist_ok=True)
+        for i in range(frames):
+            scene = maker.make(i)[1]
+            surface = scene.surface()
+            np.savez(
+                folder / "traced" / f"scene_{i:03d}.npz", vertices=surface.vertices, normals=surface.normals, faces=surface.faces,
+                reflectance=reflectance[surface.material], world_from_camera=scene.world_from_camera,
+            )  # fmt: skip
+        return None
+    data = folder / "test-traced"
+    if not data.exists():
+        waiting = iter(lights)
+
+        def from_file(buffers: Any, sensor: Any, table: Any, frequencies: Any, **_: Any) -> Any:
+            return indirect(np.load(next(waiting)), buffers, sensor, table, frequencies)
+
+        physical.indirect_light = from_file
+        generate(config, frames, data, seed=901, workers=1)
+    return data
+
+
+def indirect(light: Mapping[str, Any], buffers: Any, sensor: Any, table: Any, frequencies: Any) -> Any:
+    """Traced indirect light as `indirect_light` gives its own: its ratio to the direct light, by the medians of 4 x 4 pixels."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = light["all"] / light["direct"] - 1.0  # (h, w, F)
+    height, width = ratio.shape[0] // 4, ratio.shape[1] // 4
+    parts = ratio.reshape(height, 4, width, 4, -1).swapaxes(1, 2).reshape(height, width, 16, -1)
+    ratio = np.nanmedian(parts.real, axis=2) + 1j * np.nanmedian(parts.imag, axis=2)
+    lost = ~np.isfinite(ratio).all(axis=-1)
+    ratio = ratio[tuple(ndimage.distance_transform_edt(lost, return_distances=False, return_indices=True))]
+    rays = sensor.camera.rays
+    focal = 0.5 * SIZE[0] / np.tan(FOV / 2)
+    at = [(focal * rays[..., axis] + 0.5 * (size - 1)) / 4 - 0.375 for axis, size in ((1, SIZE[1]), (0, SIZE[0]))]
+    ranges = buffers.depth_m * sensor.camera.range_over_depth
+    energy = np.nan_to_num(table[buffers.material, 0] * buffers.cos_incidence / ranges**2, posinf=0.0)
+    result = np.zeros((ranges.shape[0], 1 + 2 * len(frequencies), ranges.shape[1]), np.float32)
+    for k, frequency in enumerate(frequencies):
+        here = sum(
+            unit * ndimage.map_coordinates(part, at, order=1, mode="nearest")
+            for unit, part in ((1.0, ratio[..., k].real), (1j, ratio[..., k].imag))
+        )
+        phasor = here * energy * np.exp(4j * np.pi * frequency / SPEED_OF_LIGHT * np.nan_to_num(ranges, posinf=0.0))
+        result[:, 0] += np.abs(phasor) / len(frequencies)
+        result[:, 1 + 2 * k], result[:, 2 + 2 * k] = phasor.real, phasor.imag
+    return result
+
+
 def figures(data: Path, model: Path) -> list[str]:
     """PCK at 10 and 5 cm and PCKh@0.5, with the half width of the 95 % interval of the first."""
     told = json.loads(run("evaluate", str(data), "--model", str(model), "--persons", "driver", "front_passenger", "--json"))
@@ -101,7 +164,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=1500)
     parser.add_argument("--tests", type=int, default=300)
     parser.add_argument("--epochs", type=int, default=12)
-    parser.add_argument("--reference", type=Path)
+    parser.add_argument("--traced", type=int, default=0)
     parser.add_argument("--style", type=Path)
     options = parser.parse_args()
     folder: Path = options.folder
@@ -115,8 +178,11 @@ def main() -> None:
         own = recipe | ({"depth": "depth_styled"} if name == "styled" else {})
         models[name] = detector(folder / f"detector-{name}", data, own)
     tests = {n: dataset(folder / f"test-{n}", dict(SCENES) | UNSEEN | c, options.tests, 901) for n, c in TESTS.items()}
-    if options.reference is not None:
-        tests["reference"] = options.reference
+    if options.traced:
+        data = traced(folder, options.traced)
+        if data is None:
+            sys.exit(f"trace {folder / 'traced'} with tools/multipath_reference.py, then call this again")
+        tests["traced"] = data
     print("| trained on | " + " | ".join(tests) + " |\n|---|" + "---|" * len(tests))
     for name, model in models.items():
         print(f"| {name} | " + " | ".join(", ".join(figures(data, model)) for data in tests.values()) + " |", flush=True)
