@@ -20,8 +20,8 @@ from cabinpose.synth.style.fit import StyleReport, fit_style, noise_of
 from cabinpose.synth.style.frame import StyleFrame, guides_of
 from cabinpose.synth.style.safety import label_shift, parts_of, without_part_means
 from cabinpose.synth.style.settings import LEFT, Style
-from cabinpose.synth.style.stage import FrameStyler
-from cabinpose.synth.style.transfer import Content, changed, seen
+from cabinpose.synth.style.stage import FrameStyler, inputs_of
+from cabinpose.synth.style.transfer import Content, changed, seen, style_loss
 
 # By torchvision's own list of layers (configuration E): where each convolution stands among `features`.
 VGG_FEATURES = dict(
@@ -52,7 +52,7 @@ def test_regions_do_not_see_each_other() -> None:
     guide[..., :4] = 1
     before = gram(features, guide)
     features[..., 2:] = 100.0
-    torch.testing.assert_close(gram(features, guide), before)
+    np.testing.assert_array_equal(gram(features, guide), before)
 
 
 def test_the_loss_has_the_gradient_of_finite_differences() -> None:
@@ -71,10 +71,14 @@ def test_the_loss_has_the_gradient_of_finite_differences() -> None:
         found = loss(shown(content.depth + change, content.valid), guides, kept)
         return found.style + found.content
 
-    raw = 0.1 * torch.randn(1, 2, 16, 16, dtype=torch.float64)
-    assert torch.autograd.gradcheck(of, raw.requires_grad_(), fast_mode=True)
+    raw = (0.1 * torch.randn(1, 2, 16, 16, dtype=torch.float64)).requires_grad_()
+    (gradient,) = torch.autograd.grad(of(raw), raw)
+    for _ in range(5):  # not `gradcheck`, which takes two seconds to import
+        way = torch.randn(raw.shape, dtype=torch.float64)
+        along = (of(raw + 1e-6 * way) - of(raw - 1e-6 * way)) / 2e-6
+        assert float(along.detach()) == pytest.approx(float((gradient * way).sum()), rel=1e-4)
     change, logit = changed(content, raw)
-    torch.testing.assert_close(seen(content, change, logit)[:, 2], valid[:, 0])  # nothing is lost by such small values
+    np.testing.assert_allclose(seen(content, change, logit).detach()[:, 2], valid[:, 0])  # nothing is lost by such small values
 
 
 # -------------------------------------------------------------------------------------------------------------- VGG-19
@@ -97,7 +101,7 @@ def test_vgg19_reads_torchvisions_names(tmp_path: Path) -> None:
             seen_, state[f"features.{number}.weight"], state[f"features.{number}.bias"], padding=1
         ).relu()
     features = encoder(image)
-    torch.testing.assert_close(features["conv1_2"], seen_)
+    np.testing.assert_allclose(features["conv1_2"].detach(), seen_, rtol=1e-4, atol=1e-5)
     assert features["conv4_4"].shape == (1, 512, 2, 2)
     assert encoder.convolutions["conv4_4"].weight.equal(state["features.25.weight"])
     torch.save({"features.0.weight": state["features.0.weight"]}, tmp_path / "cut.pth")
@@ -228,7 +232,7 @@ def test_what_would_leave_its_labels_stays_as_it_was(model: tuple[Path, StyleRep
 
 
 def test_an_optimised_frame_has_the_noise_of_the_style(plain: Path, style: Path) -> None:
-    """In a crop of a frame with finer and more noise than the style's, σ and grain move towards the style's."""
+    """In a crop of a frame with finer and more noise than the style's, σ and grain move towards the style's; the loss falls."""
     frame = open_dataset(plain).isel(frame=1)
     crop = {name: frame[name].values[100:200, 100:228] for name in ("depth", "depth_clean", "labels", "instance")}
     crop["depth"] = crop["depth_clean"] + np.random.default_rng(2).normal(0, 0.015, crop["depth"].shape).astype(np.float32)
@@ -242,6 +246,13 @@ def test_an_optimised_frame_has_the_noise_of_the_style(plain: Path, style: Path)
             (after["depth_styled"], inside),
         )
     )
+    loss = style_loss(StyleFrame.read(style), own_encoder())
+    guides = guides_of(crop["labels"], crop["depth_clean"])
+    before, later = (
+        Content.of(inputs_of(depth, guides, rng=np.random.default_rng(3))) for depth in (crop["depth"], after["depth_styled"])
+    )
+    losses = [float(loss(c.shown(), before.regions(), loss.content(c.shown())).style) for c in (before, later)]
+    assert losses[1] < 0.5 * losses[0]
     assert abs(now.sigma_mm - wanted.sigma_mm) < 0.8 * abs(was.sigma_mm - wanted.sigma_mm)
     assert abs(now.grain - wanted.grain) < 0.8 * abs(was.grain - wanted.grain)
 

@@ -42,6 +42,7 @@ class TrainStyle(PrintsJson):
 
 
 COMMAND = TrainStyle
+_COMPARED = ("style", "generated", "styled")
 
 
 def run(command: TrainStyle) -> None:
@@ -65,7 +66,8 @@ def run(command: TrainStyle) -> None:
             vgg19=None if command.vgg19 is None else str(command.vgg19), report=show,
         )  # fmt: skip
     if command.as_json:
-        print_json({"out": str(command.out), **dataclasses.asdict(found)})
+        noise = {n: dict(zip(_COMPARED, (each._asdict() for each in three), strict=True)) for n, three in found.noise.items()}
+        print_json({"out": str(command.out), **dataclasses.asdict(found), "noise": noise})
         return
     sigma, grain = (
         ", ".join(f"{n} {was[k]:.3g} to {now[k]:.3g} (style: {theirs[k]:.3g})" for n, (theirs, was, now) in found.noise.items())
@@ -73,7 +75,7 @@ def run(command: TrainStyle) -> None:
     )
     print_rows(
         [
-            ("model", f"{command.out}, judged by {found.frames} frames that it was not trained on"),
+            ("model", f"{command.out}; frames kept from training that judge it: {found.frames}"),
             ("style loss", f"{found.style_loss[0]:.3f} to {found.style_loss[1]:.3f}"),
             ("noise, mm", sigma),
             ("neighbours correlate", grain),

@@ -34,7 +34,7 @@ class Noise(NamedTuple):
 class StyleReport:
     """What a model does to frames that it was not trained on.
 
-    noise: by region, of the style frame, of the frames and of the frames styled · style_loss: before and after ·
+    noise: by region that the style has: of the style frame, the frames and the frames styled · style_loss: before and after ·
     edge_px, part_mm: the farthest in any frame, as `LabelShift` has them · lost: share of the valid pixels, over all frames.
     """
 
@@ -130,6 +130,7 @@ def _judged(
         noise={
             name: (noise_of(theirs, style.guides[r] > 0), Noise(*mean[r, 0].tolist()), Noise(*mean[r, 1].tolist()))
             for r, name in enumerate(REGIONS)
+            if style.guides[r].any()
         },
         style_loss=tuple(np.mean(losses, axis=0).tolist()),
         edge_px=max(shift[0] for shift in shifts),

@@ -162,7 +162,7 @@ def train(
         _weighed(found).backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         falling.step()
-        report(step, found)
+        report(step, Loss(found.style.detach(), found.content.detach()))
     return network.eval()
 
 
