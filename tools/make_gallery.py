@@ -206,7 +206,7 @@ def sequences() -> Image:
     ):
         overrides = (
             "scene.cars=[suv]", LEFT, FRONT_ROW, SENSOR, f"scene.occupants={{{slot}: {{subject: {subject}}}}}",
-            f"scene.sequence={{frames: 60, rate_hz: 15, activities: [{activity}]}}",
+            f"scene.sequence={{frames: 60, rate_hz: 15, activities: [{activity}]}}", "scene.in_hand=1",
         )  # fmt: skip
         frames = list(cabinpose.generate(*overrides, frames=40, seed=seed))[first : first + 36 : 6]
         bright = float(np.quantile(frames[0]["amplitude"], 0.97))
