@@ -6,10 +6,9 @@ rad), and the angle of the wheel that the person holds (rad).
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from cabinpose.core.arrays import Floats
 from cabinpose.core.frames import Matrix, rotation_vector, transform
@@ -18,6 +17,9 @@ from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
 from cabinpose.synth.posture.grasps import Hold
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 _Q = len(DOFS)
 ROOT, WHEEL = slice(_Q, _Q + 6), _Q + 6
@@ -40,6 +42,8 @@ class Pose(NamedTuple):
 
 def way_through(states: Floats) -> CubicSpline:
     """The way through states (K, 51) at equal shares 0..1 of it: the natural cubic spline; of two, the straight way."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - loaded where people move
+
     return CubicSpline(np.linspace(0.0, 1.0, len(states)), states, bc_type="natural")
 
 
