@@ -118,6 +118,30 @@ def test_a_belt_is_straight_wherever_it_does_not_press_and_stays_in_front(lean: 
         assert beyond.max() < 0.66  # never outside an arm
 
 
+def test_an_arm_before_the_chest_moves_no_belt() -> None:
+    """With the classes of the skin: those of the dummy's pieces, of which the forearms come before the belly."""
+    cabin = build_cabin("sedan")
+    seat = cabin.seats["driver"]
+    skin, faces, joints = dummy(cabin, "driver")
+    pieces = [len(piece.faces) for piece in trimesh.Trimesh(skin, faces, process=False).split()]
+    limbs = [f"{part}_{side}" for part in ("upper_arm", "forearm", "thigh") for side in ("left", "right")]
+    names = ("torso_left", "head_left", *limbs)
+    labels = np.repeat([LABEL[name] for name in names], pieces).astype(np.uint8)
+    moved, at = skin.copy(), joints.copy()
+    forearms = np.unique(faces[np.isin(labels, [LABEL["forearm_left"], LABEL["forearm_right"]])])
+    nearer = 0.5 * (joints[INDEX["chest"]] + joints[INDEX["hip"]]) - joints[[INDEX["lwrist"], INDEX["rwrist"]]].mean(axis=0)
+    moved[forearms] += (0.8 * nearer).astype(np.float32)
+    for name in ("lwrist", "rwrist", "lhand", "rhand"):
+        at[INDEX[name]] += 0.8 * nearer
+    still, after = (belt_surface(v, faces, j, seat, seat.default, cabin, labels=labels) for v, j in ((skin, joints), (moved, at)))
+    np.testing.assert_array_equal(still.vertices, after.vertices)
+    told = [belt_surface(v, faces, j, seat, seat.default, cabin) for v, j in ((skin, joints), (moved, at))]
+    assert not np.array_equal(told[0].vertices, told[1].vertices)  # by distances from bones it does
+    body = trimesh.Trimesh(skin.astype(float), faces, process=False)
+    clearance = trimesh.proximity.closest_point(body, still.vertices[::3].astype(float))[1]
+    assert (clearance < 0.012).mean() > 0.15
+
+
 def test_a_belt_behind_the_back_and_one_under_the_arm() -> None:
     cabin = build_cabin("sedan")
     seat = cabin.seats["driver"]

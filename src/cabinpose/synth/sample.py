@@ -346,11 +346,12 @@ class SceneSampler:
             how = misused
         body = clothed.vertices, clothed.faces, person.posed.joints
         if on is not None and sitting_in(on.thing).harness:
-            return replace(person, surfaces=(clothed, harness_surface(*body, *straps(on, person.posed))), belt="harness")
+            harness = harness_surface(*body, *straps(on, person.posed), labels=clothed.label)
+            return replace(person, surfaces=(clothed, harness), belt="harness")
         if seat.belt is None or how == "none":
             return replace(person, surfaces=(clothed,))
         guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
-        belt = belt_surface(*body, seat, settings[person.slot], cabin, worn=how, guide=guide)
+        belt = belt_surface(*body, seat, settings[person.slot], cabin, labels=clothed.label, worn=how, guide=guide)
         return replace(person, surfaces=(clothed, belt), belt=how)
 
     def _standing(

@@ -98,7 +98,8 @@ class SceneCamera:
         surfaces = [clothed]
         if motion.cabin is not None and (seat := motion.cabin.seats[motion.slot]).belt is not None:
             setting = motion.settings[motion.slot]
-            surfaces.append(belt_surface(clothed.vertices, clothed.faces, body.joints, seat, setting, motion.cabin))
+            belt = belt_surface(clothed.vertices, clothed.faces, body.joints, seat, setting, motion.cabin, labels=clothed.label)
+            surfaces.append(belt)
         return ScenePerson(motion.slot, "", motion.key_at(time_s), motion.person, body, tuple(surfaces))
 
 

@@ -5,14 +5,14 @@ Each ribbon runs in planes through its two anchors and a point of the body: the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from cabinpose._native import cabin as native
-from cabinpose.core.arrays import Floats, Floats32, Ints32
+from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
@@ -44,6 +44,18 @@ _OTHER = (
     ("rwrist", "rhand", 0.0, 1.0, 0.05), ("lhand", "lhand", 0.0, 1.0, 0.09), ("rhand", "rhand", 0.0, 1.0, 0.09),
     ("lknee", "lankle", 0.0, 1.0, 0.06), ("rknee", "rankle", 0.0, 1.0, 0.06),
 )  # fmt: skip
+# The classes that belts lie on, and how far down arms and thighs: the lap belt farther than one before the chest, which does not
+# climb a thigh.
+_LAIN_ON = np.isin(np.arange(256), [LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))])
+_ROOTS = tuple(
+    (LABEL[f"{part}_{side}"], INDEX[side[0] + near], INDEX[side[0] + far], shares)
+    for side in ("left", "right")
+    for part, near, far, shares in (
+        ("upper_arm", "shoulder", "elbow", (0.3, 0.3)),
+        ("hip", "pelvis", "knee", (0.1, 0.4)),
+        ("thigh", "pelvis", "knee", (0.1, 0.4)),
+    )
+)
 _BONES = np.array([(INDEX[a], INDEX[b]) for a, b, *_ in _TRUNK + _OTHER], dtype=np.int64)
 _PIECE = np.array([piece for _, _, *piece, _ in _TRUNK + _OTHER])[:, :, None]
 _GIRTH = np.array([girth for *_, girth in _TRUNK + _OTHER])
@@ -52,22 +64,23 @@ _GIRTH = np.array([girth for *_, girth in _TRUNK + _OTHER])
 class _Trunk(NamedTuple):
     """What belts lie on: the surface, the pieces of bones that tell its trunk, and directions and places of the body, m.
 
-    below_shoulders: shoulders are not its trunk, whole: all of it is.
+    faces: those before the chest, and those that a lap belt lies on · others: pieces of bones, of `_TRUNK` and `_OTHER`, whose
+    surroundings are not the trunk's · shoulders: whether theirs are.
     """
 
     skin: Floats32
-    faces: Ints32
+    faces: tuple[Ints32, Ints32]
     bones: Floats
     at: Mapping[str, Floats]
     pelvis: Vector
     up: Vector
     ahead: Vector
     size: float
-    below_shoulders: bool = False
-    whole: bool = False
+    others: Sequence[int] = ()
+    shoulders: bool = True
 
     @classmethod
-    def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats) -> _Trunk:
+    def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats, labels: Bytes | None) -> _Trunk:
         at = {name: joints[i] for name, i in INDEX.items()}
         pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
         up = at["chest"] - pelvis
@@ -78,8 +91,10 @@ class _Trunk(NamedTuple):
         size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
         ends = joints[_BONES]
         bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
+        others = range(len(_TRUNK), len(_GIRTH)) if labels is None else ()
         vertices, faces = np.ascontiguousarray(skin, dtype=np.float32), np.ascontiguousarray(skin_faces, dtype=np.int32)
-        return cls(vertices, faces, bones, at, pelvis, up, ahead, size)
+        lain_on = (faces, faces) if labels is None else _lain_on(vertices, faces, joints, labels)
+        return cls(vertices, lain_on, bones, at, pelvis, up, ahead, size, others)
 
     def near(self, anchor: Vector) -> str:
         """The shoulder beside an anchor."""
@@ -90,18 +105,30 @@ class _Trunk(NamedTuple):
         return np.asarray(0.52 * self.at["neck"] + 0.48 * self.at[shoulder] + 0.03 * self.size * self.ahead)
 
 
+def _lain_on(skin: Floats32, faces: Ints32, joints: Floats, labels: Bytes) -> tuple[Ints32, Ints32]:
+    """The faces that a belt before the chest and a lap belt lie on, whatever is near them."""
+    chest, lap = [faces[_LAIN_ON[labels]]], [faces[_LAIN_ON[labels]]]
+    for label, near, far, shares in _ROOTS:
+        limb, bone = faces[labels == label], joints[far] - joints[near]
+        along = (skin[limb].mean(axis=1) - joints[near]) @ bone / (bone @ bone)
+        chest.append(limb[along < shares[0]])
+        lap.append(limb[along < shares[1]])
+    return np.concatenate(chest), np.concatenate(lap)
+
+
 def belt_surface(
-    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004,
-    worn: BeltWear = "worn", guide: Vector | None = None,
+    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *,
+    labels: Bytes | None = None, gap_m: float = 0.004, worn: BeltWear = "worn", guide: Vector | None = None,
 ) -> Surface:  # fmt: skip
     """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
 
-    skin: (V, 3) the posed body, or whatever the belt lies on (a clothed surface), m · skin_faces: (F, 3) ·
-    joints: (20, 3) of the same pose · gap_m: clearance of the webbing from the surface · worn: how · guide: (3,) m, through
-    which a booster leads the belt to the shoulder. Raises ConfigError for a seat that has no belt or is not in the cabin.
+    skin: (V, 3) the posed body, or whatever the belt lies on (a clothed surface), m · skin_faces: (F, 3) · joints: (20, 3) of
+    the same pose · labels: (F,) the faces' classes; without them the trunk is told by distances from bones, and what an arm comes
+    near may count as arm · gap_m: clearance of the webbing from the surface · worn: how · guide: (3,) m, through which a
+    booster leads the belt to the shoulder. Raises ConfigError for a seat that has no belt or is not in the cabin.
     """
     anchors = _anchors(seat, setting, cabin)
-    body = _Trunk.of(skin, skin_faces, joints)
+    body = _Trunk.of(skin, skin_faces, joints, labels)
     ahead, up, size = body.ahead, body.up, body.size
     near = body.near(anchors.upper)
     collar, front = body.collar(near), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
@@ -112,7 +139,7 @@ def belt_surface(
         courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
     else:
         if worn == "under_arm":
-            body = body._replace(below_shoulders=True)
+            body = body._replace(shoulders=False)
             armpit = body.at[near] + 0.2 * (body.at["neck"] - body.at[near]) - 0.17 * size * up
             guide, collar = armpit - 0.03 * size * ahead, 0.5 * (armpit + body.at["chest"]) + 0.12 * size * ahead
         elif guide is not None:
@@ -121,22 +148,23 @@ def belt_surface(
             courses.append(_Course(start, collar, guide, None))
             start = guide
         courses.append(_Course(start, _kept_in_front(start, collar, anchors.buckle, front), anchors.buckle, front))
-    courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up))
+    courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up, lap=True))
     return merge([_ribbon(body, course, gap_m) for course in courses])
 
 
 def harness_surface(
-    skin: Floats32, skin_faces: Ints32, joints: Floats, slots: Floats, hips: Floats, *, gap_m: float = 0.004
-) -> Surface:
+    skin: Floats32, skin_faces: Ints32, joints: Floats, slots: Floats, hips: Floats, *,
+    labels: Bytes | None = None, gap_m: float = 0.004,
+) -> Surface:  # fmt: skip
     """The harness of a child seat over the child in it, vehicle frame, class child_seat.
 
-    skin, skin_faces, joints, gap_m: as for `belt_surface` · slots, hips: (2, 3) m, where its straps come out of the shell behind
-    the left and the right shoulder, and beside the hips.
+    skin, skin_faces, joints, labels, gap_m: as for `belt_surface` · slots, hips: (2, 3) m, where its straps come out of the shell
+    behind the left and the right shoulder, and beside the hips.
     """
-    body = _Trunk.of(skin, skin_faces, joints)
+    body = _Trunk.of(skin, skin_faces, joints, labels)
     buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
     courses = [_Course(slot, body.collar(side + "shoulder"), buckle, body.ahead) for side, slot in zip("lr", slots, strict=True)]
-    courses += [_Course(hip, body.pelvis + 0.12 * body.size * body.ahead, buckle, body.ahead + body.up) for hip in hips]
+    courses += [_Course(hip, body.pelvis + 0.12 * body.size * body.ahead, buckle, body.ahead + body.up, lap=True) for hip in hips]
     return merge([_ribbon(body, course, gap_m, "child_seat") for course in courses])
 
 
@@ -149,7 +177,7 @@ def fastening_surface(surface: Surface, seat: Seat, setting: SeatSetting, cabin:
     anchors = _anchors(seat, setting, cabin)
     forward, up = seat.vehicle_from_seat(setting)[:3, 0], np.array([0.0, 0.0, 1.0])
     nowhere = np.zeros(3)
-    body = _Trunk(surface.vertices, surface.faces, np.zeros((len(_GIRTH), 2, 3)), {}, nowhere, up, forward, 1.0, whole=True)
+    body = _Trunk(surface.vertices, (surface.faces, surface.faces), np.zeros((len(_GIRTH), 2, 3)), {}, nowhere, up, forward, 1.0)
     lap, shoulder = path
     if over:
         courses = [
@@ -171,7 +199,7 @@ def _anchors(seat: Seat, setting: SeatSetting, cabin: Cabin) -> BeltAnchors:
     return anchors
 
 
-_BELOW_SHOULDERS = np.array([0, 1, 2, 3, 8, 9, 4, 5, 6, 7, *range(len(_TRUNK), len(_GIRTH))])  # shoulders count as arms
+_SHOULDERS = (4, 5, 6, 7)  # of `_TRUNK`
 
 
 def _kept_in_front(start: Vector, through: Vector, end: Vector, front: Vector) -> Vector:
@@ -196,23 +224,24 @@ def _kept_in_front(start: Vector, through: Vector, end: Vector, front: Vector) -
 class _Course(NamedTuple):
     """A ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body to which `front` points, m.
 
-    front: None for one that is straight, whatever is in its way.
+    front: None for one that is straight, whatever is in its way · lap: whether it lies on thighs too.
     """
 
     start: Vector
     through: Vector
     end: Vector
     front: Vector | None
+    lap: bool = False
 
 
 def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt") -> Surface:
     straight = course.front is None
     rows = np.array((*course[:3], course.through - course.start if straight else course.front), dtype=np.float64)
     vertices, normals = np.empty((2, STEPS, 3, 3), np.float32), np.empty((2, STEPS, 3, 3), np.float32)
-    order = _BELOW_SHOULDERS if body.below_shoulders else slice(None)
-    count = len(_GIRTH) if body.whole else 6 if body.below_shoulders else len(_TRUNK)
-    trunk, webbing = (body.bones[order], _GIRTH[order], count), (WEBBING_WIDTH, WEBBING_THICKNESS, gap)
-    faces = body.faces[:0] if straight else body.faces
+    mine = [n for n in range(len(_TRUNK)) if body.shoulders or n not in _SHOULDERS]
+    order = [*mine, *(() if body.shoulders else _SHOULDERS), *body.others]
+    trunk, webbing = (body.bones[order], _GIRTH[order], len(mine)), (WEBBING_WIDTH, WEBBING_THICKNESS, gap)
+    faces = body.faces[course.lap][: 0 if straight else None]
     topology = _ribbon_faces(native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices, normals))
     return Surface(
         vertices.reshape(-1, 3),
