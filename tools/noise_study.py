@@ -4,7 +4,7 @@ The scenes of the training sets are the same, and so are the network, its first 
 differs is the noise. Nobody in the tests, and no car of theirs, was trained on. `--style MODEL` adds a detector that learnt from
 styled depth. `--traced N` adds N test frames whose indirect light is path traced: the first call writes their scenes to
 FOLDER/traced and stops, `tools/multipath_reference.py trace FOLDER/traced --paths 128` traces them, and the next call goes on.
-A step whose folder is there is not done again. It prints the table of docs/does-it-help.md.
+A step whose folder is there is not done again. It prints a table.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ TRAINED: Mapping[str, dict[str, Any]] = {
     "physical": {},
     "multipath": {"noise": {"multipath": True}},
 }
-# What docs/real-cameras.md found in real frames: edges taken out, speckled loss, a shadow of the light source, a fixed pattern.
+# What docs/real-cameras.md found in real frames: edges taken out, speckled loss, a shadow of the light source, a fixed pattern;
+# and some scattered light.
 REAL = {"remove_edges": True, "low_amplitude_spread": 0.37, "light_offset_m": 0.03, "fixed_pattern_mm": 1.6, "lens_scatter": 0.02}
 TESTS: Mapping[str, dict[str, Any]] = {
     "physical": {},

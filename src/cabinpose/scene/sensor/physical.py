@@ -217,8 +217,9 @@ def simulate_physical(
             f"sensor '{sensor.name}' is not a Time-of-Flight camera, and the noise model 'physical' is one",
             hint="choose the noise model 'structured_light' or 'empirical'",
         )
-    samples = list(exposures) or [buffers] * len(sample_times(sensor, noise))
-    if len(samples) != (expected := len(sample_times(sensor, noise))):
+    expected = len(sample_times(sensor, noise))
+    samples = list(exposures) or [buffers] * expected
+    if len(samples) != expected:
         raise ConfigError(
             f"{len(samples)} exposures for the {expected} samples of a frame of '{sensor.name}'",
             hint="give the geometry at each of `sample_times`",

@@ -185,7 +185,7 @@ class Planner:
         for step in steps:
             found = self._step(activity, step, now, time_s, number)
             if found is None:
-                segments[first:] = [s.named(step.action) for s, step in zip(segments[first:], steps, strict=False)]
+                segments[first:] = [s._replace(activity=step.action) for s, step in zip(segments[first:], steps, strict=False)]
                 break
             done = now, time_s = found
             if time_s >= self._lasts_s:

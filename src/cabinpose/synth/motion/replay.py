@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -19,7 +18,7 @@ from cabinpose.core.arrays import Floats
 from cabinpose.synth.motion.activities import RECORDED
 from cabinpose.synth.motion.minimum_jerk import FASTEST
 from cabinpose.synth.motion.planner import Somebody, Surroundings
-from cabinpose.synth.motion.track import FASTEST_STATE, Track
+from cabinpose.synth.motion.track import FASTEST_STATE, Segment, Track
 from cabinpose.synth.posture.sampling import settled
 from cabinpose.synth.validate import Rejection
 
@@ -27,32 +26,6 @@ _KNOT_S = 0.1
 _OF_FASTEST = 0.45  # of the fastest, from pose to pose: the curve between is at most twice as fast
 _MOVES = 0.5  # of the poses, at the least, for which the body does not wait
 _STEPS = (1.0, 0.3, 0.0)  # of the way to the recorded pose, one after the other, until it is free
-
-
-class Replay(NamedTuple):
-    """Movement along poses states (K, 51), `_KNOT_S` apart from time 0 on; has what `track.Segment` has."""
-
-    knots: Floats
-    activity: str
-
-    @property
-    def start_s(self) -> float:
-        """When it begins."""
-        return 0.0
-
-    @property
-    def last(self) -> Floats:
-        """(51,) where it ends."""
-        return self.knots[-1]
-
-    def states(self, times_s: Floats) -> Floats:
-        """(N, 51) states at times (N,) s."""
-        grid = _KNOT_S * np.arange(len(self.knots))
-        return np.asarray(PchipInterpolator(grid, self.knots)(np.clip(times_s, 0.0, grid[-1])))
-
-    def named(self, activity: str) -> Replay:
-        """The same movement by another name."""
-        return self._replace(activity=activity)
 
 
 def replay(who: Somebody, around: Surroundings, causes: Counter[Rejection], *, action: str, lasts_s: float) -> bool:
@@ -86,7 +59,8 @@ def replay(who: Somebody, around: Surroundings, causes: Counter[Rejection], *, a
             pose, step = _next(who, around, track, knots[-1], action, _KNOT_S * here, given_up.get(here, 0))
             knots.append(pose)
             steps.append(step)
-        track.segments[:] = [Replay(np.stack(knots), RECORDED)]
+        times_s = _KNOT_S * np.arange(len(knots))
+        track.segments[:] = [Segment(0.0, times_s[-1], PchipInterpolator(times_s, np.stack(knots)), RECORDED, evenly=True)]
         ends_s = min(_KNOT_S * (free + 1), lasts_s)
         rejection = around.first_refused(who.slot, who.person, _KNOT_S * free, ends_s)
         if rejection is None:

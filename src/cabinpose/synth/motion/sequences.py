@@ -13,14 +13,13 @@ from cabinpose.core.arrays import Floats
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
-from cabinpose.scene.things.thing import VARIANTS
 from cabinpose.synth.motion.activities import HELD_AT, RECORDED, activities_for, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
 from cabinpose.synth.posing import pose_people
 from cabinpose.synth.posture.actions import ACTIONS
-from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold
+from cabinpose.synth.posture.grasps import Hold, can_hold, handed, hold
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose
 from cabinpose.synth.streams import sequence_rng, weighted
 from cabinpose.synth.things import bring_along
@@ -151,8 +150,7 @@ def _held(person: Person, choices: Mapping[str, float], in_hand: float, *, rng: 
     if activity not in HELD_AT or rng.random() >= in_hand:
         return None
     place, side = HELD_AT[activity], int(rng.integers(2))
-    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
-    for kind, variant in (designs[n] for n in rng.permutation(len(designs)).tolist()):
+    for kind, variant in handed(place, rng=rng):
         if can_hold(person, place, kind, variant):
             return hold(person, place, kind, variant, side)
     return None

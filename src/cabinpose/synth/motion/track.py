@@ -6,7 +6,7 @@ rad), and the angle of the wheel that the person holds (rad).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
 from cabinpose.synth.posture.grasps import Hold
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline, PPoly
 
 _Q = len(DOFS)
 ROOT, WHEEL = slice(_Q, _Q + 6), _Q + 6
@@ -54,52 +54,26 @@ def duration(way: CubicSpline, tempo: float) -> float:
 
 
 class Segment(NamedTuple):
-    """A movement from `start_s`, `lasts_s` long, along a way, and what it is for."""
+    """A movement from `start_s`, `lasts_s` long, along a way, and what it is for.
+
+    evenly: the way goes by the seconds since the start, and not with minimum jerk by its share.
+    """
 
     start_s: float
     lasts_s: float
-    way: CubicSpline
+    way: PPoly
     activity: str
+    evenly: bool = False
 
     @property
     def last(self) -> Floats:
         """(51,) where it ends."""
-        return np.asarray(self.way(1.0))
+        return np.asarray(self.way(self.lasts_s if self.evenly else 1.0))
 
     def states(self, times_s: Floats) -> Floats:
         """(N, 51) states at times (N,) s from its start on."""
-        return np.asarray(self.way(progress((times_s - self.start_s) / self.lasts_s)))
-
-    def named(self, activity: str) -> Segment:
-        """The same movement by another name."""
-        return self._replace(activity=activity)
-
-
-class Movement(Protocol):
-    """What a track is made of."""
-
-    @property
-    def start_s(self) -> float:
-        """When it begins."""
-        ...
-
-    @property
-    def activity(self) -> str:
-        """What it is for."""
-        ...
-
-    @property
-    def last(self) -> Floats:
-        """(51,) where it ends."""
-        ...
-
-    def states(self, times_s: Floats) -> Floats:
-        """(N, 51) states at times (N,) s from its start on."""
-        ...
-
-    def named(self, activity: str) -> Movement:
-        """The same movement by another name."""
-        ...
+        since_s = times_s - self.start_s
+        return np.asarray(self.way(np.clip(since_s, 0.0, self.lasts_s) if self.evenly else progress(since_s / self.lasts_s)))
 
 
 class Idle(NamedTuple):
@@ -140,7 +114,7 @@ class Track:
 
     def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float, hold: Hold | None = None) -> None:
         self.idle, self.idle_share, self.hold = idle, idle_share, hold
-        self.segments: list[Movement] = []
+        self.segments: list[Segment] = []
         self._rotation = first.root[:3, :3]
         self._activity = activity
         self._first = self.state_of(first)

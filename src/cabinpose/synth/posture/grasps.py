@@ -20,7 +20,7 @@ from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person, PosedBody
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER
 from cabinpose.scene.things import PlacedThing, Thing, make_thing
 from cabinpose.scene.things.placing import felt, let_down, stands_free
-from cabinpose.scene.things.thing import Cloud
+from cabinpose.scene.things.thing import VARIANTS, Cloud
 from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
 
@@ -83,6 +83,12 @@ def inboard_hand(action: Action, held: str, side: int, inboard: int) -> int | No
     asked = [(place, s) for place, s in hands if place in HANDED]
     found = [s for place, s in asked if held in HANDED[place]] if asked else [s for place, s in hands if place in _SPARED]
     return next((s for s in found if not action.targets or s == inboard), None)
+
+
+def handed(place: str, *, rng: np.random.Generator) -> list[tuple[str, int]]:
+    """Every kind and design that hands hold at a place of `HANDED`, in random order."""
+    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
+    return [designs[n] for n in rng.permutation(len(designs)).tolist()]
 
 
 def can_hold(person: Person, place: str, kind: str, variant: int) -> bool:

@@ -10,7 +10,6 @@ import numpy as np
 from cabinpose.core.arrays import Floats
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat
-from cabinpose.scene.things.thing import VARIANTS
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     Action,
@@ -18,7 +17,7 @@ from cabinpose.synth.posture.actions import (
     armrest_point_name,
     target_name,
 )
-from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, hold
+from cabinpose.synth.posture.grasps import HANDED, Hold, can_hold, handed, hold
 
 _CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 
@@ -71,8 +70,7 @@ def holding(person: Person, hands: tuple[Hand, Hand], *, rng: np.random.Generato
         return hands, None
     side = able[int(rng.integers(len(able)))]
     place = hands[side].place
-    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
-    order = [designs[n] for n in rng.permutation(len(designs)).tolist()]
+    order = handed(place, rng=rng)
     kind, variant = next((d for d in order if can_hold(person, place, *d)), order[0])
     rest = [h._replace(place="thigh") if s != side and s in able else h for s, h in enumerate(hands)]
     return (rest[0], rest[1]), hold(person, place, kind, variant, side)
