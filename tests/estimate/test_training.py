@@ -270,6 +270,18 @@ def test_a_run_begins_with_the_weights_of_another(checkpoints: dict[str, Path], 
     assert not all(torch.allclose(value, before[name], atol=1e-8) for name, value in fresh.network.named_parameters())
 
 
+def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dict[str, Path], tmp_path: Path) -> None:
+    """After eight steps the average, of a decay made for thousands, has come as far as half of the way of the weights."""
+    before = dict(load_detector(checkpoints["compact"]).network.named_parameters())
+    moved = []
+    for average in (0.0, 0.998):
+        c = config("compact", average=average)
+        run = fit(c, frames(c), frames(c), tmp_path / str(average), init=checkpoints["compact"], devices=1)
+        weights = load_detector(run.with_name("last.ckpt")).network.named_parameters()
+        moved.append(sum(float(((value - before[name]) ** 2).sum().detach()) for name, value in weights) ** 0.5)
+    assert 0.5 < moved[1] / moved[0] < 1.0
+
+
 @pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}, {"slots": ("front_passenger", "driver")}])
 def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], checkpoints: dict[str, Path], tmp_path: Path) -> None:
     c = config("compact", settings=small.TINY["compact"] | change)

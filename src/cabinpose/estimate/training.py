@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, cast
 import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback, EMAWeightAveraging, ModelCheckpoint
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from torch import Tensor, nn
@@ -68,7 +68,7 @@ class TrainConfig(BaseModel):
     weight_decay: Annotated[float, Field(ge=0, description="AdamW's weight decay; default: the method's.")] = Field(
         default_factory=lambda run: method_named(run["method"]).weight_decay
     )
-    average: Annotated[float, Field(ge=0, lt=1, description="Decay of the weights' moving average; 0 = none.")] = 0.998
+    average: Annotated[float, Field(ge=0, lt=1, description="Greatest decay of the weights' moving average; 0 = none.")] = 0.998
     precision: Annotated[Literal["32-true", "16-mixed", "bf16-mixed"], Field(description="Lightning's precision.")] = "32-true"
     workers: Annotated[int, Field(ge=0, description="Processes that read frames beside the training; 0 = none.")] = 0
     seed: Annotated[int, Field(ge=0, description="Seed of weights, order and augmentation.")] = 1
@@ -248,7 +248,7 @@ def fit(
     monitor = TASKS[method_named(config.method).task].best
     best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
-    average = [EMAWeightAveraging(decay=config.average)] if config.average else []
+    average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
     reports = [_BatchReport(progress, monitor)] if progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
@@ -263,6 +263,19 @@ def fit(
             begin_with(detector, init)
         trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=True)
     return out / "best.ckpt"
+
+
+def _moving_average(decay: float) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """The update of an exponential moving average, whose decay grows from 0.1 to its value over the first steps.
+
+    With the whole decay from the start, a short run would be judged by weights that are still close to the random ones.
+    """
+
+    def update(mean: Tensor, value: Tensor, count: Tensor) -> Tensor:
+        kept = torch.clamp((1 + count) / (10 + count), max=decay)
+        return kept * mean + (1 - kept) * value
+
+    return update
 
 
 def _loggers(out: Path) -> list[Any]:
