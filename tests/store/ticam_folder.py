@@ -49,7 +49,7 @@ def ticam_folder(root: Path, split: str = "Train", *, labelled: bool = True) -> 
                 "\n".join(["frame,class,xmin,ymin,xmax,ymax,low_remission", *rows]) + "\n"
             )
         (labels / "one/p01/activities.csv").write_text(
-            "id,activity,person,status,start,end,duration\n0,looking left,3,driver,10,11,2\n1,reading,8,passenger,0,40,41\n"
+            "id,activity,person,status,start,end,duration\n0,looking left,3,driver,10,11,2\n1,reading,8,passenger,0,12,13\n"
             "2,turning wheel,3,driver,11,30,20\n"
         )
         (labels / "two/p07/activities.csv").write_text(
