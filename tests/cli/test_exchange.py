@@ -15,6 +15,7 @@ import pytest
 from adtfdat_file import write_imu
 from mvnx_file import write_mvnx
 from opensim_text import ZUP_FROM_YUP, read_sto, read_trc
+from rosbag_file import bag, take
 from scipy.spatial.transform import Rotation
 from xdf_file import XdfStream, write_xdf
 
@@ -79,6 +80,7 @@ MAKE: dict[str, Callable[[Path], object]] = {
     "bvh": lambda path: write_bvh(path, of(SegmentPoses, motion())),
     "adtfdat": lambda path: write_imu(path, [(0.5, -1.5, k) for k in range(5)]),
     "xdf": xdf_file,
+    "rosbag2": lambda path: bag(path, take()),
 }
 NEEDS = {"bvh": ("--unit-m", 0.01)}
 UNITS = {"bvh": 0.01}
@@ -267,6 +269,8 @@ def test_tables_of_chosen_sources(run: Run, tmp_path: Path) -> None:
         (("import", "a.mvnx", "--format", "coco", "--out", "x", "--subject", "S07"), "leave out --subject"),
         (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--keep-invalid"), "leave out --keep-invalid"),
         (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--up", "z"), "leave out --up"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--topic", "/d"), "--topic is of rosbag2, not of mvnx"),
+        (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--every", "2"), "leave out --every"),
         (("import", "a.mvnx", "--format", "mvnx", "--out", "x.mcap", "--subject", "Anna"), "--subject: a code has a digit"),
         (("import", "a.bvh", "--format", "bvh", "--out", "x.mcap", "--begun", "noon"), "2026-11-21"),
         (("import", "a.bvh", "--format", "bvh", "--out", "x.mcap"), "MOTION"),

@@ -10,7 +10,9 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from ticam_folder import ticam_folder
 
+from cabinpose.app.view.sheet import caption
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.convert import export_dataset
 from cabinpose.store.predictions import Predictions, write_predictions
@@ -75,12 +77,15 @@ def test_import(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--format", "fbx"), "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, itop, mvnx, ntu, png-json, xdf"),
-        (("--format", "bvh"), "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu"),
+        (("--format", "fbx"), "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, itop, mvnx, ntu, png-json, rosbag2, ticam, xdf"),
+        (("--format", "bvh"), "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu, ticam"),
         (("--format", "coco", "--keep-invalid"), "hint: leave out --keep-invalid"),
         (("--format", "itop", "--images", "x"), "hint: leave out --images"),
         (("--format", "itop", "--intrinsics", "0", "1", "2", "3"), "hint: give fx, fy, cx and cy"),
         (("--format", "ntu"), "hint: give a file, or the folder that has them"),
+        (("--format", "itop", "--every", "2"), "--every is of the format ticam or ntu, not itop"),
+        (("--format", "ticam", "--every", "0"), "hint: give --every a number above 0"),
+        (("--format", "ticam", "--topic", "/depth"), "hint: leave out --topic"),
     ],
 )
 def test_mistakes(run: Run, tmp_path: Path, flags: tuple[str, ...], message: str) -> None:
@@ -157,6 +162,46 @@ def test_depth_without_intrinsics(run: Run, tmp_path: Path, dataset_folder: Path
     flags = ("--intrinsics", "51.2", "51.2", "31.5", "23.5")
     assert run("import", exported, "--format", "coco", "--out", tmp_path / "data", "--overwrite", *flags).code == 0
     assert run("view", tmp_path / "data", "--out", tmp_path / "view", "--frames", "1", "--rows", "1").code == 0
+
+
+def test_a_dataset_without_joints(run: Run, tmp_path: Path) -> None:
+    """TICaM: masks and depth, nobody's joints."""
+    data = tmp_path / "data"
+    done = run(
+        "import", ticam_folder(tmp_path / "ticam"), "--format", "ticam", "--out", data, "--sequences", "p01", "--every", "2"
+    )
+    assert (done.code, done.out) == (0, f"{data}: 2 frames of ticam\n"), done.err
+    code, out, _ = run("info", data, "--verify")
+    assert code == 0
+    assert "driver 2, front_passenger 2" in out
+    code, _, err = run("view", data, "--out", tmp_path / "view", "--frames", "1", "--rows", "1")
+    assert (code, err) == (0, "")
+    assert caption(open_dataset(data).isel(frame=0)).endswith("driver 3, looking left; front passenger 8, reading")
+    done = run("predict", data, "--model", "in_car", "--out", tmp_path / "p.jsonl")
+    assert done.code == 0, done.err
+
+
+def test_segmentation_learns_from_ticam(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from cabinpose.core.errors import DatasetError
+    from cabinpose.estimate.data import StoredFrames
+    from cabinpose.estimate.training import TrainConfig, frame_spec
+
+    root = ticam_folder(tmp_path / "ticam")
+    assert run("import", root, "--format", "ticam", "--out", tmp_path / "data").code == 0
+    dataset = open_dataset(tmp_path / "data")
+    size = {"width": 32, "height": 32, "focal": 12.28, "levels": 2, "channels": 2, "slots": ("driver", "front_passenger")}
+
+    def frames(**settings: Any) -> StoredFrames:
+        return StoredFrames(dataset, frame_spec(TrainConfig(method="unet", settings=size | settings)))
+
+    kept = frames(classes="person")[0].labels
+    assert (kept[16:, 20:28] == 34).mean() > 0.9
+    with pytest.raises(DatasetError, match="tell no parts of the body apart"):
+        frames()
+    slots = {"slots": size["slots"]}
+    with pytest.raises(DatasetError, match="nobody whose joints are known"):
+        StoredFrames(dataset, frame_spec(TrainConfig(method="compact", settings=slots)))
 
 
 def test_training_takes_an_import(run: Run, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabinpose.core.errors import MocapError
+from cabinpose.core.errors import MocapError, RecordingError
 from cabinpose.core.ports import Sample
 from cabinpose.core.recorded import Markers, SegmentPoses
 from cabinpose.core.skeleton import INDEX
@@ -115,12 +115,13 @@ def test_a_suits_recording_is_the_same_motion(real_data: Callable[[str], Path], 
     record(path, rows)
     one, two = clip_of(real_data(MVNX)), clip_of(path, "S01")
     np.testing.assert_allclose(one.positions, two.positions)
-    with pytest.raises(MocapError, match="no body of 'S02'"):
+    with pytest.raises(RecordingError, match="no segments of a suit of 'S02'"):
         clip_of(path, "S02")
     others = [(host, device, replace(m, subject="S02")) for host, device, m in rows if isinstance(m, SegmentPoses)]
     record(tmp_path / "two.mcap", [*rows, *others])
-    with pytest.raises(MocapError, match="several people"):
+    with pytest.raises(RecordingError, match="segments of a suit of several subjects") as error:
         clip_of(tmp_path / "two.mcap")
+    assert error.value.hint == "choose the subject, of: 'S01', 'S02'"
     holes = [row for i, row in enumerate(rows) if not (isinstance(row[2], SegmentPoses) and 100 < i < 160)]
     record(tmp_path / "holes.mcap", holes)
     with pytest.raises(MocapError, match="a gap of 0"):
@@ -128,9 +129,9 @@ def test_a_suits_recording_is_the_same_motion(real_data: Callable[[str], Path], 
 
 
 def test_files_that_hold_no_motion(real_data: Callable[[str], Path], tmp_path: Path) -> None:
-    with pytest.raises(MocapError, match="no body"):
+    with pytest.raises(RecordingError, match="has no bones of Plug-in Gait"):
         clip_of(real_data("mocap/vicon_two_subjects.c3d"))
-    with pytest.raises(MocapError, match=r"a\.fbx is no motion"):
+    with pytest.raises(RecordingError, match=r"a\.fbx is no motion"):
         clip_of(tmp_path / "a.fbx")
-    with pytest.raises(MocapError, match="does not exist"):
+    with pytest.raises(RecordingError, match="does not exist"):
         clip_of(tmp_path / "none.mvnx")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
@@ -111,6 +112,67 @@ def test_real_lines_fit_the_nominal_camera() -> None:
     ):
         px = KINECT_V2.project((-x, -y, z))
         assert np.hypot(511 - px[0] - u, px[1] - v) < 5
+
+
+def depth_maps(folder: Path, kind: str = "MDepth", frames: int = 4) -> Path:
+    """Maps of 3 m in which the body's left hand is a spot nearer by 5 cm, where the file's depthX and depthY say it is."""
+    folder.mkdir()
+    x, y, z = facing()[NTU_JOINTS.index("HandLeft")]
+    u, v = round(CX + FX * x / z), round(CY - FX * y / z)
+    for i in range(frames):
+        image = np.full((424, 512), 3000 + i, np.uint16)
+        image[:, :20] = 0  # the left edge of the mirrored image
+        image[v - 3 : v + 4, u - 3 : u + 4] = 2950
+        Image.fromarray(image).save(folder / f"{kind}-{i + 1:08d}.png")
+    return folder
+
+
+def test_depth_maps(tmp_path: Path) -> None:
+    """A joint's depth lies at the joint's pixel: the maps are unmirrored like the joints."""
+    by_hand(tmp_path / "ntu")
+    depth_maps(tmp_path / "ntu" / NAME)
+    ds = imported(tmp_path / "ntu", tmp_path / "out")
+    u, v = ds.joints_2d.sel(joint="lhand")[1, 0].values.round().astype(int)
+    depth = ds.depth[1].values
+    assert depth[v, u] == pytest.approx(2.95)
+    assert depth[v, 511 - u] == pytest.approx(3.001)
+    assert np.isnan(depth[:, -20:]).all()
+    assert not np.isnan(depth[:, :-20]).any()
+    ds = imported(tmp_path / "ntu", tmp_path / "some", every=3)
+    assert ds.sync_ns.values.tolist() == [0, 100000000]
+    assert ds.depth.values[:, 0, 0].tolist() == pytest.approx([3.0, 3.003])
+
+
+def test_depth_maps_elsewhere_and_unmasked(tmp_path: Path) -> None:
+    skeletons = by_hand(tmp_path / "skeletons").parent
+    by_hand(skeletons, NAME.replace("A013", "A014"))
+    (tmp_path / "maps").mkdir()
+    depth_maps(tmp_path / "maps" / NAME, "Depth")
+    assert open_source(skeletons, "ntu", ImportOptions()).manifest.variables == ()
+    with pytest.raises(DatasetError, match="A014 does not exist") as error:
+        open_source(skeletons, "ntu", ImportOptions(images=tmp_path / "maps"))
+    assert "--sequences" in str(error.value.hint)
+    ds = imported(skeletons, tmp_path / "out", images=tmp_path / "maps", sequences=("*A013",))
+    assert ds.depth.shape == (4, 424, 512)
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda folder: (folder / "MDepth-00000003.png").unlink(), "cannot read the image .*MDepth-00000003.png"),
+        (
+            lambda folder: Image.new("I;16", (512, 400)).save(folder / "MDepth-00000003.png"),
+            "MDepth-00000003.png has 512x400 pixels, not 512x424",
+        ),
+        (lambda folder: Image.new("L", (512, 424)).save(folder / "MDepth-00000003.png"), "no grey image of 16 bits"),
+    ],
+)
+def test_damaged_depth_maps(tmp_path: Path, harm: Callable[[Path], Any], message: str) -> None:
+    by_hand(tmp_path / "ntu")
+    harm(depth_maps(tmp_path / "ntu" / NAME))
+    with pytest.raises(DatasetError, match=message):
+        imported(tmp_path / "ntu", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_joints_outside_the_image(tmp_path: Path) -> None:

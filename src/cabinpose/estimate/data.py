@@ -29,7 +29,8 @@ _TICK_M = 1e-4
 class FrameSpec(NamedTuple):
     """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop") with the joints of it, and
     which images. depth_image: the dataset's image that is read as depth. Without depth, joints come in the view's pixels, and
-    none of them counts as outside of it.
+    none of them counts as outside of it. classes: of the pixels, of which the dataset has to have one; a method that learns from
+    them needs no joints.
     """
 
     view: InputView
@@ -40,6 +41,7 @@ class FrameSpec(NamedTuple):
     amplitude: bool = True
     labels: bool = False
     depth_image: str = "depth"
+    classes: tuple[int, ...] = ()
 
     @property
     def images(self) -> tuple[str, ...]:
@@ -155,6 +157,11 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
             f"the dataset has another skeleton: {', '.join(map(str, dataset['joint'].values))}",
             hint=f"its joints have to be: {', '.join(JOINTS)}",
         )
+    ids = dataset["labels"].attrs.get("flag_values", ()) if spec.classes else ()
+    if len(ids) and not set(spec.classes) & set(ids):
+        raise DatasetError("the dataset's classes tell no parts of the body apart", hint="set classes: person")
+    if not spec.labels and not dataset["visibility"].any():
+        raise DatasetError("the dataset has nobody whose joints are known", hint="unet learns from pixel classes alone")
     return [persons.index(slot) for slot in spec.slots]
 
 

@@ -117,6 +117,9 @@ class Parts(Task):
     best = "val_iou"
     labels = True
 
+    def spec(self, settings: Any) -> FrameSpec:
+        return super().spec(settings)._replace(classes=tuple(number for part in settings.parts for number in part.ids))
+
     def errors(self, decoded: NDArray[np.uint8], batch: Batch, settings: Any) -> NDArray[np.int64]:
         if batch.labels is None:
             raise ValueError("the segmentation is judged by pixel classes")

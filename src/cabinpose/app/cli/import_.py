@@ -18,7 +18,8 @@ from cabinpose.core.errors import unknown_name
 class Import(PrintsJson):
     """Make a dataset from one in another format, or a recording from another tool's file.
 
-    Datasets: png-json (an export of ours), coco, itop, ntu. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv.
+    Datasets: png-json (an export of ours), coco, itop, ntu, ticam. Recordings: mvnx, c3d, bvh, adtfdat, xdf, azure-mkv,
+    rosbag2.
     """
 
     source: Annotated[Positional[Path], arg(metavar="SOURCE")]
@@ -28,13 +29,17 @@ class Import(PrintsJson):
     out: Path
     """Folder of the dataset, or recording (.mcap); it appears when the import is complete. Of --corrects: the labels."""
     images: Maybe[Path] = None
-    """coco: folder of the images; default: `images` beside `annotations`, else joints only."""
+    """coco: folder of the images; default: `images` beside `annotations`, else joints only. ntu: of the clips' depth maps."""
     corrects: Annotated[Maybe[Path], arg(metavar="DATASET")] = None
     """coco: the dataset whose export was corrected; joints that differ are added to its labels (--out FILE.labels.jsonl)."""
     role: Maybe[str] = None
     """coco: who corrected, as the labels shall say; default: annotator."""
     keep_invalid: bool = False
     """itop: keep the frames whose labels are marked as not valid, without their joints."""
+    sequences: Annotated[tuple[str, ...], several("PATTERN [PATTERN ...]")] = ()
+    """ticam, ntu: only the sequences of these names, in which * stands for anything."""
+    every: Maybe[int] = None
+    """ticam, ntu: only every Nth frame of a sequence."""
     intrinsics: Maybe[tuple[float, float, float, float]] = None
     """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
     licence: Maybe[str] = None
@@ -48,7 +53,7 @@ class Import(PrintsJson):
     take: Maybe[Path] = None
     """Recordings: YAML file of the take, in place of --subject, --action and --car."""
     name: Maybe[str] = None
-    """Recordings: name of the source (mvnx, c3d, bvh, azure-mkv); default: suit, optical, motion or tof."""
+    """Recordings: name of the source (mvnx, c3d, bvh, azure-mkv, rosbag2); default: suit, optical, motion or tof."""
     begun: Maybe[str] = None
     """c3d, bvh: when it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the files do not tell."""
     unit_m: Maybe[float] = None
@@ -57,6 +62,8 @@ class Import(PrintsJson):
     """c3d, bvh (y or z): the axis that points up; default: found from markers or file; bvh: y."""
     keep_whole_frames: bool = False
     """c3d: of a truncated file, import the complete frames, and report how many are lost."""
+    topic: Annotated[tuple[str, ...], several("TOPIC [TOPIC]")] = ()
+    """rosbag2: topic of the depth images, and of infrared; default: the only ones there are."""
     overwrite: bool = False
     """Replace existing files."""
 
@@ -76,16 +83,23 @@ def run(command: Import) -> None:
         return
     if command.format not in IMPORTS:
         raise unknown_name("format", command.format, (*IMPORTS, *RECORDING_IMPORTS))
-    of_coco = {"--images": command.images, "--corrects": command.corrects, "--role": command.role}
-    for flags, name in ((of_coco, "coco"), ({"--keep-invalid": command.keep_invalid}, "itop")):
-        if command.format != name:
-            refuse(flags, f"{{}} is of the format {name}, not {command.format}")
+    belongs: dict[tuple[str, ...], dict[str, object]] = {
+        ("coco",): {"--corrects": command.corrects, "--role": command.role}, ("itop",): {"--keep-invalid": command.keep_invalid},
+        ("coco", "ntu"): {"--images": command.images},
+        ("ticam", "ntu"): {"--sequences": command.sequences, "--every": command.every},
+    }  # fmt: skip
+    for names, flags in belongs.items():
+        if command.format not in names:
+            refuse(flags, f"{{}} is of the format {' or '.join(names)}, not {command.format}")
     if command.corrects is not None:
         _correct(command, command.corrects)
         return
     refuse({"--role": command.role}, "{} is of --corrects")
     check_new_dataset(command.out, overwrite=command.overwrite)
-    options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
+    options = ImportOptions(
+        command.keep_invalid, command.intrinsics, command.images, command.licence, command.sequences,
+        1 if command.every is None else command.every,
+    )  # fmt: skip
     source = open_source(command.source, command.format, options)
     if source.note:
         print(printable(source.note), file=sys.stderr)

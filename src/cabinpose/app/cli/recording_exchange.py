@@ -26,7 +26,7 @@ def import_recording(command: Import) -> bool:
     of_recording = {
         "--subject": command.subject, "--action": command.action, "--car": command.car, "--take": command.take,
         "--name": command.name, "--begun": command.begun, "--unit-m": command.unit_m, "--up": command.up,
-        "--keep-whole-frames": command.keep_whole_frames,
+        "--keep-whole-frames": command.keep_whole_frames, "--topic": command.topic,
     }  # fmt: skip
     if command.format not in RECORDING_IMPORTS:
         if command.format not in IMPORTS:
@@ -47,6 +47,7 @@ def import_recording(command: Import) -> bool:
     of_dataset = {
         "--images": command.images, "--keep-invalid": command.keep_invalid, "--intrinsics": command.intrinsics,
         "--licence": command.licence, "--corrects": command.corrects, "--role": command.role,
+        "--sequences": command.sequences, "--every": command.every,
     }  # fmt: skip
     refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
     require("record")
@@ -54,8 +55,9 @@ def import_recording(command: Import) -> bool:
 
     take = _take(command)
     options = RecordingOptions(
-        take.codes, command.name, _nanoseconds(command.begun), command.unit_m, command.up, command.keep_whole_frames
-    )
+        take.codes, command.name, _nanoseconds(command.begun), command.unit_m, command.up, command.keep_whole_frames,
+        command.topic,
+    )  # fmt: skip
     made = import_recording(command.source, name, command.out, take=take, options=options, overwrite=command.overwrite)
     if made.refused:
         print(f"{made.refused} messages could not be kept, the last: {printable(made.reason)}", file=sys.stderr)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,11 @@ from cabinpose.core.rotations import conjugate, product
 from cabinpose.evaluate.mocap.landmarks import segment_poses
 from cabinpose.evaluate.mocap.pairs import HAND_ENDS, JOINT_PAIRS, SEGMENT_PAIRS
 from cabinpose.evaluate.mocap.stillness import Window
-from cabinpose.store.convert.bvh import read_bvh_rows
-from cabinpose.store.convert.c3d import read_c3d
-from cabinpose.store.convert.mvnx import read_mvnx
-from cabinpose.store.convert.rows import Row
+from cabinpose.store.convert.motion_files import motion_rows, of_one_subject
 from cabinpose.store.recording import Recording
 from cabinpose.store.recording.series import marker_series, segment_series
 
 F64 = NDArray[np.float64]
-FILES = (".mcap", ".mvnx", ".c3d", ".bvh")
-M = TypeVar("M", SegmentPoses, Markers, SensorReadings)
 _LOOK = 50  # samples that tell what a source gives
 _FACTS_NS = 10_000_000_000  # of a take, within which MVN has said where its landmarks lie
 
@@ -77,7 +72,8 @@ class PointTracks:
 def read_motion(
     path: Path, *, source: str | None = None, subject: str | None = None, origin_ns: int | None = None
 ) -> PointTracks:
-    """The segments of a subject, or its markers where a source gives no segments; from a recording or a file of `FILES`.
+    """The segments of a subject, or its markers where a source gives no segments; from a recording or an MVNX, C3D or BVH
+    file.
 
     Beside markers stand the segments that can be made of them, beside MVN's segments the ends of the hands, where the landmarks
     of the hand are known. source: of a recording, None: the only one that gives either. Times count from `origin_ns`, None: the
@@ -86,8 +82,6 @@ def read_motion(
     if path.suffix.lower() == ".mcap":
         with Recording(path) as recording:
             return _recorded(recording, source, subject, origin_ns)
-    if not path.exists():
-        raise RecordingError(f"{path} does not exist", hint="give a recording (.mcap), or an MVNX, C3D or BVH file")
     return _from_rows(path, subject, origin_ns)
 
 
@@ -119,7 +113,7 @@ def read_sensors(
 ) -> PointTracks:
     """The inertial sensors of a subject as a motion without positions (NaN): orientations under the sensors' names."""
     rows = [(ns, m) for ns, m in _messages(path, source) if isinstance(m, SensorReadings) and len(m.orientation_wxyz)]
-    time_ns, messages = _of_subject(path, rows, subject, "orientations of sensors")
+    time_ns, messages = of_one_subject(path, rows, subject, "orientations of sensors")
     turned = np.stack([m.orientation_wxyz for m in messages])
     position = np.full((*turned.shape[:2], 3), np.nan)
     return _motion(path, messages[0].subject, messages[0].names, time_ns, origin_ns, position, turned)
@@ -216,47 +210,21 @@ def _from_rows(path: Path, subject: str | None, origin_ns: int | None) -> PointT
     segments = [(ns, m) for ns, m in rows if isinstance(m, SegmentPoses)]
     markers = [(ns, m) for ns, m in rows if isinstance(m, Markers)]
     if segments:
-        time_ns, poses = _of_subject(path, segments, subject, "motion")
+        time_ns, poses = of_one_subject(path, segments, subject, "motion")
         turned: F64 | None = np.stack([m.orientation_wxyz for m in poses])
         named: SegmentPoses | Markers = poses[0]
         position = np.stack([m.position_m for m in poses])
     else:
-        time_ns, points = _of_subject(path, markers, subject, "motion")
+        time_ns, points = of_one_subject(path, markers, subject, "motion")
         named, position, turned = points[0], np.stack([m.position_m for m in points]), None
     motion = _motion(path, named.subject, named.names, time_ns, origin_ns, position, turned)
     return _with_hand_ends(motion, (m for _, m in rows))
 
 
-def _of_subject(path: Path, rows: Sequence[tuple[int, M]], subject: str | None, what: str) -> tuple[NDArray[np.int64], list[M]]:
-    """Times and messages of a subject (None: the only one that has a name, or else the only one), all of the same points."""
-    subjects = tuple(dict.fromkeys(m.subject for _, m in rows))
-    named = [name for name in subjects if name] or list(subjects)
-    if subject is None and len(named) == 1:
-        subject = named[0]
-    mine = [(ns, m) for ns, m in rows if m.subject == subject]
-    if not mine:
-        wrong = f"{what} of several subjects" if subject is None and subjects else f"no {what}"
-        wrong += f" of '{subject}'" if subject else ""
-        raise RecordingError(f"{path} has {wrong}", hint=f"--subject, of: {', '.join(map(repr, subjects)) or 'none'}")
-    same = [(ns, m) for ns, m in mine if m.names == mine[0][1].names]
-    return np.array([ns for ns, _ in same], np.int64), [m for _, m in same]
-
-
 def _messages(path: Path, source: str | None) -> list[tuple[int, Message]]:
-    """Host times and messages of a file, or of one source of a recording."""
-    suffix = path.suffix.lower()
-    if suffix == ".mcap":
-        with Recording(path) as recording:
-            if source is not None and source not in recording.sources:
-                raise RecordingError(f"{path} has no source '{source}'", hint=f"it has: {', '.join(recording.sources) or 'none'}")
-            chosen = None if source is None else [source]
-            return [(sample.host_ns, m) for _, sample in recording.samples(chosen) for m in sample.messages]
-    readers: dict[str, Callable[[Path], Iterator[Row]]] = {".mvnx": read_mvnx, ".c3d": read_c3d, ".bvh": read_bvh_rows}
-    if suffix not in readers:
-        raise RecordingError(f"{path} is no motion that can be read", hint=f"files: {', '.join(FILES)}")
-    if not path.exists():
-        raise RecordingError(f"{path} does not exist", hint="check the path")
-    return [(host if device is None else device, m) for host, device, m in readers[suffix](path)]
+    """Times and messages of a file, on its device's clock, or of a recording or one source of it, on the host's."""
+    recorded = path.suffix.lower() == ".mcap"
+    return [(host if recorded or device is None else device, m) for host, device, m in motion_rows(path, source)]
 
 
 def labelled(words: Sequence[str]) -> list[tuple[str, Path]]:

@@ -81,7 +81,8 @@ def ranges(dataset: xr.Dataset, indices: NDArray[np.int64]) -> tuple[float, floa
 
 def caption(frame: xr.Dataset) -> str:
     """One line on a frame: its index, car, view and people, and what made its pictures."""
-    who = "; ".join(f"{p.slot.replace('_', ' ')} {p.subject}, {p.action}" for p in people(frame)) or "nobody"
+    places = zip(frame["person"].values, frame["subject"].values, frame["action"].values, strict=True)
+    who = "; ".join(f"{slot.replace('_', ' ')} {subject}, {action}" for slot, subject, action in places if subject) or "nobody"
     pictures = f"   {frame['renderer'].item()}" if "renderer" in frame else ""
     return f"frame {int(frame['frame'])}   {frame['car'].item()}, {frame['pov'].item()} view   {who}{pictures}"
 

@@ -7,14 +7,16 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from cabinpose.estimate.settings import ViewSettings
-from cabinpose.estimate.unet.parts import ALL, MERGED, Part
+from cabinpose.estimate.unet.parts import ALL, MERGED, WHOLE, Part
 
 
 class UnetConfig(ViewSettings):
     """The two networks of the segmentation and the parts that they tell apart."""
 
     skeleton: ClassVar = "cabinpose"
-    classes: Annotated[Literal["merged", "all"], Field(description="8 merged parts, or all parts of the dataset.")] = "merged"
+    classes: Annotated[
+        Literal["merged", "all", "person"], Field(description="8 merged parts, all parts of the dataset, or whole people alone.")
+    ] = "merged"
     levels: Annotated[int, Field(ge=1, le=5, description="Times that the image is halved.")] = 4
     channels: Annotated[int, Field(ge=2, le=128, description="Channels at full resolution, doubled at each level.")] = 16
     dice: Annotated[float, Field(ge=0, description="Weight of the Dice loss beside the cross entropy.")] = 0.0
@@ -29,4 +31,4 @@ class UnetConfig(ViewSettings):
     @property
     def parts(self) -> tuple[Part, ...]:
         """The parts, of which the first has the number 1 in label images."""
-        return ALL if self.classes == "all" else MERGED
+        return {"merged": MERGED, "all": ALL, "person": WHOLE}[self.classes]

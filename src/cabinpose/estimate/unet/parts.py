@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.scene.labels import BODY_PARTS, ID
+from cabinpose.scene.labels import BODY_PARTS, FIRST_BODY_ID, ID, LAST_BODY_ID
 
 
 class Part(NamedTuple):
@@ -33,6 +33,7 @@ MERGED: tuple[Part, ...] = (
     *_both("forearm", ("elbow", "forearm", "wrist", "hand")),
     *_both("leg", ("thigh", "knee", "shin", "ankle", "foot")),
 )
+WHOLE: tuple[Part, ...] = (Part("person", tuple(range(FIRST_BODY_ID, LAST_BODY_ID + 1))),)  # TICaM's masks know no parts
 ALL: tuple[Part, ...] = tuple(Part(label.name, (label.id,)) for label in BODY_PARTS)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cabinpose.store.source import Source
 
 FORMATS = MappingProxyType({"png-json": "png_json", "coco": "coco", "yolo": "yolo", "itop": "itop", "ntu": "ntu", "ply": "ply"})
-IMPORTS = MappingProxyType({"png-json": "png_json", "coco": "coco_import", "itop": "itop_import", "ntu": "ntu"})
+IMPORTS = MappingProxyType({"png-json": "png_json", "coco": "coco_import", "itop": "itop_import", "ntu": "ntu", "ticam": "ticam"})
 # What the images of a format can be (see `pictures`), its default first; the other formats have but one kind.
 IMAGE_KINDS = MappingProxyType({"coco": ("depth8", "amplitude8", "rgb", "depth16"), "yolo": ("depth8", "amplitude8", "rgb")})
 
@@ -61,6 +61,7 @@ RECORDING_FORMATS = MappingProxyType(
         "adtfdat": RecordingFormat("adtfdat.read_adtfdat"),
         "xdf": RecordingFormat("xdf.read_xdf"),
         "azure-mkv": RecordingFormat("azure_mkv.read_azure_mkv", "tof", ("name",)),
+        "rosbag2": RecordingFormat("rosbag2.read_rosbag2", "tof", ("name", "topics")),
         "trc": RecordingFormat(writes="opensim.write_trc", topics=("markers",), write_options=("subject", "rate_hz")),
         "sto": RecordingFormat(writes="opensim.write_sto", topics=("poses",), write_options=("subject", "rate_hz", "angles")),
         "csv": RecordingFormat(writes="csv_.write_csv"),

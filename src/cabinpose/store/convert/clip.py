@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError
 from cabinpose.core.recorded import F64, Markers, SegmentPoses
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.store.convert.bvh import UpAxis, read_bvh
-from cabinpose.store.convert.c3d import read_c3d
-from cabinpose.store.convert.mvnx import read_mvnx
-from cabinpose.store.convert.rows import Row
-from cabinpose.store.recording import Recording
+from cabinpose.store.convert.motion_files import M, motion_rows, of_one_subject
 
 _PARENT = {child: parent for _, parent, child in MVN_JOINTS}
-_M = TypeVar("_M", SegmentPoses, Markers)
 _GAP_S = 0.1  # without a whole frame, at the most
 
 
@@ -57,10 +53,10 @@ def read_clip(path: str | Path, *, unit_m: float, up: UpAxis, subject: str | Non
 
     Raises
     ------
-    MocapError
-        Where the file is of another kind or damaged, tells of nobody or of several, or the motion has gaps.
     RecordingError
-        Where an MVNX file or a recording is damaged or missing.
+        Where the file is missing or of another kind, tells of nobody or of several, or an MVNX file or a recording is damaged.
+    MocapError
+        Where a BVH or C3D file is damaged, or the motion has gaps.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -68,40 +64,20 @@ def read_clip(path: str | Path, *, unit_m: float, up: UpAxis, subject: str | Non
         bvh = read_bvh(path, unit_m=unit_m, up=up)
         rotations, positions, rest = bvh.kinematics()
         return Clip(tuple(j.name for j in bvh.joints), rotations, positions, rest, bvh.frame_s)
-    readers: Mapping[str, Callable[[Path], Iterable[Row]]] = {".mvnx": read_mvnx, ".c3d": read_c3d, ".mcap": _recorded}
-    if suffix not in readers:
-        raise MocapError(f"{path.name} is no motion that can be retargeted", hint=f"files: .bvh, {', '.join(readers)}")
-    if not path.exists():
-        raise MocapError(f"motion file {path} does not exist", hint="check the path")
-    rows = readers[suffix](path)
     if suffix == ".c3d":
-        time_ns, markers = _of_one(path, rows, Markers, "PELO", subject)
+        time_ns, markers = of_one_subject(path, _timed(path, Markers, "PELO"), subject, "bones of Plug-in Gait")
         return _clip(path, time_ns, *_bones(path, markers))
-    time_ns, poses = _of_one(path, rows, SegmentPoses, "Pelvis", subject)
+    time_ns, poses = of_one_subject(path, _timed(path, SegmentPoses, "Pelvis"), subject, "segments of a suit")
     return _clip(path, time_ns, *_segments(poses))
 
 
-def _recorded(path: Path) -> Iterator[Row]:
-    with Recording(path) as recording:
-        for _, sample in recording.samples():
-            for message in sample.messages:
-                yield sample.host_ns, sample.device_ns, message
-
-
-def _of_one(path: Path, rows: Iterable[Row], kind: type[_M], needed: str, subject: str | None) -> tuple[F64, list[_M]]:
-    """Times (F,) ns and messages of one person, all of the same points, the needed one among them."""
-    found: dict[str, list[tuple[int, _M]]] = {}
-    for host_ns, device_ns, message in rows:
-        if isinstance(message, kind) and needed in message.names:
-            found.setdefault(message.subject, []).append((host_ns if device_ns is None else device_ns, message))
-    if subject is None and len(found) == 1:
-        (subject,) = found
-    if subject is None or subject not in found:
-        wrong = "several people" if found and subject is None else f"no body of '{subject}'" if subject else "no body"
-        needed = "needed: MVN's segments, or the bones of Plug-in Gait"
-        raise MocapError(f"{path.name} tells of {wrong}", hint=f"give `subject`, one of: {', '.join(found)}" if found else needed)
-    mine = [(ns, m) for ns, m in found[subject] if m.names == found[subject][0][1].names]
-    return np.array([ns for ns, _ in mine], np.float64), [m for _, m in mine]
+def _timed(path: Path, kind: type[M], needed: str) -> list[tuple[int, M]]:
+    """Times on the device's clock, where it has one, and messages of a kind that have the needed point among theirs."""
+    return [
+        (host_ns if device_ns is None else device_ns, message)
+        for host_ns, device_ns, message in motion_rows(path)
+        if isinstance(message, kind) and needed in message.names
+    ]
 
 
 def _segments(messages: Sequence[SegmentPoses]) -> tuple[dict[str, F64], dict[str, F64]]:
@@ -146,7 +122,7 @@ def _bones(path: Path, messages: Sequence[Markers]) -> tuple[dict[str, F64], dic
     return {segment: at[joint] for segment, (joint, _) in _BONES.items()}, turned
 
 
-def _clip(path: Path, time_ns: F64, placed: Mapping[str, F64], turned: Mapping[str, F64]) -> Clip:
+def _clip(path: Path, time_ns: NDArray[np.int64], placed: Mapping[str, F64], turned: Mapping[str, F64]) -> Clip:
     """At equal steps of time, the frame nearest to each; a gap of more than a tenth of a second is an error."""
     names = tuple(name for name in MVN_SEGMENTS if name in placed)
     positions, rotations = np.stack([placed[n] for n in names], axis=1), np.stack([turned[n] for n in names], axis=1)

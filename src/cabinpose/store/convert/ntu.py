@@ -9,6 +9,9 @@ Kinect v2's camera space is right-handed with x to the sensor's left, y up and z
 mapping"): ours (x right, y down, z forward) is that turned by half a turn about z, (x, y, z) -> (-x, -y, z). Its images are
 mirrored, so that depthX grows with its x: column u of an unmirrored image, which is what our axes go with, is 511 - depthX.
 To flip y alone would make right-handed people left-handed.
+
+Beside the skeletons there are depth maps, a folder a clip with MDepth-00000001.png and so on (masked: the people and what is near
+them) or Depth-00000001.png: 512x424, 16 bits, mm, 0 = invalid, mirrored like all images of Kinect v2.
 """
 
 from __future__ import annotations
@@ -30,7 +33,15 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, NTU_JOINTS, RIGS
-from cabinpose.store.convert.reading import ImportOptions, check_projection, make_manifest, put_camera, put_person
+from cabinpose.store.convert.reading import (
+    ImportOptions,
+    check_projection,
+    depth_ticks_of_mm,
+    make_manifest,
+    put_camera,
+    put_person,
+    read_grey,
+)  # fmt: skip
 from cabinpose.store.frames import PersonInFrame, frames, people
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import Report, Source, blank_frame
@@ -53,35 +64,63 @@ _HINT = "the file may be cut short, or be no skeleton file of NTU RGB+D; copy it
 
 
 def read(path: Path, options: ImportOptions) -> Source:
-    """The frames of a `.skeleton` file, or of all in a folder by name: joints only, one `sequence` a file.
+    """The frames of a `.skeleton` file, or of all in a folder by name, one `sequence` a file.
 
-    A person keeps one place for as long as the body is tracked. All bodies have the performer of the file's name as
-    `subject`: it does not say who the second one is. Raises `DatasetError` for a file that is damaged or named otherwise.
+    Depth maps are in folders of the clips' names in `options.images`, or beside the files; where there are none, there are joints
+    only. A person keeps one place for as long as the body is tracked. All bodies have the performer of the file's name as
+    `subject`: it does not say who the second one is. Raises `DatasetError` for a file that is damaged or named otherwise, and
+    where some of the depth maps are missing.
     """
-    files = sorted(path.glob("*.skeleton")) if path.is_dir() else [path]
-    if not files:
+    stems = {file.stem: file for file in (sorted(path.glob("*.skeleton")) if path.is_dir() else [path])}
+    if not stems:
         raise DatasetError(f"{path} holds no .skeleton file", hint="give a file, or the folder that has them")
+    files = [stems[stem] for stem in options.chosen(path, list(stems))]
     for file in files:
         if _NAME.fullmatch(file.stem) is None:
             raise DatasetError(f"{file.name} is no name of NTU RGB+D", hint="name it as S001C002P003R001A013.skeleton")
     counts = [_count(file) for file in files]
     bodies = max(1, *(most for _, most in counts))
     camera = options.camera(KINECT_V2.width, KINECT_V2.height) or KINECT_V2
+    maps = _maps(files, options.images)
     manifest = make_manifest(
         "ntu",
         path,
         options,
-        frames=sum(count for count, _ in counts),
+        frames=sum(-(-count // options.every) for count, _ in counts),
         size=(camera.width, camera.height),
         persons=tuple(f"person_{i + 1}" for i in range(bodies)),
-        variables=(),
+        variables=("depth",) if maps else (),
     )
 
     def all_frames() -> Iterator[dict[str, Any]]:
         for sequence, file in enumerate(files):
-            yield from _frames(file, sequence, camera, manifest)
+            clip = _frames(file, sequence, camera, manifest)
+            for index, frame in islice(enumerate(clip), 0, None, options.every):
+                if maps:
+                    frame["depth"] = _depth_map(maps[sequence], index)
+                yield frame
 
     return Source(path, manifest, all_frames)
+
+
+def _maps(files: list[Path], folder: Path | None) -> list[Path]:
+    """The start of the paths of each clip's depth maps; none where no clip has a folder of them."""
+    folders = [(folder or file.parent) / file.stem for file in files]
+    there = [each.is_dir() for each in folders]
+    if not any(there) and folder is None:
+        return []
+    if not all(there):
+        lacking = folders[there.index(False)]
+        raise DatasetError(
+            f"{lacking} does not exist", hint="depth maps are in a folder a clip; leave clips out with --sequences"
+        )
+    return [each / ("MDepth" if any(each.glob("MDepth-*.png")) else "Depth") for each in folders]
+
+
+def _depth_map(start: Path, index: int) -> NDArray[np.uint16]:
+    """Ticks of depth (424, 512) of a clip's frame, in the unmirrored image."""
+    path = start.with_name(f"{start.name}-{index + 1:08d}.png")
+    return depth_ticks_of_mm(read_grey(path, np.uint16, (KINECT_V2.width, KINECT_V2.height))[:, ::-1])
 
 
 class _Lines:

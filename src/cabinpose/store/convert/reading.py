@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +28,20 @@ class ImportOptions:
     """What a user may say about a source.
 
     keep_invalid: ITOP's frames without valid labels too, their joints absent · intrinsics: (fx, fy, cx, cy) px in place of the
-    source's, undistorted · images: folder of COCO's images · licence: of the data, for `dataset.yaml`.
+    source's, undistorted · images: folder of COCO's images or of NTU's depth maps · licence: of the data, for `dataset.yaml` ·
+    sequences: patterns of the names of those to take, of TICaM and NTU (none: all) · every: take every nth frame of a sequence.
     """
 
     keep_invalid: bool = False
     intrinsics: tuple[float, float, float, float] | None = None
     images: Path | None = None
     licence: str | None = None
+    sequences: tuple[str, ...] = ()
+    every: int = 1
 
     def __post_init__(self) -> None:
+        if self.every < 1:
+            raise ConfigError(f"every {self.every}th frame is none", hint="give --every a number above 0")
         if self.intrinsics is not None and not (
             all(np.isfinite(self.intrinsics)) and self.intrinsics[0] > 0 and self.intrinsics[1] > 0
         ):
@@ -44,6 +50,17 @@ class ImportOptions:
     def camera(self, width: int, height: int) -> Camera | None:
         """The camera that the user gave, for images of a size."""
         return Camera(width, height, *self.intrinsics) if self.intrinsics is not None else None
+
+    def chosen(self, path: Path, names: list[str]) -> list[str]:
+        """Those of the sequences' names that `sequences` asks for; a pattern is of a whole name, or of what follows its `/`."""
+        for pattern in self.sequences:
+            if not any(_matches(name, pattern) for name in names):
+                raise DatasetError(f"{path} has no sequence {pattern}", hint=f"it has {', '.join(names[:8]) or 'none'}")
+        return [name for name in names if not self.sequences or any(_matches(name, pattern) for pattern in self.sequences)]
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return fnmatchcase(name, pattern) or fnmatchcase(name.rpartition("/")[2], pattern)
 
 
 def make_manifest(
@@ -145,6 +162,19 @@ def read_image(path: Path) -> NDArray[Any]:
         if isinstance(error, OSError) and error.errno is not None:  # of the file system, not of what is in the file
             raise DatasetError(f"cannot read the image {path}: {error}", hint="the source lacks it") from error
         raise DatasetError(f"{path} is no whole image: {error}", hint="it may be cut short; copy it again") from error
+
+
+def read_grey(path: Path, dtype: type[np.generic], size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """(H, W) of a grey image with so many bits to a pixel, of a size (width, height). Raises `DatasetError` for another."""
+    image = read_image(path)
+    if image.ndim == 3 and (image == image[..., :1]).all():  # saved as grey in colours
+        image = image[..., 0]
+    if image.ndim != 2 or image.dtype != dtype:
+        raise DatasetError(f"{path} is no grey image of {8 * np.dtype(dtype).itemsize} bits", hint="copy the original file")
+    if size is not None and image.shape != size[::-1]:
+        wrong = f"{path} has {image.shape[1]}x{image.shape[0]} pixels, not {size[0]}x{size[1]}"
+        raise DatasetError(wrong, hint="all images of a source have one size")
+    return image
 
 
 def read_json(path: Path) -> Any:

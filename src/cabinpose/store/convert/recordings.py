@@ -30,7 +30,8 @@ class RecordingOptions:
 
     subjects: codes of the file's subjects, in its order · name: of the source, in formats that hold one · start_ns: host time of
     the beginning, in formats that know no time of day · unit_m: unit of length of a BVH file · up: vertical axis of a BVH file
-    (default: y), or of a C3D file in place of what is found · whole_frames: take those of a C3D file that is cut off.
+    (default: y), or of a C3D file in place of what is found · whole_frames: take those of a C3D file that is cut off · topics: of
+    depth, and infrared, in a bag of ROS 2.
     """
 
     subjects: tuple[str, ...] = ()
@@ -39,6 +40,7 @@ class RecordingOptions:
     unit_m: float | None = None
     up: Axis | None = None
     whole_frames: bool = False
+    topics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class Selection:
 
 _FLAGS = {
     "name": "--name", "start_ns": "--begun", "unit_m": "--unit-m", "up": "--up", "whole_frames": "--keep-whole-frames",
-    "subject": "--subject", "rate_hz": "--rate", "angles": "--angles",
+    "topics": "--topic", "subject": "--subject", "rate_hz": "--rate", "angles": "--angles",
 }  # fmt: skip
 """Options that some formats have no use for, and their flags."""
 
