@@ -356,6 +356,10 @@ def test_the_picture_has_both_losses_the_best_epoch_and_the_stop(tmp_path: Path)
         ends = [here[0][np.abs(here[1] - column) <= 2].mean() for column in (80, stop)]
         assert ends[0] < ends[1]  # the losses fell
         assert (ends[1] - ends[0]) / (losses[0] - losses[1]) == pytest.approx(430 / 4, rel=0.05)
+    wide = drawn_curves([{"train_loss": loss} for loss in (100.0, 10.0, 1.0)], 0, tmp_path)  # on a logarithmic axis
+    rows_of = (np.abs(wide[50:] - (0, 114, 178)).sum(axis=-1) < 10).nonzero()
+    heights = [rows_of[0][np.abs(rows_of[1] - column) <= 2].mean() for column in (80, 505, 930)]
+    assert np.diff(heights) == pytest.approx(215, abs=2)
     assert drawn_curves(rows[:1], 2, tmp_path).shape == (540, 960, 3)
     assert drawn_curves([{}], 2, tmp_path).shape == (540, 960, 3)
 

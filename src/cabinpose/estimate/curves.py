@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import lightning
-import numpy as np
 from lightning.pytorch.callbacks import Callback
 from PIL import Image, ImageDraw, ImageFont
 
 _SIZE, _LEFT, _TOP, _BOTTOM = (960, 540), 80, 50, 480  # px
 _INK, _GRID = (40, 40, 40), (222, 222, 222)
 _COLOURS = {"train_loss": (0, 114, 178), "val_loss": (213, 94, 0)}  # blue and red, as in the thesis' figure 6.22
+
+_WIDE = 10.0  # losses that differ by more are drawn on a logarithmic axis
 
 Row = dict[str, float]
 
@@ -79,20 +80,22 @@ class Curves(Callback):
         image = Image.new("RGB", _SIZE, "white")
         draw, font, right = ImageDraw.Draw(image), ImageFont.load_default(15), _SIZE[0] - 30
         losses = [row[name] for row in self._rows for name in _COLOURS if _finite(row, name)] or [0.0]
-        step = _round_step((max(losses) - min(losses)) / 6)
-        low, high = step * math.floor(min(losses) / step), step * (math.floor(max(losses) / step) + 1)
+        levels = _levels(min(losses), max(losses))
+        scale = math.log10 if levels[0] > 0 and levels[-1] > _WIDE * levels[0] else float
+        low, high = scale(levels[0]), scale(levels[-1])
         last = len(self._rows)
 
         def x(epoch: float) -> float:
             return _LEFT + (right - _LEFT) * (epoch - 1) / max(last - 1, 1)
 
         def y(loss: float) -> float:
-            return _BOTTOM - (_BOTTOM - _TOP) * (loss - low) / (high - low)
+            return _BOTTOM - (_BOTTOM - _TOP) * (scale(loss) - low) / (high - low)
 
-        for level in np.arange(low, high + step / 2, step):
+        for level in levels:
             draw.line([(_LEFT, y(level)), (right, y(level))], _GRID)
             draw.text((_LEFT - 8, y(level)), f"{level:.5g}", _INK, font, anchor="rm")
-        for epoch in range(1, last + 1, max(1, int(_round_step(last / 8)))):
+        every = max(1, int(_round_step(last / 8)))
+        for epoch in range(every, last + 1, every):
             draw.line([(x(epoch), _BOTTOM), (x(epoch), _BOTTOM + 5)], _INK)
             draw.text((x(epoch), _BOTTOM + 8), str(epoch), _INK, font, anchor="ma")
         draw.text(((_LEFT + right) / 2, _BOTTOM + 32), "epoch", _INK, font, anchor="ma")
@@ -118,6 +121,17 @@ class Curves(Callback):
 
 def _finite(row: Row, name: str) -> bool:
     return math.isfinite(row.get(name, math.nan))
+
+
+def _levels(least: float, greatest: float) -> list[float]:
+    """Round values around `least` and `greatest`: equally far apart, or 1, 2 and 5 times powers of ten over a wide range."""
+    if least > 0 and greatest > _WIDE * least:
+        powers = range(math.floor(math.log10(least)), math.ceil(math.log10(greatest)) + 1)
+        values = [m * 10.0**power for power in powers for m in (1, 2, 5)]
+        first = max(i for i, value in enumerate(values) if value <= least)
+        return values[first : 1 + next(i for i, value in enumerate(values) if value >= greatest)]
+    step = _round_step((greatest - least) / 6)
+    return [step * i for i in range(math.floor(least / step), math.floor(greatest / step) + 2)]
 
 
 def _round_step(span: float) -> float:
