@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
+import yaml
+from scipy import ndimage, stats
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.skeleton import JOINTS
-from cabinpose.estimate.augment import AugmentConfig, Mirror, augment, flip, move, occlude
+from cabinpose.estimate.augment import AugmentConfig, Mirror, augment, draw_motion, flip, move, occlude
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import InputView
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
+from cabinpose.estimate.training import TrainConfig
 from cabinpose.scene.labels import ID
 
 VIEW = InputView(64, 48, 51.2)
@@ -136,6 +140,23 @@ def test_nothing_drawn_changes_nothing() -> None:
     result = augment(b, NOTHING, RAYS, VIEW.focal, MIRROR, generator=torch.Generator().manual_seed(1))
     for name, before, after in zip(Batch._fields, b, result, strict=True):
         assert torch.equal(before, after), name
+
+
+def test_the_recipe_of_the_thesis_moves_clouds_as_algorithm_6_2_1_says() -> None:
+    path = Path(__file__).parents[2] / "docs" / "models" / "paf-thesis.yaml"
+    config = TrainConfig.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    assert (config.optimiser, config.schedule, config.learning_rate, config.weight_decay) == ("adam", "constant", 4e-4, 0.01)
+    rotation, shift = draw_motion(20000, config.augment, torch.zeros(20000), torch.Generator().manual_seed(0))
+    assert (rotation == torch.eye(3)).all()
+    for axis, share in enumerate((0.8 * 0.1, 0.8 * 0.1, 0.8 * 0.8)):
+        moved = shift[shift[:, axis] != 0, axis].numpy()
+        assert len(moved) / 20000 == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / 20000))
+        assert stats.kstest(moved, stats.uniform(0, 0.15).cdf).pvalue > 1e-3
+    b = random_batch()
+    still = config.augment.model_copy(update={"shift": 0.0})
+    same = augment(b, still, RAYS, 51.2, MIRROR, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(same.depth, b.depth)  # nothing else varies
+    assert torch.equal(same.joints.nan_to_num(), b.joints.nan_to_num())
 
 
 def test_augmentation_follows_its_seed() -> None:

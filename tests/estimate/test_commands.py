@@ -10,7 +10,7 @@ import small
 import sphere_people
 import yaml
 
-from cabinpose.app.cli import main
+from cabinpose.app.cli import main, output
 from cabinpose.estimate.methods import METHODS
 
 
@@ -28,7 +28,11 @@ def run(*arguments: str) -> int:
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
-def test_train_and_export(method: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_and_export(
+    method: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output, "LOG_EVERY_S", 0.0)  # every state is told, as if it had lasted
+    monkeypatch.setattr(output, "QUIET_S", 0.0)
     config = tmp_path / "run.yaml"
     config.write_text(yaml.safe_dump({"settings": json.loads(json.dumps(small.TINY[method])), "epochs": 1, "batch": 4}))
     out = tmp_path / "run"
@@ -37,6 +41,11 @@ def test_train_and_export(method: str, data: Path, tmp_path: Path, capsys: pytes
     arguments = ["train", str(data), "--method", method, "--config", str(config), "--out", str(out), "--json"]
     assert run(*arguments, "--devices", "1", "--splits", str(splits)) == 0
     said = capsys.readouterr()
+    told = [next((i for i, line in enumerate(said.err.splitlines()) if words in line), -1) for words in (
+        "loading torch", "opening datasets", "reading frames", "epoch 1 of 1", "epoch 1 of 1, loss", "validating"
+    )]  # fmt: skip
+    assert told == sorted(told)
+    assert told[0] >= 0
     best = json.loads(said.out.strip().splitlines()[-1])["best"]
     assert run("export", "--onnx", best, "--out", str(tmp_path / "model.onnx"), "--json") == 0
     assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["difference"] <= 1e-4

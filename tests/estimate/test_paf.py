@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 import small
 import torch
@@ -14,6 +17,7 @@ from scipy import ndimage
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.core.skeleton import UPPER_BODY
 from cabinpose.estimate.data import FrameSpec, StoredFrames, collate
+from cabinpose.estimate.export import write_onnx
 from cabinpose.estimate.methods import method_named
 from cabinpose.estimate.paf import measure
 from cabinpose.estimate.paf.assemble import find_peaks, line_scores
@@ -21,6 +25,7 @@ from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.decode import decode, slots_of, surface_depth
 from cabinpose.estimate.paf.fit import loss, targets
 from cabinpose.estimate.paf.model import Paf
+from cabinpose.estimate.training import Detector, TrainConfig
 
 SLOTS = ("driver", "front_passenger")
 CONFIG = PafConfig(
@@ -94,13 +99,39 @@ def test_the_network_is_the_stated_one() -> None:
     assert PafConfig(width=176, height=144).view.focal == 80
 
 
-def test_each_hidden_convolution_is_normalised_or_none_is() -> None:
-    small_view = {"width": 32, "height": 16, "channels": 0.05, "slots": SLOTS}
-    for batch_norm, norms in ((True, 12 + 3 * 4), (False, 0)):
-        layers = list(Paf(PafConfig(**small_view, batch_norm=batch_norm)).modules())
-        assert sum(isinstance(layer, torch.nn.BatchNorm2d) for layer in layers) == norms
-        with_bias = [layer for layer in layers if isinstance(layer, torch.nn.Conv2d) and layer.bias is not None]
-        assert len(with_bias) == (3 if batch_norm else 12 + 3 * 5)  # a norm has a bias of its own; a branch's last has none
+def test_what_runs_has_the_tables_layers(trained: dict[str, Path]) -> None:
+    """Norms are folded into the convolutions of an exported model."""
+    kinds = Counter(node.op_type for node in onnx.load(trained["paf"]).graph.node)
+    assert kinds["Conv"] == 12 + 3 * 5
+    assert kinds["MaxPool"] == 3
+    assert kinds["BatchNormalization"] == 0
+
+
+def test_the_presence_branch_has_the_labels_of_ae2(tmp_path: Path) -> None:
+    """Without the branch, and with two and three labels: network, exported model, loss and decoding."""
+    base = {"width": 64, "height": 48, "focal": 51.2, "channels": 0.05, "slots": small.PERSONS}
+    frames = StoredFrames(small.dataset(3), FrameSpec(PafConfig(**base).view, small.PERSONS, joints=UPPER_BODY))
+    batch = collate([frames[i] for i in range(3)])
+    batch.visibility[:, :, UPPER_BODY.index("neck")] = 1
+    states = np.where(batch.present.numpy()[..., None], batch.visibility.numpy(), 0).max(axis=1)
+    assert {1, 2, 4} <= set(np.unique(states))  # outside, occluded and visible
+    for labels in (0, 2, 3):
+        detector = Detector(TrainConfig(method="paf", settings=base | {"presence_labels": labels}))
+        write_onnx(detector.eval(), tmp_path / f"{labels}.onnx", name="paf", card={})
+        maps = detector.network(batch.depth)
+        assert maps.presence.shape == (3, J, labels or 2)
+        terms = loss(detector.network, batch)
+        assert ("presence" in terms) is (labels > 0)
+        logits = maps.presence.detach().double().numpy()
+        p = np.exp(logits) / np.exp(logits).sum(-1, keepdims=True)
+        if labels:
+            truth = np.where(states < 2, 0, 1) + (states == 4) * (labels == 3)
+            entropy = -np.log(np.take_along_axis(p, truth[..., None], -1)).sum() / labels / 3
+            assert terms["presence"].item() == pytest.approx(entropy, rel=1e-5)
+        found = decode(drawn([person(122, 38)]) | {"presence": logits[:1]}, CONFIG.model_copy(
+            update={"presence_labels": labels, "presence": 0.0, "min_joints": 1}
+        ), seen())  # fmt: skip
+        np.testing.assert_allclose(found.presence[0, 0], 1 - p[0, :, 0] if labels else 1.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("what", "channels"), [("depth", 1), ("cloud", 3), ("amplitude", 1)])

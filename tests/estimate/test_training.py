@@ -17,6 +17,7 @@ from lightning.pytorch.callbacks import Callback
 
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
@@ -77,9 +78,10 @@ def test_a_killed_run_goes_on_with_the_same_curve(method: str, tmp_path: Path) -
     losses = [step for name, step in whole if name == "train_loss"]
     assert len(losses) == 4
     assert len({whole["train_loss", step] for step in losses}) == 4
+    assert whole.keys() == resumed.keys()  # the table is whole again, the epochs before the interruption too
     for key, value in resumed.items():
         assert whole[key] == pytest.approx(value, rel=1e-6), key
-    assert ("train_loss", max(losses)) in resumed
+    assert (tmp_path / "killed" / "curves.png").exists()
     a, b = (torch.load(tmp_path / run / "last.ckpt", weights_only=False)["state_dict"] for run in ("whole", "killed"))
     for name, value in a.items():
         torch.testing.assert_close(b[name], value, rtol=1e-6, atol=1e-7)
@@ -295,12 +297,83 @@ def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], check
 def test_every_batch_is_told(tmp_path: Path) -> None:
     c, told = config("compact", epochs=2, batch=2), []
     fit(c, frames(c), frames(c), tmp_path, devices=1, progress=lambda *state: told.append(state))
-    done, total, notes = zip(*told, strict=True)
-    assert done == tuple(range(1, total[0] + 1))
+    assert told[0] == (0, 0, "reading frames")
+    done, total, notes = zip(*(state for state in told[1:] if "validating" not in state[2]), strict=True)
+    assert done == tuple(range(total[0] + 1))
     assert len(set(total)) == 1
-    assert notes[0].startswith("epoch 1 of 2, loss ")
+    assert notes[0] == "epoch 1 of 2"
+    assert notes[1].startswith("epoch 1 of 2, loss ")
     assert notes[-1].startswith("epoch 2 of 2, loss ")
     assert TASKS["joints"].best in notes[-1]
+    assert [state for state in told if "validating" in state[2]] == [
+        (4, 8, "epoch 1 of 2, validating"), (8, 8, "epoch 2 of 2, validating"),
+    ]  # fmt: skip
+
+
+def test_a_run_stops_after_its_patience_also_when_it_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are given by the epoch: the second is the best, the fourth the last one; a ninth would be better still."""
+    figures = dict(enumerate([10.0, 30.0, 20.0, 30.0, 99.0, 99.0]))
+    monkeypatch.setattr(Detector, "on_validation_epoch_end", lambda self: self.log("val_auc", figures[self.current_epoch]))
+    c = config("lifting", epochs=6, patience=2)
+    fit(c, frames(c), frames(c), tmp_path / "whole", devices=1)
+    with pytest.raises(KilledError):
+        fit(c, frames(c), frames(c), tmp_path / "killed", callbacks=(KillInEpoch(2),), devices=1)
+    for _ in range(2):  # the second time there is nothing left to do
+        fit(c, frames(c), frames(c), tmp_path / "killed", resume=True, devices=1)
+        assert curve(tmp_path / "whole") == pytest.approx(curve(tmp_path / "killed"), rel=1e-6)
+    assert [value for (name, _), value in curve(tmp_path / "whole").items() if name == "val_auc"] == [10, 30, 20, 30]
+    assert torch.load(tmp_path / "whole" / "best.ckpt", weights_only=True)["epoch"] == 1
+
+
+def test_the_validation_loss_is_that_of_the_plain_frames_and_decides_where_it_is_asked_to(tmp_path: Path) -> None:
+    c = config("compact", epochs=3, average=0.0, best_by="loss", batch=3)
+    some = frames(c)
+    best = fit(c, some, some, tmp_path, devices=1)
+    losses = {step: value for (name, step), value in curve(tmp_path).items() if name == "val_loss"}
+    detector = load_detector(tmp_path / "last.ckpt")
+    with torch.no_grad():
+        parts = [collate([some[i] for i in part]) for part in ([0, 1, 2], [3, 4, 5], [6, 7])]
+        each = [detector._loss(detector.network, part)["loss"].item() * len(part.joints) for part in parts]
+    assert losses[max(losses)] == pytest.approx(sum(each) / 8, rel=1e-4)
+    step = torch.load(best, weights_only=True)["global_step"]
+    assert losses[step] == min(losses.values())
+
+
+def test_the_optimiser_and_its_rate_are_those_that_are_asked_for() -> None:
+    c = config("compact", optimiser="adam", schedule="constant", learning_rate=4e-4, weight_decay=0.01)
+    optimiser = Detector(c).configure_optimizers()  # nothing else: no schedule
+    assert type(optimiser) is torch.optim.Adam
+    assert [group["weight_decay"] for group in optimiser.param_groups] == [0.01, 0.0]
+    assert {group["lr"] for group in optimiser.param_groups} == {4e-4}
+
+
+def drawn_curves(rows: list[dict[str, float]], patience: int, out: Path) -> np.ndarray:
+    curves = Curves(out, "val_loss", "min", patience)
+    curves.load_state_dict({"rows": rows})
+    return np.asarray(curves.picture()).astype(int)
+
+
+def test_the_picture_has_both_losses_the_best_epoch_and_the_stop(tmp_path: Path) -> None:
+    rows = [{"train_loss": 9.5 - i, "val_loss": v} for i, v in enumerate([9.0, 6.0, 7.0, 8.0])]
+    rows[2]["val_loss"] = math.nan  # a gap
+    picture = drawn_curves(rows, 2, tmp_path)
+    dark = (picture.max(axis=-1) < 60).sum(axis=0)  # how much of each column is ink
+    best, third, stop = (80 + 850 * i // 3 for i in (1, 2, 3))
+    assert dark[best] > 350
+    assert dark[stop] > 350
+    assert dark[third] < 40
+    assert (drawn_curves(rows, 0, tmp_path).max(axis=-1) < 60).sum(axis=0)[stop] < 40  # a run without an end has no stop
+    for colour, losses in (((0, 114, 178), (9.5, 6.5)), ((213, 94, 0), (9.0, 8.0))):  # first and last epoch
+        here = (np.abs(picture[50:] - colour).sum(axis=-1) < 10).nonzero()  # below the legend
+        ends = [here[0][np.abs(here[1] - column) <= 2].mean() for column in (80, stop)]
+        assert ends[0] < ends[1]  # the losses fell
+        assert (ends[1] - ends[0]) / (losses[0] - losses[1]) == pytest.approx(430 / 4, rel=0.05)
+    wide = drawn_curves([{"train_loss": loss} for loss in (100.0, 10.0, 1.0)], 0, tmp_path)  # on a logarithmic axis
+    rows_of = (np.abs(wide[50:] - (0, 114, 178)).sum(axis=-1) < 10).nonzero()
+    heights = [rows_of[0][np.abs(rows_of[1] - column) <= 2].mean() for column in (80, 505, 930)]
+    assert np.diff(heights) == pytest.approx(215, abs=2)
+    assert drawn_curves(rows[:1], 2, tmp_path).shape == (540, 960, 3)
+    assert drawn_curves([{}], 2, tmp_path).shape == (540, 960, 3)
 
 
 class _Spy:

@@ -1,16 +1,16 @@
 """Training augmentation in 3D, on batches: the cloud is moved and seen again by the same camera.
 
-The thesis' augmentation (section 6.2) shifts the cloud of a frame and projects it anew. Here a small rotation comes
-with it, the nearest of the points that fall on one pixel wins, and pixels that nothing falls on between neighbours that are hit
-are filled from the nearest of them: a surface that comes closer must not fall apart. Flips, sensor noise, lost pixels, a change
-of gain and random occluders follow. Everything runs on whole batches of tensors.
+The thesis' augmentation (algorithm 6.2.1) shifts the cloud of a frame and projects it anew. Here a small rotation comes
+with it by default, the nearest of the points that fall on one pixel wins, and pixels that nothing falls on between neighbours
+that are hit are filled from the nearest of them: a surface that comes closer must not fall apart. Flips, sensor noise, lost
+pixels, a change of gain and random occluders follow. Everything runs on whole batches of tensors.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
@@ -26,13 +26,16 @@ _Shares = tuple[float, float, float]
 
 
 class AugmentConfig(BaseModel):
-    """How training frames are varied. Probabilities are per frame; shifts are those of the thesis' best setting."""
+    """How training frames are varied. Probabilities are per frame; the thesis' are those of docs/models/paf-thesis.yaml."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     shift: Annotated[Probability, Field(description="Probability that the cloud is moved at all.")] = 0.8
     shift_axes: Annotated[_Shares, Field(description="Probability of a shift along x, y, z.")] = (0.5, 0.5, 0.8)
-    shift_m: Annotated[NotNegative, Field(description="Standard deviation of the shift (m).")] = 0.15
+    shift_m: Annotated[NotNegative, Field(description="Standard deviation, or greatest value, of the shift (m).")] = 0.15
+    shift_law: Annotated[
+        Literal["normal", "uniform"], Field(description="Law of the shift; uniform: from 0 to shift_m, as the thesis prints it.")
+    ] = "normal"
     rotate_deg: Annotated[NotNegative, Field(description="Standard deviation of the rotation about each axis (deg).")] = 4.0
     flip: Annotated[Probability, Field(description="Probability of a mirror image, sides swapped.")] = 0.5
     noise_m: Annotated[NotNegative, Field(description="Greatest standard deviation of added depth noise (m).")] = 0.008
@@ -108,7 +111,8 @@ def draw_motion(n: int, config: AugmentConfig, like: Tensor, generator: torch.Ge
     """Rotations (n, 3, 3) and translations (n, 3), m; identity and zero where a frame stays."""
     moved = chance(config.shift, like, generator).unsqueeze(1)
     axes = torch.rand((n, 3), generator=generator, device=like.device) < like.new_tensor(config.shift_axes)
-    shift = torch.randn((n, 3), generator=generator, device=like.device) * config.shift_m * axes * moved
+    draw = torch.rand if config.shift_law == "uniform" else torch.randn
+    shift = draw((n, 3), generator=generator, device=like.device) * config.shift_m * axes * moved
     angles = torch.randn((n, 3), generator=generator, device=like.device) * math.radians(config.rotate_deg) * moved
     zero, (x, y, z) = angles.new_zeros(n), angles.unbind(1)
     skew = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=1).reshape(n, 3, 3)

@@ -51,6 +51,10 @@ class Task(ABC):
         """An augmented batch, as the method's loss takes it."""
         return augment(batch, config, setting.rays, setting.focal, setting.mirror, generator=generator)
 
+    def plain(self, batch: Batch, settings: Any) -> Any:  # noqa: ARG002 - lifting needs the settings
+        """A batch as the method's loss takes it, not augmented."""
+        return batch
+
     def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:  # noqa: ARG002 - lifting needs the settings
         """What the view saw of a batch by name, among it the network's inputs; not augmented."""
         return {"depth": batch.depth} | ({} if batch.amplitude is None else {"amplitude": batch.amplitude})
@@ -97,8 +101,11 @@ class Lift(Task):
     def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:
         return lifting_fit.vary(batch, config, settings, setting.mirror, generator=generator)
 
+    def plain(self, batch: Batch, settings: Any) -> Any:
+        return lifting_fit.people_of(batch, settings.view)
+
     def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:
-        return {"pose": lifting_fit.people_of(batch, settings.view).pose}
+        return {"pose": self.plain(batch, settings).pose}
 
     def examples(self, settings: Any, generator: torch.Generator) -> dict[str, Tensor]:
         pose = torch.rand((3, len(settings.joints), 3), generator=generator) - 0.5

@@ -21,7 +21,7 @@ import lightning
 import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
-from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.loggers import TensorBoardLogger
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
@@ -29,6 +29,7 @@ from torch.utils.data import DataLoader
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
+from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, Kept, collate
 from cabinpose.estimate.methods import Method, method_named
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
@@ -62,10 +63,16 @@ class TrainConfig(BaseModel):
     ] = "depth"
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
-    learning_rate: Annotated[
-        float, Field(gt=0, description="Greatest rate of the one-cycle schedule (AdamW); default: the method's.")
-    ] = Field(default_factory=lambda run: method_named(run["method"]).learning_rate)
-    weight_decay: Annotated[float, Field(ge=0, description="AdamW's weight decay; default: the method's.")] = Field(
+    patience: Annotated[int, Field(ge=0, description="Stop after so many epochs without a better one; 0 = never.")] = 0
+    best_by: Annotated[
+        Literal["figure", "loss"], Field(description="The best epoch has the greatest figure, or the least validation loss.")
+    ] = "figure"
+    optimiser: Annotated[Literal["adamw", "adam"], Field(description="adam: the decay is part of the gradient (L2).")] = "adamw"
+    schedule: Annotated[Literal["one-cycle", "constant"], Field(description="Of the learning rate.")] = "one-cycle"
+    learning_rate: Annotated[float, Field(gt=0, description="Greatest rate of the schedule; default: the method's.")] = Field(
+        default_factory=lambda run: method_named(run["method"]).learning_rate
+    )
+    weight_decay: Annotated[float, Field(ge=0, description="Of the optimiser; default: the method's.")] = Field(
         default_factory=lambda run: method_named(run["method"]).weight_decay
     )
     average: Annotated[float, Field(ge=0, lt=1, description="Greatest decay of the weights' moving average; 0 = none.")] = 0.998
@@ -117,7 +124,9 @@ class Detector(lightning.LightningModule):
         return terms["loss"]
 
     def validation_step(self, batch: Batch, index: int) -> None:  # noqa: ARG002 - the signature is Lightning's
-        """Collects what the method's task judges it by."""
+        """Logs the loss of a batch that is not augmented, and collects what the method's task judges it by."""
+        terms: dict[str, Tensor] = self._loss(self.network, self.task.plain(batch, self.method_config))
+        self.log_dict({f"val_{name}": value for name, value in terms.items()}, batch_size=len(batch.joints), sync_dist=True)
         seen = self.task.inputs(batch, self.method_config)
         values = self.network(*(seen[name] for name in self.method_config.inputs))
         outputs = {name: getattr(values, name).float().cpu().numpy() for name in self.method.outputs}
@@ -131,7 +140,7 @@ class Detector(lightning.LightningModule):
         self.log_dict(figures, prog_bar=True, sync_dist=True)
 
     def configure_optimizers(self) -> Any:
-        """AdamW under one cycle (Smith and Topin 2018); norms and biases do not decay."""
+        """AdamW or Adam, under one cycle (Smith and Topin 2018) or at a constant rate; norms and biases do not decay."""
         named = list(self.network.named_parameters())
         decayed = [p for name, p in named if p.ndim > 1 and not name.endswith("bias")]
         others = [p for name, p in named if p.ndim <= 1 or name.endswith("bias")]
@@ -140,7 +149,9 @@ class Detector(lightning.LightningModule):
             {"params": others, "weight_decay": 0.0},
         ]
         rate = self.settings.learning_rate
-        optimiser = torch.optim.AdamW(groups, lr=rate)
+        optimiser = (torch.optim.Adam if self.settings.optimiser == "adam" else torch.optim.AdamW)(groups, lr=rate)
+        if self.settings.schedule == "constant":
+            return optimiser
         steps = int(self.trainer.estimated_stepping_batches) + self.spare_batches
         schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=0.15)
         return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
@@ -172,22 +183,30 @@ class _Frames(lightning.LightningDataModule):
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
 
 
-Progress = Callable[[int, int, str], None]  # batches done, batches in all, epoch and figures in words
+# Batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is being done.
+Progress = Callable[[int, int, str], None]
 
 
 class _BatchReport(Callback):
-    """Reports every batch: epoch, loss, and the deciding figure of the last validation."""
+    """Reports every batch: epoch, loss, and the deciding figure of the last validation; and when validation begins."""
 
     def __init__(self, progress: Progress, monitor: str) -> None:
         self._progress, self._monitor = progress, monitor
 
+    def on_train_start(self, trainer: lightning.Trainer, *_: Any) -> None:
+        self._tell(trainer)
+
     def on_train_batch_end(self, trainer: lightning.Trainer, *_: Any) -> None:
-        if not trainer.is_global_zero:
-            return
         metrics = trainer.callback_metrics
-        figures = [f"{name} {float(metrics[name]):.4g}" for name in ("loss", self._monitor) if name in metrics]
-        note = ", ".join([f"epoch {trainer.current_epoch + 1} of {trainer.max_epochs}", *figures])
-        self._progress(trainer.global_step, int(trainer.estimated_stepping_batches), note)
+        self._tell(trainer, *(f"{name} {float(metrics[name]):.4g}" for name in ("loss", self._monitor) if name in metrics))
+
+    def on_validation_start(self, trainer: lightning.Trainer, *_: Any) -> None:
+        self._tell(trainer, "validating")
+
+    def _tell(self, trainer: lightning.Trainer, *words: str) -> None:
+        if trainer.is_global_zero:
+            note = ", ".join([f"epoch {trainer.current_epoch + 1} of {trainer.max_epochs}", *words])
+            self._progress(trainer.global_step, int(trainer.estimated_stepping_batches), note)
 
 
 def fit(
@@ -203,7 +222,7 @@ def fit(
     nodes: int = 1,
     progress: Progress | None = None,
 ) -> Path:
-    """Train into the folder `out`, which gets last.ckpt, best.ckpt and metrics.csv (TensorBoard's files where it is installed).
+    """Train into the folder `out`: last.ckpt, best.ckpt, log/metrics.csv, curves.png (TensorBoard's files where it is installed).
 
     Parameters
     ----------
@@ -220,7 +239,7 @@ def fit(
     callbacks, devices, nodes
         Lightning's.
     progress
-        Called after every batch.
+        Called after every batch, and where something else takes its time.
 
     Returns
     -------
@@ -239,21 +258,25 @@ def fit(
         raise ConfigError(
             f"{out} already holds a training run", hint="--resume goes on with it, or give another folder with --out"
         )
+    if progress is not None:
+        progress(0, 0, "reading frames")
     config = complete(config, training)  # reads frames where settings are measured: not before a run that is refused
     if resume and last.exists():
         check_same(last, config)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     out.mkdir(parents=True, exist_ok=True)
     frames = _Frames(config, training, validation)
-    monitor = TASKS[method_named(config.method).task].best
-    best = ModelCheckpoint(out, "best", monitor=monitor, mode="max", enable_version_counter=False)
+    figure = TASKS[method_named(config.method).task].best
+    monitor, mode = ("val_loss", "min") if config.best_by == "loss" else (figure, "max")
+    best = ModelCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
-    reports = [_BatchReport(progress, monitor)] if progress is not None else []
+    curves = Curves(out, monitor, mode, config.patience)
+    reports = [_BatchReport(progress, figure)] if progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
-            callbacks=[*average, best, newest, *reports, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
+            callbacks=[*average, best, newest, curves, *reports, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
             log_every_n_steps=10, enable_model_summary=False, enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
         )  # fmt: skip
         detector = Detector(config)
@@ -279,11 +302,10 @@ def _moving_average(decay: float) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
 
 
 def _loggers(out: Path) -> list[Any]:
-    """A CSV file, and TensorBoard's where one of its writers is installed."""
-    loggers: list[Any] = [CSVLogger(out, name="", version="log")]
+    """TensorBoard's, where one of its writers is installed; `Curves` writes the CSV file."""
     if any(find_spec(name) is not None for name in ("tensorboard", "tensorboardX")):
-        loggers.append(TensorBoardLogger(out, name="", version="log"))
-    return loggers
+        return [TensorBoardLogger(out, name="", version="log")]
+    return []
 
 
 @contextmanager

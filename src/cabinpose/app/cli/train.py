@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
-from cabinpose.app.cli.output import ProgressReport, print_json, progress
+from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core.errors import ConfigError
 
@@ -27,7 +27,7 @@ class Train(PrintsJson):
     """
 
     out: Path
-    """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv."""
+    """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv, curves.png."""
     datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
     method: Maybe[str] = None
@@ -60,21 +60,27 @@ COMMAND = Train
 def run(command: Train) -> None:
     """Train with a progress bar, and print the best checkpoint."""
     require("train")
-    from cabinpose.app.training import read_train_config
-    from cabinpose.estimate.training import fit, frame_spec
-
     if command.datasets and command.synth is not None:
         raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
-    config = read_train_config(command.config, command.method)
-    training, validation = _frames(command, frame_spec(config), config.seed)
     with ExitStack() as stack:
-        shown: list[ProgressReport] = []
+        report, counted = stack.enter_context(progress()), False
+        report.phase("loading torch")
+        from cabinpose.app.training import read_train_config
+        from cabinpose.estimate.training import fit, frame_spec
 
         def show(done: int, total: int, note: str) -> None:
-            if not shown:
-                shown.append(stack.enter_context(progress(total, "batches", start=done - 1)))
-            shown[0](done, note)
+            nonlocal report, counted
+            if total and not counted:
+                stack.close()
+                report, counted = stack.enter_context(progress(total, "batches", start=done)), True
+            if counted:
+                report(done, note)
+            else:
+                report.phase(note)
 
+        config = read_train_config(command.config, command.method)
+        report.phase("opening datasets")
+        training, validation = _frames(command, frame_spec(config), config.seed)
         best = fit(
             config, training, validation, command.out, resume=command.resume, init=command.init,
             devices=int(command.devices) if command.devices.isdigit() else command.devices, nodes=command.nodes, progress=show,

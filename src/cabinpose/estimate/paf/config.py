@@ -33,7 +33,12 @@ class PafConfig(ViewSettings):
     body: Annotated[_Body, Field(description="Joints: the upper body's 14, all 20, or ITOP's.")] = "upper"
     stages: Annotated[int, Field(ge=1, le=6, description="1 = the thesis; the original refines in 5 more.")] = 1
     channels: Annotated[float, Field(gt=0, le=2, description="Factor on the thesis' numbers of channels.")] = 1.0
-    batch_norm: Annotated[bool, Field(description="Batch normalisation; false = as the thesis, for pretrained weights.")] = True
+    presence_labels: Annotated[
+        Literal[0, 2, 3],
+        Field(
+            description="Labels of the presence branch: 2 = in the image or not; 3 = visible, occluded, outside; 0 = no branch."
+        ),
+    ] = 2
     depth_scale_m: Annotated[float, Field(gt=0, description="Depth (m) that is mapped to 255.")] = 1.8
     sigma_px: Annotated[float, Field(gt=0, description="Spread of a joint's peak in the training maps (px).")] = 8.0
     limb_px: Annotated[float, Field(gt=0, description="Half width of a limb in the training fields (px).")] = 8.0

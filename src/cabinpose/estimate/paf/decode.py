@@ -20,13 +20,16 @@ _WINDOW = 2  # the surface around a joint is read within so many pixels
 def decode(outputs: Mapping[str, NDArray[Any]], config: PafConfig, seen: Mapping[str, NDArray[Any]]) -> Found:
     """Joints of the people in N frames.
 
-    outputs: fields (N, 2C, h, w), heat (N, J + 1, h, w) and presence (N, J, 2) logits · seen: depth (N, H, W) of the view, m, 0 =
-    invalid. A joint's place in the image is its peak; its depth that of the surface there and the joint's offset from the
-    skin, NaN where nothing was measured. People go to the places whose anchors their necks are nearest to.
+    outputs: fields (N, 2C, h, w), heat (N, J + 1, h, w) and presence (N, J, K) logits, the first of absence · seen: depth (N, H,
+    W) of the view, m, 0 = invalid. A joint's place in the image is its peak; its depth that of the surface there and the joint's
+    offset from the skin, NaN where nothing was measured. People go to the places whose anchors their necks are nearest to.
     """
     fields, heat = (np.asarray(outputs[name], dtype=np.float64) for name in ("fields", "heat"))
     logits = np.asarray(outputs["presence"], dtype=np.float64)
-    there = np.asarray(sigmoid(logits[..., 1] - logits[..., 0]))  # the softmax of two
+    # One minus the softmax of absence; without the branch every joint may be there.
+    there = np.asarray(sigmoid(np.logaddexp.reduce(logits[..., 1:], axis=-1) - logits[..., 0]))
+    if not config.presence_labels:
+        there = np.ones_like(there)
     n, slots, joints = len(heat), len(config.slots), len(config.joints)
     uv, score = np.full((n, slots, joints, 2), np.nan), np.zeros((n, slots, joints))
     for i in range(n):

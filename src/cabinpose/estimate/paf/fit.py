@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from cabinpose.core.pose import Visibility
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.model import STRIDE, Maps, Paf
@@ -14,8 +15,8 @@ from cabinpose.estimate.paf.model import STRIDE, Maps, Paf
 def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     """The terms of the loss and their sum, `loss`, as means over the frames.
 
-    heat, fields: half the squared L2 norm of the maps' error, all stages · presence: for each joint half the cross entropy of
-    absent and present (the mean over the two classes), summed over the joints.
+    heat, fields: half the squared L2 norm of the maps' error, all stages (Caffe's Euclidean loss; the thesis prints the norm
+    itself) · presence: for each joint the cross entropy of its labels divided by their number, summed over the joints.
     """
     image = batch.amplitude if network.config.input == "amplitude" else batch.depth
     if image is None:
@@ -24,15 +25,23 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     height, width = maps.heat.shape[-2:]
     heat, fields = targets(batch, network.config, height, width)
     n = len(image)
-    there = in_image(batch).any(dim=1)
+    labels = network.config.presence_labels
     zero = maps.heat.new_zeros(())
     terms = {
         "fields": sum((0.5 * ((f - fields) ** 2).sum() / n for f, _ in maps.stages), start=zero),
         "heat": sum((0.5 * ((h - heat) ** 2).sum() / n for _, h in maps.stages), start=zero),
-        "presence": 0.5 * functional.cross_entropy(maps.presence.flatten(0, 1), there.long().flatten(), reduction="sum") / n,
     }
-    terms["loss"] = terms["fields"] + terms["heat"] + terms["presence"]
+    if labels:
+        wrong = functional.cross_entropy(maps.presence.flatten(0, 1), presence_of(batch, labels).flatten(), reduction="sum")
+        terms["presence"] = wrong / labels / n
+    terms["loss"] = sum(terms.values(), start=zero)
     return terms
+
+
+def presence_of(batch: Batch, labels: int) -> Tensor:
+    """(N, J) label of each joint over all people: 0 = not in the image, 1 = there; of three labels 1 = occluded, 2 = visible."""
+    seen = (batch.visibility * in_image(batch)).amax(dim=1)
+    return (seen > 0).long() + (seen == Visibility.VISIBLE).long() * (labels == 3)
 
 
 def in_image(batch: Batch) -> Tensor:

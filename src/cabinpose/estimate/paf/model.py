@@ -1,8 +1,10 @@
-"""The thesis' network of part affinity fields (pose.md), with the refinement stages of the original as an option.
+"""The thesis' network of part affinity fields (its table 6.2), with the refinement stages of the original as an option.
 
 The first ten layers of VGG-19 (Simonyan and Zisserman 2015) give features at stride 8; three branches on them give part
-affinity fields, heat maps, and the presence of each joint. Z. Cao, T. Simon, S.-E. Wei, Y. Sheikh, "Realtime multi-person 2D
-pose estimation using part affinity fields", CVPR 2017; the thesis keeps its first stage and adds the presence branch.
+affinity fields, heat maps, and the presence of each joint. Hidden convolutions are normalised over the batch while training,
+which the thesis' are not; an exported network has the norms folded into them. Z. Cao, T. Simon, S.-E. Wei, Y. Sheikh, "Realtime
+multi-person 2D pose estimation using part affinity fields", CVPR 2017; the thesis keeps its first stage and adds the presence
+branch.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ _AMPLITUDE = 500.0  # the amplitude that is mapped to 255
 class Maps(NamedTuple):
     """The network's answers for N frames, J joints and C limbs, maps at stride 8.
 
-    fields: (N, 2C, h, w) x and y of limb c at 2c and 2c + 1 · heat: (N, J + 1, h, w), the background last · presence:
-    (N, J, 2) logits of absent and present · stages: fields and heat of every stage, the last one's among them.
+    fields: (N, 2C, h, w) x and y of limb c at 2c and 2c + 1 · heat: (N, J + 1, h, w), the background last · presence: (N, J, K)
+    logits of absent and present, of absent, occluded and visible, or zeros without the branch · stages: fields and heat of every
+    stage, the last one's among them.
     """
 
     fields: Tensor
@@ -47,10 +50,9 @@ class Paf(nn.Module):
             return max(4, round(config.channels * channels))
 
         def conv(inputs: int, outputs: int, size: int = 3) -> tuple[nn.Module, ...]:
-            """A convolution, normalised over the batch if the settings ask for it, and rectified."""
-            layer = nn.Conv2d(inputs, outputs, size, padding=size // 2, bias=not config.batch_norm)
-            norm = (nn.BatchNorm2d(outputs),) if config.batch_norm else ()
-            return layer, *norm, nn.ReLU(inplace=True)
+            """A convolution, normalised over the batch and rectified."""
+            layer = nn.Conv2d(inputs, outputs, size, padding=size // 2, bias=False)
+            return layer, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
 
         self.features = nn.Sequential(
             *conv(3 if config.input == "cloud" else 1, c(64)), *conv(c(64), c(64)), nn.MaxPool2d(2),
@@ -65,9 +67,10 @@ class Paf(nn.Module):
 
         self.fields = branch(512, 2 * limbs)
         self.heat = branch(512, joints + 1)
-        self.presence = branch(256, joints)
-        cells = (config.height // STRIDE) * (config.width // STRIDE)
-        self.classify = Presence(joints, cells, c(100))
+        if config.presence_labels:
+            self.presence = branch(256, joints)
+            cells = (config.height // STRIDE) * (config.width // STRIDE)
+            self.classify = Presence(joints, cells, c(100), config.presence_labels)
 
         def refine(outputs: int) -> nn.Sequential:
             first = c(128) + 2 * limbs + joints + 1
@@ -84,8 +87,9 @@ class Paf(nn.Module):
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
         # As in the original, answers begin near zero: large first errors leave the features without variation.
-        for last in (self.fields[-1], self.heat[-1], self.presence[-1], *(m[-1] for m in self._refined())):
-            nn.init.normal_(cast(nn.Conv2d, last).weight, std=0.01)
+        presence = [self.presence] if config.presence_labels else []
+        for answering in (self.fields, self.heat, *presence, *self._refined()):
+            nn.init.normal_(cast(nn.Conv2d, answering[-1]).weight, std=0.01)
 
     def _refined(self) -> list[nn.Sequential]:
         return [cast(nn.Sequential, module) for module in (*self.refined_fields, *self.refined_heat)]
@@ -109,21 +113,25 @@ class Paf(nn.Module):
         for fields, heat in zip(self.refined_fields, self.refined_heat, strict=True):
             x = torch.cat((*stages[-1], features), dim=1)
             stages.append((fields(x), heat(x)))
-        return Maps(*stages[-1], self.classify(self.presence(features)), tuple(stages))
+        if self.config.presence_labels:
+            presence = self.classify(self.presence(features))
+        else:
+            presence = image.new_zeros((image.shape[0], len(self.config.joints), 2))
+        return Maps(*stages[-1], presence, tuple(stages))
 
 
 class Presence(nn.Module):
-    """For each joint two fully connected layers on its own map: `cells` → `hidden` → 2. Their size follows the map's."""
+    """For each joint two fully connected layers on its own map: `cells` → `hidden` → `labels`. Their size follows the map's."""
 
-    def __init__(self, joints: int, cells: int, hidden: int) -> None:
+    def __init__(self, joints: int, cells: int, hidden: int, labels: int) -> None:
         super().__init__()
         self.first = nn.Parameter(torch.randn(joints, cells, hidden) * (2 / cells) ** 0.5)
         self.first_bias = nn.Parameter(torch.zeros(joints, 1, hidden))
-        self.second = nn.Parameter(torch.randn(joints, hidden, 2) * (1 / hidden) ** 0.5)
-        self.second_bias = nn.Parameter(torch.zeros(joints, 1, 2))
+        self.second = nn.Parameter(torch.randn(joints, hidden, labels) * (1 / hidden) ** 0.5)
+        self.second_bias = nn.Parameter(torch.zeros(joints, 1, labels))
 
     def forward(self, maps: Tensor) -> Tensor:
-        """(N, J, h, w) to logits (N, J, 2) of absent and present."""
+        """(N, J, h, w) to logits (N, J, labels)."""
         x = torch.relu(maps).flatten(2).transpose(0, 1)
         hidden = torch.relu(x @ self.first + self.first_bias)
         return (hidden @ self.second + self.second_bias).transpose(0, 1)
