@@ -227,7 +227,8 @@ def draw_pose(
     s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close, carried)
     plans = _foot_plans(seat, cabin, rng)
     if on is not None:
-        plans = _hanging(plans[0]), _hanging(plans[1])
+        rests = not sitting_in(on.thing).harness
+        plans = _hanging(plans[0], rests), _hanging(plans[1], rests)
     feet = foot_goals(
         person,
         root,
@@ -406,9 +407,9 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
     return plans[0], plans[1]
 
 
-def _hanging(plan: FootPlan) -> FootPlan:
-    """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the rests of its seat."""
-    return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M)
+def _hanging(plan: FootPlan, rests: bool) -> FootPlan:
+    """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the `rests` of its seat."""
+    return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M if rests else plan.out)
 
 
 def _gaze(
