@@ -118,15 +118,37 @@ def test_a_belt_is_straight_wherever_it_does_not_press_and_stays_in_front(lean: 
         assert beyond.max() < 0.66  # never outside an arm
 
 
+def labels_of(skin: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The classes of the dummy's pieces."""
+    pieces = [len(piece.faces) for piece in trimesh.Trimesh(skin, faces, process=False).split()]
+    limbs = [f"{part}_{side}" for part in ("upper_arm", "forearm", "thigh") for side in ("left", "right")]
+    return np.repeat([LABEL[name] for name in ("torso_left", "head_left", *limbs)], pieces).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("axis", "first"), [("z", -50.0), ("x", -30.0)])
+def test_a_belt_follows_who_leans_until_the_other_shoulder_is_nearer_to_its_anchor(axis: str, first: float) -> None:
+    """Step by step it moves with the body, and by no more than a few times as far; the nearer shoulder changes on the way."""
+    cabin = build_cabin("sedan")
+    seat = cabin.seats["driver"]
+    labels = labels_of(*dummy(cabin, "driver")[:2])
+    skins, belts, nearer = [], [], set()
+    for angle in np.arange(first, first + 21.0, 2.0):
+        skin, faces, joints = leaning(cabin, "driver", (axis, float(angle)))
+        belt = belt_surface(skin, faces, joints, seat, seat.default, cabin, labels=labels)
+        skins.append(skin)
+        belts.append(belt.vertices[:240].reshape(2, 40, 3, 3)[1, :, 1])
+        nearer.add(min(("lshoulder", "rshoulder"), key=lambda s: np.linalg.norm(joints[INDEX[s]] - seat.belt.upper)))
+    assert len(nearer) == 2
+    moved, followed = (np.linalg.norm(np.diff(v, axis=0), axis=2).max(axis=1) for v in (skins, belts))
+    assert (followed / moved).max() < 8.0
+
+
 def test_an_arm_before_the_chest_moves_no_belt() -> None:
     """With the classes of the skin: those of the dummy's pieces, of which the forearms come before the belly."""
     cabin = build_cabin("sedan")
     seat = cabin.seats["driver"]
     skin, faces, joints = dummy(cabin, "driver")
-    pieces = [len(piece.faces) for piece in trimesh.Trimesh(skin, faces, process=False).split()]
-    limbs = [f"{part}_{side}" for part in ("upper_arm", "forearm", "thigh") for side in ("left", "right")]
-    names = ("torso_left", "head_left", *limbs)
-    labels = np.repeat([LABEL[name] for name in names], pieces).astype(np.uint8)
+    labels = labels_of(skin, faces)
     moved, at = skin.copy(), joints.copy()
     forearms = np.unique(faces[np.isin(labels, [LABEL["forearm_left"], LABEL["forearm_right"]])])
     nearer = 0.5 * (joints[INDEX["chest"]] + joints[INDEX["hip"]]) - joints[[INDEX["lwrist"], INDEX["rwrist"]]].mean(axis=0)

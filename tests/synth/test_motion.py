@@ -24,10 +24,11 @@ from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.motion.activities import activities_for
 from cabinpose.synth.motion.film import EYES_LEAD_S
+from cabinpose.synth.motion.handover import giving_palm, meeting_place, taking_palm
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
 from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
-from cabinpose.synth.motion.track import WIDTH, duration, way_through
-from cabinpose.synth.posture.grasps import HANDED
+from cabinpose.synth.motion.track import CLOSING_S, WIDTH, Held, duration, way_through
+from cabinpose.synth.posture.grasps import HANDED, OPEN_HAND, Grasp, Hold, hold
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.validate import Rejection, Validator, Verdict
 from cabinpose.synth.write import FrameMaker
@@ -37,7 +38,7 @@ TWO = {"driver": 1.0, "front_passenger": 1.0}
 
 
 def _sampler(*, things: Mapping[str, object] = MappingProxyType({}), **sequence: object) -> SceneSampler:
-    scene = {"occupancy": TWO, **things, "sequence": {"frames": FRAMES, "rate_hz": RATE, **sequence}}
+    scene = {"occupancy": TWO, **things, "sequence": {"frames": FRAMES, "rate_hz": RATE} | sequence}
     return SceneSampler(small_config(**scene), 2)
 
 
@@ -178,7 +179,7 @@ def test_what_is_held_moves_with_the_hand_and_is_pressed_by_it(film) -> None:
     assert film.tracks["driver"].hold is None
     for t in (0.0, 1.3, 2.6):
         people = film.people(t)
-        seat, held = film.things_with(people)
+        seat, held = film.things_with(people, t)
         assert (seat.thing.kind, seat.slot) == ("booster", "rear_right")
         np.testing.assert_array_equal(seat.vehicle_from_thing, film.things[0].vehicle_from_thing)
         holder = next(p for p in people if p.slot == held.slot == "front_passenger")
@@ -215,6 +216,74 @@ def test_a_neighbour_is_hit_by_who_has_one() -> None:
             hands = np.isin(mine.person.skin_segment, [SEGMENTS.index(side + "hand") for side in "lr"])
             near.append(cKDTree(other.posed.skin).query(mine.posed.skin[hands])[0].min())
     assert min(near) < 0.02
+
+
+def _free(film, time_s: float) -> Verdict:
+    """Whether all bodies and things hold together at a time, put into the car one after the other."""
+    people, judge = film.people(time_s), film.cast.validator
+    seated = judge.empty(film.cast.settings, film.wheel_angle(time_s), film.things)
+    for p in people:
+        verdict, seated = judge.admit(seated, (p.slot, p.person, p.posed))
+        if not verdict.ok:
+            return verdict
+    for thing in film.things_with(people, time_s)[len(film.things) :]:
+        verdict, seated = judge.bring(seated, thing)
+        if not verdict.ok:
+            return verdict
+    return Verdict()
+
+
+def test_fingers_open_before_they_close_and_follow_the_grip_otherwise() -> None:
+    grasp = Grasp(np.array((0.1, 0.5, 0.5, 0.6, 0.6)), np.eye(4))
+    held = Held(Hold("bottle", 0, 1, grasp, "take"), 2.0, 5.0)
+    assert held.curl(1.4, 0.3) is None
+    assert held.curl(5.6, 0.3) is None
+    for time_s in (2.0, 3.0, 5.0):
+        np.testing.assert_array_equal(held.curl(time_s, 0.3), grasp.curl)
+    for time_s in (2.0 - CLOSING_S, 5.0 + CLOSING_S):
+        np.testing.assert_allclose(held.curl(time_s, 0.3), OPEN_HAND, atol=1e-9)
+    curls = np.stack([held.curl(t, 0.3) for t in np.linspace(1.51, 2.0, 200)])
+    assert np.abs(np.diff(curls, axis=0)).max() / (0.49 / 199) < 10.0
+
+
+def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
+    """Thumbs up, the thing upright between the two, one palm above the other."""
+    people = {p.slot: p for p in film.people(0.0)}
+    one, two = people["driver"], people["front_passenger"]
+    side = 1 if one.posed.joints[INDEX["hip"], 1] > two.posed.joints[INDEX["hip"], 1] else 0
+    held = hold(one.person, "give", "bottle", 0, side)
+    rng = np.random.default_rng(0)
+    place = meeting_place((one.person, two.person), (one.posed, two.posed), side, np.array((1.0, 0.0, 0.0)), rng=rng)
+    palms = [giving_palm(held, one.posed, place)]
+    thing = held.placed(palms[0])
+    palms.append(taking_palm(two.person, two.posed, held, thing))
+    np.testing.assert_allclose(thing[:3, 2], (0.0, 0.0, 1.0), atol=1e-9)
+    np.testing.assert_allclose(thing[:3, 3], place, atol=1e-9)
+    for palm, thumb in zip(palms, (1.0 - 2.0 * side, 2.0 * side - 1.0), strict=True):
+        np.testing.assert_allclose(thumb * palm[:3, 1], (0.0, 0.0, 1.0), atol=1e-9)
+        assert (thing[:3, 3] - palm[:3, 3]) @ palm[:3, 2] > 0.02  # it is before the palm
+    assert 0.085 < palms[1][2, 3] - palms[0][2, 3] < 0.15
+    shoulders = [p.posed.joints[INDEX["lr"[s] + "shoulder"]] for p, s in ((one, side), (two, 1 - side))]
+    for person, shoulder in zip((one, two), shoulders, strict=True):
+        arm = sum(person.person.segment_lengths[name] for name in ("upper_arm", "forearm"))
+        assert 0.35 < np.linalg.norm(place - shoulder) / arm < 1.0
+
+
+def test_children_move_in_their_seats() -> None:
+    """What children do, and nothing else; on the seat and in nothing, at thrice the rate; held by its harness."""
+    scene = {"cars": ["suv"], "occupancy": {}, "occupants": {"rear_left": {}}, "child_seats": {"rear_left": "toddler"}}
+    sequence = {"frames": 18, "rate_hz": RATE, "activities": ["lean_forward", "look_around", "phone_text"]}
+    sampler = SceneSampler(small_config(**scene, sequence=sequence), 0)
+    film = sampler._film(0)
+    (track,) = film.tracks.values()
+    assert {s.activity for s in track.segments} <= {"look_around", "phone_text"}
+    for tick in range(CHECKS_PER_FRAME * 17 + 1):
+        assert (verdict := _free(film, tick / (CHECKS_PER_FRAME * RATE))).ok, verdict
+    moved = np.stack([film.people(t)[0].posed.joints for t in np.arange(0.0, 1.7, 0.1)])
+    assert np.ptp(moved, axis=0).max() > 0.05
+    assert np.linalg.norm(np.ptp(moved[:, INDEX["hip"]], axis=0)) < 0.05
+    (child,) = sampler.sample(5, rng=np.random.default_rng(0)).people
+    assert (child.belt, child.child) == ("harness", True)
 
 
 def test_hands_stay_on_the_wheel_that_turns(film) -> None:
@@ -282,6 +351,8 @@ def test_no_way_ends_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"sequence": {"frames": 4}, "profile": {"kind": "gaussian"}}, "people in motion have no profile but mocap"),
         ({"sequence": {"frames": 4}, "factorial": {"poses": 2}}, "people in motion have no scene.factorial"),
         ({"sequence": {"frames": 1}}, "frames"),
+        ({"sequence": {"activities": ["hand_over"]}}, "nobody has anything in the hand to hand over"),
+        ({"sequence": {"activities": ["receive"]}}, "activity 'receive'"),
     ],
 )
 def test_what_has_no_meaning_is_refused(scene: dict[str, object], says: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.things import Brought, check_size, draw_child_seats, draw_objects
 from cabinpose.synth.validate import Validator
+
+_FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
 
 
 class Cast(NamedTuple):
@@ -82,6 +85,8 @@ class Casting:
             else seat.default
             for slot, seat in cabin.seats.items()
         }
+        for slot in children:
+            settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in exact})
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
         soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if kind in SOFT}
@@ -154,6 +159,17 @@ def _judged_preset(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
 @cached_once(len(SUBJECTS))
 def _named_person(subject: str) -> Person:
     return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
+
+
+def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]) -> dict[str, SeatSetting]:
+    """The front passenger's seat where it is before a child's: slid forwards, to make room for legs that cannot hang straight."""
+    seat, front = cabin.seats[slot], cabin.seats.get("front_passenger")
+    if front is None or "front_passenger" not in settings or not slot.startswith("rear"):
+        return {}
+    if float(front.design_h_point[1] * seat.design_h_point[1]) <= 0.0:
+        return {}
+    setting = settings["front_passenger"]
+    return {"front_passenger": replace(setting, fore_aft_m=min(setting.fore_aft_m + _FOR_LEGS_M, front.ranges[1].fore_aft_m))}
 
 
 def _exact_setting(pose: ExactPose) -> SeatSetting:

@@ -181,7 +181,6 @@ class CabinScene(Model):
             "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
             "pose": any(o.pose for o in occupants),
             "scene.things": self.things,
-            "children in child seats": self.children or self.occupants.keys() & self.child_seats.keys(),
         }
         return next((name for name, value in asked.items() if value), "")
 
@@ -203,6 +202,8 @@ class CabinScene(Model):
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
         if self.sequence is not None and self._still:
             raise ConfigError(f"people in motion have no {self._still}", hint="leave it out, or leave out scene.sequence")
+        if self.sequence is not None and "hand_over" in (self.sequence.activities or ()) and not self.in_hand:
+            raise ConfigError("nobody has anything in the hand to hand over", hint="give scene.in_hand, such as 1.0")
         for weights in self.motion.values():
             for action in weights:
                 if action not in ACTIONS:

@@ -43,6 +43,7 @@ from cabinpose.synth.posing import pose_people
 from cabinpose.synth.posture import draw_offset, random_action
 from cabinpose.synth.posture.actions import HOLDING, IN_CHILD_SEAT, TELEPHONING
 from cabinpose.synth.posture.grasps import Hold
+from cabinpose.synth.posture.intents import Reach
 from cabinpose.synth.posture.neighbours import neighbours_of
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
 from cabinpose.synth.preflight import LENS_M
@@ -175,7 +176,7 @@ class SceneSampler:
         film, time_s = self._film(number), frame / sequence.rate_hz + later_s
         rng = sequence_rng(self._seed, number * sequence.frames, 0)  # the same belts in all frames
         people = film.people(time_s)
-        wheel_angle, things = film.wheel_angle(time_s), film.things_with(people)
+        wheel_angle, things = film.wheel_angle(time_s), film.things_with(people, time_s)
         shown = self._assembled(scene, film.cast, people, wheel_angle, film.pov, film.camera, rng, things)
         counts = (film.proposals, film.rejections) if frame == 0 else (0, {})
         return replace(shown, proposals=counts[0], rejections=counts[1], sequence=number, sync_ns=round(1e9 * time_s))
@@ -193,9 +194,9 @@ class SceneSampler:
             return round((began_s + time_s) * profile.rate_hz) if isinstance(profile, MocapProfile) else first
 
         def goals(cast: Cast) -> DrawGoals:
-            return lambda slot, action, wheel_angle, carried, point, time_s, rng: self._draw(
+            return lambda slot, action, wheel_angle, carried, reach, on, time_s, rng: self._draw(
                 scene, of_profile(slot, time_s), cast.people, cast.cabin, slot, cast.settings[slot], rng,
-                action=action, wheel_angle=wheel_angle, carried=carried, point=point,
+                action=action, wheel_angle=wheel_angle, carried=carried, reach=reach, on=on,
             )  # fmt: skip
 
         def furnished(*, rng: np.random.Generator) -> tuple[Cast, tuple[PlacedThing, ...] | Blocked]:
@@ -289,10 +290,10 @@ class SceneSampler:
         action: str | None = None,
         wheel_angle: float | None = None,
         carried: Hold | None = None,
-        point: Floats | None = None,
+        reach: Reach | None = None,
         on: PlacedThing | None = None,
     ) -> Drawn:
-        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried, point, on: see `draw_pose`."""
+        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried, reach, on: see `draw_pose`."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
@@ -306,7 +307,7 @@ class SceneSampler:
         return draw_pose(
             people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
             offset=offset, neighbours=neighbours, wheel_angle=wheel_angle,
-            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, point=point, on=on, rng=rng,
+            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, reach=reach, on=on, rng=rng,
         )  # fmt: skip
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:

@@ -17,7 +17,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import cross
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
-from cabinpose.scene.cabin.shapes import slab_faces
+from cabinpose.scene.cabin.shapes import slab_faces, smoothstep
 from cabinpose.scene.labels import ID as LABEL
 from cabinpose.scene.materials import ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
@@ -27,6 +27,7 @@ BeltWear = Literal["worn"] | BeltMisuse
 WEBBING_WIDTH = 0.047  # UN R16: at least 46 mm wide under load
 WEBBING_THICKNESS = 0.0015
 _ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads the belt
+_BETWEEN_M = 0.08  # by which one shoulder is nearer to the anchor than the other, where the belt lies on that one alone
 STEPS = 40  # cross-sections of a ribbon
 
 # Bones by which a triangle of the skin is told to be trunk or not: ends, the piece of the bone (0 first end .. 1 second),
@@ -96,13 +97,16 @@ class _Trunk(NamedTuple):
         lain_on = (faces, faces) if labels is None else _lain_on(vertices, faces, joints, labels)
         return cls(vertices, lain_on, bones, at, pelvis, up, ahead, size, others)
 
-    def near(self, anchor: Vector) -> str:
-        """The shoulder beside an anchor."""
-        return min(("lshoulder", "rshoulder"), key=lambda name: float(np.linalg.norm(self.at[name] - anchor)))
+    def shoulder_at(self, anchor: Vector) -> Vector:
+        """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
+        left, right = self.at["lshoulder"], self.at["rshoulder"]
+        nearer_m = float(np.linalg.norm(right - anchor) - np.linalg.norm(left - anchor))
+        share = float(smoothstep(nearer_m, -_BETWEEN_M, _BETWEEN_M))
+        return np.asarray(share * left + (1.0 - share) * right)
 
-    def collar(self, shoulder: str) -> Vector:
+    def collar(self, shoulder: Vector) -> Vector:
         """The middle between neck and arm."""
-        return np.asarray(0.52 * self.at["neck"] + 0.48 * self.at[shoulder] + 0.03 * self.size * self.ahead)
+        return np.asarray(0.52 * self.at["neck"] + 0.48 * shoulder + 0.03 * self.size * self.ahead)
 
 
 def _lain_on(skin: Floats32, faces: Ints32, joints: Floats, labels: Bytes) -> tuple[Ints32, Ints32]:
@@ -130,17 +134,17 @@ def belt_surface(
     anchors = _anchors(seat, setting, cabin)
     body = _Trunk.of(skin, skin_faces, joints, labels)
     ahead, up, size = body.ahead, body.up, body.size
-    near = body.near(anchors.upper)
-    collar, front = body.collar(near), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
+    shoulder = body.shoulder_at(anchors.upper)
+    collar, front = body.collar(shoulder), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
     front_of_pelvis = body.pelvis + size * (0.10 * ahead + 0.065 * up)
     start, courses = anchors.upper, list[_Course]()
     if worn == "behind_back":
-        behind = body.at["chest"] + 0.3 * (body.at[near] - body.at["neck"]) - 0.12 * size * ahead
+        behind = body.at["chest"] + 0.3 * (shoulder - body.at["neck"]) - 0.12 * size * ahead
         courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
     else:
         if worn == "under_arm":
             body = body._replace(shoulders=False)
-            armpit = body.at[near] + 0.2 * (body.at["neck"] - body.at[near]) - 0.17 * size * up
+            armpit = shoulder + 0.2 * (body.at["neck"] - shoulder) - 0.17 * size * up
             guide, collar = armpit - 0.03 * size * ahead, 0.5 * (armpit + body.at["chest"]) + 0.12 * size * ahead
         elif guide is not None:
             collar = 0.5 * (guide + anchors.buckle) + 0.3 * ahead
@@ -163,7 +167,9 @@ def harness_surface(
     """
     body = _Trunk.of(skin, skin_faces, joints, labels)
     buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
-    courses = [_Course(slot, body.collar(side + "shoulder"), buckle, body.ahead) for side, slot in zip("lr", slots, strict=True)]
+    courses = [
+        _Course(slot, body.collar(body.at[side + "shoulder"]), buckle, body.ahead) for side, slot in zip("lr", slots, strict=True)
+    ]
     courses += [_Course(hip, body.pelvis + 0.12 * body.size * body.ahead, buckle, body.ahead + body.up, lap=True) for hip in hips]
     return merge([_ribbon(body, course, gap_m, "child_seat") for course in courses])
 

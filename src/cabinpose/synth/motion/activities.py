@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from cabinpose.scene.cabin import Cabin, Seat
-from cabinpose.synth.posture.actions import ACTIONS, HOLDING, actions_for, inboard_side
+from cabinpose.synth.posture.actions import ACTIONS, HOLDING, IN_CHILD_SEAT, actions_for, inboard_side
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.neighbours import beside_each_other
 
@@ -38,6 +38,7 @@ _PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
         "read": (Step("read", 3.0),),
         "look_over_shoulder": (Step("look_back", 0.5), Step("rest_lap", 0.3)),
         "turn_to_back_seat": (Step("turn_back", 1.5), Step("rest_lap", 0.3)),
+        "hand_over": (Step("hand_over", 0.3), Step("rest_lap", 0.3)),
         "hit": (Step("hit", 0.1, haste=3.0, at_neighbour=True), Step("rest_lap", 0.4)),
         "buckle_up": (Step("belt", 0.3), Step("rest_lap", 0.3)),
         "reach_down": (Step("reach_floor", 0.5), Step("rest_lap", 0.3)),
@@ -45,10 +46,11 @@ _PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
     }
 )
 # The place of the hand in activities that need something in it.
-HELD_AT: Mapping[str, str] = MappingProxyType({"phone_call": "chest", "drink": "drink", "read": "book"})
+HELD_AT: Mapping[str, str] = MappingProxyType({"phone_call": "chest", "drink": "drink", "read": "book", "hand_over": "give"})
 _SINGLE_HOLD_S = 0.8
 RECORDED = "mocap"  # what people do whom a recording moves: the kind of their profile
-ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(name for name in ACTIONS if name not in HOLDING and name not in _PROGRAMS))
+RECEIVE = "receive"  # what the other one does in `hand_over`
+ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(n for n in ACTIONS if n not in HOLDING and n not in _PROGRAMS and n != RECEIVE))
 
 
 def resting(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> str:
@@ -73,17 +75,25 @@ def inboard_neighbour(seat: Seat, cabin: Cabin, taken: Iterable[str]) -> str | N
     return min((other for other in row if away[other] > 0.0), key=away.__getitem__, default=None)
 
 
-def activities_for(seat: Seat, cabin: Cabin, hold: Hold | None = None, taken: Iterable[str] = ()) -> tuple[str, ...]:
-    """The activities that make sense in a seat, with what is held all the time and the seats `taken`, in a fixed order."""
+def activities_for(
+    seat: Seat, cabin: Cabin, hold: Hold | None = None, taken: Iterable[str] = (), *, in_child_seat: bool = False
+) -> tuple[str, ...]:
+    """The activities that make sense in a seat, with what is held and the seats `taken`, in a fixed order."""
     inboard = inboard_side(seat)
     known = {
         name
         for name in actions_for(seat, cabin)
-        if hold is None or inboard_hand(ACTIONS[name], hold.kind, hold.side, inboard) is not None
+        if (hold is None or inboard_hand(ACTIONS[name], hold, inboard) is not None)
+        and (not in_child_seat or name in IN_CHILD_SEAT or name in HOLDING)
     }
+    if hold is not None and hold.side != inboard:  # away from the neighbour
+        known -= {"hand_over"}
     alone = inboard_neighbour(seat, cabin, taken) is None
     return tuple(
         name
         for name in ACTIVITIES
-        if all(s.action in known and not (alone and s.at_neighbour) for s in steps_of(name, seat, cabin, hold))
+        if all(
+            s.action in known and not (alone and (s.at_neighbour or s.action == "hand_over"))
+            for s in steps_of(name, seat, cabin, hold)
+        )
     )

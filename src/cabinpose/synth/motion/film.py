@@ -50,14 +50,14 @@ class Film(NamedTuple):
         result = []
         for slot, track in self.tracks.items():
             person, coming = self.cast.people[slot], track.at(time_s + EYES_LEAD_S)
-            somebody = self.cast.person(slot, track.activity(time_s), track.body(person, track.at(time_s)))
+            somebody = self.cast.person(slot, track.activity(time_s), track.body(person, track.at(time_s), time_s))
             head = frames(coming.q, person.rest, coming.root).bone("head")[:3, :3]
             result.append(replace(somebody, coming_head=head))
         return result
 
-    def things_with(self, people: Iterable[ScenePerson]) -> tuple[PlacedThing, ...]:
-        """What stands on the seats, and what these people hold."""
-        return (*self.things, *(thing for p in people for thing in self.tracks[p.slot].held(p.slot, p.posed)))
+    def things_with(self, people: Iterable[ScenePerson], time_s: float) -> tuple[PlacedThing, ...]:
+        """What stands on the seats, and what these people hold at a time."""
+        return (*self.things, *(thing for p in people for thing in self.tracks[p.slot].held(p.slot, p.posed, time_s)))
 
     def everybody(self) -> Iterator[ScenePerson]:
         """Everybody in every frame."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,14 +19,20 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.motion.activities import Step, inboard_neighbour, steps_of
-from cabinpose.synth.motion.track import Pose, Segment, Track, duration, way_through
+from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, resting, steps_of
+from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
+from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, duration, way_through
 from cabinpose.synth.posture.actions import inboard_side
 from cabinpose.synth.posture.goals import between, given
+from cabinpose.synth.posture.grasps import Hold
+from cabinpose.synth.posture.intents import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 CHECKS_PER_FRAME = 3
 _INTERIOR = (0, 3, 7)  # poses between the ends of a way that are tried, one number after the other
@@ -35,37 +41,43 @@ _FIRST_S = (0.1, 0.8)  # when the first activity begins
 _PAUSE_S = 0.7  # until the next try
 _HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
 _AT_RIM_M = 0.04  # of a palm's origin from the rim's axis
-_OFF_RIM_M, _OPEN = 0.05, 0.05  # of a hand that has just let go: along the palm's normal, and its grip
+_OFF_M, _OPEN = 0.05, 0.05  # of a hand that has just let go: along the palm's normal, and its grip
 _GRIP = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _FLESH_M = 0.6  # of two people's skins from their joints, at the most
 _BREATHS = 8  # poses of a still person that are tried
-_ROUNDABOUT = 1.8  # of a way's duration against the straight one's
+_ROUNDABOUT, _ROUND_HAND = 1.8, 2.7  # of a way's duration against the straight one's; to another one's hand, or from there
 _SETTLE = 0.5  # of what a hold may be shorter or longer
 _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
+_HASTE = 1.5  # of who brings or fetches something, against the usual speed
+_WAITS_S, _SHORT_S, _MEETS_S = 2.5, 0.1, 0.35  # for who is to take something, at most; any moment; hands beside each other
 _WHEEL_SIGMA, _WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 
-# The goals of one person: an action, the wheel's angle, a number (other feet and grips with each), the time (s), and where hands
-# reach.
-DrawGoal = Callable[[str, float, int, float, Floats | None], Drawn]
+# The goals of one person: an action, the wheel's angle, what is held, a number (other feet and grips with each), the time (s),
+# and where hands reach.
+DrawGoal = Callable[[str, float, Hold | None, int, float, Reach | None], Drawn]
 
 
 class Somebody(NamedTuple):
-    """Who moves: the seat's slot, the person, and the activities to choose from by their weights."""
+    """Who moves: the seat's slot, the person, and the activities to choose from by their weights, with what is held."""
 
     slot: str
     person: Person
     draw: DrawGoal
-    activities: Mapping[str, float]
+    activities: Callable[[Hold | None], Mapping[str, float]]
 
 
 class _Goal(NamedTuple):
     pose: Pose
     holds: tuple[bool, bool]  # the wheel
+    beside: int | None = None  # the hand that is at a thing in another hand
 
 
 class Surroundings:
-    """The car and everybody in it over time: those whose motion is known, and the others as they sit at first."""
+    """The car and everybody in it over time: those whose motion is known, and the others as they sit at first.
+
+    partners: who can take what is handed over, by slot.
+    """
 
     def __init__(
         self, cabin: Cabin, validator: Validator, settings: Mapping[str, SeatSetting], rate_hz: float,
@@ -74,6 +86,7 @@ class Surroundings:
         self.cabin, self.validator, self.settings, self.things = cabin, validator, settings, things
         self.step_s = 1.0 / (rate_hz * CHECKS_PER_FRAME)
         self.people: dict[str, tuple[Person, Track]] = {}
+        self.partners: Mapping[str, Planner] = {}
 
     def empty(self, wheel_angle: float) -> Seated:
         """The car with what stands on its seats, and nobody in it."""
@@ -86,17 +99,17 @@ class Surroundings:
     def verdict(self, slot: str, person: Person, pose: Pose, time_s: float) -> Verdict:
         """Whether a pose is possible at a time: the body with itself, with those around, in the car; and what the hand holds."""
         own = self.people[slot][1]
-        body, seated = own.body(person, pose), self.empty(pose.wheel_angle)
+        body, seated = own.body(person, pose, time_s), self.empty(pose.wheel_angle)
         low, high = body.joints.min(axis=0) - _FLESH_M, body.joints.max(axis=0) + _FLESH_M
         for other, who, where in self.others(slot, time_s):
             track = self.people[other][1]
-            near = track.body(who, where)
+            near = track.body(who, where, time_s)
             if (near.joints.max(axis=0) > low).all() and (near.joints.min(axis=0) < high).all():
                 seated = self.validator.with_body(seated, (other, who, near))
-                for thing in track.held(other, near):
+                for thing in track.held(other, near, time_s):
                     seated = self.validator.with_thing(seated, thing)
         verdict, seated = self.validator.admit(seated, (slot, person, body))
-        for thing in own.held(slot, body) if verdict.ok else ():
+        for thing in own.held(slot, body, time_s) if verdict.ok else ():
             verdict, seated = self.validator.bring(seated, thing)
         return verdict
 
@@ -134,6 +147,9 @@ class Planner:
         sigma, low, high = _TEMPO
         self._tempo = float(np.clip(np.exp(sigma * rng.standard_normal()), low, high))
         self.tried = 0
+        self.time_s = 0.0
+        self._now: _Goal | None = None
+        self._habit = 0
 
     @property
     def _track(self) -> Track:
@@ -151,27 +167,24 @@ class Planner:
             self._causes[reason] += 1
         return False
 
-    def move(self) -> bool:
-        """Fill the time with activities; False where none was possible at any time."""
-        start = self._track.pose_of(self._track.last)
-        now = _Goal(start, self._holds_at(start))
-        time_s, habit = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s), 0
-        if self._refused(0.0, min(time_s, self._lasts_s)) is not None:
-            return False
-        while time_s < self._lasts_s:
-            for number in range(habit, habit + _TRIES):
-                found = self._do(self._choose(), now, time_s, number)
-                if found is not None:
-                    (now, time_s), habit = found, number
-                    break
-            else:
-                if self._refused(time_s, min(time_s + _PAUSE_S, self._lasts_s)) is not None:
-                    return False
-                time_s += _PAUSE_S
-        return bool(self._track.segments)
-
-    def _choose(self) -> str:
-        return weighted(self._who.activities, rng=self._rng)
+    def advance(self) -> bool:
+        """Wait for a moment at first, then do one more activity; False where not even waiting is free, or nothing else was."""
+        if self._now is None:
+            start = self._track.pose_of(self._track.last)
+            self._now = _Goal(start, self._holds_at(start))
+            self.time_s = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s)
+            return self._refused(0.0, min(self.time_s, self._lasts_s)) is None
+        choices = self._who.activities(self._track.hold)
+        for number in range(self._habit, self._habit + _TRIES):
+            found = self._do(weighted(choices, rng=self._rng), self._now, self.time_s, number)
+            if found is not None:
+                (self._now, self.time_s), self._habit = found, number
+                break
+        else:
+            if self._refused(self.time_s, min(self.time_s + _PAUSE_S, self._lasts_s)) is not None:
+                return False
+            self.time_s += _PAUSE_S
+        return self.time_s < self._lasts_s or bool(self._track.segments)
 
     def _do(self, activity: str, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
         """Appends an activity's segments; where it ends, or None where not even its first step is possible.
@@ -179,6 +192,8 @@ class Planner:
         What is broken off goes by the names of its steps.
         """
         self.tried += 1
+        if activity == "hand_over":
+            return self._hand_over(now, time_s, number)
         cabin, segments = self._around.cabin, self._track.segments
         first, done = len(segments), None
         steps = steps_of(activity, cabin.seats[self._who.slot], cabin, self._track.hold)
@@ -199,15 +214,14 @@ class Planner:
         if goal is None:
             return None
         reason: Rejection | None = None
-        straight_s = duration(way_through(np.stack([track.last, track.state_of(goal.pose)])), tempo)
         for interior in _INTERIOR:
-            if interior == 0 and any(a and b for a, b in zip(now.holds, goal.holds, strict=True)):
+            if interior == 0 and _led(now, goal):
                 continue
-            way = way_through(self._between(track, now, goal, interior, time_s))
-            lasts_s = duration(way, tempo)
-            if lasts_s > _ROUNDABOUT * straight_s + 0.3:
+            found = self._way(now, goal, interior, time_s, tempo)
+            if found is None:
                 reason = reason or Rejection("way", self._who.slot, step.action)
                 continue
+            way, lasts_s = found
             track.segments.append(Segment(time_s, lasts_s, way, activity))
             reason = self._refused(time_s, min(time_s + lasts_s + hold_s, self._lasts_s))
             if reason is None:
@@ -215,6 +229,94 @@ class Planner:
             track.segments.pop()
         if reason is not None:
             self._causes[reason] += 1
+        return None
+
+    def _way(self, now: _Goal, goal: _Goal, interior: int, time_s: float, tempo: float) -> tuple[CubicSpline, float] | None:
+        """A way through so many poses between two, and how long it takes, s; None for one that is too far round."""
+        ends = self._track.last, self._track.state_of(goal.pose)
+        way = way_through(self._between(self._track, now, goal, interior, time_s))
+        lasts_s = duration(way, tempo)
+        passes = self._track.hold is not None and self._track.hold.place in ("give", "take")
+        limit = _ROUND_HAND if passes or now.beside is not None or goal.beside is not None else _ROUNDABOUT
+        return (way, lasts_s) if lasts_s <= limit * duration(way_through(np.stack(ends)), tempo) + 0.3 else None
+
+    def _hand_over(self, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
+        """Brings what is held to a place where the neighbour's hand arrives at the same time and takes it; then both go back."""
+        seats, held = self._around.cabin.seats, self._track.hold
+        slot = inboard_neighbour(seats[self._who.slot], self._around.cabin, self._around.people) or ""
+        other = self._around.partners.get(slot)
+        if other is None or other._now is None or other._track.hold is not None or held is None:
+            return None
+        if other.time_s - time_s > _WAITS_S:
+            return None
+        tracks = self._track, other._track
+        before = [(list(track.segments), list(track.holds)) for track in tracks]
+        for interior in _INTERIOR:
+            found = self._meet(other, held, (now, other._now), number, interior)
+            if found is not None:
+                other._now, other.time_s = found[1]
+                return found[0]
+            for track, (segments, holds) in zip(tracks, before, strict=True):
+                track.segments[:], track.holds[:] = segments, holds
+        return None
+
+    def _meet(
+        self, other: Planner, held: Hold, now: tuple[_Goal, _Goal], number: int, interior: int
+    ) -> tuple[tuple[_Goal, float], tuple[_Goal, float]] | None:
+        """See `_hand_over`: where both end. What it has planned until it fails stays."""
+        both, starts_s, people = (self, other), (self.time_s, other.time_s), (self._who.person, other._who.person)
+        seat, at_s = self._around.cabin.seats[self._who.slot], other.time_s
+        bodies = people[0].pose(now[0].pose.q, now[0].pose.root), people[1].pose(now[1].pose.q, now[1].pose.root)
+        ahead = np.array([np.cos(seat.facing_yaw), np.sin(seat.facing_yaw), 0.0])
+        place = meeting_place(people, bodies, held.side, ahead, rng=self._rng)
+        there = Reach(place, held.side, giving_palm(held, bodies[0], place))
+        gives = self._goal(Step("hand_over"), now[0], at_s, number, there)
+        if gives is None:
+            return None
+        thing = held.placed(people[0].pose(gives.pose.q, gives.pose.root).palms["lr"[held.side]])
+        there = Reach(thing[:3, 3], 1 - held.side, taking_palm(people[1], bodies[1], held, thing))
+        way = way_through(np.stack([self._track.last, self._track.state_of(gives.pose)]))
+        self._track.segments.append(Segment(at_s, _SHORT_S, way, "hand_over"))
+        takes = other._goal(Step(RECEIVE), now[1], at_s + _SHORT_S, number, there)
+        self._track.segments.pop()
+        if takes is None:
+            return None
+        labels, leaves = ("hand_over", RECEIVE), (gives._replace(beside=held.side), takes)
+        ways = []
+        for planner, start, goal, label in zip(both, now, (gives, takes._replace(beside=1 - held.side)), labels, strict=True):
+            found = planner._way(start, goal, max(interior, _led(start, goal) * _INTERIOR[1]), at_s, _HASTE * planner._tempo)
+            if found is None:
+                self._causes[Rejection("way", planner._who.slot, label)] += 1
+                return None
+            ways.append(found)
+        meet_s = max(start_s + last_s for start_s, (_, last_s) in zip(starts_s, ways, strict=True))
+        for planner, (way, last_s), label in zip(both, ways, labels, strict=True):
+            planner._track.segments.append(Segment(meet_s - last_s, last_s, way, label))
+        change_s, until_s = meet_s + _MEETS_S, meet_s + _MEETS_S + CLOSING_S
+        refused = self._pass_on(other, held, change_s)
+        for planner, start_s in zip(both, starts_s, strict=True):
+            refused = refused or planner._refused(start_s, min(until_s, self._lasts_s))
+        if refused is not None:
+            self._causes[refused] += 1
+            return None
+        ends = []
+        for planner, goal, label in zip(both, leaves, labels, strict=True):
+            cabin = self._around.cabin
+            action = resting(cabin.seats[planner._who.slot], cabin, planner._track.hold)
+            end = planner._step(label, Step(action, haste=_HASTE), goal, until_s, number)
+            if end is None:
+                return None
+            ends.append(end)
+        return ends[0], ends[1]
+
+    def _pass_on(self, other: Planner, held: Hold, time_s: float) -> Rejection | None:
+        """Lets the other one hold it from a time on, as it is in that hand then."""
+        mine, theirs = (p._track.body(p._who.person, p._track.at(time_s), time_s) for p in (self, other))
+        taken = taken_over(held, held.placed(mine.palms["lr"[held.side]]), other._who.person, theirs)
+        if taken is None:
+            return Rejection("reach", other._who.slot, "rl"[held.side] + "hand", held.kind)
+        self._track.holds[-1] = self._track.holds[-1]._replace(end_s=time_s)
+        other._track.holds.append(Held(taken, time_s))
         return None
 
     def _refused(self, start_s: float, end_s: float) -> Rejection | None:
@@ -230,15 +332,17 @@ class Planner:
         off = [float(np.hypot(np.hypot(p[0], p[1]) - wheel.rim_radius_m, p[2])) for p in local]
         return off[0] < _AT_RIM_M, off[1] < _AT_RIM_M
 
-    def _goal(self, step: Step, now: _Goal, time_s: float, number: int) -> _Goal | None:
-        """A pose for a step that is possible in itself."""
+    def _goal(self, step: Step, now: _Goal, time_s: float, number: int, reach: Reach | None = None) -> _Goal | None:
+        """A pose for a step that is possible in itself; reach: where hands go, in place of a neighbour's arm."""
         angle = now.pose.wheel_angle
         if step.steers:
             angle = float(np.clip(angle + _WHEEL_SIGMA * self._rng.standard_normal(), -_WHEEL_LIMIT, _WHEEL_LIMIT))
         point = self._beside(time_s) if step.at_neighbour else None
-        drawn = self._who.draw(step.action, angle, number, time_s, point)
+        reach = reach if point is None else Reach(point)
+        hold = self._track.hold
+        drawn = self._who.draw(step.action, angle, hold, number, time_s, reach)
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
-            drawn = self._who.draw(step.action, now.pose.wheel_angle, number, time_s, point)
+            drawn = self._who.draw(step.action, now.pose.wheel_angle, hold, number, time_s, reach)
             angle = now.pose.wheel_angle
         placed = self._around.empty(angle).placed
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
@@ -293,26 +397,33 @@ class Planner:
     def _palm(
         self, side: int, now: _Goal, goal: _Goal, between: Pose, share: float, *, lets_go: bool, arrives: bool
     ) -> Matrix | None:
-        """Where a palm is on its way: with the rim that it holds, off the rim as it lets go or arrives; else None."""
-        wheel = self._around.cabin.steering_wheel
-        before, after = now.holds[side], goal.holds[side]
-        if wheel is None or not (before or after):
+        """Where a palm is on its way: with the rim that it holds, off what it holds as it lets go or arrives; else None."""
+        wheel, on_rim = self._around.cabin.steering_wheel, (now.holds[side], goal.holds[side])
+        before, after = (a or goal.beside == side for a, goal in zip(on_rim, (now, goal), strict=True))
+        if not (before or after):
             return None
-        poses = now.pose, goal.pose, between
-        hub = [wheel.vehicle_from_wheel @ transform(axis_rotation("z", pose.wheel_angle)) for pose in poses]
-        palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in poses[:2]]
-        first, last = invert(hub[0]) @ palm[0], invert(hub[1]) @ palm[1]
-        if before and after and float(np.linalg.norm(first[:3, 3] - last[:3, 3])) < _HELD_M:
-            return hub[2] @ _mixed(first, last, share)
+        palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in (now.pose, goal.pose)]
+        if all(on_rim) and wheel is not None:
+            angles = now.pose.wheel_angle, goal.pose.wheel_angle, between.wheel_angle
+            hub = [wheel.vehicle_from_wheel @ transform(axis_rotation("z", angle)) for angle in angles]
+            first, last = invert(hub[0]) @ palm[0], invert(hub[1]) @ palm[1]
+            if float(np.linalg.norm(first[:3, 3] - last[:3, 3])) < _HELD_M:
+                return hub[2] @ _mixed(first, last, share)
         if (before and lets_go) or (after and arrives):
             off = palm[0].copy() if before and lets_go else palm[1].copy()
-            off[:3, 3] -= _OFF_RIM_M * off[:3, 2]
+            off[:3, 3] -= _OFF_M * off[:3, 2]
             return np.asarray(off)
         return None
 
     def _soles(self, start: Pose, end: Pose, share: float) -> tuple[Matrix, Matrix]:
         one, two = (self._who.person.pose(pose.q, pose.root) for pose in (start, end))
         return _mixed(one.soles["l"], two.soles["l"], share), _mixed(one.soles["r"], two.soles["r"], share)
+
+
+def _led(start: _Goal, end: _Goal) -> bool:
+    """Whether hands are not free on the way: one stays at the rim, or has to come or go by the side of something."""
+    stays = any(a and b for a, b in zip(start.holds, end.holds, strict=True))
+    return stays or start.beside is not None or end.beside is not None
 
 
 def _mixed(first: Matrix, last: Matrix, share: float) -> Matrix:

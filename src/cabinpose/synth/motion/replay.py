@@ -83,7 +83,7 @@ def _next(
 ) -> tuple[Floats, int]:
     """(51,) the pose on the way to the recorded one of a time, and what of `_STEPS`, from `first` on, it is of that way."""
     pose = track.pose_of(before)
-    drawn = who.draw(action, pose.wheel_angle, 0, time_s, None)
+    drawn = who.draw(action, pose.wheel_angle, None, 0, time_s, None)
     placed = around.empty(pose.wheel_angle).placed
     asked = drawn.sitter.goals.posture - pose.q
     fast = _OF_FASTEST * _KNOT_S * FASTEST

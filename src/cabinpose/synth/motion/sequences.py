@@ -9,17 +9,18 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.motion.activities import HELD_AT, RECORDED, activities_for, resting
+from cabinpose.scene.things.child_seats import SITTING
+from cabinpose.synth.motion.activities import HELD_AT, RECORDED, activities_for, inboard_neighbour, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
 from cabinpose.synth.posing import pose_people
-from cabinpose.synth.posture.actions import ACTIONS
+from cabinpose.synth.posture.actions import ACTIONS, HOLDING, IN_CHILD_SEAT, inboard_side
 from cabinpose.synth.posture.grasps import Hold, can_hold, handed, hold
+from cabinpose.synth.posture.intents import Reach
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose
 from cabinpose.synth.streams import sequence_rng, weighted
 from cabinpose.synth.things import bring_along
@@ -29,8 +30,10 @@ _PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' 
 _DRAWS = 16  # of one person's habits: streams of a sequence
 
 # Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, where hands
-# reach beside the car's own places, the time (s) since the first frame, and the source of randomness.
-DrawGoals = Callable[[str, str, float | None, Hold | None, Floats | None, float, np.random.Generator], Drawn]
+# reach beside the car's own places, the child seat, the time (s) since the first frame, and the source of randomness.
+DrawGoals = Callable[
+    [str, str, float | None, Hold | None, Reach | None, PlacedThing | None, float, np.random.Generator], Drawn
+]  # fmt: skip
 
 
 def plan_tracks(
@@ -86,28 +89,34 @@ def plan_tracks(
     lasts_s = (sequence.frames - 1) / sequence.rate_hz
     streams = {slot: 1 + _DRAWS * (len(people) * attempt + i) for i, slot in enumerate(people)}
     plans = {slot: sequence_rng(seed, first, stream) for slot, stream in streams.items()}
-    holds = {
-        slot: None
-        if slot in recorded
-        else _held(person, _choices(sequence, cabin, slot, people, weights.get(slot)), in_hand, rng=plans[slot])
-        for slot, person in people.items()
-    }
-    choices = {
-        slot: _choices(sequence, cabin, slot, people, weights.get(slot), hold, bare=in_hand == 0.0)
-        for slot, hold in holds.items()
-    }
+    on = {thing.slot: thing for thing in things if thing.thing.kind in SITTING and thing.slot in people}
+    free = [slot for slot in people if slot not in recorded and slot not in on]  # to give and to take
+
+    def choices(slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
+        bare = at_first or in_hand == 0.0
+        return _choices(sequence, cabin, slot, people, free, weights.get(slot), hold, bare=bare, child=slot in on)
+
+    holds: dict[str, Hold | None] = {}
+    for slot, person in people.items():
+        waits = [giver for giver, held in holds.items() if held is not None and held.place == "give"]
+        takes = slot in (inboard_neighbour(cabin.seats[giver], cabin, free) for giver in waits)
+        holds[slot] = None
+        if slot not in recorded and not takes:
+            chosen = choices(slot, None, at_first=True)
+            holds[slot] = _held(person, chosen, in_hand, inboard_side(cabin.seats[slot]), rng=plans[slot])
     habits = dict.fromkeys(people, 0)
     actions = {slot: resting(cabin.seats[slot], cabin, holds[slot]) for slot in people}
 
     def first_goals(slot: str) -> Drawn:
         habits[slot] = habits[slot] % (_DRAWS - 1) + 1
-        return goals(slot, actions[slot], None)
+        return goals(slot, actions[slot], None, holds[slot])
 
     def goals(
-        slot: str, action: str, wheel_angle: float | None, number: int = 0, time_s: float = 0.0, point: Floats | None = None
-    ) -> Drawn:
-        habit = (habits[slot] + number - 1) % (_DRAWS - 1) + 1
-        return draw(slot, action, wheel_angle, holds[slot], point, time_s, sequence_rng(seed, first, streams[slot] + habit))
+        slot: str, action: str, wheel_angle: float | None, hold: Hold | None, number: int = 0, time_s: float = 0.0,
+        reach: Reach | None = None,
+    ) -> Drawn:  # fmt: skip
+        rng = sequence_rng(seed, first, streams[slot] + (habits[slot] + number - 1) % (_DRAWS - 1) + 1)
+        return draw(slot, action, wheel_angle, hold, reach, on.get(slot), time_s, rng)
 
     def bring(slot: str, pose: OccupantPose, body: PosedBody, seated: Seated) -> tuple[Rejection | None, Seated]:
         return bring_along(None, slot, pose, body, validator, seated, rng=plans[slot])
@@ -121,7 +130,7 @@ def plan_tracks(
     around = Surroundings(cabin, validator, settings, sequence.rate_hz, things)
     planners, followers = {}, []
     for slot, (pose, _) in posed.poses.items():
-        who = Somebody(slot, people[slot], partial(goals, slot), choices[slot])
+        who = Somebody(slot, people[slot], partial(goals, slot), partial(choices, slot))
         start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
         if slot in recorded:
             around.people[slot] = people[slot], Track(start, RECORDED, Idle.drawn(rng=plans[slot]), 0.0)
@@ -129,27 +138,31 @@ def plan_tracks(
         else:
             around.people[slot] = people[slot], Track(start, actions[slot], Idle.drawn(rng=plans[slot]), 0.0, holds[slot])
             planners[slot] = Planner(who, around, causes, lasts_s=lasts_s, rng=plans[slot])
-    # One after the other: those whose motion is planned are known over time, the others sit still.
+    around.partners = {slot: planner for slot, planner in planners.items() if slot in free}
+    # One after the other: those whose motion is planned are known over time, the others sit still. Where things are handed over
+    # all go on together, so that nobody is far ahead of who waits.
+    together = any(hold is not None and hold.place == "give" for hold in holds.values())
     if followers:
         from cabinpose.synth.motion.replay import replay  # noqa: PLC0415 - scipy's interpolation, for recordings alone
     for who in followers:
         if not replay(who, around, causes, action=actions[who.slot], lasts_s=lasts_s):
             return None, tried
-    for plan in (Planner.breathe, Planner.move):
-        for planner in planners.values():
-            possible = plan(planner)
-            if not possible:
-                return None, tried + sum(p.tried for p in planners.values())
+    possible = all(planner.breathe() for planner in planners.values())
+    while possible and (moving := [planner for planner in planners.values() if planner.time_s < lasts_s]):
+        possible = min(moving, key=lambda planner: planner.time_s if together else 0.0).advance()
     tried += sum(p.tried for p in planners.values())
+    if not possible:
+        return None, tried
     return {slot: track for slot, (_, track) in around.people.items()}, tried
 
 
-def _held(person: Person, choices: Mapping[str, float], in_hand: float, *, rng: np.random.Generator) -> Hold | None:
+def _held(person: Person, choices: Mapping[str, float], in_hand: float, inboard: int, *, rng: np.random.Generator) -> Hold | None:
     """What a person has in the hand, for an activity drawn of these; None where it needs nothing, or nothing fits."""
     activity = weighted(choices, rng=rng) if in_hand > 0.0 else ""
     if activity not in HELD_AT or rng.random() >= in_hand:
         return None
     place, side = HELD_AT[activity], int(rng.integers(2))
+    side = inboard if place == "give" else side
     for kind, variant in handed(place, rng=rng):
         if can_hold(person, place, kind, variant):
             return hold(person, place, kind, variant, side)
@@ -157,14 +170,20 @@ def _held(person: Person, choices: Mapping[str, float], in_hand: float, *, rng: 
 
 
 def _choices(
-    sequence: SequenceConfig, cabin: Cabin, slot: str, taken: Iterable[str], weights: Mapping[str, float] | None,
-    hold: Hold | None = None, *, bare: bool = True,
+    sequence: SequenceConfig, cabin: Cabin, slot: str, taken: Iterable[str], free: Collection[str],
+    weights: Mapping[str, float] | None, hold: Hold | None, *, bare: bool, child: bool,
 ) -> dict[str, float]:  # fmt: skip
     """The activities of whoever sits in a slot, by weight; where none of those asked for makes sense there, any that does.
 
-    bare: whether empty hands also do what needs a thing, and not only where there is nothing else to do.
+    free: the seats of those who can hand over · bare: whether empty hands also do what needs a thing, and not only where there is
+    nothing else to do · child: whether it is somebody in a child seat.
     """
-    possible = activities_for(cabin.seats[slot], cabin, hold, taken)
+    seat = cabin.seats[slot]
+    possible = activities_for(seat, cabin, hold, taken, in_child_seat=child)
+    if slot not in free or inboard_neighbour(seat, cabin, taken) not in free or not (bare or hold):
+        possible = tuple(name for name in possible if name != "hand_over")
+    if weights is None and child:
+        weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **dict.fromkeys(HOLDING, 1.0)}
     if weights is None:
         weights = {name: ACTIONS[name].weight if name in ACTIONS else _PROGRAM_WEIGHT for name in possible}
     usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}

@@ -6,6 +6,7 @@ rad), and the angle of the wheel that the person holds (rad).
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from cabinpose.scene.body import DOF_INDEX, DOFS, Person, PosedBody
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
-from cabinpose.synth.posture.grasps import Hold
+from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline, PPoly
@@ -29,6 +30,8 @@ _FASTEST_ROOT = np.concatenate((np.full(3, 1.5), np.full(3, np.radians(280.0))))
 _FASTEST_WHEEL = 2.0 * np.pi  # rad/s; the arms that hold it have limits of their own
 FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL]))
 _SHORTEST_S = 0.35
+CLOSING_S = 0.25  # in which fingers open, and close around something
+_GRIPS = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _DENSE = np.linspace(0.0, 1.0, 61)
 
 
@@ -106,18 +109,40 @@ class Idle(NamedTuple):
         return result
 
 
+class Held(NamedTuple):
+    """What is in a hand from one time to another, s."""
+
+    hold: Hold
+    start_s: float = -math.inf
+    end_s: float = math.inf
+
+    def curl(self, time_s: float, grip: float) -> Floats | None:
+        """(5,) curl of the fingers, None where they follow the hand's `grip`: they open before they close, and afterwards."""
+        away = max(self.start_s - time_s, time_s - self.end_s, 0.0) / CLOSING_S
+        if away >= 2.0:
+            return None
+        opened, closed = (float(progress(np.array(share))) for share in (2.0 - away, 1.0 - away))
+        return closed * self.hold.grasp.curl + (1.0 - closed) * (opened * OPEN_HAND + (1.0 - opened) * grip)
+
+
 class Track:
     """One person's motion; see the module. It begins at a pose that is held until the first segment.
 
-    hold: what is in a hand all the time.
+    holds: what is in a hand, one after the other.
     """
 
     def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float, hold: Hold | None = None) -> None:
-        self.idle, self.idle_share, self.hold = idle, idle_share, hold
+        self.idle, self.idle_share = idle, idle_share
+        self.holds = [] if hold is None else [Held(hold)]
         self.segments: list[Segment] = []
         self._rotation = first.root[:3, :3]
         self._activity = activity
         self._first = self.state_of(first)
+
+    @property
+    def hold(self) -> Hold | None:
+        """What is in a hand at the end."""
+        return self.holds[-1].hold if self.holds and self.holds[-1].end_s == math.inf else None
 
     @property
     def last(self) -> Floats:
@@ -146,13 +171,19 @@ class Track:
         """The pose at a time."""
         return self.pose_of(self.states(np.array([time_s]))[0])
 
-    def body(self, person: Person, pose: Pose) -> PosedBody:
-        """The person in a pose, with fingers around what the hand holds."""
-        return person.pose(pose.q, pose.root, None if self.hold is None else self.hold.fingers)
+    def body(self, person: Person, pose: Pose, time_s: float) -> PosedBody:
+        """The person in a pose at a time, with fingers around what the hand holds."""
+        fingers = None
+        for held in self.holds:
+            curl = held.curl(time_s, pose.q[_GRIPS[held.hold.side]])
+            if curl is not None:
+                fingers = np.full((2, 5), np.nan) if fingers is None else fingers
+                fingers[held.hold.side] = curl
+        return person.pose(pose.q, pose.root, fingers)
 
-    def held(self, slot: str, body: PosedBody) -> tuple[PlacedThing, ...]:
-        """What somebody in a seat and a pose holds."""
-        return () if self.hold is None else (self.hold.thing(slot, body),)
+    def held(self, slot: str, body: PosedBody, time_s: float) -> tuple[PlacedThing, ...]:
+        """What somebody in a seat and a pose holds at a time."""
+        return tuple(held.hold.thing(slot, body) for held in self.holds if held.start_s <= time_s < held.end_s)
 
     def activity(self, time_s: float) -> str:
         """What is being done at a time."""

@@ -14,7 +14,9 @@ from typing import Literal
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
 
-Place = Literal["wheel", "thigh", "armrest", "ear", "mouth", "shin", "chest", "drink", "book", "carry", "belt", "reach", "either"]
+Place = Literal[
+    "wheel", "thigh", "armrest", "ear", "mouth", "shin", "chest", "drink", "book", "carry", "belt", "reach", "give", "either"
+]  # fmt: skip
 Spread = tuple[float, float]  # mean and sigma, degrees
 
 
@@ -112,6 +114,8 @@ _PASSENGER = (Action("reach_glovebox", "either", "reach", _HAND, ("glovebox",)),
 # Steps of activities that no still frame shows by itself.
 _STEPS = (
     Action("hit", "reach", "either", _HAND, trunk={"thorax.rotation": (8.0, 3.0), "lumbar.lateral": (5.0, 2.0)}, weight=0.0),
+    Action("hand_over", "give", "either", _HAND, trunk={"thorax.rotation": (4.0, 2.0)}, weight=0.0),
+    Action("receive", "reach", "either", _HAND, trunk={"thorax.rotation": (4.0, 2.0)}, weight=0.0),
     Action(
         "turn_back", "either", "thigh", Gaze((125.0, 10.0), (-14.0, 6.0), either_side=True),
         trunk={"thorax.rotation": (24.0, 4.0), "lumbar.rotation": (7.0, 2.0), "lumbar.flexion": (3.0, 2.0)}, weight=0.0,

@@ -29,7 +29,7 @@ _AT_REST_M = 0.001  # the same while the hand is still open
 _TOUCHES_M = 0.005  # skin as near as this touches: fingers are not as smooth as the mesh
 _LEAST_TOUCHING = 12  # vertices of the skin, of those that are measured
 _CURLS = np.linspace(-0.4, 1.0, 57)  # a thumb opens wider than at rest
-_OPEN = np.array((-0.4, 0.0, 0.0, 0.0, 0.0))  # thumb to little finger
+OPEN_HAND = np.array((-0.4, 0.0, 0.0, 0.0, 0.0))  # thumb to little finger
 _LOOSE = np.array((0.1, 0.35, 0.35, 0.35, 0.35))  # of fingers that meet nothing
 _ALONG_M = (-0.015, -0.005, 0.005, 0.015, 0.03)
 _FARTHEST_M, _NEAREST_M = 0.075, -0.03  # of the thing's middle before the palm's origin
@@ -38,8 +38,11 @@ _BOOK_UP_M = 0.055  # its middle beyond the palm's
 _COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
 _SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
+_LEVEL = {"drink": 0.42, "give": 0.22, "take": 0.70}  # of a hand around what stands, as a share of its height
 _SPARED = ("either", "thigh", "armrest")  # places that a hand may leave to hold something
-HANDED: dict[str, tuple[str, ...]] = {"ear": ("phone",), "chest": ("phone",), "drink": ("bottle", "cup"), "book": ("open_book",)}
+HANDED: dict[str, tuple[str, ...]] = {
+    "ear": ("phone",), "chest": ("phone",), "drink": ("bottle", "cup"), "book": ("open_book",), "give": ("bottle",),
+}  # fmt: skip
 
 
 class Grasp(NamedTuple):
@@ -50,12 +53,16 @@ class Grasp(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """What somebody is to hold, and in which hand: kind, design, side (0 left, 1 right)."""
+    """What somebody is to hold, and in which hand: kind, design, side (0 left, 1 right).
+
+    place: of `HANDED`, for which it was taken into the hand; "take": of what was taken from another hand.
+    """
 
     kind: str
     variant: int
     side: int
     grasp: Grasp
+    place: str
 
     @property
     def fingers(self) -> Floats:
@@ -74,15 +81,21 @@ class Hold(NamedTuple):
         return PlacedThing(make_thing(self.kind, self.variant), self.placed(body.palms["lr"[self.side]]), slot, "hand")
 
 
-def inboard_hand(action: Action, held: str, side: int, inboard: int) -> int | None:
-    """Which hand does the inboard part of an action while the hand `side` holds a thing of the kind `held`.
+def inboard_hand(action: Action, held: Hold, inboard: int) -> int | None:
+    """Which hand does the inboard part of an action while the other one, or this one, holds a thing.
 
     None where that hand is needed without it, or another thing is asked for. inboard: the hand that reaches for what is there.
     """
-    hands = ((action.inboard, side), (action.outboard, 1 - side))
+    hands = ((action.inboard, held.side), (action.outboard, 1 - held.side))
     asked = [(place, s) for place, s in hands if place in HANDED]
-    found = [s for place, s in asked if held in HANDED[place]] if asked else [s for place, s in hands if place in _SPARED]
+    found = [s for place, s in asked if serves(held, place)] if asked else [s for place, s in hands if place in _SPARED]
     return next((s for s in found if not action.targets or s == inboard), None)
+
+
+def serves(held: Hold, place: str) -> bool:
+    """Whether a thing is what a hand needs at a place; a hand that leaves room for another one's is too high or low to drink."""
+    passed_on = ("give", "take")
+    return held.kind in HANDED.get(place, ()) and (held.place in passed_on) == (place in passed_on)
 
 
 def handed(place: str, *, rng: np.random.Generator) -> list[tuple[str, int]]:
@@ -106,13 +119,13 @@ def hold(person: Person, place: str, kind: str, variant: int, side: int) -> Hold
             f" {size[2]:.0f} mm",
             hint="let somebody taller hold it, or choose another action",
         )
-    return Hold(kind, variant, side, found)
+    return Hold(kind, variant, side, found, place)
 
 
 def _turned(thing: Thing, place: str) -> Matrix:
     """palm_from_thing of a left hand, before it is brought near: its middle in the palm's origin."""
-    if place == "drink":  # around the body of what stands, its top to the thumb
-        level = 0.42 * float(thing.box[1, 2])
+    if place in _LEVEL:  # around the body of what stands, its top to the thumb
+        level = _LEVEL[place] * float(thing.box[1, 2])
         return transform(np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))), (0.0, -level, 0.0))
     # Its long side y along the fingers, its face out; a book rests on its lower edge's half.
     return transform(axis_rotation("z", _SLANT[place] - math.pi / 2.0), (_BOOK_UP_M if place == "book" else 0.0, 0.0, 0.0))
@@ -152,28 +165,43 @@ def _hand(person: Person) -> _Hand:
 def _grasp(person: Person, place: str, kind: str, variant: int) -> Grasp | None:
     thing, hand = make_thing(kind, variant), _hand(person)
     turned, best, most = _turned(thing, place), None, _LEAST_TOUCHING - 1
-    opened = Cloud.of(hand.at(_OPEN))
-    pressed, bound = (felt(thing.field, 0.0, depth) for depth in (PRESSED_M, PRESSED_M + _AT_REST_M))
+    opened = Cloud.of(hand.at(OPEN_HAND))
     for along in _ALONG_M:
-        at = _brought_near(thing, turned, opened, along)
-        thing_from_palm = invert(at)
-        curl = _OPEN.copy()
-        for finger in range(5):
-            mine = hand.skin[:, hand.finger == finger]
-
-            def closed(tried: int, mine: Floats32 = mine, thing_from_palm: Matrix = thing_from_palm) -> bool:
-                return stands_free(pressed, Cloud.of(mine[tried]), thing_from_palm)
-
-            last = _last_free(closed, float(curl[finger]))
-            curl[finger] = _LOOSE[finger] if last == len(_CURLS) - 1 else _CURLS[last]
-        closed_hand = Cloud.of(hand.at(curl))
-        skin = apply(thing_from_palm, closed_hand.points)
-        touches = _touch(thing, skin)
-        touching = int(touches.sum())
-        possible = touching > most and stands_free(bound, closed_hand, thing_from_palm)
-        if possible and (place != "drink" or _encloses(skin[touches])):
-            most, best = touching, Grasp(curl, at)
+        grasp, touching = _closed(thing, hand, _brought_near(thing, turned, opened, along), around=place in _LEVEL)
+        if touching > most:
+            most, best = touching, grasp
     return best
+
+
+def closed_around(person: Person, held: Hold, palm_from_thing: Matrix, side: int) -> Hold | None:
+    """How a hand (0 left, 1 right) holds what another one holds, as it is in the palm (4, 4); None where it cannot."""
+    mirror = np.diag((1.0, 1.0 - 2.0 * side, 1.0, 1.0))
+    at = mirror @ palm_from_thing @ mirror
+    grasp, touching = _closed(make_thing(held.kind, held.variant), _hand(person), at, around=True)
+    place = "take" if held.place == "give" else "give"
+    return held._replace(side=side, grasp=grasp, place=place) if touching >= _LEAST_TOUCHING else None
+
+
+def _closed(thing: Thing, hand: _Hand, palm_from_thing: Matrix, *, around: bool) -> tuple[Grasp, int]:
+    """Fingers closed around a thing, and how many vertices touch it: none where the hand is in it, or not `around` it."""
+    thing_from_palm = invert(palm_from_thing)
+    pressed, bound = (felt(thing.field, 0.0, depth) for depth in (PRESSED_M, PRESSED_M + _AT_REST_M))
+    curl = OPEN_HAND.copy()
+    for finger in range(5):
+        mine = hand.skin[:, hand.finger == finger]
+
+        def closed(tried: int, mine: Floats32 = mine) -> bool:
+            return stands_free(pressed, Cloud.of(mine[tried]), thing_from_palm)
+
+        last = _last_free(closed, float(curl[finger]))
+        curl[finger] = _LOOSE[finger] if last == len(_CURLS) - 1 else _CURLS[last]
+    closed_hand = Cloud.of(hand.at(curl))
+    skin = apply(thing_from_palm, closed_hand.points)
+    touches = _touch(thing, skin)
+    touching = int(touches.sum())
+    possible = touching >= _LEAST_TOUCHING and stands_free(bound, closed_hand, thing_from_palm)
+    possible = possible and (not around or _encloses(skin[touches]))
+    return Grasp(curl, palm_from_thing), touching if possible else 0
 
 
 def _encloses(touching: Floats) -> bool:

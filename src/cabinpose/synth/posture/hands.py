@@ -79,6 +79,7 @@ _STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.010, 0.012, 0.016])
 _RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.010, 0.012, 0.016])  # elbows before the backrest's bolsters
 _STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.006, 0.012, 0.008])
 _FIRM = np.full(3, 5.0)
+_STAYS = np.full(3, 20.0)
 _GRASP = np.full(3, 5.0)  # a hand around the rim moves along it, not into it
 
 # Comfortable arms, deg: shoulder flexion, abduction, rotation; elbow flexion, pronation; wrist flexion, radial.
@@ -250,6 +251,11 @@ def at_point(point: Floats, shoulder: Floats, up: Floats, prior: Floats = REACH_
     direction = direction / np.linalg.norm(direction)
     target = palm_frame(point - HAND_M * direction, -up, direction)
     return LimbTask(target, _FIRM, np.array([0.02, 0.04, 0.04]), prior, _STIFFNESS)
+
+
+def at_palm(vehicle_from_palm: Matrix) -> LimbTask:
+    """A hand at a given place and in a given direction, thumb where the target has it."""
+    return LimbTask(vehicle_from_palm, _STAYS, np.full(3, 0.3), REACH_ARM, _STIFFNESS)
 
 
 def at_ear(person: Person, skeleton: Frames, side: int, gap: float = 0.04) -> LimbTask:

@@ -34,7 +34,7 @@ from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
 from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import HANDED, Hold, inboard_hand
 from cabinpose.synth.posture.hands import LimbTask
-from cabinpose.synth.posture.intents import Hand, carrying, holding, intents
+from cabinpose.synth.posture.intents import Hand, Reach, carrying, holding, intents
 from cabinpose.synth.posture.neighbours import Neighbours
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_child_seat, fit_seat
 from cabinpose.synth.posture.seating import CENTRED, SeatOffset
@@ -49,6 +49,7 @@ _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
+_KNEES_IN_M = 0.02  # of a child, against those of somebody on a wide cushion
 _GRIP_SIGMA = 0.025
 _LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
@@ -147,7 +148,7 @@ def draw_pose(
     person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
     profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
     offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None, in_hand: bool = False,
-    carried: Hold | None = None, point: Floats | None = None, on: PlacedThing | None = None, rng: np.random.Generator,
+    carried: Hold | None = None, reach: Reach | None = None, on: PlacedThing | None = None, rng: np.random.Generator,
 ) -> Drawn:  # fmt: skip
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
@@ -172,8 +173,8 @@ def draw_pose(
         Whether a hand holds what the action speaks of: a telephone, a drink, a book.
     carried
         What a hand holds whatever is done; the action must leave it that hand (`inboard_hand`).
-    point
-        (3,) m, vehicle frame: where hands reach that have no place of the cabin to reach for.
+    reach
+        Where hands reach that have no place of the cabin to reach for.
     wheel_angle
         How the wheel is turned (rad, + left), in place of a drawn angle.
     on
@@ -201,13 +202,15 @@ def draw_pose(
     inboard = inboard_side(seat)
     if abs(float(seat.design_h_point[1])) < 0.05 and rng.random() < 0.5:
         inboard = 1 - inboard
-    spared = None if carried is None else inboard_hand(chosen, carried.kind, carried.side, inboard)
+    spared = reach and reach.side if carried is None else inboard_hand(chosen, carried, inboard)
     inboard = inboard if spared is None else spared
-    hands = intents(chosen, seat, cabin, inboard, wheel is not None, point, rng=rng)
+    hands = intents(chosen, seat, cabin, inboard, wheel is not None, reach, rng=rng)
     hands = hands if carried is None else carrying(hands, carried)
     hands, holds_it = holding(person, hands, rng=rng) if in_hand and carried is None else (hands, carried)
     rim = None if wheel is None else at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
-    left, right = (hand._replace(fingers=at.fingers_at(hand.place, hand.noise, rim)) for hand in hands)
+    left, right = (
+        hand if hand.palm is not None else hand._replace(fingers=at.fingers_at(hand.place, hand.noise, rim)) for hand in hands
+    )
     hands = left, right
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
@@ -223,6 +226,9 @@ def draw_pose(
     close = (False, False) if neighbours is None else neighbours.close
     s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close, carried)
     plans = _foot_plans(seat, cabin, rng)
+    if on is not None:
+        rests = not sitting_in(on.thing).harness
+        plans = _hanging(plans[0], rests), _hanging(plans[1], rests)
     feet = foot_goals(
         person,
         root,
@@ -245,7 +251,9 @@ def draw_pose(
         palms.append((task._replace(prior=prior), _CARRIED_BY.get(hand.place, "").format(side="lr"[side])))
         must.append(HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M)
         grip = _GRIP.get(hand.place, 0.0) + _GRIP_SIGMA * min(rng.standard_normal(), 1.0)
-        if holds_it is not None and holds_it.side == side:
+        if hand.palm is not None:
+            grip = _LEAST_GRIP
+        elif holds_it is not None and holds_it.side == side:
             grip = _HELD_GRIP
         elif not np.isnan(hand.fingers).any():
             grip = max(float(hand.fingers[1:5].mean()), _LEAST_GRIP)
@@ -359,7 +367,7 @@ def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     random = 1.0 if rng.random() < 0.5 else -1.0
     for side in (0, 1):
         place = action.inboard if side == inboard else action.outboard
-        if place == "reach":
+        if place in ("reach", "give"):
             return 1.0 - 2.0 * side
     return random
 
@@ -399,6 +407,11 @@ def _foot_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[Foo
     return plans[0], plans[1]
 
 
+def _hanging(plan: FootPlan, rests: bool) -> FootPlan:
+    """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the `rests` of its seat."""
+    return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M if rests else plan.out)
+
+
 def _gaze(
     s: _Situation, action: Action, hands: tuple[Hand, Hand], side_sign: float, skeleton: Frames, rng: np.random.Generator
 ) -> Matrix:
@@ -408,7 +421,7 @@ def _gaze(
     if gaze.either_side:
         yaw *= side_sign
     if gaze.at_hand:
-        busy = [side for side in (0, 1) if hands[side].place in ("reach", "chest", "book", "belt")]
+        busy = [side for side in (0, 1) if hands[side].place in ("reach", "give", "chest", "book", "belt")]
         point = hands[busy[0]].point
         if point is None:
             point = _task(s, hands[busy[0]], busy[0], skeleton).target[:3, 3]
@@ -449,7 +462,9 @@ def _task(s: _Situation, hand: Hand, side: int, skeleton: Frames) -> LimbTask:
         return at.over_thigh(skeleton, s.fit, femur, side, upright=s.carried.kind in HANDED["drink"])
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
-    if hand.place == "reach" and hand.point is not None:
+    if hand.palm is not None:
+        return at.at_palm(hand.palm)
+    if hand.place in ("reach", "give") and hand.point is not None:
         high = hand.point[2] > shoulder[2]
         return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
     along, inward = (_ARM_BEFORE if s.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
