@@ -88,10 +88,11 @@ def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files:
     charts = re.findall(r"<svg.*?</svg>", page, re.S)
     frames = [c for c in charts if 'class="frame"' in c]
     assert len(frames) == 2 * 5
-    assert len(charts) == 2 * 5 + 4 * 6 + 2  # a chart for each space, kind and group, and the boxes
+    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3  # a chart for each space, kind and group, and boxes in three ranges
     for chart in charts:
         ET.fromstring(chart)
     assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)
+    assert (tmp_path / "out" / "boxes.png").stat().st_size > 10_000
 
 
 def test_places_that_no_model_looks_at_are_told_and_not_counted(

@@ -50,7 +50,7 @@ class Evaluate(SelectsFrames):
     labels: Maybe[Path] = None
     """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
     out: Maybe[Path] = None
-    """Folder for index.html and report.json."""
+    """Folder for index.html, report.json and boxes.png."""
     min_visibility: Literal["outside_image", "occluded", "self_occluded", "visible"] = "occluded"
     """Least visibility of the joints that count."""
     head: Literal["thesis", "true"] = "thesis"
@@ -65,6 +65,10 @@ class Evaluate(SelectsFrames):
     """Thresholds of PCK in 2D, px."""
     pck_cm: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0)
     """Thresholds of PCK in 3D, cm."""
+    hit_px: float = 26.0
+    """Threshold of mAD@d, mAP@d and mAR@d in 2D, px; box plots show all errors, those below it and below half of it."""
+    hit_cm: float = 10.0
+    """The same in 3D, cm."""
     resamples: int = 1000
     """Resamples of the bootstrap for the intervals; 0: no intervals."""
     seed: int = 0
@@ -85,8 +89,8 @@ def run(command: Evaluate) -> None:
 
     options = EvaluationOptions(
         min_visibility=Visibility[command.min_visibility.upper()], presence=command.presence, head=command.head,
-        pck_px=command.pck_px, pck_m=tuple(cm / 100 for cm in command.pck_cm), pckh=command.pckh, match=command.match,
-        resamples=command.resamples, seed=command.seed,
+        pck_px=command.pck_px, pck_m=tuple(cm / 100 for cm in command.pck_cm), pckh=command.pckh,
+        hit_px=command.hit_px, hit_m=command.hit_cm / 100, match=command.match, resamples=command.resamples, seed=command.seed,
     )  # fmt: skip
     if command.itop_npz is not None:
         _run_itop(command, command.itop_npz, options)
@@ -127,8 +131,9 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         tell_failed(model)
     record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
-        from cabinpose.app.report.detectors import page_html
+        from cabinpose.app.report.detectors import box_charts, page_html
         from cabinpose.app.report.frames import frame_figures
+        from cabinpose.app.report.raster import write_png
 
         in_view = dataset.sel(person=list(persons))
         typical, worst = (
@@ -136,6 +141,8 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
             for kind in ("typical", "worst")
         )
         write_report(command.out, page_html(reports, typical, worst), record)
+        if boxes := box_charts(reports):
+            write_png(command.out / "boxes.png", boxes, [r.model for r in reports])
     if command.as_json:
         print_json(record)
         return
