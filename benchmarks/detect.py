@@ -16,8 +16,8 @@ from benchmarks import Say
 from benchmarks.subjects import WARM, Frame, OurDetector, PeerNetwork, Run, Subject, figures, timed_run
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.estimate.onnx_model import BATCH
-from cabinpose.estimate.predictor import OnnxPredictor, packaged_models
+from cabinpose.estimate.onnx_model import BATCH, packaged_detectors
+from cabinpose.estimate.predictor import OnnxPredictor
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
 from cabinpose.synth.write import FrameMaker
@@ -66,7 +66,7 @@ def run(
     """
     if min(frames, repeats, threads) < 1:
         raise ConfigError("the bench needs frames, repeats and threads", hint="give each at least 1")
-    known = packaged_models()
+    known = packaged_detectors()
     trained = [OnnxPredictor(known.get(each, Path(each)), threads=threads) for each in dict.fromkeys((*known, *model))]
     lacking = [name for name in _EXTRA if find_spec(name) is None]
     left_out = [name for name, wanted in (("fresh", not skip_fresh), ("peers", not skip_peers)) if wanted and lacking]

@@ -22,6 +22,7 @@ from cabinpose.estimate.inputs import InputView, camera_of
 from cabinpose.estimate.methods import Method, method_named
 
 METADATA_KEY = "cabinpose"
+_NO_DETECTORS = ("lift", "parts")
 BATCH = 16  # frames that go through a network at a time
 
 
@@ -44,7 +45,7 @@ class TrainedModel(ABC):
         if self.method.fitted != self.fitted:
             raise ModelError(f"{path} cannot be a model of {self.method.name}", hint=self._again)
         if self.task is not None and self.method.task != self.task:
-            raise ModelError(f"{path} is a model of {self.method.name}", hint=_LOADERS[self.method.task])
+            raise OtherTaskError(path, self.method)
         self.name = str(self.metadata.get("name", path.stem))
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
@@ -107,10 +108,18 @@ class OnnxModel(TrainedModel):
         return dict(zip(self.method.outputs, values, strict=True))
 
 
+class OtherTaskError(ModelError):
+    """A model that does something else than what is asked of it; `task`: of its method."""
+
+    def __init__(self, path: Path, method: Method) -> None:
+        super().__init__(f"{path} is a model of {method.name}", hint=_LOADERS[method.task])
+        self.task = method.task
+
+
 _LOADERS = {
     "joints": "load it with cabinpose.estimate.predictor.load_model",
-    "parts": "load it with cabinpose.estimate.unet.segment.OnnxSegmenter",
-    "lift": "load it with cabinpose.estimate.lifting.predict.OnnxLifting",
+    "parts": "`cabinpose predict` and `evaluate` run it; in Python cabinpose.estimate.unet.segment.OnnxSegmenter",
+    "lift": "`cabinpose predict` and `evaluate` run it; in Python cabinpose.estimate.lifting.predict.OnnxLifting",
 }
 
 
@@ -171,3 +180,8 @@ def packaged_models() -> dict[str, Path]:
     """The models that come with the package, by name."""
     folder = Path(str(resources.files("cabinpose.estimate") / "models"))
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
+
+
+def packaged_detectors() -> dict[str, Path]:
+    """Those of the packaged models that find joints in images, by name."""
+    return {name: path for name, path in packaged_models().items() if name not in _NO_DETECTORS}
