@@ -96,8 +96,6 @@ def _truth_2d(dataset: xr.Dataset) -> Predictions:
 
 def _cameras(dataset: xr.Dataset) -> list[Camera]:
     """The camera of each frame; its size is that of the images, where there are any."""
-    count = dataset.sizes["frame"]
     k, dist = (dataset[name].values for name in ("camera_k", "camera_dist"))
-    each_k, each_dist = np.broadcast_to(k, (count, 3, 3)), np.broadcast_to(dist, (count, 5))
     width, height = (int(dataset.sizes.get(axis, 1)) for axis in ("x", "y"))
-    return [camera_of(a, b, width, height) for a, b in zip(each_k, each_dist, strict=True)]
+    return [camera_of(a, b, width, height) for a, b in zip(k, dist, strict=True)]

@@ -56,18 +56,20 @@ class TrainedModel(ABC):
         """The method's answer from a batch of what the view saw, by name."""
 
     def describe(self) -> dict[str, Any]:
-        """What the file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, mirrored,
-        settings, card.
+        """What the file says of itself, as plain data: name, file, bytes, method, task, view, inputs, persons, joints, parts,
+        mirrored, settings, card.
         """
         return {
             "name": self.name,
             "file": str(self.path),
             "bytes": self.path.stat().st_size,
             "method": self.method.name,
+            "task": self.method.task,
             "view": dataclasses.asdict(self.config.view),
             "inputs": list(self.config.inputs),
             "persons": list(self.persons),
             "joints": list(self.joints),
+            "parts": [part.name for part in getattr(self.config, "parts", ())],
             "mirrored": bool(self.metadata.get("mirrored", False)),
             "settings": self.metadata["config"],
             "card": self.metadata.get("card", {}),

@@ -48,8 +48,17 @@ def _rows(described: dict[str, Any]) -> list[tuple[str, str]]:
         ("model", described["name"]),
         ("file", f"{described['file']}, {described['bytes'] / 1e6:.2f} MB"),
         ("method", described["method"] + (", mean over the frame and its mirror image" if described["mirrored"] else "")),
-        ("reads", f"{', '.join(described['inputs'])}, up to {view['max_depth_m']:g} m"),
-        ("view", f"{view['width']}x{view['height']} px, focal length {view['focal']:g} px; frames of any camera are resampled"),
+        *(
+            [("reads", "2D joints of a person, of any camera")]
+            if described["task"] == "lift"
+            else [
+                ("reads", f"{', '.join(described['inputs'])}, up to {view['max_depth_m']:g} m"),
+                (
+                    "view",
+                    f"{view['width']}x{view['height']} px, focal length {view['focal']:g} px; frames of any camera are resampled",
+                ),
+            ]
+        ),
         ("places", ", ".join(described["persons"]) or "any"),
-        ("joints", ", ".join(described["joints"])),
+        ("parts", ", ".join(described["parts"])) if described["parts"] else ("joints", ", ".join(described["joints"])),
     ]

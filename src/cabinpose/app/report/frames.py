@@ -103,7 +103,7 @@ def overlay(
 def _from_the_side(
     true: NDArray[np.float32], predicted: NDArray[np.float32], width: int, height: int
 ) -> list[NDArray[np.float64]]:
-    """Where joints (P, J, 3) of truth and prediction are drawn, (P, J, 2) px: depth to the right, in the panel right of the image."""
+    """Where joints (P, J, 3) of both are drawn, (P, J, 2) px: depth to the right, in the panel right of the image."""
     both = [points[..., [2, 1]].astype(np.float64) for points in (true, predicted)]
     known = np.concatenate([points[np.isfinite(points).all(axis=-1)] for points in both])
     if not len(known):

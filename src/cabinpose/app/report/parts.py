@@ -112,9 +112,8 @@ def _interval(v: PartsValue) -> str:
 
 def _iou_table(report: PartsReport) -> Html:
     shown = [v for v in report.values if v.metric == "IoU"]
-    return table(
-        [[v.classes.replace("_", " ") for v in shown], [with_small(f"{v.value:.1f}", _interval(v)) for v in shown]], words=()
-    )
+    names = ["", *(v.classes.replace("_", " ") for v in shown)]
+    return table([names, ["IoU", *(with_small(f"{v.value:.1f}", _interval(v)) for v in shown)]])
 
 
 def _confusion_table(report: PartsReport) -> Html:
