@@ -16,6 +16,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
 from cabinpose.estimate.predictor import OnnxPredictor
+from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store.predictions import Predictions, write_predictions
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import generate as generate_dataset
@@ -154,7 +155,8 @@ def test_any_detector_is_evaluated(dataset: Path) -> None:
             certain = np.ones(head.visibility.shape, np.float32)
             return PoseBatch(head.joints_2d.values, head.joints_3d.values, certain, certain)
 
-    report = cabinpose.evaluate_predictions(dataset, Truth())
+    report = cabinpose.evaluate_predictions(dataset, Truth(), options=EvaluationOptions(hit_m=0.05))
+    assert report.value("mAD@d", "3d", threshold=5.0) is not None
     error = report.value("MPJPE", "3d")
     assert report.model == "truth"
     assert error is not None

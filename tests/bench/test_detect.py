@@ -56,7 +56,7 @@ def small_bench(frames: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(detect, "AIMS", {"compact": 60.0})
     monkeypatch.setattr("benchmarks.peers.PEERS", {"tiny": tiny})
     monkeypatch.setattr(detect, "bench_frames", lambda skeleton: frames)
-    monkeypatch.setattr(detect, "packaged_models", dict)
+    monkeypatch.setattr(detect, "packaged_detectors", dict)
 
 
 def macs(network: nn.Module, size: tuple[int, int]) -> float:
@@ -155,8 +155,9 @@ def test_given_answers_are_decoded_in_place_of_the_networks(frames: tuple[Any, .
     predictor = load_model(model, threads=1)
     given: list[Any] = []
     fake: Any = SimpleNamespace(
-        session=predictor.session, seen=predictor.seen, outputs=predictor.outputs, poses=lambda outputs, *_: given.append(outputs)
-    )
+        session=predictor.session, seen=predictor.seen, outputs=predictor.outputs, poses=lambda *_: None, config=None,
+        method=SimpleNamespace(decode=lambda outputs, *_: given.append(outputs)),
+    )  # fmt: skip
     answers = [{"heat": np.full((1, 2), i)} for i in range(SHOWN)]
     subject = OurDetector(fake, frames, answers)
     subject.frame(SHOWN + 1)
@@ -238,8 +239,8 @@ def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: py
 
 @pytest.mark.usefixtures("small_bench")
 def test_the_packaged_models_are_measured(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (detect, predictor_module):
-        monkeypatch.setattr(module, "packaged_models", lambda: {"in_car": model})
+    monkeypatch.setattr(detect, "packaged_detectors", lambda: {"in_car": model})
+    monkeypatch.setattr(predictor_module, "packaged_models", lambda: {"in_car": model})
     result = bench(["in_car"], skip_fresh=True, skip_peers=True)
     assert list(result["models"]) == ["compact"]  # once, by the name in the file
 

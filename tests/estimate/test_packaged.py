@@ -12,8 +12,8 @@ import yaml
 
 from cabinpose.app.cli import main
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.estimate.onnx_model import describe_model, packaged_models
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.onnx_model import packaged_detectors
+from cabinpose.estimate.predictor import describe_model, load_model, packaged_models
 from cabinpose.evaluate.offline import evaluate
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store import open_dataset
@@ -24,14 +24,15 @@ RECIPES = Path(__file__).resolve().parents[2] / "docs" / "models"
 
 
 def test_the_models_are_there_and_small() -> None:
-    assert sorted(packaged_models()) == ["in_car", "room"]
-    assert sum(path.stat().st_size for path in packaged_models().values()) < 12_000_000
+    assert sorted(packaged_models()) == ["in_car", "lift", "parts", "room"]
+    assert sorted(packaged_detectors()) == ["in_car", "room"]
+    assert sum(path.stat().st_size for path in packaged_models().values()) < 16_000_000
     in_car, room = load_model("in_car"), load_model("room")
     assert (in_car.persons, in_car.joints) == (("driver", "front_passenger"), JOINTS)
     assert (room.persons, room.joints) == (("standing",), ITOP_JOINTS)
 
 
-@pytest.mark.parametrize("name", ["in_car", "room"])
+@pytest.mark.parametrize("name", ["in_car", "lift", "parts", "room"])
 def test_each_model_carries_the_card_of_the_documentation(name: str) -> None:
     card = describe_model(packaged_models()[name])["card"]
     assert card == yaml.safe_load((RECIPES / f"{name}-card.yaml").read_text("utf-8"))

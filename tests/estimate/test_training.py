@@ -16,6 +16,7 @@ import torch
 from lightning.pytorch.callbacks import Callback
 
 from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.core.segmentation import class_table
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
@@ -23,7 +24,7 @@ from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
 from cabinpose.estimate.training import Detector, TrainConfig, check_same, complete, fit, frame_spec, load_detector
-from cabinpose.estimate.unet.parts import MERGED, class_table
+from cabinpose.estimate.unet.parts import MERGED
 
 
 class KilledError(Exception):

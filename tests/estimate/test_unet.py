@@ -11,6 +11,7 @@ import torch
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.core.segmentation import class_table, confusion, intersection_over_union
 from cabinpose.estimate.data import StoredFrames, collate
 from cabinpose.estimate.methods import method_named
 from cabinpose.estimate.mirror import mirrored_labels
@@ -19,9 +20,8 @@ from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.estimate.unet import fit
 from cabinpose.estimate.unet.config import UnetConfig
 from cabinpose.estimate.unet.decode import decode
-from cabinpose.estimate.unet.metrics import confusion, intersection_over_union
 from cabinpose.estimate.unet.model import Segments, Unet
-from cabinpose.estimate.unet.parts import ALL, MERGED, class_table
+from cabinpose.estimate.unet.parts import ALL, MERGED
 from cabinpose.estimate.unet.segment import OnnxSegmenter
 from cabinpose.scene.labels import BODY_PARTS, FIRST_BODY_ID, LABELS, LAST_BODY_ID
 

@@ -67,12 +67,16 @@ def test_table(run: Callable[..., Outcome], files: list[Path]) -> None:
 
 
 def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
-    code, out, err = run(*files, "--out", tmp_path / "out", "--json")
+    code, out, err = run(*files, "--out", tmp_path / "out", "--json", "--hit-cm", 8, "--hit-px", 13)
     assert code == 0, err
     assert out.count("\n") == 1
     record = json.loads(out)
     assert record == json.loads((tmp_path / "out" / "report.json").read_text())
     noisy, flat = record["models"]
+    assert {v["threshold"] for v in noisy["values"] if v["metric"] in ("mAD@d", "mAR@d (literal)")} == {8, 13}
+    assert [list(noisy["boxes"][space]) for space in ("2d", "3d")] == [
+        ["all found", "< 6.5 px", "< 13 px"], ["all found", "< 4 cm", "< 8 cm"],
+    ]  # fmt: skip
     assert "lhand" in run(files[0], "--json").out
     assert "lhand" not in record["joints"]  # both answer for the same joints
     assert {v["space"] for v in flat["values"]} == {"2d", "image"}
@@ -88,10 +92,11 @@ def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files:
     charts = re.findall(r"<svg.*?</svg>", page, re.S)
     frames = [c for c in charts if 'class="frame"' in c]
     assert len(frames) == 2 * 5
-    assert len(charts) == 2 * 5 + 4 * 6 + 2  # a chart for each space, kind and group, and the boxes
+    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3  # a chart for each space, kind and group, and boxes in three ranges
     for chart in charts:
         ET.fromstring(chart)
     assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)
+    assert (tmp_path / "out" / "boxes.png").stat().st_size > 10_000
 
 
 def test_places_that_no_model_looks_at_are_told_and_not_counted(

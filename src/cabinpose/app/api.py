@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from cabinpose.core.ports import Predictor
-    from cabinpose.estimate.predictor import OnnxPredictor
+    from cabinpose.estimate.joint_predictor import JointPredictor
+    from cabinpose.evaluate.options import EvaluationOptions
     from cabinpose.evaluate.report import Report
     from cabinpose.store.predictions import Predictions
     from cabinpose.store.recording import Recording
@@ -23,20 +24,21 @@ if TYPE_CHECKING:
     from cabinpose.synth.write import Frame
 
 
-def load_model(model: str | Path, *, threads: int | None = None) -> OnnxPredictor:
+def load_model(model: str | Path, *, threads: int | None = None) -> JointPredictor:
     """A trained model that is called with plain arrays.
 
     Parameters
     ----------
     model
-        The name of a model of the package ("in_car", "room"), or an ONNX file that `cabinpose export --onnx` wrote.
+        The name of a model of the package ("in_car", "room"), an ONNX file that `cabinpose export --onnx`
+        wrote, or an .npz file that `cabinpose train` wrote.
     threads
-        Threads of the network; default: ONNX Runtime's.
+        Threads of a network; default: ONNX Runtime's.
 
     Returns
     -------
-    OnnxPredictor
-        `model(depth_m, camera_k, amplitude)` gives the joints of one frame or of many; see `OnnxPredictor.__call__`.
+    JointPredictor
+        `model(depth_m, camera_k, amplitude)` gives the joints of one frame or of many; see `JointPredictor.__call__`.
 
     Raises
     ------
@@ -143,8 +145,9 @@ def generate(
 
 
 def evaluate_predictions(
-    data: Path | str | xr.Dataset, model: Path | str | Predictions | Predictor, *, persons: Sequence[str] | None = None
-) -> Report:
+    data: Path | str | xr.Dataset, model: Path | str | Predictions | Predictor, *, persons: Sequence[str] | None = None,
+    options: EvaluationOptions | None = None,
+) -> Report:  # fmt: skip
     """How good predictions are on a dataset, by the metrics of `cabinpose evaluate`.
 
     Parameters
@@ -156,6 +159,8 @@ def evaluate_predictions(
         (grpc://HOST:PORT/MODEL), or any detector that fulfils `cabinpose.core.ports.Predictor`.
     persons
         Slots that are evaluated; default: those that the model answers for.
+    options
+        What counts, thresholds (`hit_px`, `hit_m`) and intervals, as `cabinpose evaluate` has them by default.
 
     Returns
     -------
@@ -185,4 +190,5 @@ def evaluate_predictions(
             f"a {type(model).__name__} is no detector",
             hint="it needs name, joints, persons and predict; see core.ports.Predictor",
         )
-    return evaluate(dataset, model, EvaluationOptions(), persons=persons or shared_places(dataset, [model]), name=name)
+    chosen = options or EvaluationOptions()
+    return evaluate(dataset, model, chosen, persons=persons or shared_places(dataset, [model]), name=name)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.recorded import Message
+from cabinpose.core.segmentation import Part
 
 
 class FrameBatch(TypedDict):
@@ -76,6 +77,22 @@ class Predictor(Protocol):
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order."""
+
+
+@runtime_checkable
+class Segmenter(Protocol):
+    """A segmentation of people's parts."""
+
+    @property
+    def name(self) -> str:
+        """What reports call it."""
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts: the number n of a label image is `parts[n - 1]`."""
+
+    def segment(self, frames: FrameBatch) -> NDArray[np.uint8]:
+        """Label images (N, H, W) in the frames' own pixels: 0 = nobody, else 1 + the position of the part."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from cabinpose.core.segmentation import class_table, confusion, intersection_over_union, whole_person
 from cabinpose.estimate.augment import AugmentConfig, Mirror, augment
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import FrameSpec
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.lifting import fit as lifting_fit
-from cabinpose.estimate.unet.metrics import confusion, intersection_over_union
-from cabinpose.estimate.unet.parts import class_table
 
 HEAD_M = 0.2  # PCKh's head in 3D (pose.md's protocol); in the image it is this length at the joint's depth
 Figures = dict[str, float]
@@ -139,8 +138,7 @@ class Parts(Task):
             return {}
         counts = np.sum(errors, axis=0)
         parts = intersection_over_union(counts)[1:]
-        whole = np.array([[counts[0, 0], counts[0, 1:].sum()], [counts[1:, 0].sum(), counts[1:, 1:].sum()]])
-        person = intersection_over_union(whole)[1]
+        person = intersection_over_union(whole_person(counts))[1]
         if np.isnan(parts).all() or np.isnan(person):
             return {}
         return {"val_iou": float(100 * np.nanmean(parts)), "val_person_iou": float(100 * person)}

@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
-from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor, joined
+from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor, Segmenter, joined
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
+from cabinpose.store.class_images import ClassImages
 from cabinpose.store.predictions import Predictions
 
 CHUNK = 512  # frames of joints at a time
@@ -36,23 +37,23 @@ def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]
     return joints
 
 
-def model_name(model: Predictions | Predictor) -> str:
+def model_name(model: Predictions | Predictor | Segmenter) -> str:
     """What reports call a model."""
     return model.model if isinstance(model, Predictions) else model.name
 
 
-def check_predictions(predictions: Predictions, dataset: xr.Dataset, names: Sequence[str] = ()) -> None:
+def check_predictions(predictions: Predictions | ClassImages, dataset: xr.Dataset, names: Sequence[str] = ()) -> None:
     """Raise `PredictionsError` where predictions are of other frames, or name another dataset than one of `names`."""
     if predictions.dataset is not None and names and predictions.dataset not in names:
         raise PredictionsError(
-            f"{predictions.model}: the predictions are of the dataset '{predictions.dataset}'",
+            f"{model_name(predictions)}: the predictions are of the dataset '{predictions.dataset}'",
             hint=f"this one is {' or '.join(names)}; give the right dataset, or write `dataset` as null",
         )
     frames = dataset["frame"].values
     wrong = predictions.frame[~np.isin(predictions.frame, frames)]
     if wrong.size:
         raise PredictionsError(
-            f"{predictions.model}: the dataset has no frame {', '.join(map(str, wrong[:5].tolist()))}"
+            f"{model_name(predictions)}: the dataset has no frame {', '.join(map(str, wrong[:5].tolist()))}"
             + (f" and {wrong.size - 5} more" if wrong.size > 5 else ""),
             hint=f"its frames are numbered from {frames.min()} to {frames.max()} by the coordinate `frame`",
         )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.evaluate.bootstrap import Weights, frame_weights, interval, weighted_quantiles, weighted_sums
+from cabinpose.evaluate.boxes import Boxes, boxes_by_range
 from cabinpose.evaluate.metrics import FOUND, UNIT, Ratio, ratios
 from cabinpose.evaluate.oks import THRESHOLDS, average_precision
 from cabinpose.evaluate.options import EvaluationOptions
@@ -20,7 +21,6 @@ ALL = "All"
 PEOPLE = "Person"
 _PCKH_GRID = np.linspace(0, 1, 51)
 _ERROR_GRID = {"2d": np.linspace(0, 50, 51), "3d": np.linspace(0, 30, 61)}  # px, cm
-_BOX = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
 _SHOWN = 12
 _MISS = 3.0  # head sizes that a missed joint, and at most a found one, counts in the ranking of frames
 
@@ -49,8 +49,8 @@ class Report:
     """Everything about one model on one dataset.
 
     joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
-    (of the head size) and for the error (px, cm) · boxes: by space and joint, the 5, 25, 50, 75 and 95 % quantiles of the
-    error (px, cm) · worst: numbers of the worst frames, worst first · typical: of those nearest to the median frame, best first ·
+    (of the head size) and for the error (px, cm) · boxes: by space, range of the error and joint (px, cm) · worst: numbers of the
+    worst frames, worst first · typical: of those nearest to the median frame, best first ·
     settings: the options in words.
     """
 
@@ -61,7 +61,7 @@ class Report:
     joint_sets: Mapping[str, tuple[str, ...]]
     values: tuple[Value, ...]
     curves: Mapping[str, Any]
-    boxes: Mapping[str, Mapping[str, list[float]]]
+    boxes: Mapping[str, Boxes]
     worst: tuple[int, ...]
     typical: tuple[int, ...]
     settings: Mapping[str, Any]
@@ -108,7 +108,7 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
         joint_sets={name: tuple(skeleton.joints[i] for i in members) for name, members in shown.items()},
         values=tuple(values),
         curves={name: _curves(samples, name, errors[name], shown) for name in errors},
-        boxes={name: _boxes(samples, errors[name]) for name in errors},
+        boxes={name: boxes_by_range(errors[name], skeleton.joints, _limit(name, options), UNIT[name][0]) for name in errors},
         worst=ranked[:_SHOWN],
         typical=ranked[middle : middle + _SHOWN][::-1] if middle > 0 else (),  # few frames are all among the worst
         settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
@@ -194,12 +194,9 @@ def _curves(samples: Samples, name: str, errors: Array, sets: Mapping[str, tuple
     return result
 
 
-def _boxes(samples: Samples, errors: Array) -> dict[str, list[float]]:
-    result = {}
-    for i, joint in enumerate(samples.skeleton.joints):
-        known = errors[np.isfinite(errors[:, i]), i]
-        result[joint] = np.quantile(known, _BOX).round(4).tolist() if known.size else []
-    return result
+def _limit(name: str, options: EvaluationOptions) -> float:
+    """The user's threshold d in the unit of reports."""
+    return round((options.hit_px if name == "2d" else options.hit_m) * UNIT[name][1], 9)
 
 
 def _ranked(samples: Samples) -> tuple[int, ...]:

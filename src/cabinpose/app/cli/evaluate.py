@@ -19,9 +19,10 @@ from cabinpose.core.errors import ConfigError, DatasetError
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cabinpose.core.ports import Predictor
+    from cabinpose.core.ports import Predictor, Segmenter
     from cabinpose.evaluate.options import EvaluationOptions
     from cabinpose.evaluate.report import Report
+    from cabinpose.store.class_images import ClassImages
     from cabinpose.store.predictions import Predictions
 
 _USUAL = (
@@ -34,7 +35,8 @@ _USUAL = (
 class Evaluate(SelectsFrames):
     """Compare predictions, or models, with a dataset: a table by joint group, and with --out a page and report.json.
 
-    Several predictions files and models are compared on the joints that all of them predict.
+    Several predictions files and models are compared on the joints that all of them predict. Segmentations of body parts are
+    compared with the dataset's pixel classes: IoU by part and the confusion matrix.
     """
 
     dataset: Annotated[Positional[Path | None], several("[DATASET]")] = None
@@ -42,15 +44,17 @@ class Evaluate(SelectsFrames):
     itop_npz: Maybe[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
-    """Predictions files (.jsonl or .parquet), one per model."""
+    """Predictions files (.jsonl or .parquet) or label images of body parts (.zarr), one per model."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
-    """Models to run: names of packaged models, ONNX files, or models on servers (grpc://HOST:PORT/MODEL)."""
+    """Models to run: names of packaged models, ONNX or .npz files, or models on servers (grpc://HOST:PORT/MODEL)."""
+    joints_from: Annotated[Maybe[str], arg(name="from", metavar="SOURCE")] = None
+    """Where a lifting model gets its 2D joints: `truth` (the default: those of the dataset), a predictions file, or a model."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """Only people in these slots; default: the slots that all models predict."""
     labels: Maybe[Path] = None
     """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
     out: Maybe[Path] = None
-    """Folder for index.html and report.json."""
+    """Folder for index.html, report.json and a picture: boxes.png, for body parts parts.png."""
     min_visibility: Literal["outside_image", "occluded", "self_occluded", "visible"] = "occluded"
     """Least visibility of the joints that count."""
     head: Literal["thesis", "true"] = "thesis"
@@ -65,6 +69,10 @@ class Evaluate(SelectsFrames):
     """Thresholds of PCK in 2D, px."""
     pck_cm: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0)
     """Thresholds of PCK in 3D, cm."""
+    hit_px: float = 26.0
+    """Threshold of mAD@d, mAP@d and mAR@d in 2D, px; box plots show all errors, those below it and below half of it."""
+    hit_cm: float = 10.0
+    """The same in 3D, cm."""
     resamples: int = 1000
     """Resamples of the bootstrap for the intervals; 0: no intervals."""
     seed: int = 0
@@ -85,8 +93,8 @@ def run(command: Evaluate) -> None:
 
     options = EvaluationOptions(
         min_visibility=Visibility[command.min_visibility.upper()], presence=command.presence, head=command.head,
-        pck_px=command.pck_px, pck_m=tuple(cm / 100 for cm in command.pck_cm), pckh=command.pckh, match=command.match,
-        resamples=command.resamples, seed=command.seed,
+        pck_px=command.pck_px, pck_m=tuple(cm / 100 for cm in command.pck_cm), pckh=command.pckh,
+        hit_px=command.hit_px, hit_m=command.hit_cm / 100, match=command.match, resamples=command.resamples, seed=command.seed,
     )  # fmt: skip
     if command.itop_npz is not None:
         _run_itop(command, command.itop_npz, options)
@@ -99,20 +107,32 @@ def run(command: Evaluate) -> None:
 
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
     from cabinpose.app.cli.selection import opened, selected
-    from cabinpose.estimate.remote import open_predictor
+    from cabinpose.app.models import opened_models
+    from cabinpose.core.ports import Segmenter
     from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate
     from cabinpose.store import read_manifest
+    from cabinpose.store.class_images import SUFFIX, read_class_images
     from cabinpose.store.predictions import read_predictions
     from cabinpose.store.schema import dataset_id
 
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
     whole = opened(folder, command.labels)
-    files = [read_predictions(path) for path in command.predictions]
+    images = [read_class_images(path) for path in command.predictions if path.suffix == SUFFIX]
+    paths = [path for path in command.predictions if path.suffix != SUFFIX]
+    files = [read_predictions(path) for path in paths]
     names = (dataset_id(read_manifest(folder)), folder.resolve().name)
-    for file in files:
-        check_predictions(file, whole, names)
-    models: list[Predictions | Predictor] = [*_with_own_names(files, command.predictions), *map(open_predictor, command.model)]
+    answers: list[Predictions | ClassImages] = [*files, *images]
+    for answer in answers:
+        check_predictions(answer, whole, names)
     dataset = selected(whole, command)
+    chosen = [*_with_own_names(files, paths), *images, *opened_models(command.model, dataset, command.joints_from, names)]
+    segmenters = [model for model in chosen if isinstance(model, Segmenter)]
+    models = [model for model in chosen if not isinstance(model, Segmenter)]
+    if segmenters and models:
+        raise ConfigError("joints and body parts are evaluated apart", hint="run evaluate once for each")
+    if segmenters:
+        _run_parts(command, dataset, segmenters, names[1])
+        return
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
     frames = dataset.sizes["frame"]
@@ -127,8 +147,9 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         tell_failed(model)
     record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
-        from cabinpose.app.report.detectors import page_html
+        from cabinpose.app.report.detectors import box_charts, page_html
         from cabinpose.app.report.frames import frame_figures
+        from cabinpose.app.report.raster import write_png
 
         in_view = dataset.sel(person=list(persons))
         typical, worst = (
@@ -136,11 +157,48 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
             for kind in ("typical", "worst")
         )
         write_report(command.out, page_html(reports, typical, worst), record)
+        if boxes := box_charts(reports):
+            write_png(command.out / "boxes.png", boxes, [r.model for r in reports])
     if command.as_json:
         print_json(record)
         return
     for report in reports:
         print_report(report, everything=command.everything)
+    if command.out is not None:
+        print(f"open {command.out / 'index.html'}", file=sys.stderr)
+
+
+def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmenter], name: str) -> None:
+    """Segmentations against the dataset's pixel classes."""
+    from cabinpose.app.report.parts import parts_page, pictures, write_sheet
+    from cabinpose.evaluate.parts import evaluate_parts
+
+    reports = []
+    for model in models:
+        with progress(dataset.sizes["frame"], "frames") as shown:
+            reports.append(
+                evaluate_parts(dataset, model, name=name, resamples=command.resamples, seed=command.seed, progress=shown)
+            )
+    record = {"data": str(command.dataset), "frames": dataset.sizes["frame"], "models": [r.to_dict() for r in reports]}
+    if command.out is not None:
+        typical, worst = (
+            {r.model: pictures(dataset, m, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
+            for kind in ("typical", "worst")
+        )
+        write_report(command.out, parts_page(reports, typical, worst), record)
+        if all_pictures := [each for r in reports for each in (*typical[r.model], *worst[r.model])]:
+            write_sheet(command.out / "parts.png", models[0].parts, all_pictures)
+    if command.as_json:
+        print_json(record)
+        return
+    for report in reports:
+        print(f"{printable(report.model)} on {printable(report.dataset)}: {report.frames} frames")
+        rows = [
+            [f"{v.metric} {v.classes}", f"{v.value:.1f} %", f"{v.low:.1f} to {v.high:.1f}" if v.low == v.low else ""]
+            for v in report.values
+        ]
+        print_table([["", "value", "95 % interval"], *rows])
+        print()
     if command.out is not None:
         print(f"open {command.out / 'index.html'}", file=sys.stderr)
 

@@ -17,7 +17,7 @@ class Models(PrintsJson):
     """List the trained models that come with the package, or print the card of one model."""
 
     model: Annotated[Positional[str | None], several("MODEL")] = None
-    """Name of a packaged model, or an ONNX file."""
+    """Name of a packaged model, or an ONNX or .npz file."""
 
 
 COMMAND = Models
@@ -27,7 +27,7 @@ def run(command: Models) -> None:
     """Print one model's description and card, or a line for each packaged model."""
     import yaml
 
-    from cabinpose.estimate.onnx_model import describe_model, packaged_models
+    from cabinpose.estimate.predictor import describe_model, packaged_models
 
     packaged = packaged_models()
     chosen = packaged if command.model is None else {"": packaged.get(command.model, Path(command.model))}
@@ -48,8 +48,17 @@ def _rows(described: dict[str, Any]) -> list[tuple[str, str]]:
         ("model", described["name"]),
         ("file", f"{described['file']}, {described['bytes'] / 1e6:.2f} MB"),
         ("method", described["method"] + (", mean over the frame and its mirror image" if described["mirrored"] else "")),
-        ("reads", f"{', '.join(described['inputs'])}, up to {view['max_depth_m']:g} m"),
-        ("view", f"{view['width']}x{view['height']} px, focal length {view['focal']:g} px; frames of any camera are resampled"),
+        *(
+            [("reads", "2D joints of a person, of any camera")]
+            if described["task"] == "lift"
+            else [
+                ("reads", f"{', '.join(described['inputs'])}, up to {view['max_depth_m']:g} m"),
+                (
+                    "view",
+                    f"{view['width']}x{view['height']} px, focal length {view['focal']:g} px; frames of any camera are resampled",
+                ),
+            ]
+        ),
         ("places", ", ".join(described["persons"]) or "any"),
-        ("joints", ", ".join(described["joints"])),
+        ("parts", ", ".join(described["parts"])) if described["parts"] else ("joints", ", ".join(described["joints"])),
     ]

@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from cabinpose.app.cli.arguments import DatasetArgument, SelectsFrames
+from tyro.conf import arg
+
+from cabinpose.app.cli.arguments import DatasetArgument, Maybe, SelectsFrames
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
+from cabinpose.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    from cabinpose.core.ports import Segmenter
 
 
 @dataclass(frozen=True, kw_only=True)
 class Predict(SelectsFrames):
-    """Run a model over a dataset and write the joints that it finds as a predictions file."""
+    """Run a model over a dataset and write the joints that it finds as a predictions file, or its body parts as label images."""
 
     dataset: DatasetArgument
     model: str
-    """Name of a packaged model, an ONNX file, or a model on a server (grpc://HOST:PORT/MODEL)."""
+    """Name of a packaged model, an ONNX or .npz file, or a model on a server (grpc://HOST:PORT/MODEL)."""
     out: Path
-    """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
+    """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet); label images of body parts: .zarr."""
+    joints_from: Annotated[Maybe[str], arg(name="from", metavar="SOURCE")] = None
+    """Where a lifting model gets its 2D joints: `truth` (the default: those of the dataset), a predictions file, or a model."""
     overwrite: bool = False
     """Replace the file."""
 
@@ -29,30 +43,63 @@ COMMAND = Predict
 def run(command: Predict) -> None:
     """Run the model over the frames in their order and write the predictions."""
     from cabinpose.app.cli.selection import selected
-    from cabinpose.estimate.remote import open_predictor
-    from cabinpose.evaluate.offline import predict_dataset
+    from cabinpose.app.models import opened_models
+    from cabinpose.core.ports import Segmenter
+    from cabinpose.evaluate.offline import model_name, predict_dataset
     from cabinpose.store import open_dataset, read_manifest
-    from cabinpose.store.predictions import check_new_predictions, write_predictions
+    from cabinpose.store.class_images import SUFFIX, check_new_class_images
+    from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
     from cabinpose.store.schema import dataset_id
 
-    check_new_predictions(command.out, overwrite=command.overwrite)  # before the work, not at its end
-    model = open_predictor(command.model)
+    of_parts = command.out.suffix == SUFFIX
+    check = check_new_class_images if of_parts else check_new_predictions
+    check(command.out, overwrite=command.overwrite)  # before the work, not at its end
     dataset = selected(open_dataset(command.dataset), command)
-    places = [str(name) for name in dataset["person"].values]
-    if not set(places) & set(model.persons):
-        print(
-            f"the model {model.name} looks at {', '.join(model.persons)}, and the dataset has {printable(', '.join(places))}: "
-            "`evaluate` cannot score what it finds",
-            file=sys.stderr,
-        )
+    name = dataset_id(read_manifest(command.dataset))
+    [model] = opened_models([command.model], dataset, command.joints_from, (name, command.dataset.resolve().name))
     count = dataset.sizes["frame"]
-    with progress(count, "frames") as report:
-        name = dataset_id(read_manifest(command.dataset))
-        predictions = predict_dataset(dataset, model, dataset_id=name, progress=report)
-    tell_failed(model)
-    write_predictions(command.out, predictions, overwrite=command.overwrite)
+    if isinstance(model, Segmenter):
+        if not of_parts:
+            raise ConfigError(f"{model.name} finds body parts, which are images", hint=f"let --out end in {SUFFIX}")
+        _write_parts(command, dataset, model, name)
+    elif of_parts:
+        raise ConfigError(f"{model_name(model)} finds joints", hint="let --out end in .jsonl or .parquet")
+    else:
+        places = [str(place) for place in dataset["person"].values]
+        if not set(places) & set(model.persons):
+            print(
+                f"the model {model_name(model)} looks at {', '.join(model.persons)}, and the dataset has "
+                f"{printable(', '.join(places))}: `evaluate` cannot score what it finds",
+                file=sys.stderr,
+            )
+        if isinstance(model, Predictions):
+            predictions = replace(model, dataset=name)
+        else:
+            with progress(count, "frames") as report:
+                predictions = predict_dataset(dataset, model, dataset_id=name, progress=report)
+            tell_failed(model)
+        write_predictions(command.out, predictions, overwrite=command.overwrite)
     if command.as_json:
-        print_json({"predictions": str(command.out), "model": model.name, "frames": count})
+        print_json({"predictions": str(command.out), "model": model_name(model), "frames": count})
     else:
         print(command.out)
         print(f"score it with: cabinpose evaluate {command.dataset} --predictions {command.out}", file=sys.stderr)
+
+
+def _write_parts(command: Predict, dataset: xr.Dataset, model: Segmenter, name: str) -> None:
+    """Run a segmentation and write its label images."""
+    from cabinpose.evaluate.offline import BATCH, frame_batch
+    from cabinpose.store.class_images import write_class_images
+
+    count = dataset.sizes["frame"]
+    with progress(count, "frames") as report:
+
+        def batches() -> Iterator[NDArray[np.uint8]]:
+            for start in range(0, count, BATCH):
+                yield model.segment(frame_batch(dataset, slice(start, start + BATCH)))
+                report(min(start + BATCH, count))
+
+        write_class_images(
+            command.out, batches(), dataset["frame"].values, model.parts, model=model.name, dataset=name,
+            overwrite=command.overwrite,
+        )  # fmt: skip

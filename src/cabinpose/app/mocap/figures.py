@@ -12,6 +12,7 @@ from cabinpose.app.mocap.stick import stick_figure
 from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
 from cabinpose.app.report.html import Html, el, join, table
 from cabinpose.core.skeleton import MVN_JOINTS, PARENT
+from cabinpose.evaluate.boxes import Box
 from cabinpose.evaluate.mocap.bones import Bone
 from cabinpose.evaluate.mocap.dfe import ICP, KABSCH, PELVIS_STAGE, POSITION, STAGES, DfeRun
 from cabinpose.evaluate.mocap.dse import DseRun
@@ -35,9 +36,12 @@ def boxes(judgement: Judgement, measures: Sequence[str], *, chart_by: Literal["m
     found = []
     for title in dict.fromkeys(getattr(s, chart_by) for s in rows):
         chosen = [s for s in rows if getattr(s, chart_by) == title]
-        drawn: dict[str, dict[str, list[float]]] = {}
+        drawn: dict[str, dict[str, Box]] = {}
         for s in chosen:
-            drawn.setdefault(s.condition if chart_by == "measure" else s.measure, {})[s.name] = list(s.box)
+            low, lower, median, upper, high = s.box
+            drawn.setdefault(s.condition if chart_by == "measure" else s.measure, {})[s.name] = Box(
+                s.samples, low, lower, median, upper, high
+            )
         found += [legend(drawn)] if len(drawn) > 1 else []
         found.append(box_chart(f"{title}, {chosen[0].unit}", drawn, height=300))
     return join(found)

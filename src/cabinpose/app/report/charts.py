@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 
 from cabinpose.app.report.html import Html, el
+from cabinpose.evaluate.boxes import Box
 
 # Okabe and Ito (2008): told apart by people with any colour vision; the first is for "All" and the first model. The last is the
 # colour of text, black or white with the page's theme.
@@ -84,28 +85,46 @@ def series_chart(
     return plot.svg(x_label)
 
 
-def box_chart(title: str, boxes: Mapping[str, Mapping[str, Sequence[float]]], *, width: int = 1240, height: int = 320) -> Html:
-    """Boxes (5, 25, 50, 75, 95 % quantiles, a list of five or an empty one) by joint and model, side by side."""
+def box_chart(
+    title: str, boxes: Mapping[str, Mapping[str, Box]], *, log: bool = False, width: int = 1240, height: int = 320
+) -> Html:
+    """Box plots by model and joint, the models' boxes side by side at each joint; log: the axis is logarithmic, from 0.1 on."""
     joints = list(dict.fromkeys(joint for by_joint in boxes.values() for joint in by_joint))
-    top = max((max(box) for by_joint in boxes.values() for box in by_joint.values() if box), default=1.0)
-    step = nice_step(top / 5)
-    plot = Plot(title, (width, height), (0, len(joints)), (0, step * max(int(np.ceil(top / step)), 1)), bottom=64)
-    plot.rows(np.arange(0, plot.y[1] + step / 2, step).tolist())
-    wide = min((plot.right - plot.left) / len(joints) * 0.7 / len(boxes), 26)
+    ends = [end for by_joint in boxes.values() for box in by_joint.values() for end in (box.high, *box.outliers[-1:])]
+    top = max(ends, default=1.0) or 1.0
+    if log:
+        rows = [k * 10.0**n for n in range(-1, int(np.ceil(np.log10(max(top, 1.0)))) + 1) for k in (1, 2, 5)]
+        rows = rows[: next((i for i, value in enumerate(rows) if value >= top), len(rows) - 1) + 1]
+    else:
+        step = nice_step(top / 5)
+        rows = np.arange(0, step * (max(int(np.ceil(top / step)), 1) + 0.5), step).tolist()
+    plot = Plot(title, (width, height), (0, max(len(joints), 1)), (rows[0], rows[-1]), bottom=64, log=log)
+    plot.rows(rows)
+    wide = min((plot.right - plot.left) / max(len(joints), 1) * 0.7 / len(boxes), 26)
     for i, joint in enumerate(joints):
-        middle, base = plot.at(i + 0.5, 0)
+        middle, base = plot.at(i + 0.5, rows[0])
         plot.body.append(el("text", joint, transform=f"translate({middle + 4:.1f},{base + 14:.1f}) rotate(-35)", class_="end"))
         for m, (model, colour) in enumerate(zip(boxes, _colours(boxes), strict=True)):
             if box := boxes[model].get(joint):
                 x = middle + (m - (len(boxes) - 1) / 2) * wide * 1.12
-                low, quarter, half, three, high = (plot.at(0, value)[1] for value in box)
-                left, size = x - wide / 2, {"x": x - wide / 2, "y": three, "width": wide, "height": max(quarter - three, 0.5)}
-                plot.body += [
-                    line(x, low, x, high, stroke=colour, stroke_width=1.4),
-                    el("rect", el("title", model), **size, fill=colour, fill_opacity="0.25", stroke=colour, stroke_width=1.4),
-                    line(left, half, left + wide, half, stroke=colour, stroke_width=2.4),
-                ]
+                plot.body += _box(plot, box, x, wide, rows[0], colour, f"{model}, {joint}: {box.samples}, {box.beyond} beyond")
     return plot.svg()
+
+
+def _box(plot: Plot, box: Box, x: float, wide: float, least: float, colour: str, told: str) -> Iterable[Html]:
+    """One box about x (px), `wide` px wide, with its whiskers and outliers; numbers below `least` are drawn there."""
+
+    def level(value: float) -> float:
+        return plot.at(0, max(value, least))[1]
+
+    left, high, upper = x - wide / 2, level(box.high), level(box.upper)
+    size = {"x": left, "y": upper, "width": wide, "height": max(level(box.lower) - upper, 0.5)}
+    yield from (el("circle", cx=x, cy=level(value), r=1.6, fill=colour, fill_opacity="0.45") for value in box.outliers)
+    yield line(x, level(box.low), x, level(box.lower), stroke=colour, stroke_width=1.4)
+    yield line(x, upper, x, high, stroke=colour, stroke_width=1.4)
+    yield from (line(x - wide / 4, y, x + wide / 4, y, stroke=colour, stroke_width=1.4) for y in (level(box.low), high))
+    yield el("rect", el("title", told), **size, fill=colour, fill_opacity="0.25", stroke=colour, stroke_width=1.4)
+    yield line(left, level(box.median), left + wide, level(box.median), stroke=colour, stroke_width=2.4)
 
 
 def legend(names: Iterable[str]) -> Html:

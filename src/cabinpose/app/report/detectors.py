@@ -9,10 +9,15 @@ from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
 from cabinpose.app.report.frames import ERROR, PREDICTION, TRUTH
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, tiles, with_small
 from cabinpose.app.report.numbers import Column, group_columns, interval, label, number, people_rows
+from cabinpose.evaluate.boxes import FOUND
 from cabinpose.evaluate.report import ALL, PEOPLE, Report, Value
 
 _Row = tuple[object, Report, Sequence[object]]  # the first cell, the report that the row is of, the other cells
 _UNIT = MappingProxyType({"2d": "px", "3d": "cm"})
+_BOX_NOTE = (
+    "Joints found. Box: quartiles and median; whiskers: to the farthest error within 1.5 times the box's height; dots: outliers, "
+    "of more than a hundred every so many. The threshold is --hit-px, --hit-cm."
+)
 _TILES = (
     ("PCKh", "2d", ALL, None), ("AUC of PCKh", "2d", ALL, None), ("mean error", "2d", ALL, None), ("AP", "2d", PEOPLE, None),
     ("PCKh", "3d", ALL, None), ("AUC of PCKh", "3d", ALL, None), ("MPJPE", "3d", ALL, None), ("PCK", "3d", ALL, 10.0),
@@ -32,7 +37,7 @@ def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[Html]], 
         section("At a glance", "".join(map(_glance, reports))),
         section("By joint group", _group_table(reports), intervals),
         section("Curves", _curves(reports), curves),
-        section("Error by joint", _boxes(reports), "Joints found. Box: quartiles and median; line: 5 % to 95 %."),
+        section("Error by joint", _boxes(reports), _BOX_NOTE),
         section("By visibility", _visibility_table(reports)),
         section("Typical frames", _frames(reports, typical), near),
         section("Worst frames", _frames(reports, worst), dots),
@@ -101,13 +106,21 @@ def _curve_kinds(reports: Sequence[Report]) -> Iterable[tuple[str, str, str]]:
             yield space, "error", f"distance, {_UNIT[space]}"
 
 
-def _boxes(reports: Sequence[Report]) -> str:
-    drawn = ""
+def box_charts(reports: Sequence[Report]) -> list[Html]:
+    """Box plots of the errors by joint, a chart for each space and range of the error, the models side by side in each."""
+    drawn = []
     for space in ("2d", "3d"):
-        boxes = {r.model: r.boxes.get(space, {}) for r in reports}
-        if any(boxes.values()):
-            drawn += box_chart(f"Error, {space.upper()} ({_UNIT[space]})", boxes)
-    return (legend(r.model for r in reports) if len(reports) > 1 else "") + drawn
+        ranges = dict.fromkeys(name for r in reports for name in r.boxes.get(space, {}))
+        for name in ranges:
+            boxes = {r.model: r.boxes.get(space, {}).get(name, {}) for r in reports}
+            if any(boxes.values()):
+                title = f"Error, {space.upper()} ({_UNIT[space]}): {name}"
+                drawn.append(box_chart(title, boxes, log=name == FOUND))
+    return drawn
+
+
+def _boxes(reports: Sequence[Report]) -> str:
+    return (legend(r.model for r in reports) if len(reports) > 1 else "") + "".join(box_charts(reports))
 
 
 def _visibility_table(reports: Sequence[Report]) -> Html:

@@ -40,7 +40,11 @@ def frame_figures(
         uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
         if options.match == "slot":  # in the order of the dataset's people, so that joints correspond
             uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
-        figures.append(overlay(wanted.sel(frame=number).load(), skeleton, uv, model.persons, options.match == "slot"))
+        frame = wanted.sel(frame=number).load()
+        points = None
+        if not np.isfinite(batch.joints_2d).any():  # a model of 3D joints alone: their depths show from the side
+            points = np.where(batch.presence[..., None] >= options.presence, batch.joints_3d, np.nan)[0][:, columns]
+        figures.append(overlay(frame, skeleton, uv, model.persons, options.match == "slot", points=points))
     return figures
 
 
@@ -53,7 +57,7 @@ def _poses(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> 
 
 def overlay(
     frame: xr.Dataset, skeleton: EvaluatedSkeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool,
-    title: str = "",
+    title: str = "", points: NDArray[np.float32] | None = None,
 ) -> Html:  # fmt: skip
     """One frame as a figure: joints of truth (white) and prediction (orange), in px.
 
@@ -71,6 +75,8 @@ def overlay(
         The predicted people are those of `persons`, in the dataset's order; a red line then joins each joint with its truth.
     title
         Put before the caption.
+    points
+        (P, J, 3) m, camera frame: drawn beside the image as seen from its right, the camera on the left.
     """
     depth = frame["depth"].values
     height, width = depth.shape
@@ -80,12 +86,31 @@ def overlay(
         mine = true[[i for i, name in enumerate(frame["person"].values.tolist()) if name in persons]]
         ends = zip(mine.reshape(-1, 2), predicted.reshape(-1, 2), strict=True)
         parts += [_segment(a, b, ERROR, 1.2) for a, b in ends if np.isfinite(a + b).all()]
-    for people, colour in ((true, TRUTH), (predicted, PREDICTION)):
+    drawn = [(true, TRUTH), (predicted, PREDICTION)]
+    wide = width
+    if points is not None:
+        joints = np.where(np.isfinite(true[..., :1]), frame["joints_3d"].values, np.nan)
+        drawn += zip(_from_the_side(joints, points, width, height), (TRUTH, PREDICTION), strict=True)
+        wide *= 2
+    for people, colour in drawn:
         for uv in people:
             parts += [_segment(uv[a], uv[b], colour, 1.9) for a, b in skeleton.limbs if np.isfinite(uv[a] + uv[b]).all()]
             dots = uv[np.isfinite(uv).all(axis=1)] + _HALF
             parts += [el("circle", cx=f"{u:.1f}", cy=f"{v:.1f}", r=2.6, fill=colour) for u, v in dots]
-    return figure(svg(width, height, parts, kind="frame"), f"{title}; {caption(frame)}" if title else caption(frame))
+    return figure(svg(wide, height, parts, kind="frame"), f"{title}; {caption(frame)}" if title else caption(frame))
+
+
+def _from_the_side(
+    true: NDArray[np.float32], predicted: NDArray[np.float32], width: int, height: int
+) -> list[NDArray[np.float64]]:
+    """Where joints (P, J, 3) of both are drawn, (P, J, 2) px: depth to the right, in the panel right of the image."""
+    both = [points[..., [2, 1]].astype(np.float64) for points in (true, predicted)]
+    known = np.concatenate([points[np.isfinite(points).all(axis=-1)] for points in both])
+    if not len(known):
+        return both
+    low, high = known.min(axis=0), known.max(axis=0)
+    scale = 0.9 * min(np.array([width, height]) / np.maximum(high - low, 0.1))
+    return [(points - (low + high) / 2) * scale + (1.5 * width, 0.5 * height) for points in both]
 
 
 def _segment(a: NDArray[np.float32], b: NDArray[np.float32], colour: str, width: float) -> Html:

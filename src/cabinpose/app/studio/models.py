@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.ports import Predictor
-from cabinpose.estimate.onnx_model import packaged_models
+from cabinpose.estimate.onnx_model import packaged_detectors
 from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate.offline import common_joints, samples_of, shared_places
 from cabinpose.evaluate.options import EvaluationOptions
@@ -36,7 +36,7 @@ def first_choice(workspace: Workspace) -> str:
 
 def detectors() -> list[str]:
     """Names of the packaged models."""
-    return list(packaged_models())
+    return list(packaged_detectors())
 
 
 def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | None:

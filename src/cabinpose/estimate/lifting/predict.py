@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,29 +39,59 @@ class LiftedPredictor:
         """Raises ConfigError where base and lifting have no joint in common."""
         self._base, self._lifting = base, lifting
         self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
-        self._columns = [(base.joints.index(name), j) for j, name in enumerate(lifting.joints) if name in base.joints]
-        if not self._columns:
-            raise ConfigError(
-                f"{base.name} finds none of the joints that {lifting.name} lifts", hint=f"it lifts {', '.join(lifting.joints)}"
-            )
+        _common(base.joints, lifting, base.name)
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames; 3D joints where the base has 2D ones of people with enough of them."""
         found = self._base.predict(frames)
-        n, persons = found.joints_2d.shape[:2]
-        cameras = cameras_of(frames, slice(0, n))
-        theirs, ours = (list(column) for column in zip(*self._columns, strict=True))
-        uv = found.joints_2d[:, :, theirs].astype(np.float64)
-        directions = np.full((n, persons, len(self._lifting.joints), 2), np.nan)
-        for i, camera in enumerate(cameras):
-            directions[i][:, ours] = _directions(uv[i], camera)
-        believed = found.presence[:, :, theirs, None] >= float(self._lifting.config.presence)
-        directions[:, :, ours] = np.where(believed, directions[:, :, ours], np.nan)
-        lifted = self._lifting.lift(directions.reshape(n * persons, -1, 2)).reshape(n, persons, -1, 3)
-        joints_3d = found.joints_3d.copy()
-        answered = np.isfinite(uv).all(axis=-1, keepdims=True)
-        joints_3d[:, :, theirs] = np.where(answered, lifted[:, :, ours], np.nan)
-        return replace(found, joints_3d=joints_3d)
+        return lifted(found, self.joints, cameras_of(frames, slice(0, len(found.score))), self._lifting, self._base.name)
+
+
+def lifted(found: PoseBatch, joints: Sequence[str], cameras: Sequence[Camera], lifting: OnnxLifting, source: str) -> PoseBatch:
+    """A batch whose 3D joints are lifted from its 2D ones, frame by frame as `cameras` see them.
+
+    Parameters
+    ----------
+    found
+        2D joints of F frames and P persons; those of too low a presence are ignored.
+    joints
+        (J,) their names; those that the lifting network does not know keep their 3D joints.
+    cameras
+        (F,) of the frames.
+    lifting
+        The network.
+    source
+        What error messages call the joints' origin.
+
+    Raises
+    ------
+    ConfigError
+        Where none of the joints is one that the network lifts.
+    """
+    theirs, ours = _common(joints, lifting, source)
+    n, persons = found.joints_2d.shape[:2]
+    uv = found.joints_2d[:, :, theirs].astype(np.float64)
+    directions = np.full((n, persons, len(lifting.joints), 2), np.nan)
+    for i, camera in enumerate(cameras):
+        directions[i][:, ours] = _directions(uv[i], camera)
+    believed = found.presence[:, :, theirs, None] >= float(lifting.config.presence)
+    directions[:, :, ours] = np.where(believed, directions[:, :, ours], np.nan)
+    points = lifting.lift(directions.reshape(n * persons, -1, 2)).reshape(n, persons, -1, 3)
+    joints_3d = found.joints_3d.copy()
+    answered = np.isfinite(uv).all(axis=-1, keepdims=True)
+    joints_3d[:, :, theirs] = np.where(answered, points[:, :, ours], np.nan)
+    return PoseBatch(found.joints_2d, joints_3d, found.score, found.presence)
+
+
+def _common(joints: Sequence[str], lifting: OnnxLifting, source: str) -> tuple[list[int], list[int]]:
+    """The positions of the joints that both know, in `joints` and in the network's; ConfigError where there is none."""
+    pairs = [(list(joints).index(name), j) for j, name in enumerate(lifting.joints) if name in joints]
+    if not pairs:
+        raise ConfigError(
+            f"{source} finds none of the joints that {lifting.name} lifts", hint=f"it lifts {', '.join(lifting.joints)}"
+        )
+    theirs, ours = (list(column) for column in zip(*pairs, strict=True))
+    return theirs, ours
 
 
 def _directions(uv: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:

@@ -6,8 +6,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from cabinpose.core.segmentation import Part
 from cabinpose.estimate.settings import ViewSettings
-from cabinpose.estimate.unet.parts import ALL, MERGED, WHOLE, Part
+from cabinpose.estimate.unet.parts import ALL, MERGED, WHOLE
 
 
 class UnetConfig(ViewSettings):

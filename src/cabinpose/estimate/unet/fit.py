@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from cabinpose.core.segmentation import class_table
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.unet.model import Segments, Unet
-from cabinpose.estimate.unet.parts import class_table
 
 
 def loss(network: Unet, batch: Batch) -> dict[str, Tensor]:

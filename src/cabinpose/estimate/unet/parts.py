@@ -6,19 +6,8 @@ car is judged by, cut at the joints: head, torso, and left and right upper arm, 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-
+from cabinpose.core.segmentation import Part
 from cabinpose.scene.labels import BODY_PARTS, FIRST_BODY_ID, ID, LAST_BODY_ID
-
-
-class Part(NamedTuple):
-    """A class of the segmentation and the ids of the dataset's classes (`scene.labels`) that belong to it."""
-
-    name: str
-    ids: tuple[int, ...]
 
 
 def _both(name: str, members: tuple[str, ...]) -> tuple[Part, Part]:
@@ -35,11 +24,3 @@ MERGED: tuple[Part, ...] = (
 )
 WHOLE: tuple[Part, ...] = (Part("person", tuple(range(FIRST_BODY_ID, LAST_BODY_ID + 1))),)  # TICaM's masks know no parts
 ALL: tuple[Part, ...] = tuple(Part(label.name, (label.id,)) for label in BODY_PARTS)
-
-
-def class_table(parts: tuple[Part, ...]) -> NDArray[np.uint8]:
-    """(256,) by a pixel's class in the dataset: 0 = nobody, else 1 + the position of its part."""
-    table = np.zeros(256, dtype=np.uint8)
-    for number, part in enumerate(parts, 1):
-        table[list(part.ids)] = number
-    return table

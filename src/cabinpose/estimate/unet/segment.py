@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.ports import FrameBatch
+from cabinpose.core.segmentation import Part
 from cabinpose.estimate.onnx_model import OnnxModel, cameras_of, slices, view_inputs
-from cabinpose.estimate.unet.parts import Part
 
 
 class OnnxSegmenter(OnnxModel):

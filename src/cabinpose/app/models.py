@@ -1,0 +1,101 @@
+"""What --model names, of any task: detectors, lifting with where its 2D joints come from, segmentations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
+from cabinpose.core.ports import PoseBatch, Predictor, Segmenter
+from cabinpose.core.pose import Visibility
+from cabinpose.estimate.inputs import camera_of
+from cabinpose.estimate.lifting.predict import LiftedPredictor, OnnxLifting, lifted
+from cabinpose.estimate.onnx_model import OtherTaskError, packaged_models
+from cabinpose.estimate.remote import open_predictor
+from cabinpose.estimate.unet.segment import OnnxSegmenter
+from cabinpose.evaluate.offline import check_predictions
+from cabinpose.store.predictions import Predictions, read_predictions
+
+TRUTH = "truth"
+Model = Predictions | Predictor | Segmenter
+
+
+def opened_models(
+    names: Sequence[str], dataset: xr.Dataset, joints_from: str | None = None, dataset_names: Sequence[str] = ()
+) -> list[Model]:
+    """The models that these names stand for; a lifting model becomes what it says of the dataset, or of another model's joints.
+
+    Parameters
+    ----------
+    names
+        Of packaged models, ONNX or .npz files, models on servers.
+    dataset
+        What they are for.
+    joints_from
+        Where lifting models get their 2D joints from: "truth" (the default: the dataset's joints in the image), a predictions
+        file, or the name of another model.
+    dataset_names
+        What a predictions file may call the dataset.
+
+    Raises
+    ------
+    ConfigError
+        For a source of 2D joints without a lifting model, or one that shares no joint with it.
+    """
+    models = [_opened(name) for name in names]
+    if joints_from is not None and not any(isinstance(model, OnnxLifting) for model in models):
+        raise ConfigError("--from says where 2D joints to lift come from, and no model lifts", hint="leave out --from")
+    source = joints_from or TRUTH
+    return [_fed(m, dataset, source, dataset_names) if isinstance(m, OnnxLifting) else m for m in models]
+
+
+def _opened(name: str) -> Predictor | Segmenter | OnnxLifting:
+    try:
+        return open_predictor(name)
+    except OtherTaskError as other:
+        path = packaged_models().get(name, Path(name))
+        return OnnxLifting(path) if other.task == "lift" else OnnxSegmenter(path)
+
+
+def _fed(lifting: OnnxLifting, dataset: xr.Dataset, source: str, dataset_names: Sequence[str]) -> Predictions | Predictor:
+    """A lifting model with its 2D joints."""
+    if source == TRUTH:
+        base = _truth_2d(dataset)
+    elif Path(source).suffix in (".jsonl", ".parquet"):
+        base = read_predictions(source)
+        check_predictions(base, dataset, dataset_names)
+    else:
+        return LiftedPredictor(open_predictor(source), lifting)
+    numbers = dataset["frame"].values.astype(np.int64)
+    found = lifted(base.take(numbers), base.joints, _cameras(dataset), lifting, base.model)
+    if source == TRUTH:  # true positions in the image are no answer
+        known = [i for i, name in enumerate(base.joints) if name in lifting.joints]
+        found = replace(found.map(lambda a: a[:, :, known]), joints_2d=np.full_like(found.joints_2d[:, :, known], np.nan))
+        base = replace(base, joints=tuple(base.joints[i] for i in known))
+    return Predictions(
+        found.joints_2d, found.joints_3d, found.score, found.presence, frame=numbers, persons=base.persons,
+        joints=base.joints, model=f"{base.model}+{lifting.name}", skeleton=base.skeleton, dataset=base.dataset,
+    )  # fmt: skip
+
+
+def _truth_2d(dataset: xr.Dataset) -> Predictions:
+    """The dataset's own joints in the image, as if they had been found."""
+    presence = (dataset["visibility"].values > Visibility.OUTSIDE_IMAGE).astype(np.float32)
+    joints_2d = np.where(presence[..., None] > 0, dataset["joints_2d"].values, np.nan).astype(np.float32)
+    none = np.full((*presence.shape, 3), np.nan, np.float32)
+    batch = PoseBatch(joints_2d, none, presence, presence)
+    persons, joints = (tuple(str(name) for name in dataset[axis].values) for axis in ("person", "joint"))
+    frame = dataset["frame"].values.astype(np.int64)
+    return Predictions(batch.joints_2d, batch.joints_3d, batch.score, batch.presence, frame, persons, joints, TRUTH)
+
+
+def _cameras(dataset: xr.Dataset) -> list[Camera]:
+    """The camera of each frame; its size is that of the images, where there are any."""
+    k, dist = (dataset[name].values for name in ("camera_k", "camera_dist"))
+    width, height = (int(dataset.sizes.get(axis, 1)) for axis in ("x", "y"))
+    return [camera_of(a, b, width, height) for a, b in zip(k, dist, strict=True)]

@@ -1,0 +1,87 @@
+"""The charts of the pages as one PNG: what `charts` draws, painted with Pillow on white."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element, fromstring
+
+from PIL import Image, ImageColor, ImageDraw, ImageFont
+
+from cabinpose.app.report.charts import COLOURS, text
+from cabinpose.app.report.html import Html, el
+
+_INK, _SOFT, _LINE = "#1d2129", "#626b79", "#dde1e7"  # the colours of the pages by day
+_SHARP, _FINER = 2, 2  # px of the picture a px of the chart, and how many times larger it is painted
+_NUMBER = re.compile(r"-?[\d.]+")
+_ANCHORS = {"end": "rs", "middle": "ms"}
+
+
+def write_png(path: Path, drawn: Sequence[Html], names: Iterable[str] = ()) -> None:
+    """Write charts below each other, below the names of what their colours stand for where there are several."""
+    names = list(names)
+    parts = [_painted(fromstring(chart)) for chart in ([_legend(names)] if len(names) > 1 else []) + list(drawn)]
+    whole = Image.new("RGB", (max(p.width for p in parts), sum(p.height for p in parts)), "white")
+    top = 0
+    for part in parts:
+        whole.paste(part, (0, top))
+        top += part.height
+    whole.save(path, "png")
+
+
+def _legend(names: Sequence[str]) -> Html:
+    """A strip of names beside their colours."""
+    body, x = [], 46.0
+    for name, colour in zip(names, COLOURS, strict=False):
+        body += [el("rect", x=x, y=12.0, width=14.0, height=5.0, fill=colour, stroke=colour), text(x + 20, 18, name, "")]
+        x += 44 + 7 * len(name)
+    return el("svg", *body, viewBox=f"0 0 {x:.0f} 28")
+
+
+def _painted(chart: Element) -> Image.Image:
+    """A chart of lines, paths of straight lines, rectangles, circles and words."""
+    _, _, width, height = map(float, chart.attrib["viewBox"].split())
+    scale = _SHARP * _FINER
+    image = Image.new("RGB", (round(width * scale), round(height * scale)), "white")
+    draw = ImageDraw.Draw(image, "RGBA")
+    for part in chart:
+        at = {name: float(value) * scale for name, value in part.attrib.items() if _NUMBER.fullmatch(value)}
+        kind = part.get("class", "")
+        ink = part.get("stroke", {"grid": _LINE, "axis": _SOFT}.get(kind, _INK)).replace("currentColor", _INK)
+        wide = round(at.get("stroke-width", scale))
+        if part.tag == "line":
+            draw.line([at["x1"], at["y1"], at["x2"], at["y2"]], ink, wide)
+        elif part.tag == "path":
+            for piece in part.attrib["d"].split("M")[1:]:
+                draw.line([float(n) * scale for n in _NUMBER.findall(piece)], ink, wide, joint="curve")
+        elif part.tag == "rect":
+            corners = [at["x"], at["y"], at["x"] + at["width"], at["y"] + at["height"]]
+            draw.rectangle(corners, _tint(part), ink, wide)
+        elif part.tag == "circle":
+            x, y, r = at["cx"], at["cy"], at["r"]
+            draw.ellipse([x - r, y - r, x + r, y + r], _tint(part))
+        elif part.tag == "text":
+            _write(image, part, kind, at, scale)
+    return image.reduce(_FINER)
+
+
+def _tint(part: Element) -> tuple[int, ...]:
+    colour = ImageColor.getrgb(part.attrib["fill"].replace("currentColor", _INK))
+    return (*colour[:3], round(255 * float(part.get("fill-opacity", "1"))))
+
+
+def _write(image: Image.Image, part: Element, kind: str, at: dict[str, float], scale: int) -> None:
+    """Words at their place, turned where they are."""
+    anchor = next((_ANCHORS[word] for word in kind.split() if word in _ANCHORS), "ls")
+    ink = _SOFT if {"soft", "end", "middle"} & set(kind.split()) else _INK
+    font = ImageFont.load_default((13 if kind == "title" else 11) * scale)
+    words = part.text or ""
+    if "transform" not in part.attrib:
+        ImageDraw.Draw(image).text((at["x"], at["y"]), words, ink, font, anchor)
+        return
+    x, y, degrees = map(float, _NUMBER.findall(part.attrib["transform"]))
+    half = round(font.getlength(words)) + 4
+    layer = Image.new("L", (2 * half, 2 * half))
+    ImageDraw.Draw(layer).text((half, half), words, 255, font, anchor)
+    image.paste(ink, (round(x * scale) - half, round(y * scale) - half), layer.rotate(-degrees, Image.Resampling.BICUBIC))
