@@ -114,9 +114,10 @@ class Curves(Callback):
         marks = {} if self.best is None else {self.best: f"best: {self._monitor} {self._rows[self.best][self._monitor]:.4g}"}
         if self.stops:
             marks[len(self._rows) - 1] = "stop"
-        for row, words in marks.items():
+        for line, (row, words) in enumerate(marks.items()):
             draw.line([(x(row + 1), _TOP), (x(row + 1), _BOTTOM)], _INK)
-            draw.text((x(row + 1) - 4, _TOP + 4), words, _INK, font, anchor="ra" if x(row + 1) > _SIZE[0] / 2 else "la")
+            side, anchor = (-4, "ra") if x(row + 1) > _SIZE[0] / 2 else (4, "la")
+            draw.text((x(row + 1) + side, _TOP + 4 + 20 * line), words, _INK, font, anchor=anchor)
 
 
 def _finite(row: Row, name: str) -> bool:
