@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import small
 from numpy.typing import NDArray
 
 from cabinpose._native import walks as native
@@ -14,13 +15,15 @@ from cabinpose.core.errors import DatasetError, ModelError
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS, PARENT
 from cabinpose.estimate.array_model import ArrayPredictor, write_arrays
 from cabinpose.estimate.augment import AugmentConfig
-from cabinpose.estimate.data import Kept
+from cabinpose.estimate.data import Kept, StoredFrames
 from cabinpose.estimate.mirror import mirrored_joints
 from cabinpose.estimate.predictor import load_model
-from cabinpose.estimate.training import TrainConfig
+from cabinpose.estimate.training import TrainConfig, frame_spec
+from cabinpose.estimate.training import fit as train
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.find import check, find, walks
 from cabinpose.estimate.walks.fit import feature_pool, fit
+from cabinpose.evaluate.offline import frame_batch
 
 BINS, REACH = 256, 0.6
 VIEW = np.array((50.0, 31.5, 23.5), np.float32)  # focal length, principal point of 64 x 48
@@ -261,6 +264,28 @@ def test_mirror_images_teach_the_other_side(forest: dict[str, NDArray[Any]]) -> 
         np.median(np.linalg.norm(find(arrays, LEARNT, {"depth": depth}).joints_3d - truth, axis=-1)) for arrays in (both, forest)
     )
     assert taught < 0.06 < 0.12 < not_taught
+
+
+def test_people_on_several_places(tmp_path: Path) -> None:
+    settings = {
+        "width": 64,
+        "height": 48,
+        "focal": 51.2,
+        "slots": small.PERSONS,
+        "samples": 3,
+        "features": 8,
+        "steps": 8,
+        "skipped": 2,
+    }
+    config = TrainConfig(method="walks", settings=settings)
+    frames = StoredFrames(small.dataset(8), frame_spec(config))
+    model = load_model(train(config, frames, frames, tmp_path / "run"))
+    found = model.predict(frame_batch(small.dataset(2), slice(None)))
+    assert found.joints_3d.shape == (2, 3, 20, 3)
+    there = np.mean([[name != "" for name in small.frame(i)["subject"]] for i in range(8)], axis=0)
+    inside = model.config.view.camera.contains(model.config.view.camera.project(found.joints_3d.astype(np.float64)))
+    np.testing.assert_allclose(found.presence, np.where(inside, there[:, None], 0.0), rtol=1e-6)
+    assert inside.any()
 
 
 def test_nobody_to_learn_from_is_told() -> None:
