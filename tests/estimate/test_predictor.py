@@ -145,7 +145,7 @@ def changed(source: Path, target: Path, change: Any) -> Path:
     [
         (lambda m: {}, "another program"),
         (lambda m: {METADATA_KEY: "{"}, "does not say"),
-        (lambda m: {METADATA_KEY: json.dumps(m | {"method": "walks"})}, "unknown method 'walks'"),
+        (lambda m: {METADATA_KEY: json.dumps(m | {"method": "nobody"})}, "unknown method 'nobody'"),
         (lambda m: {METADATA_KEY: json.dumps(m | {"config": {"width": -1}})}, "width"),
     ],
 )

@@ -61,18 +61,20 @@ def run(command: Train) -> None:
     """Train with a progress bar, and print the best checkpoint."""
     require("train")
     from cabinpose.app.training import read_train_config
+    from cabinpose.estimate.methods import method_named
     from cabinpose.estimate.training import fit, frame_spec
 
     if command.datasets and command.synth is not None:
         raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
     config = read_train_config(command.config, command.method)
+    unit = "steps" if method_named(config.method).fitted == "arrays" else "batches"
     training, validation = _frames(command, frame_spec(config), config.seed)
     with ExitStack() as stack:
         shown: list[ProgressReport] = []
 
         def show(done: int, total: int, note: str) -> None:
             if not shown:
-                shown.append(stack.enter_context(progress(total, "batches", start=done - 1)))
+                shown.append(stack.enter_context(progress(total, unit, start=done - 1)))
             shown[0](done, note)
 
         best = fit(
