@@ -12,6 +12,7 @@ void bind_pose(nb::module_& m);
 void bind_lab(nb::module_& m);
 void bind_sensor(nb::module_& m);
 void bind_raster(nb::module_& m);
+void bind_walks(nb::module_& m);
 
 }  // namespace cabinpose
 
@@ -42,4 +43,5 @@ NB_MODULE(CABINPOSE_MODULE, m) {
   room("lab", cabinpose::bind_lab);
   room("sensor", cabinpose::bind_sensor);
   room("raster", cabinpose::bind_raster);
+  room("walks", cabinpose::bind_walks);
 }

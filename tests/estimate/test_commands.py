@@ -11,7 +11,6 @@ import sphere_people
 import yaml
 
 from cabinpose.app.cli import main, output
-from cabinpose.estimate.methods import METHODS
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def run(*arguments: str) -> int:
         return int(done.code or 0)
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", small.NETWORKS)
 def test_train_and_export(
     method: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

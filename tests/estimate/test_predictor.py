@@ -17,7 +17,6 @@ from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, Predictor
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.export import TOLERANCE, export_onnx
-from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.onnx_model import METADATA_KEY
 from cabinpose.estimate.predictor import OnnxPredictor, load_model
 from cabinpose.estimate.training import load_detector
@@ -35,7 +34,7 @@ def frame_batch(count: int = 3, *, amplitude: bool = True) -> FrameBatch:
     return frames
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", small.NETWORKS)
 def test_onnx_says_what_torch_says(method: str, checkpoints: dict[str, Path], tmp_path: Path) -> None:
     path = tmp_path / "deep" / "model.onnx"
     difference = export_onnx(checkpoints[method], path, name="mine", card={"seeds": [1]})
@@ -146,7 +145,7 @@ def changed(source: Path, target: Path, change: Any) -> Path:
     [
         (lambda m: {}, "another program"),
         (lambda m: {METADATA_KEY: "{"}, "does not say"),
-        (lambda m: {METADATA_KEY: json.dumps(m | {"method": "walks"})}, "unknown method 'walks'"),
+        (lambda m: {METADATA_KEY: json.dumps(m | {"method": "nobody"})}, "unknown method 'nobody'"),
         (lambda m: {METADATA_KEY: json.dumps(m | {"config": {"width": -1}})}, "width"),
     ],
 )

@@ -9,5 +9,6 @@ from . import lab as lab
 from . import pose as pose
 from . import raster as raster
 from . import sensor as sensor
+from . import walks as walks
 
 SIMD: str

@@ -19,6 +19,7 @@ from cabinpose.estimate.paf import decode as paf_decode
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.unet import decode as unet_decode
 from cabinpose.estimate.unet.config import UnetConfig
+from cabinpose.estimate.walks.config import WalksConfig
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -103,6 +104,7 @@ _METHODS = (
     Method(
         "unet", "parts", UnetConfig, unet_decode.decode, "Unet", ("person", "parts"), learning_rate=1e-3, weight_decay=0.01
     ),
+    Method("walks", "joints", WalksConfig, fitted="arrays"),
 )  # fmt: skip
 METHODS = {method.name: method for method in _METHODS}
 

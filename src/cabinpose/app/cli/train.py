@@ -31,7 +31,7 @@ class Train(PrintsJson):
     datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
     method: Maybe[str] = None
-    """Method, if the configuration names none: compact, paf, lifting, unet."""
+    """Method, if the configuration names none: compact, paf, lifting, unet, walks."""
     config: Maybe[Path] = None
     """Configuration of the run (YAML); every key has a default."""
     synth: Maybe[Path] = None
@@ -66,19 +66,21 @@ def run(command: Train) -> None:
         report, counted = stack.enter_context(progress()), False
         report.phase("loading torch")
         from cabinpose.app.training import read_train_config
+        from cabinpose.estimate.methods import method_named
         from cabinpose.estimate.training import fit, frame_spec
 
         def show(done: int, total: int, note: str) -> None:
             nonlocal report, counted
             if total and not counted:
                 stack.close()
-                report, counted = stack.enter_context(progress(total, "batches", start=done)), True
+                report, counted = stack.enter_context(progress(total, unit, start=done)), True
             if counted:
                 report(done, note)
             else:
                 report.phase(note)
 
         config = read_train_config(command.config, command.method)
+        unit = "steps" if method_named(config.method).fitted == "arrays" else "batches"
         report.phase("opening datasets")
         training, validation = _frames(command, frame_spec(config), config.seed)
         best = fit(
