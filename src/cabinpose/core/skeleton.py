@@ -171,6 +171,12 @@ ITOP_JOINTS: tuple[str, ...] = (
     "head", "neck", "rshoulder", "lshoulder", "relbow", "lelbow", "rhand", "lhand", "torso",
     "rhip", "lhip", "rknee", "lknee", "rfoot", "lfoot",
 )  # fmt: skip
+# Parent and child: the tree that ties them.
+ITOP_LIMBS: tuple[tuple[str, str], ...] = (
+    ("neck", "head"), ("neck", "rshoulder"), ("neck", "lshoulder"), ("rshoulder", "relbow"), ("lshoulder", "lelbow"),
+    ("relbow", "rhand"), ("lelbow", "lhand"), ("neck", "torso"), ("torso", "rhip"), ("torso", "lhip"), ("rhip", "rknee"),
+    ("lhip", "lknee"), ("rknee", "rfoot"), ("lknee", "lfoot"),
+)  # fmt: skip
 
 
 def index_pairs(joints: Sequence[str], pairs: Sequence[tuple[str, str]] = LIMBS) -> tuple[tuple[int, int], ...]:

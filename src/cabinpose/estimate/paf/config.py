@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS, LIMBS, UPPER_BODY
+from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, UPPER_BODY
 from cabinpose.estimate.settings import ViewSettings
 
 # Half the depth of the body at the joint, for an adult of medium size: what lies between the skin that a camera in front
@@ -15,13 +15,6 @@ DEFAULT_SKIN_OFFSET_M = {
     "head": 0.09, "neck": 0.06, "chest": 0.11, "torso": 0.11, "hip": 0.11, "pelvis": 0.09, "shoulder": 0.06, "elbow": 0.04,
     "wrist": 0.025, "hand": 0.015, "knee": 0.06, "ankle": 0.04, "foot": 0.03,
 }  # fmt: skip
-
-_ITOP_LIMBS = (
-    ("neck", "head"), ("neck", "rshoulder"), ("neck", "lshoulder"), ("rshoulder", "relbow"), ("lshoulder", "lelbow"),
-    ("relbow", "rhand"), ("lelbow", "lhand"), ("neck", "torso"), ("torso", "rhip"), ("torso", "lhip"), ("rhip", "rknee"),
-    ("lhip", "lknee"), ("rknee", "rfoot"), ("lknee", "lfoot"),
-)  # fmt: skip
-
 
 _Body = Literal["upper", "full", "itop"]
 
@@ -71,7 +64,7 @@ class PafConfig(ViewSettings):
     def limbs(self) -> tuple[tuple[int, int], ...]:
         """(C,) pairs of joints, parent first: the tree that ties all of them."""
         joints = self.joints
-        pairs = _ITOP_LIMBS if self.body == "itop" else LIMBS
+        pairs = ITOP_LIMBS if self.body == "itop" else LIMBS
         return tuple((joints.index(a), joints.index(b)) for a, b in pairs if a in joints and b in joints)
 
     @property
