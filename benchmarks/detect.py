@@ -17,7 +17,7 @@ from benchmarks.subjects import WARM, Frame, OurDetector, PeerNetwork, Run, Subj
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.estimate.onnx_model import BATCH
-from cabinpose.estimate.predictor import OnnxPredictor, load_model, packaged_models
+from cabinpose.estimate.predictor import OnnxPredictor, packaged_models
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
 from cabinpose.synth.write import FrameMaker
@@ -66,7 +66,8 @@ def run(
     """
     if min(frames, repeats, threads) < 1:
         raise ConfigError("the bench needs frames, repeats and threads", hint="give each at least 1")
-    trained = [load_model(each, threads=threads) for each in dict.fromkeys((*packaged_models(), *model))]
+    known = packaged_models()
+    trained = [OnnxPredictor(known.get(each, Path(each)), threads=threads) for each in dict.fromkeys((*known, *model))]
     lacking = [name for name in _EXTRA if find_spec(name) is None]
     left_out = [name for name, wanted in (("fresh", not skip_fresh), ("peers", not skip_peers)) if wanted and lacking]
     if left_out:
@@ -118,7 +119,7 @@ def _fresh(folder: Path, threads: int) -> dict[str, Subject]:
     for method in AIMS:
         shown = bench_frames("cabinpose")
         made = fresh_detector(method, shown, folder)
-        predictor = load_model(made.path, threads=threads)
+        predictor = OnnxPredictor(made.path, threads=threads)
         about = {"weights": "fresh", "decodes": "own" if made.answers is None else "true_joints", "parameters": made.parameters}
         subjects[f"{method}_fresh"] = OurDetector(predictor, shown, made.answers, **about, **_about(predictor, shown))
     return subjects

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks import Say
 from cabinpose.app.live.feed import batch_of
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.predictor import OnnxPredictor, packaged_models
 from cabinpose.record.sources.tof.simulated import tof_frame
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.write import FrameMaker
@@ -39,7 +39,7 @@ def run(*, frames: int, threads: int, say: Say) -> dict[str, Any]:
     say("generating frames")
     maker = FrameMaker(SynthConfig(), 0)
     images = [tof_frame(maker.make(index)[0]) for index in range(_DIFFERENT)]
-    model = load_model("in_car", threads=threads)
+    model = OnnxPredictor(packaged_models()["in_car"], threads=threads)
     outputs, inside = model.outputs, [0.0]
 
     def timed(seen: Any) -> Any:

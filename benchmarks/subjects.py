@@ -74,7 +74,8 @@ class OurDetector(Subject):
         prepared = time.perf_counter()
         outputs = self._predictor.outputs(seen)
         answered = time.perf_counter()
-        self._predictor.poses(answers or outputs, seen, cameras)
+        found = self._predictor.method.decode(answers or outputs, self._predictor.config, seen)
+        self._predictor.poses(found, cameras)
         return prepared - start, answered - prepared, time.perf_counter() - answered
 
 

@@ -155,8 +155,9 @@ def test_given_answers_are_decoded_in_place_of_the_networks(frames: tuple[Any, .
     predictor = load_model(model, threads=1)
     given: list[Any] = []
     fake: Any = SimpleNamespace(
-        session=predictor.session, seen=predictor.seen, outputs=predictor.outputs, poses=lambda outputs, *_: given.append(outputs)
-    )
+        session=predictor.session, seen=predictor.seen, outputs=predictor.outputs, poses=lambda *_: None, config=None,
+        method=SimpleNamespace(decode=lambda outputs, *_: given.append(outputs)),
+    )  # fmt: skip
     answers = [{"heat": np.full((1, 2), i)} for i in range(SHOWN)]
     subject = OurDetector(fake, frames, answers)
     subject.frame(SHOWN + 1)

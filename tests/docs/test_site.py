@@ -100,7 +100,7 @@ def test_notebooks_show_what_they_print_and_draw(site: Path) -> None:
         ("store", ["store.open_dataset", "store.Manifest", "store.predictions.write_predictions", "store.recording.Recording"]),
         ("scene", ["scene.cabin.load_cabin", "scene.body.Phenotype", "scene.sensor.Sensor", "scene.sensor.simulate.simulate"]),
         ("synth", ["synth.generate.generate", "synth.config.SynthConfig", "synth.config.CabinScene.belted"]),
-        ("estimate", ["estimate.FrameDataset", "estimate.predictor.OnnxPredictor.__call__", "estimate.training.fit"]),
+        ("estimate", ["estimate.FrameDataset", "estimate.joint_predictor.JointPredictor.__call__", "estimate.training.fit"]),
         ("evaluate", ["evaluate.offline.evaluate", "evaluate.report.Report.value", "evaluate.mocap.dfe.dfe"]),
         ("align", ["align.session.calibrate", "align.dataset.align_takes"]),
         ("record", ["record.config.load_rig", "record.session.begin"]),

@@ -12,8 +12,7 @@ import yaml
 
 from cabinpose.app.cli import main
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.estimate.onnx_model import describe_model, packaged_models
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.predictor import describe_model, load_model, packaged_models
 from cabinpose.evaluate.offline import evaluate
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store import open_dataset

@@ -11,8 +11,7 @@ import small
 import sphere_people
 
 from cabinpose.app.cli import main
-from cabinpose.estimate.onnx_model import describe_model
-from cabinpose.estimate.predictor import load_model, packaged_models
+from cabinpose.estimate.predictor import describe_model, load_model, packaged_models
 from cabinpose.evaluate.offline import BATCH, frame_batch
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import read_predictions

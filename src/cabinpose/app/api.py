@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from cabinpose.core.ports import Predictor
-    from cabinpose.estimate.predictor import OnnxPredictor
+    from cabinpose.estimate.joint_predictor import JointPredictor
     from cabinpose.evaluate.report import Report
     from cabinpose.store.predictions import Predictions
     from cabinpose.store.recording import Recording
@@ -23,20 +23,21 @@ if TYPE_CHECKING:
     from cabinpose.synth.write import Frame
 
 
-def load_model(model: str | Path, *, threads: int | None = None) -> OnnxPredictor:
+def load_model(model: str | Path, *, threads: int | None = None) -> JointPredictor:
     """A trained model that is called with plain arrays.
 
     Parameters
     ----------
     model
-        The name of a model of the package ("in_car", "room"), or an ONNX file that `cabinpose export --onnx` wrote.
+        The name of a model of the package ("in_car", "room"), an ONNX file that `cabinpose export --onnx`
+        wrote, or an .npz file that `cabinpose train` wrote.
     threads
-        Threads of the network; default: ONNX Runtime's.
+        Threads of a network; default: ONNX Runtime's.
 
     Returns
     -------
-    OnnxPredictor
-        `model(depth_m, camera_k, amplitude)` gives the joints of one frame or of many; see `OnnxPredictor.__call__`.
+    JointPredictor
+        `model(depth_m, camera_k, amplitude)` gives the joints of one frame or of many; see `JointPredictor.__call__`.
 
     Raises
     ------

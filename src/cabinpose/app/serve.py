@@ -15,7 +15,7 @@ from tritonclient.grpc import service_pb2, service_pb2_grpc
 import cabinpose
 from cabinpose.core.errors import CabinposeError, RemoteError
 from cabinpose.core.ports import FrameBatch, Predictor
-from cabinpose.estimate.predictor import OnnxPredictor
+from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.remote.messages import add_tensors, read_tensors
 from cabinpose.estimate.remote.regions import EXTENSION, ServerRegions
 from cabinpose.estimate.remote.tensors import INPUTS, OUTPUTS, PLATFORM, VERSION, Arrays, TensorError, TensorSpec, pack
@@ -34,7 +34,7 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
         self.regions = ServerRegions()
         self._predictor, self._name, self._shared_memory = predictor, name, shared_memory
         self._turn = threading.Lock()
-        light = "amplitude" in predictor.config.inputs if isinstance(predictor, OnnxPredictor) else True
+        light = "amplitude" in predictor.config.inputs if isinstance(predictor, JointPredictor) else True
         self._inputs = tuple(s for s in INPUTS if s.name != "points" and (light or s.name != "amplitude"))
         self._names = {
             "person_names": np.array(predictor.persons, object), "joint_names": np.array(predictor.joints, object)

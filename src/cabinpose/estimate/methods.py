@@ -23,6 +23,10 @@ from cabinpose.estimate.unet.config import UnetConfig
 Arrays = Mapping[str, NDArray[Any]]
 
 
+def _no_network(outputs: Arrays, settings: Any, seen: Arrays) -> Any:  # noqa: ARG001 - the signature of decoding
+    raise TypeError("this method has no network whose outputs could be decoded")
+
+
 @dataclass(frozen=True)
 class Method:
     """A way to find joints or body parts. Its folder in this package has the name of the method.
@@ -37,12 +41,17 @@ class Method:
     config
         The settings, see `estimate.settings.Settings`.
     decode
-        decode(outputs, settings, seen) gives the task's answer from the network's outputs and from what the view saw (`depth`,
-        and `amplitude` where it is an input), all numpy arrays.
+        Of a network: decode(outputs, settings, seen) gives the task's answer from the network's outputs and from what the view
+        saw (`depth`, and `amplitude` where it is an input), all numpy arrays.
     network
         Name of the network's class in the folder's `model.py`. The folder's `fit.py` has its `loss`.
     outputs
         Names of the network's outputs, in order.
+    fitted
+        "torch": a network, see above. "arrays": `fit.py` has fit(settings, frames, config, progress), which gives arrays by name
+        from a sequence of `data.Kept`, the run's `TrainConfig` and a `training.Progress`; `find.py`, which does without torch,
+        has find(arrays, settings, seen), the task's answer, and check(arrays, settings), which raises ValueError or KeyError for
+        arrays that do not fit.
     measured
         Whether the folder's `measure.py` has `measured(settings, frames)`, which fills settings from the training frames.
     mirrored
@@ -54,9 +63,10 @@ class Method:
     name: str
     task: Literal["joints", "parts", "lift"]
     config: type[BaseModel]
-    decode: Callable[[Arrays, Any, Arrays], Any]
-    network: str
-    outputs: tuple[str, ...]
+    decode: Callable[[Arrays, Any, Arrays], Any] = _no_network
+    network: str = ""
+    outputs: tuple[str, ...] = ()
+    fitted: Literal["torch", "arrays"] = "torch"
     measured: bool = False
     mirrored: bool = False
     learning_rate: float = 3e-3

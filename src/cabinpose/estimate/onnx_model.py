@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import onnxruntime
@@ -24,40 +25,71 @@ METADATA_KEY = "cabinpose"
 BATCH = 16  # frames that go through a network at a time
 
 
-class OnnxModel:
-    """A network that `cabinpose export --onnx` wrote, with its method and settings."""
+class TrainedModel(ABC):
+    """A file of a trained model: its method with settings, and the names of what it answers."""
 
+    fitted: Literal["torch", "arrays"]  # what the file holds, see `Method.fitted`
     task: str | None = None  # what the method has to do, see `Method.task`; None = anything
+    _again: str  # how another file of this kind is made
 
-    def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
-        """Raises ModelError for a file that is missing, truncated, not a model of this package, or of another task."""
-        self.path = Path(path)
-        if not self.path.is_file():
-            known = ", ".join(packaged_models()) or "none"
-            raise ModelError(f"there is no model {self.path}", hint=f"give an ONNX file, or a packaged model ({known})")
+    def __init__(self, path: Path, text: str | bytes) -> None:
+        """text: JSON with method, config, name and card. Raises ModelError for another text, another kind or another task."""
+        self.path = path
         try:
-            self.session = open_session(self.path, threads=threads)
-        except Exception as error:  # ONNX Runtime's own errors share no base class
-            raise ModelError(
-                f"{self.path} cannot be read: {error}", hint="copy the file again, or export the model again"
-            ) from error
-        properties: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
-        if METADATA_KEY not in properties:
-            raise ModelError(f"{self.path} is an ONNX file of another program", hint="export models with `cabinpose export`")
-        try:
-            self.metadata: dict[str, Any] = json.loads(properties[METADATA_KEY])
+            self.metadata: dict[str, Any] = json.loads(text)
             self.method: Method = method_named(str(self.metadata["method"]))
             self.config = self.method.settings(self.metadata["config"])
         except (ValueError, KeyError, TypeError, ConfigError) as error:
-            raise ModelError(
-                f"{self.path} does not say what it is: {error}", hint="export it again with this version of cabinpose"
-            ) from error
+            raise ModelError(f"{path} does not say what it is: {error}", hint=f"{self._again} with this version") from error
+        if self.method.fitted != self.fitted:
+            raise ModelError(f"{path} cannot be a model of {self.method.name}", hint=self._again)
         if self.task is not None and self.method.task != self.task:
-            raise ModelError(f"{self.path} is a model of {self.method.name}", hint=_LOADERS[self.method.task])
-        self.name = str(self.metadata.get("name", self.path.stem))
+            raise ModelError(f"{path} is a model of {self.method.name}", hint=_LOADERS[self.method.task])
+        self.name = str(self.metadata.get("name", path.stem))
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
         self.skeleton: str = self.config.skeleton
+
+    @abstractmethod
+    def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
+        """The method's answer from a batch of what the view saw, by name."""
+
+    def describe(self) -> dict[str, Any]:
+        """What the file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, mirrored,
+        settings, card.
+        """
+        return {
+            "name": self.name,
+            "file": str(self.path),
+            "bytes": self.path.stat().st_size,
+            "method": self.method.name,
+            "view": dataclasses.asdict(self.config.view),
+            "inputs": list(self.config.inputs),
+            "persons": list(self.persons),
+            "joints": list(self.joints),
+            "mirrored": bool(self.metadata.get("mirrored", False)),
+            "settings": self.metadata["config"],
+            "card": self.metadata.get("card", {}),
+        }
+
+
+class OnnxModel(TrainedModel):
+    """A network that `cabinpose export --onnx` wrote, with its method and settings."""
+
+    fitted = "torch"
+    _again = "export it again with `cabinpose export --onnx`"
+
+    def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
+        """Raises ModelError for a file that is missing, truncated, not a model of this package, or of another task."""
+        path = existing(path)
+        try:
+            self.session = open_session(path, threads=threads)
+        except Exception as error:  # ONNX Runtime's own errors share no base class
+            raise ModelError(f"{path} cannot be read: {error}", hint="copy the file again, or export the model again") from error
+        properties: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
+        if METADATA_KEY not in properties:
+            raise ModelError(f"{path} is an ONNX file of another program", hint="export models with `cabinpose export`")
+        super().__init__(path, properties[METADATA_KEY])
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
@@ -80,6 +112,14 @@ _LOADERS = {
     "parts": "load it with cabinpose.estimate.unet.segment.OnnxSegmenter",
     "lift": "load it with cabinpose.estimate.lifting.predict.OnnxLifting",
 }
+
+
+def existing(path: Path | str) -> Path:
+    """The path of a file that is there. Raises ModelError."""
+    if not Path(path).is_file():
+        known = ", ".join(packaged_models()) or "none"
+        raise ModelError(f"there is no model {path}", hint=f"give an ONNX file, or a packaged model ({known})")
+    return Path(path)
 
 
 def open_session(path: Path, *, threads: int | None = None) -> onnxruntime.InferenceSession:
@@ -131,25 +171,3 @@ def packaged_models() -> dict[str, Path]:
     """The models that come with the package, by name."""
     folder = Path(str(resources.files("cabinpose.estimate") / "models"))
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
-
-
-def describe_model(path: Path | str) -> dict[str, Any]:
-    """What an ONNX file says of itself, as plain data: name, file, bytes, method, view, inputs, persons, joints, mirrored,
-    settings, card.
-
-    Raises ModelError as `OnnxModel` does.
-    """
-    model = OnnxModel(path)
-    return {
-        "name": model.name,
-        "file": str(model.path),
-        "bytes": model.path.stat().st_size,
-        "method": model.method.name,
-        "view": dataclasses.asdict(model.config.view),
-        "inputs": list(model.config.inputs),
-        "persons": list(model.persons),
-        "joints": list(model.joints),
-        "mirrored": bool(model.metadata.get("mirrored", False)),
-        "settings": model.metadata["config"],
-        "card": model.metadata.get("card", {}),
-    }

@@ -1,136 +1,28 @@
-"""Trained models as predictors of body pose."""
+"""Trained models by their names and files: networks in ONNX files, arrays in .npz files."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import FrameBatch, PoseBatch, joined
-from cabinpose.estimate.found import Found
-from cabinpose.estimate.onnx_model import OnnxModel, cameras_of, packaged_models, slices, view_inputs
-
-# Median of amplitude times squared depth (m) over a generated frame, and where a model begins to fail: at a tenth of it the
-# median error is 3.7 cm in place of 1.5, at a hundredth 49, at ten times as much 2.1 and at a hundred times 8.5.
-_USUAL_LIGHT, _FAINTER, _BRIGHTER = 150.0, 7.0, 30.0
-_EVERY = 4  # pixels between those that are looked at: a sixteenth tells the median, and a whole image costs half a millisecond
-_FAR_M = 50.0  # no ToF camera in a car or a room looks so far
+from cabinpose.estimate.array_model import SUFFIX, ArrayModel, ArrayPredictor
+from cabinpose.estimate.joint_predictor import JointPredictor
+from cabinpose.estimate.onnx_model import OnnxModel, packaged_models
 
 
-class OnnxPredictor(OnnxModel):
-    """A model of joints in an ONNX file that `cabinpose export --onnx` wrote; fulfils `core.ports.Predictor`."""
-
-    task = "joints"
-    _warned_of_light = False
-
-    def predict(self, frames: FrameBatch) -> PoseBatch:
-        """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
-        batches = []
-        for which in slices(len(frames["depth"])):
-            cameras = cameras_of(frames, which)
-            seen = self.seen(frames, which, cameras)
-            batches.append(self.poses(self.outputs(seen), seen, cameras))
-        return joined(batches)
-
-    def __call__(
-        self,
-        depth_m: NDArray[Any],
-        camera_k: NDArray[Any],
-        amplitude: NDArray[Any] | None = None,
-        *,
-        camera_dist: NDArray[Any] | None = None,
-    ) -> PoseBatch:
-        """The joints of one frame or of many, from plain arrays.
-
-        Parameters
-        ----------
-        depth_m
-            (H, W) or (N, H, W), metres along the optical axis, 0 or NaN where the camera saw nothing.
-        camera_k
-            (3, 3), or (N, 3, 3) for one camera a frame: intrinsics, px; an integer pixel is a pixel's centre.
-        amplitude
-            The same shape as the depth: the active infrared light, as the camera gives it (uint16 or float).
-        camera_dist
-            (5,) or (N, 5): OpenCV's k1 k2 p1 p2 k3; default: no distortion.
-
-        Returns
-        -------
-        PoseBatch
-            joints_2d (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots
-            `persons` and the joints `joints`; with N before that for many frames.
-
-        Raises
-        ------
-        ConfigError
-            For shapes that do not fit, depths that are no metres, or amplitudes that are missing.
-        """
-        depth = np.asarray(depth_m)
-        one = depth.ndim == 2
-        if depth.ndim not in (2, 3) or not depth.size:
-            raise ConfigError(f"depth of shape {depth.shape} is no image", hint="give (H, W) for one frame, (N, H, W) for many")
-        k = np.asarray(camera_k, np.float64)
-        count = 1 if one else len(depth)
-        if k.shape not in ((3, 3), (count, 3, 3)):
-            raise ConfigError(f"camera_k of shape {k.shape} is no camera matrix", hint="give (3, 3), or (N, 3, 3) for N frames")
-        valid = depth[np.isfinite(depth) & (depth > 0)]
-        if valid.size and float(np.median(valid)) > _FAR_M:
-            raise ConfigError(f"half of the depths are beyond {_FAR_M:g}", hint="depths are metres: divide millimetres by 1000")
-        dist = np.zeros(5) if camera_dist is None else np.asarray(camera_dist, np.float64)
-        frames = FrameBatch(depth=depth.reshape(count, *depth.shape[-2:]).astype(np.float32), camera_k=k, camera_dist=dist)
-        if amplitude is not None:
-            light = np.asarray(amplitude)
-            if light.shape != depth.shape:
-                raise ConfigError(
-                    f"amplitude of shape {light.shape} does not belong to depth of shape {depth.shape}",
-                    hint="give both of one frame",
-                )
-            frames["amplitude"] = light.reshape(frames["depth"].shape)
-        found = self.predict(frames)
-        return found.map(lambda values: values[0]) if one else found
-
-    def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
-        """What the model's view sees of some frames by name; the first of the three stages of `predict`.
-
-        Warns once where the amplitudes cannot be what the model has learnt from.
-        """
-        seen = view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
-        if "amplitude" in seen and not self._warned_of_light:
-            amplitude, depth = (seen[name][..., ::_EVERY, ::_EVERY] for name in ("amplitude", "depth"))
-            light = amplitude * depth**2
-            # Counting tells on which side the median is, in less time than finding it takes.
-            above = (0.0, _USUAL_LIGHT / _FAINTER, _USUAL_LIGHT * _BRIGHTER)
-            lit, enough, brighter = (np.count_nonzero(light > least) for least in above)
-            if 2 * max(lit - enough, brighter) > lit:
-                self._warned_of_light = True
-                median = float(np.median(light[light > 0]))
-                warnings.warn(
-                    f"the median of amplitude x depth² is {median:.3g}, where {self.name} has learnt from"
-                    f" {_USUAL_LIGHT:g}: joints will be far off. Scale the amplitudes to that",
-                    stacklevel=2,
-                )
-        return seen
-
-    def poses(
-        self, outputs: Mapping[str, NDArray[Any]], seen: Mapping[str, NDArray[Any]], cameras: Sequence[Camera]
-    ) -> PoseBatch:
-        """The joints in the frames' own cameras, from the network's outputs; the last of the stages."""
-        found: Found = self.method.decode(outputs, self.config, seen)
-        view = self.config.view
-        joints_2d = np.empty_like(found.uv)
-        for n, camera in enumerate(cameras):
-            joints_2d[n] = view.pixels(found.uv[n], camera)
-        return PoseBatch(*(a.astype(np.float32) for a in (joints_2d, found.joints_3d, found.score, found.presence)))
+class OnnxPredictor(JointPredictor, OnnxModel):
+    """A model of joints in an ONNX file that `cabinpose export --onnx` wrote."""
 
 
-def load_model(model: str | Path, *, threads: int | None = None) -> OnnxPredictor:
-    """A packaged model by its name, or the model in an ONNX file. Raises ModelError."""
-    return OnnxPredictor(packaged_models().get(str(model), Path(model)), threads=threads)
+def load_model(model: str | Path, *, threads: int | None = None) -> JointPredictor:
+    """A packaged model by its name, or the model in an ONNX file or in an .npz file of `cabinpose train`. Raises ModelError."""
+    path = packaged_models().get(str(model), Path(model))
+    return ArrayPredictor(path) if path.suffix == SUFFIX else OnnxPredictor(path, threads=threads)
 
 
-__all__ = ["OnnxPredictor", "load_model", "packaged_models"]
+def describe_model(path: Path | str) -> dict[str, Any]:
+    """What the file of a model says of itself, see `TrainedModel.describe`. Raises ModelError."""
+    return (ArrayModel(path) if Path(path).suffix == SUFFIX else OnnxModel(path)).describe()
+
+
+__all__ = ["ArrayPredictor", "OnnxPredictor", "describe_model", "load_model", "packaged_models"]

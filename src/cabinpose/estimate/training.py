@@ -27,6 +27,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, Kept, collate
@@ -225,7 +226,7 @@ def fit(
     Returns
     -------
     Path
-        The checkpoint of the best epoch.
+        The checkpoint of the best epoch; of a method that is fitted to arrays the model itself, best.npz.
 
     Raises
     ------
@@ -234,6 +235,12 @@ def fit(
     ModelError
         Where the run to resume, or to begin with, is of another network.
     """
+    if method_named(config.method).fitted == "arrays":
+        if resume or init is not None:
+            raise ConfigError(
+                f"{config.method} is fitted in one go, from nothing", hint="leave --resume and --init out, and train it anew"
+            )
+        return _fit_arrays(config, training, validation, out, progress)
     last = out / "last.ckpt"
     if last.exists() and not resume:
         raise ConfigError(
@@ -263,6 +270,28 @@ def fit(
             begin_with(detector, init)
         trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=True)
     return out / "best.ckpt"
+
+
+def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: Path, progress: Progress | None) -> Path:
+    """Fit a method without a network; the model is `best.npz`, whose card has the validation figures of the task."""
+    best = out / f"best{SUFFIX}"
+    if best.exists():
+        raise ConfigError(f"{out} already holds a trained model", hint="give another folder with --out")
+    config = complete(config, training)
+    method = method_named(config.method)
+    settings = method.settings(config.settings)
+    frames, held = (list(f) if isinstance(f, GeneratedFrames) else cast(Sequence[Kept], f) for f in (training, validation))
+    arrays = method.part("fit", "fit")(settings, frames, config, progress or (lambda *_: None))
+    task, find = TASKS[method.task], method.part("find", "find")
+    errors = []
+    for first in range(0, len(held), config.batch):
+        batch = collate([held[i] for i in range(first, min(first + config.batch, len(held)))])
+        seen = {name: value.numpy() for name, value in task.inputs(batch, settings).items()}
+        errors.append(task.errors(find(arrays, settings, seen), batch, settings))
+    card = {"frames": len(frames), "seed": config.seed} | {n: round(value, 2) for n, value in task.figures(errors).items()}
+    out.mkdir(parents=True, exist_ok=True)
+    write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card)
+    return best
 
 
 def _loggers(out: Path) -> list[Any]:

@@ -44,7 +44,7 @@ class Evaluate(SelectsFrames):
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet), one per model."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
-    """Models to run: names of packaged models, ONNX files, or models on servers (grpc://HOST:PORT/MODEL)."""
+    """Models to run: names of packaged models, ONNX or .npz files, or models on servers (grpc://HOST:PORT/MODEL)."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """Only people in these slots; default: the slots that all models predict."""
     labels: Maybe[Path] = None

@@ -111,6 +111,8 @@ def _frames(command: Export, folder: Path, name: str) -> tuple[xr.Dataset, Split
 def _export_model(command: Export, checkpoint: Path) -> None:
     if command.dataset is not None or command.format is not None:
         raise ConfigError("a dataset or a model is exported, not both", hint="give DATASET and --format, or --onnx CHECKPOINT")
+    if checkpoint.suffix == ".npz":
+        raise ConfigError(f"{checkpoint} holds no network", hint="it is the model already: give it to --model")
     require("train")
     from cabinpose.estimate.export import export_onnx
 

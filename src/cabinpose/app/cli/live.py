@@ -40,7 +40,7 @@ class LiveCommand(PrintsJson):
     """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), Azure file (.mkv), or kind of
     camera: simulated, synth, royale, bta, genicam, orbbec."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
-    """Models to run, one after the other on each frame: names of packaged models, ONNX files, or models on
+    """Models to run, one after the other on each frame: names of packaged models, ONNX or .npz files, or models on
     servers (grpc://HOST:PORT/MODEL)."""
     settings: Annotated[tuple[str, ...], arg(name="set", metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
     """Settings of the source, as in a rig, such as use_case=MODE_9_5FPS_2000 or faults.rate_hz=30."""

@@ -17,7 +17,7 @@ class Models(PrintsJson):
     """List the trained models that come with the package, or print the card of one model."""
 
     model: Annotated[Positional[str | None], several("MODEL")] = None
-    """Name of a packaged model, or an ONNX file."""
+    """Name of a packaged model, or an ONNX or .npz file."""
 
 
 COMMAND = Models
@@ -27,7 +27,7 @@ def run(command: Models) -> None:
     """Print one model's description and card, or a line for each packaged model."""
     import yaml
 
-    from cabinpose.estimate.onnx_model import describe_model, packaged_models
+    from cabinpose.estimate.predictor import describe_model, packaged_models
 
     packaged = packaged_models()
     chosen = packaged if command.model is None else {"": packaged.get(command.model, Path(command.model))}

@@ -16,7 +16,7 @@ class Predict(SelectsFrames):
 
     dataset: DatasetArgument
     model: str
-    """Name of a packaged model, an ONNX file, or a model on a server (grpc://HOST:PORT/MODEL)."""
+    """Name of a packaged model, an ONNX or .npz file, or a model on a server (grpc://HOST:PORT/MODEL)."""
     out: Path
     """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet)."""
     overwrite: bool = False

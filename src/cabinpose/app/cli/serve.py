@@ -16,7 +16,7 @@ class Serve(PrintsJson):
     """
 
     model: str
-    """Name of a packaged model, an ONNX file, or the address of a model on another server."""
+    """Name of a packaged model, an ONNX or .npz file, or the address of a model on another server."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines in."""
     port: int = 8001

@@ -83,6 +83,9 @@ def run(command: Train) -> None:
         print_json({"best": str(best)})
     else:
         print(best)
+        if best.suffix == ".npz":
+            print(f"it is the model: cabinpose models {best}", file=sys.stderr)
+            return
         print(f"export it with: cabinpose export --onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cabinpose.core.optional import optional_module
-from cabinpose.estimate.predictor import OnnxPredictor, load_model
+from cabinpose.estimate.joint_predictor import JointPredictor
+from cabinpose.estimate.predictor import load_model
 
 if TYPE_CHECKING:
     from cabinpose.estimate.remote.client import RemotePredictor
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
 SCHEME = "grpc://"
 
 
-def open_predictor(model: str | Path) -> OnnxPredictor | RemotePredictor:
-    """What `--model` names: a packaged model, the model in an ONNX file, or one on a server (grpc://HOST:PORT/MODEL).
+def open_predictor(model: str | Path) -> JointPredictor | RemotePredictor:
+    """What `--model` names: a packaged model, the model in an ONNX or .npz file, or one on a server (grpc://HOST:PORT/MODEL).
 
     Raises
     ------

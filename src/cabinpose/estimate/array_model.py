@@ -1,0 +1,64 @@
+"""Models that are arrays and no network: one .npz file without pickle, beside the arrays the method and its settings as JSON."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from cabinpose.core.errors import ModelError
+from cabinpose.estimate.joint_predictor import JointPredictor
+from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, existing
+
+SUFFIX = ".npz"
+_UNREADABLE = (OSError, EOFError, KeyError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+
+
+class ArrayModel(TrainedModel):
+    """What `cabinpose train` wrote for a method that is fitted to arrays."""
+
+    fitted = "arrays"
+    _again = "train it again with `cabinpose train`"
+
+    def __init__(self, path: Path | str) -> None:
+        """Raises ModelError for a file that is missing, damaged, of another program, or whose arrays do not fit its method."""
+        path = existing(path)
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+        except _UNREADABLE as error:
+            raise ModelError(f"{path} cannot be read: {error}", hint="copy the file again, or train the model again") from error
+        if METADATA_KEY not in arrays:
+            raise ModelError(f"{path} is an .npz file of another program", hint="give best.npz of a run of `cabinpose train`")
+        super().__init__(path, arrays.pop(METADATA_KEY).tobytes())
+        self.arrays: dict[str, NDArray[Any]] = arrays
+        try:
+            self.method.part("find", "check")(arrays, self.config)
+        except (ValueError, KeyError) as error:
+            raise ModelError(f"{path} does not fit {self.method.name}: {error}", hint=self._again) from error
+
+    def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
+        """What the method finds in a batch of what the view saw, by name."""
+        return self.method.part("find", "find")(self.arrays, self.config, seen)
+
+
+class ArrayPredictor(JointPredictor, ArrayModel):
+    """A model of joints in an .npz file that `cabinpose train` wrote."""
+
+
+def write_arrays(
+    path: Path, method: str, settings: BaseModel, arrays: Mapping[str, NDArray[Any]], *, name: str, card: Mapping[str, Any]
+) -> None:
+    """Write a model; the file gets its name when it is whole. The same model is the same bytes."""
+    metadata = {"name": name, "method": method, "config": settings.model_dump(mode="json"), "card": dict(card)}
+    text = np.frombuffer(json.dumps(metadata).encode(), np.uint8)
+    partial = path.with_name(f".{path.stem}.partial{SUFFIX}")
+    np.savez_compressed(partial, allow_pickle=False, **{METADATA_KEY: text}, **arrays)
+    partial.replace(path)
