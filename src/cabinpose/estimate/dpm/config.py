@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, UPPER_BODY
 from cabinpose.estimate.settings import ViewSettings
@@ -46,10 +46,17 @@ class DpmConfig(ViewSettings):
     level_step: Annotated[float, Field(gt=1, le=2, description="Ratio of the depths of neighbouring levels.")] = 1.2
     mixtures: Annotated[int, Field(ge=1, le=16, description="Types of each part.")] = 4
     limb_parts: Annotated[bool, Field(description="Parts in the middle of the arms' and legs' limbs, beside the joints.")] = True
-    cost: Annotated[float, Field(gt=0, description="C of the structured support vector machine, for all frames together.")] = 10.0
-    rounds: Annotated[int, Field(ge=1, description="Times that each frame is searched for what it confuses.")] = 6
-    negatives: Annotated[float, Field(ge=0, le=1, description="Frames without people, as a share of those with them.")] = 0.2
+    cost: Annotated[float, Field(gt=0, description="C of the structured support vector machine, for all frames together.")] = 50.0
+    rounds: Annotated[int, Field(ge=1, description="Times that each frame is searched for what it confuses.")] = 4
+    negatives: Annotated[float, Field(ge=0, le=1, description="Share of frames that are searched beside their people too.")] = 0.3
     loss_m: Annotated[float, Field(gt=0, description="Error of a part in the image (m) that counts as wholly wrong.")] = 0.15
+
+    @field_validator("filter_cells")
+    @classmethod
+    def _with_a_middle(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("a filter has a cell in its middle: give an odd number")
+        return value
 
     @property
     def skeleton(self) -> str:

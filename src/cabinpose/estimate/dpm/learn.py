@@ -2,9 +2,9 @@
 
 min ½ |w − w₀|² + C Σ_i max(0, max_y Δ_i(y) + w·(Φ_i(y) − Φ_i(y_i)))    (Tsochantaridis et al. 2005, margin rescaling)
 
-Every step is an exact line search of the dual towards one answer of one example, so that there is no rate to tune and the difference
-of primal and dual tells how far the optimum is (Lacoste-Julien et al. 2013, algorithm 4). Answers that were found stay: searching
-a frame is a thousand times dearer than a step (the cache of hard negatives of Felzenszwalb et al. 2010).
+Every step is an exact line search of the dual towards one answer of one example, so that there is no rate to tune and the
+difference of primal and dual tells how far the optimum is (Lacoste-Julien et al. 2013, algorithm 4). Answers that were found
+stay: searching a frame is a hundred times dearer than a step (the cache of hard negatives of Felzenszwalb et al. 2010).
 """
 
 from __future__ import annotations

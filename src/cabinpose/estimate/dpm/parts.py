@@ -1,8 +1,8 @@
 """Parts on a tree: what a model knows of them, and the best placement of all of them together.
 
-The score of a placement is a sum of filter responses, springs between a part and its parent, and a bias for each pair of their
-types (Yang and Ramanan 2013, eq. 5). Its maximum over all positions and types is found exactly, from the leaves to the root, with a
-generalised distance transform for each type of each part (Felzenszwalb and Huttenlocher 2005 and 2012).
+The score of a placement is a sum of filter responses, springs between a part and its parent, and a bias for each pair of
+their types (Yang and Ramanan 2013, eq. 5). Its maximum over all positions and types is found exactly, from the leaves to the
+root, with a generalised distance transform for each type of each part (Felzenszwalb and Huttenlocher 2005 and 2012).
 """
 
 from __future__ import annotations
@@ -24,37 +24,41 @@ _SOFTEST = 0.02  # least weight of a squared displacement: a spring never pushes
 class Parts(NamedTuple):
     """A model of P parts of T types each.
 
-    weights: (P, T, K) float32, K = s² C + 4 + T: filter (s, s, C), spring (x², x, y², y) and bias with each type of the parent; the
-    root has neither spring nor parent, and its bias is the first · anchor: (P, T, 3) where a type lies from its parent: cells
-    x and y, and m · spread: (P, T, 3) the standard deviation of that · levels: (L,) m, depths of the pyramid · skin: (P, T, 2) m,
-    from the surface to the part, and its standard deviation · slots: (S, 3) m, mean place of the root in the camera frame by
-    slot, NaN where nobody was.
+    weights: (P, T, K) float32, K = s² C + 4 + T: filter (s, s, C), spring (x², x, y², y) and bias with each type of the parent;
+    the root has neither spring nor parent, and its bias is the first · anchor, spread: (P, T, 2) where a type lies from its
+    parent, cells x and y, and the standard deviation of that · shift: (P, T, 2) cells from where a part is found to where it is,
+    the median · ahead: (P, T, 2) m, how far a part lies behind its parent along the view, median and standard deviation · skin:
+    (P, T, 2) m, the same from the surface to the part · levels: (L,) m, depths of the pyramid · slots: (S, 3) m, mean place of
+    the root in the camera frame by slot, NaN where nobody was.
     """
 
     weights: F32
     anchor: NDArray[np.float64]
     spread: NDArray[np.float64]
-    levels: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    ahead: NDArray[np.float64]
     skin: NDArray[np.float64]
+    levels: NDArray[np.float64]
     slots: NDArray[np.float64]
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], config: DpmConfig) -> Parts:
         """A model from arrays by name. Raises KeyError for one that lacks, ValueError for a shape that does not fit."""
         parts, types, k = len(config.tree.parent), config.mixtures, row_length(config)
-        shapes = {
-            "weights": (parts, types, k), "anchor": (parts, types, 3), "spread": (parts, types, 3),
-            "levels": (len(np.atleast_1d(arrays["levels"])),), "skin": (parts, types, 2), "slots": (len(config.slots), 3),
+        shapes = dict.fromkeys(("anchor", "spread", "shift", "ahead", "skin"), (parts, types, 2)) | {
+            "weights": (parts, types, k), "levels": (max(arrays["levels"].size, 1),), "slots": (len(config.slots), 3),
         }  # fmt: skip
         for name, shape in shapes.items():
             if arrays[name].shape != shape or arrays[name].dtype.kind != "f":
                 raise ValueError(f"{name} is {arrays[name].dtype} {arrays[name].shape} where numbers {shape} are expected")
             if name != "slots" and not np.isfinite(arrays[name]).all():
                 raise ValueError(f"{name} has values that are no numbers")
-        if not all((values > 0).all() for values in (arrays["levels"], arrays["spread"], arrays["skin"][..., 1])):
+        if not all(
+            (values > 0).all() for values in (arrays["levels"], arrays["spread"], arrays["ahead"][..., 1], arrays["skin"][..., 1])
+        ):
             raise ValueError("levels and standard deviations are above zero")
-        made = {name: arrays[name].astype(np.float64) for name in cls._fields}
-        return cls(**made | {"weights": arrays["weights"].astype(np.float32)})
+        weights, *rest = (arrays[name] for name in cls._fields)
+        return cls(weights.astype(np.float32), *(values.astype(np.float64) for values in rest))
 
     def filters(self, config: DpmConfig) -> F32:
         """(P T, s, s, C) the filters."""
@@ -68,7 +72,8 @@ class Parts(NamedTuple):
         weight = SPRING * self.weights[part, :, -types - 4 : -types].astype(np.float64)
         made, added = np.empty((types, 4)), np.zeros(types)
         for axis in range(2):
-            square, linear, spread = np.maximum(weight[:, 2 * axis], SPRING * _SOFTEST), weight[:, 2 * axis + 1], self.spread[part, :, axis]
+            square = np.maximum(weight[:, 2 * axis], SPRING * _SOFTEST)
+            linear, spread = weight[:, 2 * axis + 1], self.spread[part, :, axis]
             made[:, 2 * axis] = square / spread**2
             made[:, 2 * axis + 1] = self.anchor[part, :, axis] - 0.5 * linear / square * spread
             added += 0.25 * linear**2 / square
@@ -90,10 +95,10 @@ class Placement(NamedTuple):
 
 
 class Beliefs(NamedTuple):
-    """What the leaves have told, see `upward`: maps (T, rows, columns) of every part, and how to walk back.
+    """What the leaves have told, see `upward`: maps (T, rows, columns) of every part.
 
-    message: of a part for each type of its parent · type_of: (T, rows, columns) the type that gives it · source: (T, rows,
-    columns) where it is, a flat index.
+    belief: the best score of a part and all beyond it, by its type and place · type_of: the part's best type, by its parent's
+    type and place · source: where it is best, a flat index, by its own type and its parent's place.
     """
 
     belief: list[F32]
@@ -157,8 +162,8 @@ def rows(parts: Parts, config: DpmConfig, described: F32, positions: NDArray[np.
     patches = windows[positions[:, 1], positions[:, 0]].transpose(0, 2, 3, 1)  # (P, s, s, C)
     made[:, : size * size * channels(config)] = patches.reshape(len(types), -1)
     part = np.arange(1, len(types))
-    away = positions[part] - positions[tree.parent[part]] - parts.anchor[part, types[part], :2]
-    away /= parts.spread[part, types[part], :2]
+    away = positions[part] - positions[tree.parent[part]] - parts.anchor[part, types[part]]
+    away /= parts.spread[part, types[part]]
     first = size * size * channels(config)
     made[1:, first : first + 4] = -SPRING * np.stack((away[:, 0] ** 2, away[:, 0], away[:, 1] ** 2, away[:, 1]), axis=1)
     made[part, first + 4 + types[tree.parent[part]]] = 1.0
