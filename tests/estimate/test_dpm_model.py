@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import small
+import yaml
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import ConfigError, DatasetError
@@ -19,6 +21,11 @@ from cabinpose.estimate.dpm.hog import levels
 from cabinpose.estimate.dpm.parts import Parts, Placement
 from cabinpose.estimate.methods import method_named
 from cabinpose.estimate.training import TrainConfig, frame_spec
+from cabinpose.store import open_dataset
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.generate import generate
+
+RECIPES = Path(__file__).resolve().parents[2] / "docs" / "models"
 
 SETTINGS = {
     "width": 64, "height": 48, "focal": 51.2, "slots": small.PERSONS, "pixel_m": 0.04, "cell_px": 2, "filter_cells": 3,
@@ -86,7 +93,7 @@ def test_arrays_that_do_not_fit_are_told(change: Any, words: str, arrays: Arrays
 
 
 def test_a_filter_has_a_middle() -> None:
-    with pytest.raises(ConfigError, match="filter_cells: .*odd number"):
+    with pytest.raises(ConfigError, match="filter_cells: Value error, a filter has a cell in its middle"):
         method_named("dpm").settings({"filter_cells": 4})
 
 
@@ -147,6 +154,12 @@ def test_a_part_is_behind_its_skin_and_not_behind_what_hides_it() -> None:
         hidden[v - 2 : v + 3, u - 2 : u + 3] = 1.8
     hidden[:, uv[-1, 0] - 2 :] = 0.0  # and one where nothing was measured
     np.testing.assert_allclose(located(parts, DPM, person, hidden)[:, 2], 2.25, atol=1e-6)
+    nearer = depth.copy()
+    u, v = uv[7]
+    nearer[v - 2 : v + 3, u - 2 : u + 3] += 0.04  # leans back, as far as its type does: half is believed
+    off = located(parts, DPM, person, nearer)[:, 2] - 2.25
+    assert 0.015 < off[7] < 0.03
+    assert np.abs(np.delete(off, [7, *np.flatnonzero(DPM.tree.parent == 7)])).max() < 1e-6
     nothing = located(parts, DPM, person, np.zeros_like(depth))
     np.testing.assert_allclose(nothing[:, 2], 2.0)  # the level's depth
 
@@ -165,6 +178,22 @@ def test_a_surface_is_the_median_of_what_is_near() -> None:
     assert surface_near(depth, np.array((4.0, 4.0)), 1.2, 0.3) == pytest.approx(1.2)
     assert np.isnan(surface_near(depth, np.array((4.0, 4.0)), 2.0, 0.3))
     assert np.isnan(surface_near(depth, np.array((-40.0, 4.0)), 1.2, 0.3))
+
+
+@pytest.mark.slow
+def test_a_little_training_finds_generated_people(tmp_path: Path) -> None:
+    """90 frames of the recipe and two rounds, 40 others from another seed: half of the recipe's effort has to do."""
+    recipe = yaml.safe_load((RECIPES / "dpm.yaml").read_text("utf-8"))
+    config = TrainConfig(method="dpm", settings=recipe["settings"] | {"rounds": 2})
+    settings, made = DpmConfig(**config.settings), []
+    for seed, count in ((3, 90), (4, 40)):
+        folder = tmp_path / str(seed)
+        generate(SynthConfig.load(RECIPES / "room-scenes.yaml"), count, folder, seed=seed, workers=1)
+        stored = StoredFrames(open_dataset(folder), frame_spec(config))
+        made.append([stored[i] for i in range(count)])
+    found = find(fit(settings, made[0], config, None), settings, seen(made[1]))
+    truth = settings.view.from_view(np.stack([f.joints for f in made[1]]))
+    assert (np.linalg.norm(found.joints_3d - truth, axis=-1) < 0.1).mean() > 0.5
 
 
 def test_amplitudes_are_read_where_they_are_asked_for() -> None:

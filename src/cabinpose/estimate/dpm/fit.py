@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from cabinpose.estimate.dpm.parts import SPRING, Parts, downward, row_length, ro
 
 if TYPE_CHECKING:
     from cabinpose.estimate.data import Kept
+    from cabinpose.estimate.training import Progress, TrainConfig
 
 _TICK_M = 1e-4  # of a kept depth
 _STIFFNESS = 0.02  # score that a displacement by one spread costs before training
@@ -39,9 +40,7 @@ class People(NamedTuple):
     point: NDArray[np.float64]
 
 
-def fit(
-    settings: DpmConfig, frames: Sequence[Kept], config: Any, progress: Callable[[int, int, str], None] | None
-) -> dict[str, NDArray[Any]]:
+def fit(settings: DpmConfig, frames: Sequence[Kept], config: TrainConfig, progress: Progress | None) -> dict[str, NDArray[Any]]:
     """Arrays of a model from frames, see `estimate.methods.Method`. Raises DatasetError where nobody is seen."""
     rng = np.random.Generator(np.random.Philox(key=(config.seed, 0)))
     people = people_of(settings, frames)
@@ -165,7 +164,7 @@ def _images(kept: Kept) -> tuple[F32, F32 | None]:
 
 def _train(
     parts: Parts, settings: DpmConfig, frames: Sequence[Kept], people: People, types: NDArray[np.int64],
-    level: NDArray[np.int64], progress: Callable[[int, int, str], None] | None, *, rng: np.random.Generator,
+    level: NDArray[np.int64], progress: Progress | None, *, rng: np.random.Generator,
 ) -> Parts:  # fmt: skip
     """The model with weights from rounds of searching each frame for the worst answer, and learning from all of them."""
     grids = levels(settings, parts.levels)
