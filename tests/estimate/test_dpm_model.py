@@ -16,7 +16,7 @@ from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import Kept, StoredFrames
 from cabinpose.estimate.dpm.config import DpmConfig
 from cabinpose.estimate.dpm.find import Person, check, find, located, slots_of, surface_near
-from cabinpose.estimate.dpm.fit import fit, level_depths
+from cabinpose.estimate.dpm.fit import fit, level_depths, people_of, without_people
 from cabinpose.estimate.dpm.hog import levels
 from cabinpose.estimate.dpm.parts import Parts, Placement
 from cabinpose.estimate.methods import method_named
@@ -112,6 +112,16 @@ def test_levels_are_a_step_apart_and_cover_everybody() -> None:
     np.testing.assert_allclose(ratios, ratios[0])
     assert np.abs(np.log(z[4:-4, None] / depths)).min(axis=1).max() <= 0.5 * np.log(ratios[0]) + 1e-3
     assert len(level_depths(DPM, np.full(9, 2.0))) == 1
+
+
+def test_people_are_cut_out_and_the_rest_stays(frames: list[Kept]) -> None:
+    frame = frames[2]  # three people
+    depth = frame.depth * np.float32(1e-4)
+    cut = without_people(DPM, depth, people_of(DPM, [frame]).point)
+    body, wall = (depth > 0) & (depth < 2.0), depth > 2.3
+    assert body.mean() > 0.1
+    assert (cut[body] > 0).mean() < 0.02
+    np.testing.assert_array_equal(cut[wall], depth[wall])
 
 
 def test_slots_get_the_people_whose_roots_are_nearest_in_sum() -> None:

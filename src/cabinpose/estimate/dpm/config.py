@@ -48,7 +48,7 @@ class DpmConfig(ViewSettings):
     limb_parts: Annotated[bool, Field(description="Parts in the middle of the arms' and legs' limbs, beside the joints.")] = True
     cost: Annotated[float, Field(gt=0, description="C of the structured support vector machine, for all frames together.")] = 50.0
     rounds: Annotated[int, Field(ge=1, description="Times that each frame is searched for what it confuses.")] = 4
-    negatives: Annotated[float, Field(ge=0, le=1, description="Share of frames that are searched beside their people too.")] = 0.3
+    negatives: Annotated[float, Field(ge=0, le=1, description="Frames without people, as a share of those with them.")] = 0.2
     loss_m: Annotated[float, Field(gt=0, description="Error of a part in the image (m) that counts as wholly wrong.")] = 0.15
 
     @field_validator("filter_cells")

@@ -25,6 +25,7 @@ _LEAST_SPREAD = 0.7  # cells
 _LEAST_M = 0.01  # of the depths' standard deviations
 _ENOUGH = 8  # people, for a type of a part to be measured by itself
 _SWEEPS = 10  # over the answers that are known, after each round of searching
+_CUT_M = 0.3  # what lies that near to a limb goes where a frame is to show nobody
 _ANSWERS = 8  # of each frame that are kept from round to round
 
 
@@ -162,6 +163,20 @@ def _images(kept: Kept) -> tuple[F32, F32 | None]:
     return kept.depth * np.float32(_TICK_M), kept.amplitude.astype(np.float32) if kept.amplitude.size else None
 
 
+def without_people(settings: DpmConfig, depth: F32, point: NDArray[np.float64]) -> F32:
+    """A depth image (h, w) with holes where it shows what is near to the limbs of people, parts (N, P, 3) in the camera frame."""
+    v, u = np.nonzero(depth)
+    seen = settings.view.from_view(np.column_stack((u, v, depth[v, u])))
+    near = np.zeros(len(seen), bool)
+    for body in point:
+        for end, limb in zip(body[settings.tree.parent[1:]], body[1:] - body[settings.tree.parent[1:]], strict=True):
+            share = np.clip((seen - end) @ limb / max(limb @ limb, 1e-9), 0.0, 1.0)
+            near |= np.square(seen - end - share[:, None] * limb).sum(-1) < _CUT_M**2
+    made = depth.copy()
+    made[v[near], u[near]] = 0.0
+    return made
+
+
 def _train(
     parts: Parts, settings: DpmConfig, frames: Sequence[Kept], people: People, types: NDArray[np.int64],
     level: NDArray[np.int64], progress: Progress | None, *, rng: np.random.Generator,
@@ -169,25 +184,37 @@ def _train(
     """The model with weights from rounds of searching each frame for the worst answer, and learning from all of them."""
     grids = levels(settings, parts.levels)
     count = len(people.frame)
-    # Examples beyond the people are frames beside their people: nobody's root is farther than 0.3 m from everybody's.
-    beside = rng.permutation(np.unique(people.frame))[: round(settings.negatives * count)]
-    frame_of = np.concatenate((people.frame, beside))
+    # Examples beyond the people are frames without anybody. With one slot its people are cut out of them. With more, a second
+    # person must not be found on the first: people stay, and their own roots do not count.
+    empty = rng.permutation(np.unique(people.frame))[: round(settings.negatives * count)]
+    frame_of = np.concatenate((people.frame, empty))
+    cut = len(settings.slots) == 1
+
+    def images(example: int) -> tuple[F32, F32 | None]:
+        depth, amplitude = _images(frames[int(frame_of[example])])
+        if cut and example >= count:
+            depth = without_people(settings, depth, people.point[people.frame == frame_of[example]])
+            amplitude = None if amplitude is None else np.where(depth > 0, amplitude, np.float32(0))
+        return depth, amplitude
+
+    def others(example: int) -> NDArray[np.float64]:
+        there = (people.frame == frame_of[example]) & (np.arange(count) != example)
+        return people.uvz[there & (not cut), 0]
 
     def truth(example: int) -> Answer:
         grid = grids[level[example]]
         positions = _on_grid(grid, people.uvz[example])
-        cells = features(settings, grid, *_images(frames[int(frame_of[example])]))
+        cells = features(settings, grid, *images(example))
         return Answer(types[example], rows(parts, settings, cells, positions, types[example]).astype(np.float16), 0.0)
 
-    truths = [truth(n) for n in range(count)] + [nobody(0.0)] * len(beside)
+    truths = [truth(n) for n in range(count)] + [nobody(0.0)] * len(empty)
     svm = StructuredSvm(parts.weights, truths, settings.cost / len(truths))
     done, total = 0, settings.rounds * len(truths)
     for round_ in range(settings.rounds):
         for example in rng.permutation(len(truths)).tolist():
             parts = parts._replace(weights=svm.weights.astype(np.float32))
-            others = people.uvz[(people.frame == frame_of[example]) & (np.arange(count) != example), 0]
             person = people.uvz[example] if example < count else None
-            svm.add(example, _worst(parts, settings, *_images(frames[int(frame_of[example])]), person, others))
+            svm.add(example, _worst(parts, settings, *images(example), person, others(example)))
             done += 1
             if progress is not None:
                 progress(done, total, f"round {round_ + 1} of {settings.rounds}")

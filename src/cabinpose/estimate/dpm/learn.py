@@ -54,9 +54,9 @@ class StructuredSvm:
     def sweep(self, order: NDArray[np.int64]) -> None:
         """A step for each example, towards the worst of its answers, or away from all."""
         for example in order.tolist():
-            if self.answers[example]:
-                worst = max(self.answers[example], key=lambda a: self.violation(example, a))
-                self._step(example, worst if self.violation(example, worst) > 0 else self._truths[example])
+            if found := self.answers[example]:
+                costs = [self.violation(example, answer) for answer in found]
+                self._step(example, found[int(np.argmax(costs))] if max(costs) > 0 else self._truths[example])
 
     def objective(self) -> tuple[float, float]:
         """Primal, over the answers found so far, and dual: the optimum lies between them."""
