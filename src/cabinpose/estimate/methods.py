@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from cabinpose.core.errors import ConfigError, unknown_name
 from cabinpose.estimate.compact import decode as compact_decode
 from cabinpose.estimate.compact.config import CompactConfig
+from cabinpose.estimate.dpm.config import DpmConfig
 from cabinpose.estimate.lifting import decode as lifting_decode
 from cabinpose.estimate.lifting.config import LiftingConfig
 from cabinpose.estimate.paf import decode as paf_decode
@@ -104,6 +105,7 @@ _METHODS = (
     Method(
         "unet", "parts", UnetConfig, unet_decode.decode, "Unet", ("person", "parts"), learning_rate=1e-3, weight_decay=0.01
     ),
+    Method("dpm", "joints", DpmConfig, fitted="arrays"),
     Method("walks", "joints", WalksConfig, fitted="arrays"),
 )  # fmt: skip
 METHODS = {method.name: method for method in _METHODS}

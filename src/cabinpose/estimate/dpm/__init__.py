@@ -1,0 +1,1 @@
+"""Flexible mixtures of deformable parts: joints found together by dynamic programming over a tree, from depth."""
