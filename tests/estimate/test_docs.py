@@ -51,10 +51,10 @@ def test_every_key_stands_with_its_default(heading: str) -> None:
 def test_the_stated_rates_are_the_methods() -> None:
     rates = {name: method.learning_rate for name, method in METHODS.items()}
     decays = {name: method.weight_decay for name, method in METHODS.items()}
-    assert "compact 3e-3, paf 4e-4, lifting and unet 1e-3" in PAGE
-    assert rates == {"compact": 3e-3, "paf": 4e-4, "lifting": 1e-3, "unet": 1e-3}
-    assert "compact 0.02, the others 0.01" in PAGE
-    assert decays == {"compact": 0.02, "paf": 0.01, "lifting": 0.01, "unet": 0.01}
+    assert "compact and yolo 3e-3, paf 4e-4, lifting and unet 1e-3" in PAGE
+    assert rates == {"compact": 3e-3, "paf": 4e-4, "lifting": 1e-3, "unet": 1e-3, "yolo": 3e-3}
+    assert "compact and yolo 0.02, the others 0.01" in PAGE
+    assert decays == {"compact": 0.02, "paf": 0.01, "lifting": 0.01, "unet": 0.01, "yolo": 0.02}
 
 
 def test_the_examples_are_valid() -> None:

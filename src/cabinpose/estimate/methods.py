@@ -19,6 +19,8 @@ from cabinpose.estimate.paf import decode as paf_decode
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.unet import decode as unet_decode
 from cabinpose.estimate.unet.config import UnetConfig
+from cabinpose.estimate.yolo import decode as yolo_decode
+from cabinpose.estimate.yolo.config import YoloConfig
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -93,6 +95,7 @@ _METHODS = (
     Method(
         "unet", "parts", UnetConfig, unet_decode.decode, "Unet", ("person", "parts"), learning_rate=1e-3, weight_decay=0.01
     ),
+    Method("yolo", "joints", YoloConfig, yolo_decode.decode, "Yolo", ("boxes", "classes")),
 )  # fmt: skip
 METHODS = {method.name: method for method in _METHODS}
 

@@ -52,7 +52,7 @@ class TrainConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: Annotated[str, Field(description="compact, paf, lifting or unet.")] = "compact"
+    method: Annotated[str, Field(description="compact, paf, lifting, unet or yolo.")] = "compact"
     settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(
         default_factory=dict, validate_default=True
     )

@@ -35,6 +35,8 @@ class Import(PrintsJson):
     """coco: who corrected, as the labels shall say; default: annotator."""
     keep_invalid: bool = False
     """itop: keep the frames whose labels are marked as not valid, without their joints."""
+    correct: Maybe[Literal["head", "torso"]] = None
+    """itop: move joints that lie beside the person onto it; the person grows over the depth from this joint."""
     intrinsics: Maybe[tuple[float, float, float, float]] = None
     """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
     licence: Maybe[str] = None
@@ -77,7 +79,8 @@ def run(command: Import) -> None:
     if command.format not in IMPORTS:
         raise unknown_name("format", command.format, (*IMPORTS, *RECORDING_IMPORTS))
     of_coco = {"--images": command.images, "--corrects": command.corrects, "--role": command.role}
-    for flags, name in ((of_coco, "coco"), ({"--keep-invalid": command.keep_invalid}, "itop")):
+    of_itop = {"--keep-invalid": command.keep_invalid, "--correct": command.correct}
+    for flags, name in ((of_coco, "coco"), (of_itop, "itop")):
         if command.format != name:
             refuse(flags, f"{{}} is of the format {name}, not {command.format}")
     if command.corrects is not None:
@@ -85,13 +88,15 @@ def run(command: Import) -> None:
         return
     refuse({"--role": command.role}, "{} is of --corrects")
     check_new_dataset(command.out, overwrite=command.overwrite)
-    options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence)
+    options = ImportOptions(command.keep_invalid, command.intrinsics, command.images, command.licence, command.correct)
     source = open_source(command.source, command.format, options)
     if source.note:
         print(printable(source.note), file=sys.stderr)
     frames = source.manifest.frames
     with progress(frames, "frames") as report:
         folder = import_source(source, command.out, overwrite=command.overwrite, report=report)
+    if told := source.outcome():
+        print(told, file=sys.stderr)
     if command.as_json:
         variables = list(source.manifest.variables)
         print_json({"out": str(folder), "format": command.format, "frames": frames, "variables": variables})

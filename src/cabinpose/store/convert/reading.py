@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 class ImportOptions:
     """What a user may say about a source.
 
-    keep_invalid: ITOP's frames without valid labels too, their joints absent · intrinsics: (fx, fy, cx, cy) px in place of the
+    keep_invalid: ITOP's frames without valid labels too, their joints absent · correct: ITOP's labels, on the person that grows
+    from this joint (`itop_correct`) · intrinsics: (fx, fy, cx, cy) px in place of the
     source's, undistorted · images: folder of COCO's images · licence: of the data, for `dataset.yaml`.
     """
 
@@ -34,6 +35,7 @@ class ImportOptions:
     intrinsics: tuple[float, float, float, float] | None = None
     images: Path | None = None
     licence: str | None = None
+    correct: Literal["head", "torso"] | None = None
 
     def __post_init__(self) -> None:
         if self.intrinsics is not None and not (
