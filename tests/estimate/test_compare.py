@@ -64,7 +64,7 @@ def test_every_method_of_joints_has_a_small_recipe() -> None:
         config = recipe(name, None, None)
         settings = METHODS[name].settings(config.settings)
         assert (settings.joints, settings.slots, config.epochs) == (ITOP_JOINTS, ("standing",), 20)
-        assert (settings.view.width, settings.inputs) == (96, ("depth",))
+        assert (settings.view.max_depth_m, settings.inputs) == (6, ("depth",))
     assert recipe("yolo", None, 3).epochs == 3
     with pytest.raises(ConfigError, match="does not find joints") as caught:
         recipe("unet", None, None)

@@ -30,13 +30,14 @@ UV = np.array(
 
 
 def drawn() -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """A frame (240, 320) and its labels: a person 3 m away before a wall at 4.5 m, on a floor that meets both."""
+    """A frame (240, 320) and its labels: a person 3 m away before a wall at 4.5 m, on a floor that meets a post and both."""
     depth = np.full((240, 320), 4.5, np.float32)
     depth[218:] = np.linspace(4.4, 3.0, 22)[:, None]
     for rows, columns, z in (
         ((30, 60), (150, 170), 3.0), ((60, 140), (130, 190), 3.0), ((140, 240), (140, 180), 3.0), ((90, 100), (190, 215), 2.5),
     ):  # fmt: skip
         depth[slice(*rows), slice(*columns)] = z
+    depth[100:240, 250:256] = 3.2
     z = np.full(15, 3.0)
     z[LHAND] = 2.5
     rays = np.concatenate((CAMERA.undistort((UV - (CAMERA.cx, CAMERA.cy)) / (CAMERA.fx, CAMERA.fy)), np.ones((15, 1))), axis=1)
@@ -71,7 +72,7 @@ def test_joints_beside_the_person_go_to_its_nearest_pixel(seed: Any) -> None:
     np.testing.assert_allclose(result.moved_m[[RHAND, LHAND]], (12 * 3 * 0.0035, 5 * 2.5 * 0.0035))
     assert result.mask is not None
     assert not result.mask[220:].any()  # the floor, and the foot whose label is there stays
-    assert not result.mask[:, 320 - 60 :].any()
+    assert not result.mask[:, 240:].any()  # the post, which only the floor ties to the person
 
 
 def test_the_region_is_a_flood_fill() -> None:

@@ -45,7 +45,13 @@ _ROOM = MappingProxyType(
         "amplitude": False, "depth_scale_m": 6.0, "looks_px": [],
     }
 )  # fmt: skip
-_OWN = MappingProxyType({"paf": {"channels": 0.25}})  # settings beside them
+_OWN: MappingProxyType[str, dict[str, Any]] = MappingProxyType(  # beside them, or in their place
+    {
+        "paf": {"channels": 0.25},
+        "dpm": {"width": 120, "height": 120, "focal": 142.9, "rounds": 3},
+        "walks": {"width": 320, "height": 240, "focal": 285.7},
+    }
+)
 _RUN = MappingProxyType(
     {
         "augment": {"shift": 0.6, "shift_m": 0.15, "rotate_deg": 4.0, "noise_m": 0.012, "lost": 0.04, "occluder": 0.1},

@@ -25,7 +25,7 @@ class Experiment(PrintsJson):
     """Train methods that find ITOP's joints on the same data, run them on the same frames, and set their numbers side by side.
 
     What a step has left in --out is not made again, so that an interrupted experiment goes on. A method is trained by a small
-    recipe (20 epochs, 96x96 px), by that of --recipe, or not at all where --model gives one.
+    recipe (networks for 20 epochs at 96x96 px), by that of --recipe, or not at all where --model gives one.
     """
 
     name: Annotated[Positional[Literal["compare"]], arg(metavar="compare")]
@@ -36,8 +36,8 @@ class Experiment(PrintsJson):
     """Frames to compare on: datasets of scenes in a room, ITOP's files or their folder, or ITOP frames in a .npz."""
     data: Annotated[tuple[Path, ...], several("DATASET [DATASET ...]")] = ()
     """Datasets of scenes in a room to train on; of other people than those of the tests."""
-    methods: str = "yolo,paf,compact"
-    """Methods, with commas between."""
+    methods: Maybe[str] = None
+    """Methods, with commas between; default: all that find joints in images."""
     model: Annotated[tuple[str, ...], several("METHOD=MODEL ...")] = ()
     """Trained models to take: the name of a packaged one, or a file."""
     recipe: Annotated[tuple[str, ...], several("METHOD=FILE ...")] = ()
@@ -59,9 +59,11 @@ def run(command: Experiment) -> None:
     from cabinpose.app.compare import answers, judged, named, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
     from cabinpose.app.report.detectors import page_html
+    from cabinpose.estimate.methods import METHODS
     from cabinpose.evaluate.options import EvaluationOptions
 
-    methods = [word for word in command.methods.split(",") if word]
+    known = [method.name for method in METHODS.values() if method.task == "joints"]
+    methods = known if command.methods is None else [word for word in command.methods.split(",") if word]
     if not methods or len(set(methods)) < len(methods):
         raise ConfigError(f"--methods {command.methods} names no method, or one twice", hint="write --methods yolo,paf,compact")
     given, recipes = named(command.model, "--model", methods), named(command.recipe, "--recipe", methods)
