@@ -52,6 +52,11 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "the dataset follows the verb: cabinpose evaluate DATASET",
         ),
         (
+            "experiment compare --out o --test d --methods yolo --model yolo=room",
+            "d has no joints of ITOP",
+            "test on scenes in a room, or on ITOP's files",
+        ),
+        (
             "train --config c.yaml --data d e",
             "there is no flag --data",
             "the dataset follows the verb: cabinpose train DATASET",

@@ -18,6 +18,7 @@ TINY: dict[str, dict[str, Any]] = {
     "compact": {"width": 64, "height": 48, "focal": 51.2, "channels": (4, 4, 8, 8), "blocks": (1, 1, 1), "slots": PERSONS},
     "paf": {"width": 64, "height": 48, "focal": 51.2, "channels": 0.05, "slots": PERSONS},
     "lifting": {"width": 16, "blocks": 1, "dropout": 0.1, "slots": PERSONS},
+    "yolo": {"width": 64, "height": 48, "focal": 51.2, "channels": (4, 4, 8, 8), "blocks": (1, 1, 1), "slots": PERSONS},
     "unet": {"width": 64, "height": 48, "focal": 51.2, "channels": 2, "levels": 2, "slots": PERSONS},
 }
 

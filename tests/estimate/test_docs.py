@@ -52,10 +52,10 @@ def test_the_stated_rates_are_the_methods() -> None:
     networks = {name: method for name, method in METHODS.items() if method.fitted == "torch"}
     rates = {name: method.learning_rate for name, method in networks.items()}
     decays = {name: method.weight_decay for name, method in networks.items()}
-    assert "compact 3e-3, paf 4e-4, lifting and unet 1e-3" in PAGE
-    assert rates == {"compact": 3e-3, "paf": 4e-4, "lifting": 1e-3, "unet": 1e-3}
-    assert "compact 0.02, the others 0.01" in PAGE
-    assert decays == {"compact": 0.02, "paf": 0.01, "lifting": 0.01, "unet": 0.01}
+    assert "compact and yolo 3e-3, paf 4e-4, lifting and unet 1e-3" in PAGE
+    assert rates == {"compact": 3e-3, "paf": 4e-4, "lifting": 1e-3, "unet": 1e-3, "yolo": 3e-3}
+    assert "compact and yolo 0.02, the others 0.01" in PAGE
+    assert decays == {"compact": 0.02, "paf": 0.01, "lifting": 0.01, "unet": 0.01, "yolo": 0.02}
 
 
 def test_the_examples_are_valid() -> None:
@@ -73,8 +73,8 @@ def test_the_python_examples_run(trained: dict[str, Path], tmp_path: Path, monke
 
     monkeypatch.chdir(tmp_path)
     sphere_people.write(tmp_path / "my-dataset", sphere_people.manifest(frames=3, width=small.SIZE[0], height=small.SIZE[1]))
-    for name in ("compact", "paf", "lifting", "unet"):
-        shutil.copy(trained[name], tmp_path / f"{name}.onnx")
+    for method, name in (("compact", "compact"), ("paf", "paf"), ("lifting", "lift"), ("unet", "parts")):
+        shutil.copy(trained[method], tmp_path / f"{name}.onnx")
     scope: dict[str, Any] = {}
     for block in re.findall(r"```python\n(.*?)```", PAGE, re.S):
         exec(block, scope)

@@ -21,6 +21,8 @@ from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.unet import decode as unet_decode
 from cabinpose.estimate.unet.config import UnetConfig
 from cabinpose.estimate.walks.config import WalksConfig
+from cabinpose.estimate.yolo import decode as yolo_decode
+from cabinpose.estimate.yolo.config import YoloConfig
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -105,6 +107,7 @@ _METHODS = (
     Method(
         "unet", "parts", UnetConfig, unet_decode.decode, "Unet", ("person", "parts"), learning_rate=1e-3, weight_decay=0.01
     ),
+    Method("yolo", "joints", YoloConfig, yolo_decode.decode, "Yolo", ("boxes", "classes")),
     Method("dpm", "joints", DpmConfig, fitted="arrays"),
     Method("walks", "joints", WalksConfig, fitted="arrays"),
 )  # fmt: skip

@@ -54,7 +54,7 @@ class TrainConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    method: Annotated[str, Field(description="compact, paf, lifting, unet, dpm or walks.")] = "compact"
+    method: Annotated[str, Field(description="compact, paf, lifting, unet, yolo, dpm or walks.")] = "compact"
     settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(
         default_factory=dict, validate_default=True
     )

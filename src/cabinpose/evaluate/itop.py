@@ -34,6 +34,8 @@ def evaluate_itop(
 ) -> Report:
     """The report of predictions on ITOP. Every joint of a valid frame counts: ITOP labels hidden ones too.
 
+    A joint without a label (NaN) is absent, and one that is found there is a false positive.
+
     Parameters
     ----------
     reference
@@ -66,19 +68,20 @@ def evaluate_itop(
     true, predicted = reference.joints_3d[valid], joints_3d[valid].astype(np.float64)
     predicted_2d = project(predicted) if joints_2d is None else joints_2d[valid]
     found = finite(predicted)[:, None].astype(np.float32)
-    shape = (len(true), 1, len(ITOP_JOINTS))
+    labelled = finite(true)[:, None]
     truth = TruthChunk(
         reference.frame[valid],
         project(true)[:, None].astype(np.float32),
         true[:, None].astype(np.float32),
-        np.full(shape, Visibility.VISIBLE, np.uint8),
+        np.where(labelled, Visibility.VISIBLE, Visibility.ABSENT).astype(np.uint8),
         np.arange(len(true)),  # valid frames are no unbroken sequence: no jitter
         np.zeros(len(true), np.int64),
     )
     batch = PoseBatch(predicted_2d[:, None].astype(np.float32), predicted[:, None].astype(np.float32), found, found)
     person = ("person",)
     samples = collect([(truth, batch)], evaluated_skeleton(ITOP_JOINTS), person, person, replace(options, match="slot"))
-    notes = (f"{int(valid.sum())} valid of {len(valid)} frames; all 15 joints of each count, hidden ones too",)
+    which = "all 15 joints" if labelled.all() else "the labelled joints"
+    notes = (f"{int(valid.sum())} valid of {len(valid)} frames; {which} of each count, hidden ones too",)
     return make_report(samples, options, model, name, notes)
 
 

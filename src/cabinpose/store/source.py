@@ -29,13 +29,14 @@ class Source:
     """A dataset to be written: where it comes from, its manifest, and its frames in order, made one by one.
 
     A frame has a value for each of `manifest.stored`. Iterating raises `DatasetError` where the source is damaged. note: what the
-    source has and the dataset will not, for the user to know.
+    source has and the dataset will not, for the user to know · outcome: what was done to the frames, once they are made.
     """
 
     path: Path
     manifest: Manifest
     frames: Callable[[], Iterator[dict[str, Any]]]
     note: str = ""
+    outcome: Callable[[], str] = str
 
 
 def blank_frame(manifest: Manifest) -> dict[str, Any]:

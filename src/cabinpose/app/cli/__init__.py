@@ -23,7 +23,7 @@ from cabinpose.app.cli.output import printable
 GROUPS = MappingProxyType(
     {
         "datasets": ("synth", "train-style", "config", "car", "info", "view", "export", "import"),
-        "detectors": ("train", "models", "predict", "evaluate", "live", "serve"),
+        "detectors": ("train", "models", "predict", "evaluate", "experiment", "live", "serve"),
         "recordings": (
             "record",
             "recover",

@@ -40,6 +40,8 @@ class Import(PrintsJson):
     """ticam, ntu: only the sequences of these names, in which * stands for anything."""
     every: Maybe[int] = None
     """ticam, ntu: only every Nth frame of a sequence."""
+    correct: Maybe[Literal["head", "torso"]] = None
+    """itop: move joints that lie beside the person onto it; the person grows over the depth from this joint."""
     intrinsics: Maybe[tuple[float, float, float, float]] = None
     """Datasets: fx fy cx cy of the camera in px, in place of those of the source."""
     licence: Maybe[str] = None
@@ -84,7 +86,8 @@ def run(command: Import) -> None:
     if command.format not in IMPORTS:
         raise unknown_name("format", command.format, (*IMPORTS, *RECORDING_IMPORTS))
     belongs: dict[tuple[str, ...], dict[str, object]] = {
-        ("coco",): {"--corrects": command.corrects, "--role": command.role}, ("itop",): {"--keep-invalid": command.keep_invalid},
+        ("coco",): {"--corrects": command.corrects, "--role": command.role},
+        ("itop",): {"--keep-invalid": command.keep_invalid, "--correct": command.correct},
         ("coco", "ntu"): {"--images": command.images},
         ("ticam", "ntu"): {"--sequences": command.sequences, "--every": command.every},
     }  # fmt: skip
@@ -98,7 +101,7 @@ def run(command: Import) -> None:
     check_new_dataset(command.out, overwrite=command.overwrite)
     options = ImportOptions(
         command.keep_invalid, command.intrinsics, command.images, command.licence, command.sequences,
-        1 if command.every is None else command.every,
+        1 if command.every is None else command.every, command.correct,
     )  # fmt: skip
     source = open_source(command.source, command.format, options)
     if source.note:
@@ -106,6 +109,8 @@ def run(command: Import) -> None:
     frames = source.manifest.frames
     with progress(frames, "frames") as report:
         folder = import_source(source, command.out, overwrite=command.overwrite, report=report)
+    if told := source.outcome():
+        print(told, file=sys.stderr)
     if command.as_json:
         variables = list(source.manifest.variables)
         print_json({"out": str(folder), "format": command.format, "frames": frames, "variables": variables})

@@ -102,7 +102,7 @@ class ProgressReport:
                 self._bar.update(self._task, completed=self._done, rate=speed, note=self._note)
             elif now - self._logged >= LOG_EVERY_S:
                 count = f"{self._done}/{self._total} {self._unit}" if self._total else ""
-                left = self._left(now, self._done) if rate > 0 else f"{now - self._began:.0f} s"
+                left = self._left(now, self._done) if rate > 0 and self._total else f"{now - self._began:.0f} s"
                 print(", ".join(filter(None, (count, speed, left, self._note))), file=sys.stderr)
                 self._logged = now
 

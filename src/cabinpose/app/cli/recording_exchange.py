@@ -45,7 +45,8 @@ def import_recording(command: Import) -> bool:
             hint=f"--out FILE.mcap; datasets are made of {', '.join(IMPORTS)}",
         )
     of_dataset = {
-        "--images": command.images, "--keep-invalid": command.keep_invalid, "--intrinsics": command.intrinsics,
+        "--images": command.images, "--keep-invalid": command.keep_invalid, "--correct": command.correct,
+        "--intrinsics": command.intrinsics,
         "--licence": command.licence, "--corrects": command.corrects, "--role": command.role,
         "--sequences": command.sequences, "--every": command.every,
     }  # fmt: skip

@@ -31,7 +31,7 @@ class Train(PrintsJson):
     datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
     method: Maybe[str] = None
-    """Method, if the configuration names none: compact, paf, lifting, unet, dpm, walks."""
+    """Method, if the configuration names none: compact, paf, lifting, unet, yolo, dpm, walks."""
     config: Maybe[Path] = None
     """Configuration of the run (YAML); every key has a default."""
     synth: Maybe[Path] = None

@@ -12,8 +12,8 @@ from cabinpose.estimate.settings import ViewSettings
 _Positive = Annotated[float, Field(gt=0)]
 
 
-class CompactConfig(ViewSettings):
-    """The compact detector: its view, its channels and what it predicts."""
+class BackboneConfig(ViewSettings):
+    """The view, the images, the joints, and the size of the backbone."""
 
     width: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Width of the network's view (px).")] = 176
     height: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Height of the network's view (px).")] = 144
@@ -22,10 +22,6 @@ class CompactConfig(ViewSettings):
     skeleton: Annotated[Literal["cabinpose", "itop"], Field(description="Joints to predict.")] = "cabinpose"
     channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)
     blocks: Annotated[tuple[int, int, int], Field(description="Blocks at strides 4, 8 and 16.")] = (1, 3, 4)
-    looks_px: Annotated[
-        tuple[_Positive, ...],
-        Field(description="Refinements of each joint, one after the other: distance of their samples in the view (px)."),
-    ] = (4.0, 2.0)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -36,3 +32,12 @@ class CompactConfig(ViewSettings):
     def inputs(self) -> tuple[str, ...]:
         """Names of the network's inputs."""
         return ("depth", "amplitude") if self.amplitude else ("depth",)
+
+
+class CompactConfig(BackboneConfig):
+    """The compact detector: its backbone and its refinements."""
+
+    looks_px: Annotated[
+        tuple[_Positive, ...],
+        Field(description="Refinements of each joint, one after the other: distance of their samples in the view (px)."),
+    ] = (4.0, 2.0)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from cabinpose.estimate.batch import ray_tensor
-from cabinpose.estimate.compact.config import CompactConfig
+from cabinpose.estimate.compact.config import BackboneConfig, CompactConfig
 from cabinpose.estimate.compact.refine import Refine
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
 
@@ -41,13 +41,20 @@ class Votes(NamedTuple):
     earlier: tuple[Tensor, ...]
 
 
-class Compact(nn.Module):
-    """The network of the compact detector."""
+class Features(NamedTuple):
+    """What the backbone sees: fine at stride 4, joined at stride 8 with what is known at stride 16, and deep at stride 16."""
+
+    fine: Tensor
+    joined: Tensor
+    deep: Tensor
+
+
+class Backbone(nn.Module):
+    """The layers below a head: from depth and amplitude to features."""
 
     rays: Tensor
-    cells: Tensor
 
-    def __init__(self, config: CompactConfig) -> None:
+    def __init__(self, config: BackboneConfig) -> None:
         super().__init__()
         self.config = config
         c2, c4, c8, c16 = config.channels
@@ -59,22 +66,10 @@ class Compact(nn.Module):
         )  # fmt: skip
         self.middle = nn.Sequential(*_stage(c4, c8, b8))
         self.deep = nn.Sequential(*_stage(c8, c16, b16), Attention(c16))
-        self.lateral = _unit(c8, c8)
-        self.top = _unit(c16, c8)
+        self.lateral = unit(c8, c8)
+        self.top = unit(c16, c8)
         self.merge = Block(c8, c8)
-        count = len(config.slots) * len(config.joints)
-        self.votes = nn.Conv2d(c8 + 2, _VALUES * count, 1)
-        size = config.width, config.height
-        self.looks = nn.ModuleList(
-            Refine(size, len(config.slots), len(config.joints), c4, c8, pitch) for pitch in config.looks_px
-        )
-        self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
         self.register_buffer("rays", ray_tensor(config.view), persistent=False)
-        rows, columns = torch.meshgrid(
-            torch.arange(config.height // STRIDE), torch.arange(config.width // STRIDE), indexing="ij"
-        )  # pixel centre of each cell
-        cells = torch.stack((columns.flatten(), rows.flatten())) * STRIDE + (STRIDE - 1) / 2
-        self.register_buffer("cells", cells.float(), persistent=False)
 
     def inputs(self, depth: Tensor, amplitude: Tensor | None) -> Tensor:
         """Channels (N, C, h, w) from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
@@ -89,15 +84,41 @@ class Compact(nn.Module):
             channels.append(torch.log1p(amplitude.unsqueeze(1) * z * z) / 5.0 - valid)
         return torch.cat(channels, dim=1)
 
-    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
-        """Votes from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
-        x = self.inputs(depth, amplitude)
-        x = x.contiguous(memory_format=torch.channels_last) if self.training else x
-        fine = self.stem(x)
+    def features(self, x: Tensor) -> Features:
+        """Features of channels (N, C, h, w)."""
+        fine = self.stem(x.contiguous(memory_format=torch.channels_last) if self.training else x)
         middle = self.middle(fine)
         deep = self.deep(middle)
         top = nn.functional.interpolate(self.top(deep), scale_factor=2.0, mode="nearest")
-        features = self.merge(self.lateral(middle) + top)
+        return Features(fine, self.merge(self.lateral(middle) + top), deep)
+
+
+class Compact(Backbone):
+    """The network of the compact detector."""
+
+    config: CompactConfig
+    cells: Tensor
+
+    def __init__(self, config: CompactConfig) -> None:
+        super().__init__(config)
+        _, c4, c8, c16 = config.channels
+        count = len(config.slots) * len(config.joints)
+        self.votes = nn.Conv2d(c8 + 2, _VALUES * count, 1)
+        size = config.width, config.height
+        self.looks = nn.ModuleList(
+            Refine(size, len(config.slots), len(config.joints), c4, c8, pitch) for pitch in config.looks_px
+        )
+        self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
+        rows, columns = torch.meshgrid(
+            torch.arange(config.height // STRIDE), torch.arange(config.width // STRIDE), indexing="ij"
+        )  # pixel centre of each cell
+        cells = torch.stack((columns.flatten(), rows.flatten())) * STRIDE + (STRIDE - 1) / 2
+        self.register_buffer("cells", cells.float(), persistent=False)
+
+    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
+        """Votes from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
+        x = self.inputs(depth, amplitude)
+        fine, features, deep = self.features(x)
         n, s, j = depth.shape[0], len(self.config.slots), len(self.config.joints)
         near = nn.functional.avg_pool2d(x[:, :2], STRIDE)  # the surface of the cell, for votes relative to it
         votes = self.votes(torch.cat((features, near), dim=1)).reshape(n, s, j, _VALUES, -1)
@@ -155,7 +176,8 @@ class Attention(nn.Module):
         return x + self.out(mixed.transpose(-1, -2).reshape(n, c, h, w))
 
 
-def _unit(inputs: int, outputs: int) -> nn.Sequential:
+def unit(inputs: int, outputs: int) -> nn.Sequential:
+    """A 1x1 convolution, normalised."""
     return nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs))
 
 

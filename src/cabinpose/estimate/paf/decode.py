@@ -14,7 +14,7 @@ from cabinpose.estimate.paf.config import PafConfig
 
 _STRIDE = 8
 _SPARE = 2  # peaks of one joint that are looked at beyond one for each place
-_WINDOW = 2  # the surface around a joint is read within so many pixels
+WINDOW = 2  # the surface around a joint is read within so many pixels
 
 
 def decode(outputs: Mapping[str, NDArray[Any]], config: PafConfig, seen: Mapping[str, NDArray[Any]]) -> Found:
@@ -96,11 +96,11 @@ def surface_depth(depth: NDArray[Any], uv: NDArray[np.float64]) -> NDArray[np.fl
     result = np.full(uv.shape[:-1], np.nan)
     inside = np.isfinite(uv).all(-1) & (uv > -0.5).all(-1) & (uv[..., 0] < w - 0.5) & (uv[..., 1] < h - 0.5)
     frame = np.nonzero(inside)[0]
-    columns, rows = np.round(uv[inside]).astype(int).T[:, :, None] + np.arange(-_WINDOW, _WINDOW + 1)  # (joints, 5) each
+    columns, rows = np.round(uv[inside]).astype(int).T[:, :, None] + np.arange(-WINDOW, WINDOW + 1)  # (joints, 5) each
     there = ((rows >= 0) & (rows < h))[:, :, None] & ((columns >= 0) & (columns < w))[:, None]
     windows = depth[frame[:, None, None], np.clip(rows, 0, h - 1)[:, :, None], np.clip(columns, 0, w - 1)[:, None]]
     valid = there & (windows > 0)
-    values = np.sort(np.where(valid, windows, np.inf).reshape(len(frame), (2 * _WINDOW + 1) ** 2), axis=1)
+    values = np.sort(np.where(valid, windows, np.inf).reshape(len(frame), (2 * WINDOW + 1) ** 2), axis=1)
     count = valid.sum(axis=(1, 2))
     some = np.arange(len(frame))
     middle = (values[some, np.maximum(count - 1, 0) // 2], values[some, count // 2])

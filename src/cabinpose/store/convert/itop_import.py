@@ -8,7 +8,7 @@ detector it would be a wrong example; the literature leaves these frames out, an
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import ImportOptions, check_projection, make_manifest, put_camera, put_person
 from cabinpose.store.itop import K, hdf5
 from cabinpose.store.schema import LabelRow, Manifest
@@ -77,14 +78,27 @@ def read(path: Path, options: ImportOptions) -> Source:
         persons=(PERSON,),
         variables=(*images, "itop_joints_3d"),
         labels=label_rows() if segmented else (),
-        config={"keep_invalid": options.keep_invalid},
+        config={"keep_invalid": options.keep_invalid} | ({"correct": options.correct} if options.correct else {}),
     )
+    moved: list[NDArray[np.float64]] = []
 
     def frames() -> Iterator[dict[str, Any]]:
+        moved.clear()
         for sequence, pair in enumerate(pairs):
-            yield from _frames(pair, sequence, manifest, options)
+            yield from _frames(pair, sequence, manifest, options, moved)
 
-    return Source(path, manifest, frames)
+    return Source(path, manifest, frames, outcome=lambda: _told(moved) if options.correct else "")
+
+
+def _told(moved: Sequence[NDArray[np.float64]]) -> str:
+    """How many labels were moved, and how far, in words; moved: (15,) m of each frame, NaN where no person was found."""
+    apart = np.array(moved).reshape(-1, len(ITOP_JOINTS))
+    far = 100 * apart[apart > 0]
+    lost = int(np.isnan(apart).any(axis=1).sum())
+    text = f"{len(far)} of {apart.size} joints were moved"
+    if len(far):
+        text += f", by {np.median(far):.1f} cm in the median and {far.max():.1f} cm at most"
+    return text + (f"; frames that show nobody where their labels are, and keep them: {lost}" if lost else "")
 
 
 def label_rows() -> tuple[LabelRow, ...]:
@@ -198,7 +212,10 @@ def _camera(depth: Any, index: int, size: tuple[int, int], options: ImportOption
     return Camera(*size, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), tuple(dist))
 
 
-def _frames(pair: _Pair, sequence: int, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
+def _frames(
+    pair: _Pair, sequence: int, manifest: Manifest, options: ImportOptions, moved: list[NDArray[np.float64]]
+) -> Iterator[dict[str, Any]]:
+    """The frames of a set; what `options.correct` moves is added to `moved`, (15,) m a frame."""
     with _h5(pair.depth) as depth, _h5(pair.labels) as labels:
         small = {name: labels[name][...] for name in _NEEDED}
         for start in range(0, len(small["id"]), _BLOCK):
@@ -215,18 +232,24 @@ def _frames(pair: _Pair, sequence: int, manifest: Manifest, options: ImportOptio
                     frame["labels"], frame["instance"] = _classes(parts[index - start], index, pair.labels)
                 camera = _camera(depth, index, pair.size, options)
                 put_camera(frame, camera)
-                _put_labels(frame, {name: values[index] for name, values in small.items()}, camera, pair.labels)
+                own = {name: values[index] for name, values in small.items()}
+                world = own["real_world_coordinates"].astype(np.float64) * _UP_TO_DOWN
+                if options.correct is not None and own["is_valid"]:
+                    after = corrected(frame["depth"], world, camera, options.correct)
+                    world = after.joints_3d
+                    moved.append(after.moved_m if after.mask is not None else np.full(len(ITOP_JOINTS), np.nan))
+                _put_labels(frame, own, world, camera, pair.labels)
                 yield frame
 
 
-def _put_labels(frame: dict[str, Any], labels: dict[str, Any], camera: Camera, path: Path) -> None:
+def _put_labels(frame: dict[str, Any], labels: dict[str, Any], world: NDArray[np.float64], camera: Camera, path: Path) -> None:
+    """Fill in a frame's labels; world: (15, 3) m in our camera frame."""
     match = _ID.fullmatch(labels["id"] if isinstance(labels["id"], bytes) else str(labels["id"]).encode())
     if match is None:
         raise DatasetError(f"{path}: the id {labels['id']!r} is none of ITOP's", hint="ids are subject and frame, as 05_00123")
     frame["subject"], frame["action"] = [match[1].decode()], [UNKNOWN]
     if not labels["is_valid"]:
         return
-    world = labels["real_world_coordinates"].astype(np.float64) * _UP_TO_DOWN
     # Nothing but the person stands in front of an ITOP camera: what is hidden is hidden by the body itself.
     states = np.where(labels["visible_joints"] > 0, Visibility.VISIBLE, Visibility.SELF_OCCLUDED)
     frame["itop_joints_3d"][0] = world

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ class ImportOptions:
 
     keep_invalid: ITOP's frames without valid labels too, their joints absent · intrinsics: (fx, fy, cx, cy) px in place of the
     source's, undistorted · images: folder of COCO's images or of NTU's depth maps · licence: of the data, for `dataset.yaml` ·
-    sequences: patterns of the names of those to take, of TICaM and NTU (none: all) · every: take every nth frame of a sequence.
+    sequences: patterns of the names of those to take, of TICaM and NTU (none: all) · every: take every nth frame of a sequence ·
+    correct: ITOP's labels, on the person that grows from this joint (`itop_correct`).
     """
 
     keep_invalid: bool = False
@@ -38,6 +39,7 @@ class ImportOptions:
     licence: str | None = None
     sequences: tuple[str, ...] = ()
     every: int = 1
+    correct: Literal["head", "torso"] | None = None
 
     def __post_init__(self) -> None:
         if self.every < 1:
