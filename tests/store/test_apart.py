@@ -10,6 +10,7 @@ import pytest
 from apart_subject import lines
 
 from cabinpose.core.errors import MocapError
+from cabinpose.store.convert import apart
 from cabinpose.store.convert.apart import CrashedError, items_apart
 
 
@@ -41,7 +42,10 @@ def test_items_come_in_order_from_another_process(tmp_path: Path, threads: bool)
         ("refuse", MocapError, "refused"),
     ],
 )
-def test_its_end_is_an_error(tmp_path: Path, word: str, error: type[Exception], message: str) -> None:
+def test_its_end_is_an_error(
+    tmp_path: Path, word: str, error: type[Exception], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(apart, "_PROCESSOR_S", 1)
     with pytest.raises(error, match=message) as raised:
         list(items_apart(lines, made(tmp_path / "a", "first", word, "never")))
     if isinstance(raised.value, MocapError):

@@ -22,9 +22,9 @@ from cabinpose.store.convert.c3d_write import write_c3d
 from cabinpose.store.convert.recordings import RecordingOptions, read_entries
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a crash is looked for in a process of its own")
-FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60, "xdf": 60}  # those that read slowly
-MANY = {"azure-mkv": 300, "adtfdat": 500, "c3d": 300, "xdf": 300}
-NEEDS = {"adtfdat": "adtf_file", "xdf": "pyxdf", "c3d": "ezc3d", "azure-mkv": "av"}
+FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60, "rosbag2": 60, "xdf": 60}  # those that read slowly
+MANY = {"azure-mkv": 300, "adtfdat": 500, "c3d": 300, "rosbag2": 300, "xdf": 300}
+NEEDS = {"adtfdat": "adtf_file", "xdf": "pyxdf", "c3d": "ezc3d", "azure-mkv": "av", "rosbag2": "rosbags"}
 
 
 def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:
@@ -45,7 +45,7 @@ def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:
 
 def ending(name: str) -> str:
     """Of a file's name."""
-    return {"azure-mkv": ".mkv"}.get(name, f".{name}")
+    return {"azure-mkv": ".mkv", "rosbag2": ".mcap"}.get(name, f".{name}")
 
 
 def originals(name: str, folder: Path) -> dict[str, bytes]:
@@ -56,6 +56,11 @@ def originals(name: str, folder: Path) -> dict[str, bytes]:
 
         images = [(track, 1000 * i, picture(i)) for i in range(2) for track in ("DEPTH", "IR")]
         return {"frames": make_mkv(path, [*images, ("IMU", 500, bytes(range(40)))]).read_bytes()}
+    if name == "rosbag2":
+        from rosbag_file import bag, take
+
+        (file,) = bag(folder / "bag", take()).glob("*.mcap")
+        return {"frames": file.read_bytes()}
     if name == "mvnx":
         write_mvnx(path, rows(SegmentPoses, SensorReadings, JointAngles))
     elif name == "c3d":

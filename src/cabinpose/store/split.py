@@ -14,14 +14,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError, unknown_name
 from cabinpose.core.yaml_text import read_yaml
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COORDINATES = ("subject", "car", "pov", "action", "sequence")
 

@@ -54,7 +54,7 @@ def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
     alone = threading.active_count() == 1 and sys.platform.startswith("linux")
     context: Any = multiprocessing.get_context("fork" if alone else "spawn")  # forking is quick, and safe without threads
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_serve, args=(sender, make, path), daemon=True)
+    process = context.Process(target=_serve, args=(sender, make, path, _PROCESSOR_S), daemon=True)
     process.start()
     sender.close()
     try:
@@ -78,9 +78,9 @@ def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
         process.join()
 
 
-def _serve(sender: Connection, make: Callable[..., Iterable[Any]], path: Path) -> None:
+def _serve(sender: Connection, make: Callable[..., Iterable[Any]], path: Path, processor_s: int) -> None:
     faulthandler.disable()  # a crash is told by the exit code
-    _limit(path)
+    _limit(path, processor_s)
     items: list[Any] = []
     error: Exception | None = None
     try:
@@ -96,15 +96,15 @@ def _serve(sender: Connection, make: Callable[..., Iterable[Any]], path: Path) -
     sender.send((items, error, True))
 
 
-def _limit(path: Path) -> None:
-    """Bound this process' memory and processor time."""
+def _limit(path: Path, processor_s: int) -> None:
+    """Bound this process' memory, and its processor time beyond what the file's size asks for."""
     if not sys.platform.startswith("linux"):
         return
     import resource  # noqa: PLC0415 - not there on Windows
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     used = resource.getrusage(resource.RUSAGE_SELF)  # what importing took, in a process that did not begin as a copy
-    seconds = int(used.ru_utime + used.ru_stime) + _PROCESSOR_S + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
+    seconds = int(used.ru_utime + used.ru_stime) + processor_s + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
     for kind, wanted in ((resource.RLIMIT_AS, pages * resource.getpagesize() + _ROOM_BYTES), (resource.RLIMIT_CPU, seconds)):
         _, hard = resource.getrlimit(kind)
         resource.setrlimit(kind, (wanted if hard < 0 else min(wanted, hard), hard))
