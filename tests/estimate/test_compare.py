@@ -130,6 +130,7 @@ def test_a_comparison_and_what_is_not_done_again(room: Path, tmp_path: Path, run
     assert all(v["samples"] == 0 for v in facts["report"]["values"] if v["joints"] == "lfoot" and v["metric"] == "PCK")  # absent
     for page in ("index.html", "room/index.html", "crops/index.html"):
         assert "yolo" in (out / page).read_text("utf-8")
+    assert (out / "room" / "boxes.png").read_bytes().startswith(b"\x89PNG")
     with np.load(out / "found" / "room" / "yolo.npz") as found:
         assert found["joints_3d"].shape == (8, 15, 3)
 

@@ -31,7 +31,7 @@ class Experiment(PrintsJson):
     name: Annotated[Positional[Literal["compare"]], arg(metavar="compare")]
     """The experiment."""
     out: Path
-    """Folder of the experiment: models, answers, index.html, report.json, and a folder with a page for each test."""
+    """Folder of the experiment: models, answers, index.html, report.json, and a folder with a page and boxes.png for each test."""
     test: Annotated[tuple[Path, ...], several("TEST [TEST ...]")]
     """Frames to compare on: datasets of scenes in a room, ITOP's files or their folder, or ITOP frames in a .npz."""
     data: Annotated[tuple[Path, ...], several("DATASET [DATASET ...]")] = ()
@@ -58,7 +58,8 @@ def run(command: Experiment) -> None:
     from cabinpose.app.cli.evaluate import write_report
     from cabinpose.app.compare import answers, judged, named, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
-    from cabinpose.app.report.detectors import page_html
+    from cabinpose.app.report.detectors import box_charts, page_html
+    from cabinpose.app.report.raster import write_png
     from cabinpose.estimate.methods import METHODS
     from cabinpose.evaluate.options import EvaluationOptions
 
@@ -84,6 +85,7 @@ def run(command: Experiment) -> None:
             reports[name][method] = report
             facts[name][method] = {"poses_per_s": 1 / found.cpu_s, "bytes": file.stat().st_size, "within_10cm_unmoved": unmoved}
         write_report(command.out / name, page_html(list(reports[name].values()), {}, {}), _record(reports[name], facts[name]))
+        write_png(command.out / name / "boxes.png", box_charts(list(reports[name].values())), list(reports[name]))
     record = {name: _record(reports[name], facts[name]) for name in tests}
     write_report(command.out, comparison_html(reports, facts, notes), {"models": notes, "tests": record})
     if command.as_json:
