@@ -31,7 +31,7 @@ class Experiment(PrintsJson):
     name: Annotated[Positional[Literal["compare"]], arg(metavar="compare")]
     """The experiment."""
     out: Path
-    """Folder of the experiment: models, answers, index.html, report.json, and for each test a folder with a page and boxes.png."""
+    """Folder of the experiment: models, answers, index.html, report.json, and of each test a page and boxes.png."""
     test: Annotated[tuple[Path, ...], several("TEST [TEST ...]")]
     """Frames to compare on: datasets of scenes in a room, ITOP's files or their folder, or ITOP frames in a .npz."""
     data: Annotated[tuple[Path, ...], several("DATASET [DATASET ...]")] = ()
