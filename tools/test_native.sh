@@ -13,6 +13,6 @@ out=build/sanitized
 # Python leaks by design at its end. The first finding ends the run.
 export ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1
 export CABINPOSE_NATIVE=$out/cabinpose/_native
-[ $# -gt 0 ] || set -- tests/native tests/body tests/contact tests/posture tests/render tests/sensor
+[ $# -gt 0 ] || set -- tests/native tests/body tests/contact tests/posture tests/render tests/sensor tests/estimate/test_{dpm,walks}.py
 LD_PRELOAD=$(${CXX:-c++} -print-file-name=libasan.so):$(${CXX:-c++} -print-file-name=libubsan.so) \
     "$bin/python" -m pytest -q -p no:cacheprovider -m "not slow" "$@"
