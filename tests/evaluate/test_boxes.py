@@ -9,9 +9,13 @@ import pytest
 from matplotlib.cbook import boxplot_stats
 from PIL import Image
 
+from cabinpose.app.cli.evaluate import write_boxes
 from cabinpose.app.report.charts import COLOURS, box_chart
 from cabinpose.app.report.raster import write_png
 from cabinpose.evaluate.boxes import FOUND, Box, box_of, boxes_by_range
+from cabinpose.evaluate.itop import evaluate_itop
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.store.itop import ItopReference
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 300])
@@ -64,3 +68,14 @@ def test_the_picture_shows_median_and_outlier_where_the_axis_has_them(tmp_path: 
     assert not ((drawn > between[0]) & (drawn < between[1])).any()
     dot = picture[round(row(10.0)), 2 * 116]
     assert dot[2] > dot[0] + 40  # bluish, half transparent
+
+
+def test_without_anything_found_there_is_no_picture(tmp_path: Path) -> None:
+    truth = np.random.default_rng(0).normal(size=(2, 15, 3)) + (0, 0, 3)
+    reference = ItopReference(np.arange(2), truth, np.ones(2, np.bool_))
+    options = EvaluationOptions(resamples=0)
+    nothing, all_of_it = (evaluate_itop(reference, found, options, model="m", name="n") for found in (truth * np.nan, truth))
+    write_boxes(tmp_path, [nothing])
+    assert not (tmp_path / "boxes.png").exists()
+    write_boxes(tmp_path, [nothing, all_of_it])
+    assert (tmp_path / "boxes.png").exists()

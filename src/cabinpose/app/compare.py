@@ -55,11 +55,10 @@ _OWN: MappingProxyType[str, dict[str, Any]] = MappingProxyType(  # beside them, 
 _RUN = MappingProxyType(
     {
         "augment": {"shift": 0.6, "shift_m": 0.15, "rotate_deg": 4.0, "noise_m": 0.012, "lost": 0.04, "occluder": 0.1},
-        "epochs": 20, "average": 0.99,  # over few steps: the longer average of long runs would still hold the first weights
+        "epochs": 20, "average": 0.99,  # shorter than that of long runs
     }
 )  # fmt: skip
 _TIMED = 64  # frames that the speed is measured on
-_PRESENT = 0.5
 
 
 @dataclass(frozen=True)
@@ -181,7 +180,7 @@ def answers(model_file: Path, test: Test, file: Path, progress: Callable[[int], 
     count, found = len(test.reference.frame), []
     for start in range(0, count, BATCH):
         poses = model.predict(test.batch(slice(start, start + BATCH)))
-        sure = test.labelled | (poses.presence[:, 0] >= _PRESENT)
+        sure = test.labelled | (poses.presence[:, 0] >= EvaluationOptions.presence)
         found.append(np.where(sure[..., None], poses.joints_3d[:, 0], np.nan))
         progress(min(start + BATCH, count))
     timed = test.batch(slice(0, min(count, _TIMED)))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.core.skeleton import JOINTS
+from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, UPPER_BODY, index_pairs
 from cabinpose.estimate.inputs import InputView
 
 _FOCAL_PER_WIDTH = 160 / 352  # gives every view the same field of view: 95.5 deg across
@@ -48,3 +48,26 @@ class ViewSettings(Settings):
         """The view of a model with these settings."""
         focal = self.focal if self.focal is not None else _FOCAL_PER_WIDTH * self.width
         return InputView(self.width, self.height, focal, self.max_depth_m)
+
+
+class BodySettings(ViewSettings):
+    """The settings of a method that can predict the upper body alone, and that ties joints along the limbs."""
+
+    body: Annotated[Literal["upper", "full", "itop"], Field(description="Joints: the upper body's 14, all 20, or ITOP's.")] = (
+        "upper"
+    )
+
+    @property
+    def skeleton(self) -> str:
+        """Which of the dataset's skeletons the joints are of."""
+        return "itop" if self.body == "itop" else "cabinpose"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """(J,) names of the joints that it predicts."""
+        return {"upper": UPPER_BODY, "full": JOINTS, "itop": ITOP_JOINTS}[self.body]
+
+    @property
+    def limbs(self) -> tuple[tuple[int, int], ...]:
+        """(C,) pairs of joints, parent first: the tree that ties all of them."""
+        return index_pairs(self.joints, ITOP_LIMBS if self.body == "itop" else LIMBS)

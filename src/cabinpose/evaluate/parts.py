@@ -100,10 +100,11 @@ def evaluate_parts(
     weights = frame_weights(len(each), resamples, rng=np.random.Generator(np.random.Philox(key=seed)))
     drawn = weighted_sums(weights, each.reshape(len(each), -1).astype(np.float64)).reshape(-1, count, count)
     totals = np.concatenate((each.sum(axis=0)[None].astype(np.float64), drawn))
-    shares = {("IoU", classes[i]): column for i, column in enumerate(intersection_over_union(totals).T)}
+    iou = intersection_over_union(totals)
+    shares = {("IoU", classes[i]): column for i, column in enumerate(iou.T)}
     shares |= {
-        ("mean IoU", "parts"): _mean(intersection_over_union(totals)[:, 1:]),
-        ("mean IoU", "parts and nobody"): _mean(intersection_over_union(totals)),
+        ("mean IoU", "parts"): _mean(iou[:, 1:]),
+        ("mean IoU", "parts and nobody"): _mean(iou),
         ("IoU", "people"): intersection_over_union(whole_person(totals))[:, 1],
         ("pixels right", "all"): np.trace(totals, axis1=1, axis2=2) / totals.sum(axis=(1, 2)),
     }

@@ -147,9 +147,8 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         tell_failed(model)
     record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
-        from cabinpose.app.report.detectors import box_charts, page_html
+        from cabinpose.app.report.detectors import page_html
         from cabinpose.app.report.frames import frame_figures
-        from cabinpose.app.report.raster import write_png
 
         in_view = dataset.sel(person=list(persons))
         typical, worst = (
@@ -157,8 +156,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
             for kind in ("typical", "worst")
         )
         write_report(command.out, page_html(reports, typical, worst), record)
-        if boxes := box_charts(reports):
-            write_png(command.out / "boxes.png", boxes, [r.model for r in reports])
+        write_boxes(command.out, reports)
     if command.as_json:
         print_json(record)
         return
@@ -262,6 +260,15 @@ def write_report(folder: Path, page: str, record: dict[str, Any]) -> None:
             raise DatasetError(f"{folder} is no folder", hint="give another folder with --out") from None
         (folder / "index.html").write_text(page, encoding="utf-8")
         (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
+
+
+def write_boxes(folder: Path, reports: Sequence[Report]) -> None:
+    """Write the models' box plots as boxes.png, where any of them found anything."""
+    from cabinpose.app.report.detectors import box_charts
+    from cabinpose.app.report.raster import write_png
+
+    if boxes := box_charts(reports):
+        write_png(folder / "boxes.png", boxes, [r.model for r in reports])
 
 
 def print_report(report: Report, *, everything: bool) -> None:

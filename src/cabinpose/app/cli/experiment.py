@@ -55,11 +55,10 @@ COMMAND = Experiment
 
 def run(command: Experiment) -> None:
     """Train, run and judge what is not there yet; the tables go to stdout, the pages to `out`."""
-    from cabinpose.app.cli.evaluate import write_report
+    from cabinpose.app.cli.evaluate import write_boxes, write_report
     from cabinpose.app.compare import answers, judged, named, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
-    from cabinpose.app.report.detectors import box_charts, page_html
-    from cabinpose.app.report.raster import write_png
+    from cabinpose.app.report.detectors import page_html
     from cabinpose.estimate.methods import METHODS
     from cabinpose.evaluate.options import EvaluationOptions
 
@@ -84,8 +83,9 @@ def run(command: Experiment) -> None:
             report, unmoved = judged(test, found, method, options)
             reports[name][method] = report
             facts[name][method] = {"poses_per_s": 1 / found.cpu_s, "bytes": file.stat().st_size, "within_10cm_unmoved": unmoved}
-        write_report(command.out / name, page_html(list(reports[name].values()), {}, {}), _record(reports[name], facts[name]))
-        write_png(command.out / name / "boxes.png", box_charts(list(reports[name].values())), list(reports[name]))
+        of_test = list(reports[name].values())
+        write_report(command.out / name, page_html(of_test, {}, {}), _record(reports[name], facts[name]))
+        write_boxes(command.out / name, of_test)
     record = {name: _record(reports[name], facts[name]) for name in tests}
     write_report(command.out, comparison_html(reports, facts, notes), {"models": notes, "tests": record})
     if command.as_json:

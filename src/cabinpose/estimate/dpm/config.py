@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, UPPER_BODY
-from cabinpose.estimate.settings import ViewSettings
+from cabinpose.estimate.settings import BodySettings
 
 _LONG = ("elbow", "wrist", "hand", "knee", "ankle", "foot")  # ends of limbs that get a part of their own
 _LONG_FROM = ("shoulder", "elbow", "hip", "pelvis", "knee")
@@ -32,13 +31,12 @@ class Tree(NamedTuple):
         return own[np.argsort(self.ends[own, 0])]
 
 
-class DpmConfig(ViewSettings):
+class DpmConfig(BodySettings):
     """The deformable parts: what is seen, how it is described, the parts and their training."""
 
     width: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Width of the view (px).")] = 176
     height: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Height of the view (px).")] = 144
     input: Annotated[Literal["depth", "amplitude"], Field(description="The image whose gradients are described.")] = "depth"
-    body: Annotated[Literal["upper", "full", "itop"], Field(description="Joints: upper body, all 20, or ITOP's.")] = "upper"
     pixel_m: Annotated[float, Field(gt=0, le=0.2, description="Size of a pixel on a body of a level's depth (m).")] = 0.025
     cell_px: Annotated[int, Field(ge=2, le=16, description="Side of a cell of the histograms (px).")] = 3
     filter_cells: Annotated[int, Field(ge=1, le=15, description="Side of a part's filter (cells), odd.")] = 5
@@ -59,16 +57,6 @@ class DpmConfig(ViewSettings):
         return value
 
     @property
-    def skeleton(self) -> str:
-        """Which of the dataset's skeletons the joints are of."""
-        return "itop" if self.body == "itop" else "cabinpose"
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that it predicts."""
-        return {"upper": UPPER_BODY, "full": JOINTS, "itop": ITOP_JOINTS}[self.body]
-
-    @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the images that it reads; the depth tells the size of people in any case."""
         return ("depth", "amplitude") if self.input == "amplitude" else ("depth",)
@@ -77,14 +65,12 @@ class DpmConfig(ViewSettings):
     def tree(self) -> Tree:
         """The skeleton's tree from the chest, or ITOP's torso, on."""
         joints = self.joints
-        limbs = ITOP_LIMBS if self.body == "itop" else LIMBS
-        edges = [(joints.index(a), joints.index(b)) for a, b in limbs if a in joints and b in joints]
         root = joints.index("torso" if self.body == "itop" else "chest")
-        parent, ends, part_of = [-1], [(root, root)], {root: 0}
+        limbs, parent, ends, part_of = self.limbs, [-1], [(root, root)], {root: 0}
         queue = [root]
         while queue:
             here = queue.pop(0)
-            for a, b in edges:
+            for a, b in limbs:
                 if here not in (a, b) or (other := b if here == a else a) in part_of:
                     continue
                 before = part_of[here]

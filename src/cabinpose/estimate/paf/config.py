@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, UPPER_BODY
-from cabinpose.estimate.settings import ViewSettings
+from cabinpose.estimate.settings import BodySettings
 
 # Half the depth of the body at the joint, for an adult of medium size: what lies between the skin that a camera in front
 # sees and the joint (m). ITOP's hand and foot are those of its own skeleton.
@@ -16,14 +15,11 @@ DEFAULT_SKIN_OFFSET_M = {
     "wrist": 0.025, "hand": 0.015, "knee": 0.06, "ankle": 0.04, "foot": 0.03,
 }  # fmt: skip
 
-_Body = Literal["upper", "full", "itop"]
 
-
-class PafConfig(ViewSettings):
+class PafConfig(BodySettings):
     """The part affinity fields: input, stages and size of the network, and how people are read off its maps."""
 
     input: Annotated[Literal["depth", "cloud", "amplitude"], Field(description="What the network sees.")] = "depth"
-    body: Annotated[_Body, Field(description="Joints: the upper body's 14, all 20, or ITOP's.")] = "upper"
     stages: Annotated[int, Field(ge=1, le=6, description="1 = the thesis; the original refines in 5 more.")] = 1
     channels: Annotated[float, Field(gt=0, le=2, description="Factor on the thesis' numbers of channels.")] = 1.0
     presence_labels: Annotated[
@@ -54,23 +50,6 @@ class PafConfig(ViewSettings):
         if value is not None and not value:
             raise ValueError("no place has an anchor")
         return value
-
-    @property
-    def skeleton(self) -> str:
-        """Which of the dataset's skeletons the joints are of."""
-        return "itop" if self.body == "itop" else "cabinpose"
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that it predicts."""
-        return {"upper": UPPER_BODY, "full": JOINTS, "itop": ITOP_JOINTS}[self.body]
-
-    @property
-    def limbs(self) -> tuple[tuple[int, int], ...]:
-        """(C,) pairs of joints, parent first: the tree that ties all of them."""
-        joints = self.joints
-        pairs = ITOP_LIMBS if self.body == "itop" else LIMBS
-        return tuple((joints.index(a), joints.index(b)) for a, b in pairs if a in joints and b in joints)
 
     @property
     def inputs(self) -> tuple[str, ...]:
