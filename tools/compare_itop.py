@@ -1,6 +1,7 @@
 """Generated room frames beside real ITOP frames: a picture and a table.
 
     python tools/compare_itop.py FRAMES.npz --picture docs/images/itop.png
+    python tools/compare_itop.py FRAMES.npz --scenes docs/models/room-top-scenes.yaml --picture docs/images/itop-top.png
 
 FRAMES.npz holds real frames as `depth01` (N, 100, 100): columns 40 to 279 of 320x240, nearest neighbour, each frame
 scaled by its own minimum and maximum (0 = hole), with `joints_3d` (N, 15, 3) in metres, y up. Generated frames are put
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.synth.config import room_preset
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.write import FrameMaker
 
 SIZE = 100
@@ -28,8 +29,8 @@ BONES = (
 
 
 def shrink(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(240, 320) metres, NaN invalid, to (100, 100) as the real frames are stored."""
-    crop = np.nan_to_num(depth_m[:, 40:280])
+    """(240, 320) metres, NaN invalid, or (100, 100) of its middle, to (100, 100) as the real frames are stored."""
+    crop = np.nan_to_num(depth_m[:, 40:280] if depth_m.shape == (240, 320) else depth_m)
     small = cv2.resize(crop, (SIZE, SIZE), interpolation=cv2.INTER_NEAREST)
     return ((small - small.min()) / (small.max() - small.min())).astype(np.float32)
 
@@ -70,7 +71,7 @@ def picture(real: NDArray[np.float32], ours: NDArray[np.float32], columns: int =
 
     gap = np.full((24, columns * (2 * SIZE + 4), 3), 255, np.uint8)
     titles = [gap.copy(), gap.copy()]
-    for title, text in zip(titles, ("real (ITOP, side view)", "generated (cabinpose, room)"), strict=True):
+    for title, text in zip(titles, ("real (ITOP)", "generated (cabinpose)"), strict=True):
         cv2.putText(title, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
     return np.asarray(np.vstack((titles[0], strip(real), titles[1], strip(ours))), dtype=np.uint8)
 
@@ -80,13 +81,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Generated room frames beside real ITOP frames.")
     parser.add_argument("frames", type=Path, help="the .npz of real frames")
     parser.add_argument("--picture", type=Path, required=True)
+    scenes = Path("docs/models/room-refined-scenes.yaml")
+    parser.add_argument("--scenes", type=Path, default=scenes, help="the recipe of the generated frames")
     parser.add_argument("--count", type=int, default=64, help="generated frames")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
 
     with np.load(arguments.frames) as data:
         real, real_joints = data["depth01"], data["joints_3d"].astype(np.float64)
-    maker = FrameMaker(room_preset(), arguments.seed)
+    maker = FrameMaker(SynthConfig.load(arguments.scenes), arguments.seed)
     ours, joints = [], []
     for index in range(arguments.count):
         frame, _ = maker.make(index)

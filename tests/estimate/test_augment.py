@@ -23,7 +23,9 @@ VIEW = InputView(64, 48, 51.2)
 RAYS = torch.tensor(VIEW.camera.rays.transpose(2, 0, 1), dtype=torch.float32)
 WALL_M, PLATE_M = 2.0, 1.2
 SLOTS = ("driver", "rear_left", "rear_center", "rear_right")
-MIRROR = Mirror(mirrored_joints(JOINTS), mirrored_slots(SLOTS), torch.from_numpy(mirrored_labels()))
+MIRROR = Mirror(
+    mirrored_joints(JOINTS), mirrored_slots(SLOTS), mirrored_slots(SLOTS, facing=True), torch.from_numpy(mirrored_labels())
+)
 NOTHING = AugmentConfig(shift=0, flip=0, noise_m=0, lost=0, gain=1, occluder=0)
 
 
@@ -44,6 +46,7 @@ def batch(depth: np.ndarray, joints: np.ndarray | None = None, visibility: int =
         torch.ones(uvz.shape[:2], dtype=torch.bool),
         torch.arange(depth.size, dtype=torch.float32).reshape(1, *depth.shape),
         torch.full((1, *depth.shape), ID["torso_left"], dtype=torch.uint8),
+        torch.zeros(1, dtype=torch.bool),
     )
 
 
@@ -59,6 +62,7 @@ def random_batch(seed: int = 0, frames: int = 3) -> Batch:
         torch.tensor(rng.random(shape[:2]) < 0.7),
         torch.tensor(rng.uniform(0, 400, depth.shape), dtype=torch.float32),
         torch.tensor(rng.integers(0, 34, depth.shape), dtype=torch.uint8),
+        torch.zeros(frames, dtype=torch.bool),
     )
 
 
@@ -200,6 +204,18 @@ def test_flip_twice_is_identity_and_once_swaps_sides() -> None:
     hand = b.labels == ID["hand_left"]
     assert hand.any()
     assert torch.equal(once.labels.flip(-1) == ID["hand_right"], hand)
+
+
+def test_front_places_change_sides_on_a_bench_that_looks_backwards() -> None:
+    slots = ("driver", "front_passenger", "rear_left", "rear_right")  # as many as SLOTS
+    mirror = MIRROR._replace(slots=mirrored_slots(slots), facing_slots=mirrored_slots(slots, facing=True))
+    b = random_batch()._replace(facing=torch.tensor([False, True, False]))
+    once = flip(b, torch.ones(3, dtype=torch.bool), mirror, 64)
+    assert torch.equal(once.present[1], b.present[1, [1, 0, 3, 2]])
+    assert torch.equal(once.present[[0, 2]], b.present[[0, 2]][:, [0, 1, 3, 2]])
+    neck = JOINTS.index("neck")
+    torch.testing.assert_close(once.joints[1, 0, neck, 0], 63 - b.joints[1, 1, neck, 0])
+    torch.testing.assert_close(once.joints[0, 0, neck, 0], 63 - b.joints[0, 0, neck, 0])
 
 
 def test_only_chosen_frames_flip() -> None:

@@ -9,6 +9,7 @@ import pytest
 import small
 import sphere_people
 import yaml
+from PIL import Image
 
 from cabinpose.app.cli import main, output
 
@@ -46,6 +47,7 @@ def test_train_and_export(
     assert told == sorted(told)
     assert told[0] >= 0
     best = json.loads(said.out.strip().splitlines()[-1])["best"]
+    assert Image.open(out / "curves.png").size == (960, 2 * (260 + 28))
     assert run("export", "--onnx", best, "--out", str(tmp_path / "model.onnx"), "--json") == 0
     assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["difference"] <= 1e-4
 

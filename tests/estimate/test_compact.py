@@ -125,8 +125,8 @@ def test_a_run_with_looks_begins_with_a_checkpoint_without(checkpoints: dict[str
     torch.save(data, plain)
     detector = Detector(TrainConfig.model_validate(read_checkpoint(checkpoints["compact"])["config"]))
     fresh = detector.network.looks[0].embed.detach().clone()
-    begin_with(detector, plain)
+    begin_with(detector, plain, [])
     torch.testing.assert_close(detector.network.looks[0].embed, fresh)
     torch.testing.assert_close(detector.network.votes.weight, data["state_dict"]["network.votes.weight"])
     with pytest.raises(ModelError, match="another network"):
-        begin_with(Detector(TrainConfig.model_validate(read_checkpoint(plain)["config"])), checkpoints["compact"])
+        begin_with(Detector(TrainConfig.model_validate(read_checkpoint(plain)["config"])), checkpoints["compact"], [])

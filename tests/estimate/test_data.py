@@ -52,6 +52,20 @@ def test_a_joint_beyond_the_view_is_outside() -> None:
     assert np.array_equal(kept.visibility[inside], made["visibility"][inside])
 
 
+def test_a_front_row_that_looks_backwards_is_known_by_its_hips() -> None:
+    made = small.frame(2)
+    joints = np.full_like(made["joints_3d"], np.nan)
+    left, right = JOINTS.index("lpelvis"), JOINTS.index("rpelvis")
+    joints[1, left], joints[1, right] = (0.1, 0.2, 1.0), (-0.1, 0.2, 1.0)  # the passenger looks into the camera
+    looks_back, looks_ahead = np.eye(4), np.eye(4)
+    looks_back[1, :3], looks_ahead[1, :3] = (1, 0, 0), (-1, 0, 0)  # the camera: its right is the car's left, or right
+    made["joints_3d"] = joints
+    assert not view_frame(made | {"vehicle_from_camera": looks_back}, SPEC, [0, 1, 2]).facing
+    ahead = made | {"vehicle_from_camera": looks_ahead}
+    assert collate([view_frame(ahead, SPEC, [0, 1, 2])] * 2).facing.tolist() == [True, True]
+    assert not view_frame(ahead, SPEC._replace(slots=("driver", "rear_left")), [0, 2]).facing
+
+
 def test_somebody_is_there_who_is_named_and_seen() -> None:
     made = small.frame(2)
     assert view_frame(made, SPEC, [0, 1, 2]).present.tolist() == [True, True, True]

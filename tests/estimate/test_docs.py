@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.estimate.augment import AugmentConfig
 from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.predictor import describe_model, packaged_models
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.store.split import parse_splits
 
@@ -59,10 +60,12 @@ def test_the_stated_rates_are_the_methods() -> None:
 
 
 def test_the_examples_are_valid() -> None:
-    splits, run = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.S))
+    splits, run, from_packaged = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.S))
     assert set(parse_splits(splits, "docs")) == {"train", "validate"}
     config = TrainConfig.model_validate(run)
     assert frame_spec(config).slots == ("driver", "front_passenger")
+    packaged = describe_model(packaged_models()["in_car"])["settings"]
+    assert TrainConfig.model_validate(from_packaged).settings == packaged  # what --init in_car begins with
 
 
 def test_the_python_examples_run(trained: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -112,7 +112,7 @@ def test_itop_frames_are_scored(itop_model: Path, tmp_path: Path, capsys: pytest
 def test_itop_frames_need_an_itop_model(trained: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = itop_file(tmp_path / "frames.npz")
     assert main(["evaluate", "--itop-npz", str(file), "--model", str(trained["compact"])]) == 2
-    assert "hint: take the model `room`" in capsys.readouterr().err
+    assert "hint: take the model `room` or `room_top`" in capsys.readouterr().err
     (tmp_path / "broken.npz").write_bytes(file.read_bytes()[:500])
     assert main(["evaluate", "--itop-npz", str(tmp_path / "broken.npz"), "--model", str(trained["compact"])]) == 2
 
@@ -172,3 +172,10 @@ def test_labels_lie_nearer_on_the_same_ray() -> None:
         ("rknee", 0.08),
     ):
         np.testing.assert_allclose(by_name[name], distance, atol=1e-9)
+
+
+def test_labels_of_the_top_view_are_those_of_the_side_view_turned() -> None:
+    side = np.zeros((15, 3)) + (0.0, 0.0, 3.0)  # on the axis of the camera at the side, which looks horizontally
+    top_from_side, shift = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.1, 2.9, 1.3])
+    turned = as_labelled(side) @ top_from_side.T + shift
+    np.testing.assert_allclose(as_labelled(side @ top_from_side.T + shift, "top"), turned, atol=1e-12)

@@ -25,7 +25,12 @@ from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored
 from cabinpose.estimate.training import TrainConfig, frame_spec
 
 CONFIG = LiftingConfig(**small.TINY["lifting"])
-MIRROR = Mirror(mirrored_joints(UPPER_BODY), mirrored_slots(small.PERSONS), torch.from_numpy(mirrored_labels()))
+MIRROR = Mirror(
+    mirrored_joints(UPPER_BODY),
+    mirrored_slots(small.PERSONS),
+    mirrored_slots(small.PERSONS, facing=True),
+    torch.from_numpy(mirrored_labels()),
+)
 STILL = AugmentConfig(shift=0, flip=0)
 J = len(UPPER_BODY)
 

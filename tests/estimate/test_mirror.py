@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS, UPPER_BODY, mirrored
+from cabinpose.estimate.compact.config import CompactConfig
+from cabinpose.estimate.compact.model import Mirrored, Votes
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.scene.labels import LABELS
 
@@ -20,6 +24,36 @@ def test_joints_swap_sides() -> None:
 def test_places_swap_where_both_are_known() -> None:
     assert mirrored_slots(("driver", "rear_right", "rear_left")) == [0, 2, 1]
     assert mirrored_slots(("driver", "rear_left")) == [0, 1]
+    assert mirrored_slots(("driver", "front_passenger", "rear_left"), facing=True) == [1, 0, 2]
+
+
+class _Drawn(nn.Module):
+    """Answers with who sits where in frames that say it in their corners: 1 for a car, 2 for a bench that looks backwards."""
+
+    config = CompactConfig(width=96, height=96, focal=100.0, slots=("driver", "front_passenger"))
+    u = torch.tensor([20.0, 61.0])
+
+    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
+        code, there = depth[:, 0, 0], depth[:, 1, :2]  # the mirror image has them at the other end
+        mirror = code == 0
+        code, there = torch.where(mirror, depth[:, 0, -1], code), torch.where(mirror[:, None], depth[:, 1, -2:].flip(-1), there)
+        u = torch.where(mirror[:, None], 95 - self.u, self.u)
+        swapped = (mirror & (code == 2))[:, None]
+        u, there = torch.where(swapped, u.flip(-1), u), torch.where(swapped, there.flip(-1), there)
+        uvz = torch.stack((u, torch.full_like(u, 40.0), torch.ones_like(u)), -1)[:, :, None].expand(-1, -1, 20, -1)
+        some = torch.zeros(uvz.shape[:3])
+        return Votes(uvz, some, some, 8 * there - 4, torch.zeros(*some.shape, 1), torch.zeros(1), ())
+
+
+def test_a_mirror_image_of_a_bench_that_looks_backwards_changes_the_front_places() -> None:
+    depth = torch.zeros(6, 96, 96)
+    depth[:, 0, 0] = torch.tensor([1.0, 2.0]).repeat(3)
+    depth[:, 1, :2] = torch.tensor([[1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]).repeat_interleave(2, 0)
+    network = _Drawn()
+    alone, both = network(depth), Mirrored(network)(depth)  # type: ignore[arg-type]
+    torch.testing.assert_close(both.joints, alone.joints)
+    torch.testing.assert_close(both.present, alone.present)
+    assert both.spreads[..., -1].abs().max() < 1e-4
 
 
 def test_classes_swap_sides_and_the_world_stays() -> None:

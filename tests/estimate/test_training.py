@@ -18,7 +18,6 @@ from lightning.pytorch.callbacks import Callback
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
@@ -82,7 +81,6 @@ def test_a_killed_run_goes_on_with_the_same_curve(method: str, tmp_path: Path) -
     assert whole.keys() == resumed.keys()  # the table is whole again, the epochs before the interruption too
     for key, value in resumed.items():
         assert whole[key] == pytest.approx(value, rel=1e-6), key
-    assert (tmp_path / "killed" / "curves.png").exists()
     a, b = (torch.load(tmp_path / run / "last.ckpt", weights_only=False)["state_dict"] for run in ("whole", "killed"))
     for name, value in a.items():
         torch.testing.assert_close(b[name], value, rtol=1e-6, atol=1e-7)
@@ -291,7 +289,7 @@ def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], check
     with pytest.raises(ModelError, match="another network"):
         fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)
     c = config("lifting")
-    with pytest.raises(ModelError, match=r"another network \(compact\)"):
+    with pytest.raises(ModelError, match="another network: "):
         fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)
 
 
@@ -346,35 +344,6 @@ def test_the_optimiser_and_its_rate_are_those_that_are_asked_for() -> None:
     assert type(optimiser) is torch.optim.Adam
     assert [group["weight_decay"] for group in optimiser.param_groups] == [0.01, 0.0]
     assert {group["lr"] for group in optimiser.param_groups} == {4e-4}
-
-
-def drawn_curves(rows: list[dict[str, float]], patience: int, out: Path) -> np.ndarray:
-    curves = Curves(out, "val_loss", "min", patience)
-    curves.load_state_dict({"rows": rows})
-    return np.asarray(curves.picture()).astype(int)
-
-
-def test_the_picture_has_both_losses_the_best_epoch_and_the_stop(tmp_path: Path) -> None:
-    rows = [{"train_loss": 9.5 - i, "val_loss": v} for i, v in enumerate([9.0, 6.0, 7.0, 8.0])]
-    rows[2]["val_loss"] = math.nan  # a gap
-    picture = drawn_curves(rows, 2, tmp_path)
-    dark = (picture.max(axis=-1) < 60).sum(axis=0)  # how much of each column is ink
-    best, third, stop = (80 + 850 * i // 3 for i in (1, 2, 3))
-    assert dark[best] > 350
-    assert dark[stop] > 350
-    assert dark[third] < 40
-    assert (drawn_curves(rows, 0, tmp_path).max(axis=-1) < 60).sum(axis=0)[stop] < 40  # a run without an end has no stop
-    for colour, losses in (((0, 114, 178), (9.5, 6.5)), ((213, 94, 0), (9.0, 8.0))):  # first and last epoch
-        here = (np.abs(picture[50:] - colour).sum(axis=-1) < 10).nonzero()  # below the legend
-        ends = [here[0][np.abs(here[1] - column) <= 2].mean() for column in (80, stop)]
-        assert ends[0] < ends[1]  # the losses fell
-        assert (ends[1] - ends[0]) / (losses[0] - losses[1]) == pytest.approx(430 / 4, rel=0.05)
-    wide = drawn_curves([{"train_loss": loss} for loss in (100.0, 10.0, 1.0)], 0, tmp_path)  # on a logarithmic axis
-    rows_of = (np.abs(wide[50:] - (0, 114, 178)).sum(axis=-1) < 10).nonzero()
-    heights = [rows_of[0][np.abs(rows_of[1] - column) <= 2].mean() for column in (80, 505, 930)]
-    assert np.diff(heights) == pytest.approx(215, abs=2)
-    assert drawn_curves(rows[:1], 2, tmp_path).shape == (540, 960, 3)
-    assert drawn_curves([{}], 2, tmp_path).shape == (540, 960, 3)
 
 
 class _Spy:

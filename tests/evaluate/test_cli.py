@@ -60,7 +60,7 @@ def test_table(run: Callable[..., Outcome], files: list[Path]) -> None:
         "median error 3D",
     ]  # fmt: skip
     assert len(re.findall(r"\d to +\d", out)) == 8
-    assert re.search(r"^and 3\d more with --all$", out, re.M)
+    assert re.search(r"^and 4\d more with --all$", out, re.M)
     everything = run(files[0], "--all").out
     assert re.search(r"^mAP@10 cm \(among detected\) 3D +\d", everything, re.M)
     assert "--all" not in everything
@@ -92,7 +92,8 @@ def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files:
     charts = re.findall(r"<svg.*?</svg>", page, re.S)
     frames = [c for c in charts if 'class="frame"' in c]
     assert len(frames) == 2 * 5
-    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3  # a chart for each space, kind and group, and boxes in three ranges
+    # a chart for each space, kind and group, boxes in three ranges, and four of the confidence
+    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3 + 4
     for chart in charts:
         ET.fromstring(chart)
     assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)

@@ -35,8 +35,10 @@ def drawn(seed: int, frames: int = 4) -> Predictions:
     nothing = np.isnan(two).any(-1) & np.isnan(three).any(-1)
     score, presence = (np.where(nothing, 0, rng.random(shape)) for _ in range(2))
     number = np.sort(rng.choice(10**6, frames, replace=False))
+    expected = np.where(nothing | (rng.random(shape) < 0.5), np.nan, rng.random(shape)).astype(np.float32)
     arrays = (x.astype(np.float32) for x in (two, three, score, presence))
-    return Predictions(*arrays, number, ("driver", "rear_left"), ("neck", "head", "chest"), f"model {seed}", "cabinpose", "ds")
+    names = ("driver", "rear_left"), ("neck", "head", "chest"), f"model {seed}", "cabinpose", "ds"
+    return Predictions(*arrays, number, *names, expected_error_m=expected)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -117,6 +119,7 @@ def test_a_file_by_hand(tmp_path: Path) -> None:
         (lines({**ROW, "x": 1.0, "z": 1.0}), "row 1 has some of x, y, z"),
         (lines({k: v for k, v in ROW.items() if k not in "uv"}), "row 1 has no position"),
         (lines({**ROW, "presence": 1.2}), "row 1: presence is a probability"),
+        (lines({**ROW, "expected_error_m": -0.1}), "row 1: expected_error_m is below 0"),
         (lines(ROW, {**ROW, "joint": "neck"}, ROW), "frame 3, driver, head has 2 rows"),
     ],
 )

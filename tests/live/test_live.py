@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cabinpose.app.cli.live import _people
 from cabinpose.app.live.choose import open_feed, parsed_settings
 from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
-from cabinpose.app.live.run import Latency, Live
+from cabinpose.app.live.run import Found, Latency, Live
 from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
 from cabinpose.core.ports import Counts, FrameBatch, PoseBatch, Sample
@@ -132,6 +133,15 @@ def test_json_has_a_line_for_each_frame(run: Run, dataset_folder: Path) -> None:
     assert (len(head["px"]), len(head["m"])) == (2, 3)
     assert 0 <= head["presence"] <= 1
     assert lines[-1]["summary"]["frames"] == 2
+
+
+def test_json_has_the_expected_error_where_it_is_known() -> None:
+    ones = np.ones((1, 1, 2), np.float32)
+    expected = np.array([[[0.0304, np.nan]]], np.float32)
+    poses = PoseBatch(np.ones((1, 1, 2, 2), np.float32), np.ones((1, 1, 2, 3), np.float32), ones, ones, expected_error_m=expected)
+    driver = _people(Found("m", poses, "", 1.0), ("driver",), ("head", "neck"))["driver"]
+    assert driver["head"]["expected_error_m"] == 0.0304
+    assert "expected_error_m" not in driver["neck"]
 
 
 # ------------------------------------------------------------------------------------------------ the newest frame

@@ -25,7 +25,7 @@ from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.estimate.predictor import load_model
 from cabinpose.estimate.remote import open_predictor
 
-FIELDS = ("joints_2d", "joints_3d", "score", "presence")
+FIELDS = ("joints_2d", "joints_3d", "score", "presence", "expected_error_m")
 SHM = Path("/dev/shm")
 
 

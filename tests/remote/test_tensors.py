@@ -126,7 +126,7 @@ def test_names_that_are_none(data: bytes, message: str) -> None:
 def _answer(**changes: object) -> dict[str, np.ndarray]:
     answer = {
         "joints_2d": np.full((1, 1, 2, 2), 7, np.float32), "joints_3d": np.ones((1, 1, 2, 3), np.float32),
-        "score": np.ones((1, 1, 2), np.float32), "presence": np.ones((1, 1, 2), np.float32),
+        **{name: np.ones((1, 1, 2), np.float32) for name in ("score", "presence", "expected_error_m")},
     }  # fmt: skip
     for name, value in changes.items():
         if value is None:
@@ -141,6 +141,7 @@ def _answer(**changes: object) -> dict[str, np.ndarray]:
     [
         ({"joints_3d": np.nan}, "lhand of driver: joints_3d is partly NaN or infinite"),
         ({"joints_2d": np.inf}, "lhand of driver: joints_2d is partly NaN or infinite"),
+        ({"expected_error_m": -0.1}, "lhand of driver: expected_error_m is not a distance"),
         ({"presence": np.nan}, "lhand of driver: presence is not from 0 to 1"),
         ({"presence": 1.5}, "lhand of driver: presence is not from 0 to 1"),
         ({"presence": -0.1}, "lhand of driver: presence is not from 0 to 1"),

@@ -236,14 +236,14 @@ def _free(film, time_s: float) -> Verdict:
 def test_fingers_open_before_they_close_and_follow_the_grip_otherwise() -> None:
     grasp = Grasp(np.array((0.1, 0.5, 0.5, 0.6, 0.6)), np.eye(4))
     held = Held(Hold("bottle", 0, 1, grasp, "take"), 2.0, 5.0)
-    assert held.curl(1.4, 0.3) is None
-    assert held.curl(5.6, 0.3) is None
+    assert held.curl(0.6, 0.3) is None
+    assert held.curl(6.4, 0.3) is None
     for time_s in (2.0, 3.0, 5.0):
         np.testing.assert_array_equal(held.curl(time_s, 0.3), grasp.curl)
-    for time_s in (2.0 - CLOSING_S, 5.0 + CLOSING_S):
+    for time_s in (2.0 - CLOSING_S - 0.5, 2.0 - CLOSING_S, 5.0 + CLOSING_S, 5.0 + CLOSING_S + 0.5):
         np.testing.assert_allclose(held.curl(time_s, 0.3), OPEN_HAND, atol=1e-9)
-    curls = np.stack([held.curl(t, 0.3) for t in np.linspace(1.51, 2.0, 200)])
-    assert np.abs(np.diff(curls, axis=0)).max() / (0.49 / 199) < 10.0
+    curls = np.stack([held.curl(t, 0.3) for t in np.linspace(0.71, 2.0, 200)])
+    assert np.abs(np.diff(curls, axis=0)).max() / (1.29 / 199) < 10.0
 
 
 def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
@@ -256,7 +256,7 @@ def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
     place = meeting_place((one.person, two.person), (one.posed, two.posed), side, np.array((1.0, 0.0, 0.0)), rng=rng)
     palms = [giving_palm(held, one.posed, place)]
     thing = held.placed(palms[0])
-    palms.append(taking_palm(two.person, two.posed, held, thing))
+    palms.append(taking_palm(two.person, two.posed, held, thing)[1])
     np.testing.assert_allclose(thing[:3, 2], (0.0, 0.0, 1.0), atol=1e-9)
     np.testing.assert_allclose(thing[:3, 3], place, atol=1e-9)
     for palm, thumb in zip(palms, (1.0 - 2.0 * side, 2.0 * side - 1.0), strict=True):
@@ -267,6 +267,42 @@ def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
     for person, shoulder in zip((one, two), shoulders, strict=True):
         arm = sum(person.person.segment_lengths[name] for name in ("upper_arm", "forearm"))
         assert 0.35 < np.linalg.norm(place - shoulder) / arm < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("car", "seats", "seed"), [("suv", TWO, 0), ("hatchback", {"rear_left": 1.0, "rear_right": 1.0}, 0)], ids=["front", "rear"]
+)
+def test_a_bottle_changes_hands(car: str, seats: dict[str, float], seed: int) -> None:
+    """It stays where it is as it changes hands, between two palms; all is free at thrice the rate, no joint is too fast."""
+    sequence = {"frames": 60, "rate_hz": RATE, "activities": ["hand_over"]}
+    film = SceneSampler(small_config(cars=[car], occupancy=seats, in_hand=1.0, sequence=sequence), seed)._film(0)
+    change_s, taker = min((h.start_s, slot) for slot, track in film.tracks.items() for h in track.holds if h.start_s > 0.0)
+    (giver,) = film.tracks.keys() - {taker}
+    assert change_s < 5.9
+    (before,), (after,) = (film.things_with(film.people(t), t) for t in (change_s - 1e-6, change_s))
+    assert (before.slot, after.slot) == (giver, taker)
+    corners = np.c_[np.array(np.meshgrid(*after.thing.box.T)).reshape(3, -1).T, np.ones(8)]
+    moved = corners @ (after.vehicle_from_thing - before.vehicle_from_thing).T
+    assert np.linalg.norm(moved, axis=1).max() < 0.001
+    tracks = film.tracks[giver], film.tracks[taker]
+    assert [t.activity(change_s) for t in tracks] == ["hand_over", "receive"]
+    people = {p.slot: p for p in film.people(change_s)}
+    side = tracks[0].holds[0].hold.side
+    palms = [people[s].posed.palms["lr"[h]][:3, 3] for s, h in ((giver, side), (taker, 1 - side))]
+    local = [invert(after.vehicle_from_thing) @ np.append(palm, 1.0) for palm in palms]
+    height = after.thing.box[1, 2]
+    for palm in local:
+        assert np.hypot(*palm[:2]) < 0.06
+        assert 0.0 < palm[2] < height
+    assert abs(local[0][2] - local[1][2]) > 0.06
+    ticks = np.arange(max(0, round((change_s - 1.5) * 30)), min(round((change_s + 2.0) * 30), 177)) / (CHECKS_PER_FRAME * RATE)
+    for t in ticks:
+        assert (verdict := _free(film, t)).ok, (t, verdict)
+    for track in tracks:
+        q = np.stack([track.at(t).q for t in ticks])
+        assert (np.abs(np.diff(q, axis=0)) * CHECKS_PER_FRAME * RATE < FASTEST).all()
+        assert ((q >= LOWER) & (q <= UPPER)).all()
 
 
 def test_children_move_in_their_seats() -> None:

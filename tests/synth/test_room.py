@@ -9,7 +9,9 @@ import trimesh
 from cabinpose.core.frames import is_rigid
 from cabinpose.scene import room as module
 from cabinpose.scene.room import furnish_room, place_room_camera
+from cabinpose.synth.config import room_preset
 from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.write import FrameMaker
 
 
 def test_same_numbers_same_room() -> None:
@@ -52,11 +54,36 @@ def test_solids_are_closed_and_look_outwards() -> None:
 
 
 def test_camera_is_level_high_and_looks_into_the_room() -> None:
+    room = furnish_room(rng=frame_rng(0, 0))
     for i in range(50):
-        pose = place_room_camera(rng=frame_rng(1, i))
+        pose, spot = place_room_camera("room", room, rng=frame_rng(1, i))
         assert is_rigid(pose)
-        assert 1.25 <= pose[2, 3] <= 1.65
+        assert 1.1 <= pose[2, 3] <= 1.6
+        assert room.stand_x[0] <= spot[0] <= room.stand_x[1]
         forward, down = pose[:3, 2], pose[:3, 1]
         assert forward[0] > 0.97
-        assert -np.sin(np.radians(7.1)) <= forward[2] <= 0.0
+        assert -np.sin(np.radians(6.1)) <= forward[2] <= np.sin(np.radians(2.1))
         assert down[2] < -0.97
+
+
+def test_camera_above_looks_down_on_the_person_with_the_wall_at_the_top_of_the_image() -> None:
+    for i in range(50):
+        room = furnish_room(rng=frame_rng(2, i))
+        pose, spot = place_room_camera("room_top", room, rng=frame_rng(3, i))
+        assert is_rigid(pose)
+        assert 2.4 <= pose[2, 3] < room.height
+        assert pose[2, 2] < -0.97  # the optical axis points to the floor
+        assert pose[0, 1] < -0.97  # down in the image is away from the wall, towards the camera of the view `room`
+        assert spot[2] == 0.0
+        shoulders = np.linalg.inv(pose) @ (*spot[:2], 1.4, 1.0)
+        assert np.abs(shoulders[:2] / shoulders[2]).max() < 120 * 0.0035  # inside ITOP's middle 240 columns and rows
+
+
+@pytest.mark.parametrize(("views", "seen"), [({"room_top": 1.0}, {"room_top"}), ({"driver": 1.0}, {"room"})])
+def test_people_are_seen_from_the_views_that_are_asked_for(views: dict[str, float], seen: set[str]) -> None:
+    config = room_preset()
+    maker = FrameMaker(config.model_copy(update={"camera": config.camera.model_copy(update={"views": views})}), 0)
+    frames = [maker.make(i)[0] for i in range(4)]
+    assert {str(frame["pov"]) for frame in frames} == seen
+    distances = np.concatenate([frame["itop_joints_3d"][0][:, 2] for frame in frames])
+    assert (distances.mean() < 2.0) == (seen == {"room_top"})

@@ -11,6 +11,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.app.report.curves import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
 from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
 from cabinpose.core.ports import FrameBatch
@@ -124,7 +126,8 @@ def train_model(
     record.write_text(text, encoding="utf-8")
     datasets = {str(folder): open_dataset(folder) for folder in data}
     training, validation = stored_frames(datasets, frame_spec(config), None, "train", "validate")
-    best = fit(config, training, validation, out, resume=(out / "last.ckpt").exists(), progress=progress)
+    draw = partial(write_curves, out / "curves.png")
+    best = fit(config, training, validation, out, resume=(out / "last.ckpt").exists(), progress=progress, draw=draw)
     if best.suffix == ".ckpt":
         model = out / "model.onnx"
         export_onnx(best, model, name=config.method, card={})

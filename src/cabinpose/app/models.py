@@ -11,7 +11,7 @@ import xarray as xr
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import PoseBatch, Predictor, Segmenter
+from cabinpose.core.ports import Predictor, Segmenter
 from cabinpose.core.pose import Visibility
 from cabinpose.estimate.inputs import camera_of
 from cabinpose.estimate.lifting.predict import LiftedPredictor, OnnxLifting, lifted
@@ -78,7 +78,7 @@ def _fed(lifting: OnnxLifting, dataset: xr.Dataset, source: str, dataset_names: 
         found = replace(found.map(lambda a: a[:, :, known]), joints_2d=np.full_like(found.joints_2d[:, :, known], np.nan))
         base = replace(base, joints=tuple(base.joints[i] for i in known))
     return Predictions(
-        found.joints_2d, found.joints_3d, found.score, found.presence, frame=numbers, persons=base.persons,
+        **vars(found), frame=numbers, persons=base.persons,
         joints=base.joints, model=f"{base.model}+{lifting.name}", skeleton=base.skeleton, dataset=base.dataset,
     )  # fmt: skip
 
@@ -88,10 +88,9 @@ def _truth_2d(dataset: xr.Dataset) -> Predictions:
     presence = (dataset["visibility"].values > Visibility.OUTSIDE_IMAGE).astype(np.float32)
     joints_2d = np.where(presence[..., None] > 0, dataset["joints_2d"].values, np.nan).astype(np.float32)
     none = np.full((*presence.shape, 3), np.nan, np.float32)
-    batch = PoseBatch(joints_2d, none, presence, presence)
     persons, joints = (tuple(str(name) for name in dataset[axis].values) for axis in ("person", "joint"))
     frame = dataset["frame"].values.astype(np.int64)
-    return Predictions(batch.joints_2d, batch.joints_3d, batch.score, batch.presence, frame, persons, joints, TRUTH)
+    return Predictions(joints_2d, none, presence, presence, frame, persons, joints, TRUTH)
 
 
 def _cameras(dataset: xr.Dataset) -> list[Camera]:

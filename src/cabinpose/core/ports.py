@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
@@ -39,24 +39,33 @@ class PoseBatch:
     joints_3d: (F, P, J, 3) float32 m, camera frame, NaN = no answer.
     score: (F, P, J) float32, any scale on which more is better; it orders detections.
     presence: (F, P, J) float32 in 0..1, the probability that the joint is in the image; 0 = no answer.
+    expected_error_m: (F, P, J) float32 m, the mean distance of such joints to the truth in 3D; NaN = not known, as in all of a
+    detector whose confidence is not calibrated.
     """
 
     joints_2d: NDArray[np.float32]
     joints_3d: NDArray[np.float32]
     score: NDArray[np.float32]
     presence: NDArray[np.float32]
+    expected_error_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((), np.float32), kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not self.expected_error_m.ndim:  # left out
+            object.__setattr__(self, "expected_error_m", np.full(self.score.shape, np.nan, np.float32))
 
     def map(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> PoseBatch:
-        """The batch with all four arrays changed alike."""
-        return PoseBatch(change(self.joints_2d), change(self.joints_3d), change(self.score), change(self.presence))
+        """The batch with all five arrays changed alike."""
+        return PoseBatch(**{name: change(getattr(self, name)) for name in POSE_ARRAYS})
+
+
+POSE_ARRAYS = tuple(PoseBatch.__dataclass_fields__)
 
 
 def joined(batches: Sequence[PoseBatch]) -> PoseBatch:
     """The frames of several batches of the same persons and joints, in their order."""
     if len(batches) == 1:
         return batches[0]
-    arrays = ((b.joints_2d, b.joints_3d, b.score, b.presence) for b in batches)
-    return PoseBatch(*map(np.concatenate, zip(*arrays, strict=True)))
+    return PoseBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in POSE_ARRAYS})
 
 
 @runtime_checkable

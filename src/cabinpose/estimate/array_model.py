@@ -57,7 +57,11 @@ def write_arrays(
     path: Path, method: str, settings: BaseModel, arrays: Mapping[str, NDArray[Any]], *, name: str, card: Mapping[str, Any]
 ) -> None:
     """Write a model; the file gets its name when it is whole. The same model is the same bytes."""
-    metadata = {"name": name, "method": method, "config": settings.model_dump(mode="json"), "card": dict(card)}
+    rewrite(path, {"name": name, "method": method, "config": settings.model_dump(mode="json"), "card": dict(card)}, arrays)
+
+
+def rewrite(path: Path, metadata: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """As `write_arrays`, of a model's whole metadata."""
     text = np.frombuffer(json.dumps(metadata).encode(), np.uint8)
     partial = path.with_name(f".{path.stem}.partial{SUFFIX}")
     np.savez_compressed(partial, allow_pickle=False, **{METADATA_KEY: text}, **arrays)

@@ -47,10 +47,13 @@ class AugmentConfig(BaseModel):
 
 
 class Mirror(NamedTuple):
-    """What a mirror image swaps: positions of the mirror joints and places, and the (256,) table of pixel classes."""
+    """What a mirror image swaps: positions of the mirror joints, of the mirror places, and of those on benches that face each
+    other, and the (256,) table of pixel classes.
+    """
 
     joints: Sequence[int]
     slots: Sequence[int]
+    facing_slots: Sequence[int]
     labels: Tensor
 
 
@@ -210,16 +213,18 @@ def _states_after(visibility: Tensor, uvz: Tensor, width: int, height: int) -> T
 
 def flip(batch: Batch, chosen: Tensor, mirror: Mirror, width: int) -> Batch:
     """Mirror images of the chosen frames (N,) of a view of `width` pixels; left and right joints, places and parts swapped."""
-    slots, joints = list(mirror.slots), list(mirror.joints)
-    mirrored = batch.joints[:, slots][:, :, joints].clone()
+    plain, facing = (torch.tensor(slots, device=chosen.device) for slots in (mirror.slots, mirror.facing_slots))
+    slots = plain.expand(len(chosen), -1) if batch.facing is None else torch.where(batch.facing[:, None], facing, plain)
+    frames, joints = torch.arange(len(chosen), device=chosen.device)[:, None], list(mirror.joints)
+    mirrored = batch.joints[frames, slots][:, :, joints].clone()
     mirrored[..., 0] = width - 1 - mirrored[..., 0]
     one, two, three = chosen[:, None], chosen[:, None, None], chosen[:, None, None, None]
     labels = None if batch.labels is None else mirror.labels.to(batch.labels.dtype)[batch.labels.long()].flip(-1)
     return batch._replace(
         depth=torch.where(two, batch.depth.flip(-1), batch.depth),
         joints=torch.where(three, mirrored, batch.joints),
-        visibility=torch.where(two, batch.visibility[:, slots][:, :, joints], batch.visibility),
-        present=torch.where(one, batch.present[:, slots], batch.present),
+        visibility=torch.where(two, batch.visibility[frames, slots][:, :, joints], batch.visibility),
+        present=torch.where(one, batch.present[frames, slots], batch.present),
         amplitude=None if batch.amplitude is None else torch.where(two, batch.amplitude.flip(-1), batch.amplitude),
         labels=None if batch.labels is None or labels is None else torch.where(two, labels, batch.labels),
     )

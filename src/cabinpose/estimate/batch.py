@@ -16,7 +16,7 @@ class Batch(NamedTuple):
     depth: (N, h, w) m, 0 = invalid; (N, 0, 0) for a method without images · joints: (N, S, J, 3) u, v (px) and depth (m), NaN
     unknown · visibility: (N, S, J) uint8, the five states of the standard · present: (N, S) bool, somebody the camera sees
     sits there · amplitude: (N, h, w), or None where the method does not read it · labels: (N, h, w) uint8 classes of the
-    pixels, or None where the method does not need them.
+    pixels, or None where the method does not need them · facing: (N,) bool, benches face each other; None: nowhere.
     """
 
     depth: Tensor
@@ -25,6 +25,7 @@ class Batch(NamedTuple):
     present: Tensor
     amplitude: Tensor | None = None
     labels: Tensor | None = None
+    facing: Tensor | None = None
 
 
 def ray_tensor(view: InputView) -> Tensor:

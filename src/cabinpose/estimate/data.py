@@ -67,6 +67,7 @@ class Kept(NamedTuple):
     present: NDArray[np.bool_]
     amplitude: NDArray[np.uint16]
     labels: NDArray[np.uint8]
+    facing: NDArray[np.bool_] = np.array(False)
 
 
 Frames: TypeAlias = Dataset[Kept]  # what trains or validates
@@ -94,6 +95,8 @@ class StoredFrames(Dataset[Kept]):
         if self._kept is not None and index in self._kept:
             return self._kept[index]
         names = [*self.spec.images, _joints_variable(self.spec), "visibility", "camera_k", "camera_dist", "subject"]
+        if "vehicle_from_camera" in self._dataset:
+            names.append("vehicle_from_camera")
         frame = {name: self._dataset[name][index].values for name in names}
         kept = view_frame(frame, self.spec, self._rows)
         if self._kept is not None:
@@ -194,7 +197,18 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
         seen & np.array(there),
         images["amplitude"].astype(np.uint16),
         images["labels"].astype(np.uint8),
+        np.array(_facing(frame, spec, joints)),
     )
+
+
+def _facing(frame: Mapping[str, Any], spec: FrameSpec, joints: NDArray[np.float64]) -> bool:
+    """Whether benches face each other: left hips of the front row lie to the right in the vehicle. joints: (P, J, 3) m."""
+    front = [i for i, slot in enumerate(spec.slots) if slot in ("driver", "front_passenger")]
+    if spec.skeleton != "cabinpose" or not front or "vehicle_from_camera" not in frame:
+        return False
+    across = joints[front, JOINTS.index("lpelvis")] - joints[front, JOINTS.index("rpelvis")]
+    to_left = across @ np.asarray(frame["vehicle_from_camera"], dtype=np.float64)[1, :3]
+    return bool((to_left < 0).any() and not (to_left > 0).any())
 
 
 def _itop_visibility(uvz: NDArray[np.float64], view: InputView) -> NDArray[np.uint8]:
@@ -214,4 +228,5 @@ def collate(frames: Sequence[Kept]) -> Batch:
         torch.from_numpy(stacked.present),
         torch.from_numpy(stacked.amplitude.astype(np.float32)) if stacked.amplitude.size else None,
         torch.from_numpy(stacked.labels) if stacked.labels.size else None,
+        torch.from_numpy(stacked.facing),
     )

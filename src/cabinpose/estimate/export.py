@@ -14,7 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from cabinpose.core.errors import ConfigError, ModelError
-from cabinpose.estimate.onnx_model import METADATA_KEY, open_session
+from cabinpose.estimate.array_model import ArrayModel, rewrite
+from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, open_session
 from cabinpose.estimate.tasks import TASKS
 from cabinpose.estimate.training import Detector, load_detector
 
@@ -82,6 +83,7 @@ def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, A
     out.parent.mkdir(parents=True, exist_ok=True)
     write_graph(network, examples, method.outputs, partial)
     model = onnx.load(str(partial))
+    _share(model.graph)
     settings = config.model_dump(mode="json")
     metadata = {"name": name, "method": method.name, "config": settings, "mirrored": mirrored, "card": dict(card)}
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
@@ -96,6 +98,19 @@ def write_onnx(detector: Detector, out: Path, *, name: str, card: Mapping[str, A
     return difference
 
 
+def write_copy(model: TrainedModel, out: Path, **more: Any) -> None:
+    """Write the file of a trained model again with `more` in its metadata; it gets its name when it is whole."""
+    metadata = model.metadata | more
+    if isinstance(model, ArrayModel):
+        rewrite(out, metadata, model.arrays)
+        return
+    copy = onnx.load(str(model.path))
+    onnx.helper.set_model_props(copy, {METADATA_KEY: json.dumps(metadata)})
+    partial = out.with_name(out.name + ".tmp")
+    onnx.save(copy, str(partial))
+    partial.replace(out)
+
+
 def write_graph(network: nn.Module, examples: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:
     """Trace a network with named example inputs (N, ...) to an ONNX file that takes any number of frames N."""
     with warnings.catch_warnings():
@@ -105,6 +120,19 @@ def write_graph(network: nn.Module, examples: Mapping[str, Tensor], outputs: Seq
             network, tuple(examples.values()), str(path), input_names=list(examples), output_names=list(outputs),
             dynamo=False, opset_version=_OPSET, dynamic_axes={n: {0: "frames"} for n in (*examples, *outputs)},
         )  # fmt: skip
+
+
+def _share(graph: onnx.GraphProto) -> None:
+    """Keep once what the exporter has folded anew for each pass of a mirrored network."""
+    first: dict[tuple[Any, ...], str] = {}
+    other = {}
+    for array in [i for i in graph.initializer if i.name.startswith("onnx::")]:
+        name = first.setdefault((array.data_type, *array.dims, array.raw_data), array.name)
+        if name != array.name:
+            other[array.name] = name
+            graph.initializer.remove(array)
+    for node in graph.node:
+        node.input[:] = [other.get(name, name) for name in node.input]
 
 
 @torch.no_grad()

@@ -93,8 +93,8 @@ class Method:
 
 _METHODS = (
     Method(
-        "compact", "joints", CompactConfig, compact_decode.decode, "Compact", ("joints", "inside", "visible", "present"),
-        mirrored=True,
+        "compact", "joints", CompactConfig, compact_decode.decode, "Compact",
+        ("joints", "inside", "visible", "present", "spreads"), mirrored=True,
     ),
     Method(
         "paf", "joints", PafConfig, paf_decode.decode, "Paf", ("fields", "heat", "presence"), measured=True,

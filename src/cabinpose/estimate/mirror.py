@@ -12,6 +12,7 @@ from cabinpose.scene.labels import ID
 
 _ITOP_PAIRS = (("lhip", "rhip"),)
 _SLOT_PAIRS = (("rear_left", "rear_right"),)  # the driver stays at the wheel of the mirrored car
+_FACING_PAIR = ("driver", "front_passenger")  # on benches that face each other there is no wheel: left and right as behind
 
 
 def mirrored_joints(joints: Sequence[str]) -> list[int]:
@@ -19,9 +20,12 @@ def mirrored_joints(joints: Sequence[str]) -> list[int]:
     return _partners(joints, (*SYMMETRIC_PAIRS, *_ITOP_PAIRS))
 
 
-def mirrored_slots(slots: Sequence[str]) -> list[int]:
-    """For each place the position of its mirror place; a place whose partner is not among them stays itself."""
-    return _partners(slots, _SLOT_PAIRS)
+def mirrored_slots(slots: Sequence[str], *, facing: bool = False) -> list[int]:
+    """For each place the position of its mirror place; `facing`: on benches that face each other, the front row backwards.
+
+    A place whose partner is not among them stays itself.
+    """
+    return _partners(slots, (*_SLOT_PAIRS, _FACING_PAIR) if facing else _SLOT_PAIRS)
 
 
 def mirrored_labels() -> NDArray[np.uint8]:

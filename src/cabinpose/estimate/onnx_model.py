@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch
+from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
+from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, camera_of
 from cabinpose.estimate.methods import Method, method_named
 
@@ -40,7 +42,8 @@ class TrainedModel(ABC):
             self.metadata: dict[str, Any] = json.loads(text)
             self.method: Method = method_named(str(self.metadata["method"]))
             self.config = self.method.settings(self.metadata["config"])
-        except (ValueError, KeyError, TypeError, ConfigError) as error:
+            self.expected_error = check_expected_error(self.metadata.get(EXPECTED_ERROR, {}).get("joints", {}))
+        except (ValueError, KeyError, TypeError, AttributeError, ConfigError) as error:
             raise ModelError(f"{path} does not say what it is: {error}", hint=f"{self._again} with this version") from error
         if self.method.fitted != self.fitted:
             raise ModelError(f"{path} cannot be a model of {self.method.name}", hint=self._again)
@@ -57,7 +60,7 @@ class TrainedModel(ABC):
 
     def describe(self) -> dict[str, Any]:
         """What the file says of itself, as plain data: name, file, bytes, method, task, view, inputs, persons, joints, parts,
-        mirrored, settings, card.
+        mirrored, settings, expected_error (where its confidence was calibrated: data, frames, joints), card.
         """
         return {
             "name": self.name,
@@ -72,6 +75,7 @@ class TrainedModel(ABC):
             "parts": [part.name for part in getattr(self.config, "parts", ())],
             "mirrored": bool(self.metadata.get("mirrored", False)),
             "settings": self.metadata["config"],
+            EXPECTED_ERROR: self.metadata.get(EXPECTED_ERROR, {}),
             "card": self.metadata.get("card", {}),
         }
 
@@ -93,6 +97,7 @@ class OnnxModel(TrainedModel):
         if METADATA_KEY not in properties:
             raise ModelError(f"{path} is an ONNX file of another program", hint="export models with `cabinpose export`")
         super().__init__(path, properties[METADATA_KEY])
+        self._outputs = [output.name for output in self.session.get_outputs()]
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
@@ -104,10 +109,10 @@ class OnnxModel(TrainedModel):
         empty = not any(len(array) for array in inputs.values())
         if empty:  # no network takes an empty batch
             inputs = {name: np.zeros((1, *array.shape[1:]), array.dtype) for name, array in inputs.items()}
-        values = self.session.run(self.method.outputs, inputs)
+        values = self.session.run(self._outputs, inputs)
         if empty:
             values = [value[:0] for value in values]
-        return dict(zip(self.method.outputs, values, strict=True))
+        return dict(zip(self._outputs, values, strict=True))
 
 
 class OtherTaskError(ModelError):

@@ -30,11 +30,13 @@ from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
-from cabinpose.estimate.curves import Curves
+from cabinpose.estimate.curves import Curves, Draw
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, Kept, collate
 from cabinpose.estimate.methods import Method, method_named
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
+from cabinpose.estimate.onnx_model import packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
+from cabinpose.estimate.weights import measure_norms, read_weights
 
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
@@ -102,7 +104,8 @@ class Detector(lightning.LightningModule):
         self.method_config = self.method.settings(config.settings)
         self.network: nn.Module = self.method.part("model", self.method.network)(self.method_config)
         self._loss = self.method.part("fit", "loss")
-        self._mirrors = mirrored_joints(self.method_config.joints), mirrored_slots(self.method_config.slots)
+        slots = self.method_config.slots
+        self._mirrors = mirrored_joints(self.method_config.joints), mirrored_slots(slots), mirrored_slots(slots, facing=True)
         self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
         self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []
@@ -222,8 +225,9 @@ def fit(
     devices: int | str = "auto",
     nodes: int = 1,
     progress: Progress | None = None,
+    draw: Draw | None = None,
 ) -> Path:
-    """Train into the folder `out`: last.ckpt, best.ckpt, log/metrics.csv, curves.png (TensorBoard's files where it is installed).
+    """Train into the folder `out`: last.ckpt, best.ckpt, log/metrics.csv (TensorBoard's files where it is installed).
 
     Parameters
     ----------
@@ -236,11 +240,14 @@ def fit(
     resume
         Go on with the run in `out` from its last whole epoch.
     init
-        Checkpoint whose weights a new run begins with.
+        Checkpoint, compact ONNX model or name of a packaged one whose weights a new run begins with.
     callbacks, devices, nodes
         Lightning's.
     progress
         Called after every batch, and where something else takes its time.
+    draw
+        Called after every epoch with the figures of all epochs by name, the best one's row, the figure that decides it, and
+        whether the run ends here before its time.
 
     Returns
     -------
@@ -278,7 +285,7 @@ def fit(
     best = ModelCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
-    curves = Curves(out, monitor, mode, config.patience)
+    curves = Curves(out, monitor, mode, config.patience, draw)
     reports = [_BatchReport(progress, figure)] if progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
@@ -290,7 +297,7 @@ def fit(
         if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
             detector.spare_batches = config.epochs * config.workers
         if init is not None and not last.exists():
-            begin_with(detector, init)
+            begin_with(detector, init, training)
         trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=True)
     return out / "best.ckpt"
 
@@ -413,23 +420,35 @@ def load_detector(path: Path) -> Detector:
     return detector.eval()
 
 
-def begin_with(detector: Detector, checkpoint: Path) -> None:
-    """Give a detector the weights of a checkpoint; parts that the other one does not have keep their own.
+def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kept]) -> None:
+    """Give a detector the weights of a checkpoint or of a compact model in an ONNX file.
 
+    Parts that the other one does not have keep their own. Norms that were folded on export are measured on `training`.
     Raises ModelError where that one is of another network.
     """
-    other = load_detector(checkpoint)
-    mine, theirs = detector.method_config, other.method_config
+    source = packaged_models().get(str(source), source)
+    folded: tuple[str, ...] = ()
+    if source.suffix == ".onnx":
+        theirs, state, folded = read_weights(source)
+    else:
+        other = load_detector(source)
+        theirs, state = other.method_config, other.network.state_dict()
+    mine = detector.method_config
     fits = type(mine) is type(theirs) and (mine.joints, mine.slots) == (theirs.joints, theirs.slots)
     try:
         if fits:
-            fits = not detector.network.load_state_dict(other.network.state_dict(), strict=False).unexpected_keys
+            fits = not detector.network.load_state_dict(state, strict=False).unexpected_keys
     except RuntimeError:  # of another size
         fits = False
     if not fits:
+        other_names = [n for n, value in theirs if n not in type(mine).model_fields or getattr(mine, n) != value]
         raise ModelError(
-            f"{checkpoint} is of another network ({other.method.name})", hint="begin with a run of the same method and settings"
+            f"{source} is of another network: {', '.join(other_names)}", hint="begin with a run of the same method and settings"
         )
+    if folded:
+        frames = _some(training)
+        batch = detector.settings.batch
+        measure_norms(detector.network, folded, (collate(frames[i : i + batch]) for i in range(0, len(frames), batch)))
 
 
 def frame_spec(config: TrainConfig) -> FrameSpec:

@@ -179,9 +179,8 @@ def predict_dataset(
             progress(min(start + BATCH, count))
     found = joined(batches)
     return Predictions(
-        found.joints_2d, found.joints_3d, found.score, found.presence, frame=dataset["frame"].values.astype(np.int64),
-        persons=model.persons, joints=model.joints, model=model.name, skeleton=getattr(model, "skeleton", "cabinpose"),
-        dataset=dataset_id,
+        **vars(found), frame=dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints,
+        model=model.name, skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset_id,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cabinpose.evaluate.bootstrap import Weights, frame_weights, interval, weighted_quantiles, weighted_sums
 from cabinpose.evaluate.boxes import Boxes, boxes_by_range
+from cabinpose.evaluate.calibration import confidence, of_presence
 from cabinpose.evaluate.metrics import FOUND, UNIT, Ratio, ratios
 from cabinpose.evaluate.oks import THRESHOLDS, average_precision
 from cabinpose.evaluate.options import EvaluationOptions
@@ -22,6 +23,7 @@ PEOPLE = "Person"
 _PCKH_GRID = np.linspace(0, 1, 51)
 _ERROR_GRID = {"2d": np.linspace(0, 50, 51), "3d": np.linspace(0, 30, 61)}  # px, cm
 _SHOWN = 12
+ANSWERED = "joints with a position, however improbable, but those too hidden to count"
 _MISS = 3.0  # head sizes that a missed joint, and at most a found one, counts in the ranking of frames
 
 
@@ -49,9 +51,9 @@ class Report:
     """Everything about one model on one dataset.
 
     joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
-    (of the head size) and for the error (px, cm) · boxes: by space, range of the error and joint (px, cm) · worst: numbers of the
-    worst frames, worst first · typical: of those nearest to the median frame, best first ·
-    settings: the options in words.
+    (of the head size) and for the error (px, cm) · calibration: see `_calibration` · boxes: by space, range of the error and
+    joint (px, cm) · worst: numbers of the worst frames, worst first · typical: of those nearest to the median frame, best
+    first · settings: the options in words.
     """
 
     model: str
@@ -61,6 +63,7 @@ class Report:
     joint_sets: Mapping[str, tuple[str, ...]]
     values: tuple[Value, ...]
     curves: Mapping[str, Any]
+    calibration: Mapping[str, Any]
     boxes: Mapping[str, Boxes]
     worst: tuple[int, ...]
     typical: tuple[int, ...]
@@ -98,6 +101,7 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
     if samples.px.found.any():
         values += _precision_values(samples, weights)
     shown = {name: members for name, members in sets.items() if name == ALL or name in skeleton.groups}
+    calibration, more = _calibration(samples, errors, shown, options)
     ranked = _ranked(samples)
     middle = (len(ranked) - _SHOWN) // 2
     return Report(
@@ -106,7 +110,8 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
         frames=len(samples.frames),
         people=int(samples.true.sum()),
         joint_sets={name: tuple(skeleton.joints[i] for i in members) for name, members in shown.items()},
-        values=tuple(values),
+        values=(*values, *more),
+        calibration=calibration,
         curves={name: _curves(samples, name, errors[name], shown) for name in errors},
         boxes={name: boxes_by_range(errors[name], skeleton.joints, _limit(name, options), UNIT[name][0]) for name in errors},
         worst=ranked[:_SHOWN],
@@ -192,6 +197,37 @@ def _curves(samples: Samples, name: str, errors: Array, sets: Mapping[str, tuple
             lines[joints] = (100 * np.searchsorted(known, grid, side="right") / total).round(3).tolist()
         result[kind] = {"grid": grid.round(4).tolist(), "lines": lines}
     return result
+
+
+def _calibration(
+    samples: Samples, errors: Mapping[str, Array], sets: Mapping[str, tuple[int, ...]], options: EvaluationOptions
+) -> tuple[dict[str, Any], list[Value]]:
+    """How far a model's confidence can be trusted, by set of joints, and the numbers of it.
+
+    presence: bins of presence with the share that is `in_image`, and `within` d too · surest: by space, the errors of the surest
+    joints · expected_error: bins of the expected error with the mean error (cm). See `calibration`.
+    """
+    result: dict[str, Any] = {"presence": {}, "surest": {name: {} for name in errors}, "expected_error": {}}
+    values: list[Value] = []
+    space = "3d" if "3d" in errors else "2d"
+    hit, unit = _limit(space, options), UNIT[space][0]
+    for joints, members in sets.items():
+        bins = dict(zip(("in_image", "within"), of_presence(samples, members), strict=True))
+        result["presence"][joints] = {name: each.to_dict() for name, each in bins.items()}
+        for (name, each), at in zip(bins.items(), ((None, ""), (hit, unit)), strict=True):
+            metric = "ECE of presence" if name == "in_image" else "ECE of presence@d"
+            n = int(each.samples.sum())
+            values.append(Value(metric, "image", joints, 100 * each.error, "%", *at, ANSWERED, n, np.nan, np.nan))
+        for name, error in errors.items():
+            sure = confidence(samples, error, UNIT["3d"][1], members)
+            result["surest"][name][joints] = sure.of_surest(_limit(name, options))
+            correlation = "rank correlation of doubt and error", name, joints, sure.rank_correlation, "", None, ""
+            values.append(Value(*correlation, FOUND, len(sure.error), np.nan, np.nan))
+            if name == "3d" and (expected := sure.of_expected()).samples.any():
+                result["expected_error"][joints] = expected.to_dict()
+                off = "calibration error of the expected error", name, joints, expected.error, "cm", None, ""
+                values.append(Value(*off, FOUND, int(expected.samples.sum()), np.nan, np.nan))
+    return result, values
 
 
 def _limit(name: str, options: EvaluationOptions) -> float:

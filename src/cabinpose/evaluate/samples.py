@@ -6,6 +6,7 @@ Only these rows are kept (about 60 bytes a joint), never an image, so that a dat
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,6 +63,8 @@ class Samples(NamedTuple):
     frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · visibility: (S, J) · counts: (S, J) joints that
     count · absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
     is there · oks: (S,). A joint that neither counts nor is absent is too hidden to judge: it is neither right nor wrong.
+    presence, score, expected (m): (S, J) of each joint with a position, however improbable, NaN of the others; near: (S, J)
+    whether that position is within d of the truth. People of whom only improbable joints are known have a row as well.
     """
 
     skeleton: EvaluatedSkeleton
@@ -77,6 +80,10 @@ class Samples(NamedTuple):
     px: Space
     m: Space
     detections: Detections
+    presence: Float
+    score: Float
+    expected: Float
+    near: Bool
 
     def spaces(self) -> dict[str, Space]:
         """The errors by space, "2d" (px) and "3d" (m), in which the model answers at all; "2d" where it never answers."""
@@ -134,13 +141,13 @@ def _samples(
     """The samples of a chunk that `seen` frames come before; `last_frames` is updated, see `_jitter`."""
     frames, slots, _ = truth.visibility.shape
     box = _boxes(truth.joints_2d)  # (F, P, 4)
-    batch = _found_only(batch, options.presence)
+    given, batch = batch, _found_only(batch, options.presence)
     if options.match == "slot":
         places = slot_places(frames, *persons)
     else:
         area = box[..., 2:].prod(axis=-1)
         places = assigned_places(options.match, truth.joints_2d, truth.joints_3d, area, skeleton.sigma, batch)
-    batch = placed(batch, places)
+    given, batch = placed(given, places), placed(batch, places)
     more = (0, places.shape[1] - slots)  # rows of predicted people whom no true one stands for
     visibility = np.pad(truth.visibility, ((0, 0), more, (0, 0)))
     true_2d, true_3d = (
@@ -153,12 +160,16 @@ def _samples(
 
     counts = visibility >= options.min_visibility
     outside = (visibility == Visibility.OUTSIDE_IMAGE) & (options.min_visibility > Visibility.OUTSIDE_IMAGE)
+    near = _near(given, true_2d, true_3d, options)
     true_2d, true_3d = (np.where(counts[..., None], x, np.nan) for x in (true_2d, true_3d))
     found_2d, found_3d = (errors.finite(x) for x in (batch.joints_2d, batch.joints_3d))
     found = found_2d | found_3d
     true = np.asarray((visibility > Visibility.ABSENT).any(axis=-1))
     predicted = np.asarray(found.any(axis=-1))
-    f, p = np.nonzero(true | predicted)
+    answered = errors.finite(given.joints_2d) | errors.finite(given.joints_3d)
+    f, p = np.nonzero(true | answered.any(axis=-1))
+    told = given.presence, given.score, given.expected_error_m
+    presence, score, expected = (np.where(answered, values, np.float32(np.nan))[f, p] for values in told)
 
     similarity = np.zeros((frames, places.shape[1]), np.float32)
     detections = []
@@ -181,6 +192,10 @@ def _samples(
         _space(skeleton, batch.joints_2d[f, p], true_2d[f, p], found_2d[f, p], head_2d[f, p], jitter_2d[f, p]),
         _space(skeleton, batch.joints_3d[f, p], true_3d[f, p], found_3d[f, p], head_3d[f, p], jitter_3d[f, p]),
         _concatenated(detections),
+        presence,
+        score,
+        expected,
+        near[f, p],
     )
 
 
@@ -188,7 +203,14 @@ def _found_only(batch: PoseBatch, presence: float) -> PoseBatch:
     """The batch without the joints whose presence is too improbable."""
     out = (batch.presence < presence)[..., None]
     two, three = (np.where(out, np.float32(np.nan), x) for x in (batch.joints_2d, batch.joints_3d))
-    return PoseBatch(two, three, batch.score, batch.presence)
+    return replace(batch, joints_2d=two, joints_3d=three)
+
+
+def _near(given: PoseBatch, true_2d: Float, true_3d: Float, options: EvaluationOptions) -> Bool:
+    """(F, P, J) whether a joint is within d of its truth: in 3D, or in the image where the answer has no 3D."""
+    near_2d = np.linalg.norm(given.joints_2d - true_2d, axis=-1) <= options.hit_px
+    near_3d = np.linalg.norm(given.joints_3d - true_3d, axis=-1) <= options.hit_m
+    return np.where(errors.finite(given.joints_3d), near_3d, near_2d)
 
 
 def _space(

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, LIMBS, SYMMETRIC_PAIRS, index_pairs, oks_sigma
+from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, ITOP_LIMBS, LIMBS, SYMMETRIC_PAIRS, index_pairs, oks_sigma
 
 _ITOP_GROUPS = MappingProxyType(
     {
@@ -17,14 +17,6 @@ _ITOP_GROUPS = MappingProxyType(
         "Hand": ("lhand", "rhand"), "Torso": ("torso",), "Hip": ("lhip", "rhip"), "Knee": ("lknee", "rknee"),
         "Foot": ("lfoot", "rfoot"),
     }
-)  # fmt: skip
-_ITOP_LIMBS = (("neck", "head"), ("torso", "neck")) + tuple(
-    (parent.format(side), child.format(side))
-    for side in "lr"
-    for parent, child in (
-        ("neck", "{}shoulder"), ("{}shoulder", "{}elbow"), ("{}elbow", "{}hand"),
-        ("torso", "{}hip"), ("{}hip", "{}knee"), ("{}knee", "{}foot"),
-    )
 )  # fmt: skip
 
 
@@ -49,7 +41,7 @@ def evaluated_skeleton(joints: Sequence[str]) -> EvaluatedSkeleton:
     index = {name: i for i, name in enumerate(joints)}
     itop = set(joints) <= set(ITOP_JOINTS) and "torso" in index
     groups = _ITOP_GROUPS if itop else GROUPS
-    limbs = _ITOP_LIMBS if itop else LIMBS
+    limbs = ITOP_LIMBS if itop else LIMBS
     pairs = tuple((n, "r" + n[1:]) for n in ITOP_JOINTS if n[0] == "l") if itop else SYMMETRIC_PAIRS
     chosen = {name: tuple(index[j] for j in members if j in index) for name, members in groups.items()}
     return EvaluatedSkeleton(

@@ -1,8 +1,9 @@
 """A room for one standing person: floor, walls with a recess, ceiling, curtain, furniture.
 
 World frame: z up, origin on the floor under the camera, x forward from the camera into the room, y left. The
-default ranges follow what the published ITOP frames show (Haque et al. 2016): a camera about 1.5 m above the floor,
-pitched a few degrees down, a person at 2-4 m, a wall close behind with a recess, clutter at both sides.
+default ranges follow what the published ITOP frames show (Haque et al. 2016): a camera about 1.3 m above the floor,
+nearly level, a person at 2-4 m, a wall close behind with a recess, clutter at both sides; and a camera that looks down
+from 2.6 m above the floor on somebody who stands before the wall.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from cabinpose.scene import labels, materials
 from cabinpose.scene.surface import Surface, merge
 
 Interval = tuple[float, float]
-_CLUTTER_MATERIALS = ("wood", "painted_wall", "synthetic_fabric", "rubber")
+_CLUTTER_MATERIALS = ("wood", "painted_wall", "synthetic_fabric", "rubber", "rubber")  # what is dark twice: it makes the holes
+ROOM_VIEWS = ("room", "room_top")
 
 
 # Triangles (F, 3, 3), counter-clockwise from outside: two a side of the box from (0, 0, 0) to (1, 1, 1), and of an icosahedron.
@@ -41,10 +43,12 @@ _ICOSAHEDRON = np.array([np.roll((i, j * _GOLDEN, 0.0), turn) for turn in range(
 class Room:
     """One furnished room: its triangles and where a person may stand.
 
-    surface: world frame, instance 0 · stand_x, stand_y: intervals (m) of the person's place on the floor.
+    surface: world frame, instance 0 · height: of the ceiling, m · stand_x, stand_y: intervals (m) of the person's place on the
+    floor.
     """
 
     surface: Surface
+    height: float
     stand_x: Interval
     stand_y: Interval
 
@@ -176,6 +180,14 @@ def _clutter(x: Interval, side: int, inner: float, rng: np.random.Generator) -> 
     return pieces
 
 
+def _near(side: int, rng: np.random.Generator) -> Surface:
+    """Something that stands between the camera and the person, at the edge of the image."""
+    x, half = rng.uniform(0.9, 1.7), rng.uniform(0.08, 0.3, 2)
+    y = side * (0.36 * x + half[1] + rng.uniform(0.0, 0.25))
+    low, high = (x - half[0], y - half[1], 0.0), (x + half[0], y + half[1], rng.uniform(0.6, 1.3))
+    return _box(low, high, "furniture", _CLUTTER_MATERIALS[rng.integers(len(_CLUTTER_MATERIALS))])
+
+
 def furnish_room(*, rng: np.random.Generator) -> Room:
     """A room drawn at random; the middle stays free for a person who moves."""
     half_width, height = rng.uniform(1.8, 3.2), rng.uniform(2.5, 3.2)
@@ -205,12 +217,28 @@ def furnish_room(*, rng: np.random.Generator) -> Room:
             )
         if rng.random() < 0.8:
             pieces += _clutter((1.6, wall_x - 0.2), side, free, rng)
-    return Room(merge(pieces), (2.3, max(wall_x - 0.75, 2.6)), (-0.4, 0.4))
+        if rng.random() < 0.35:
+            pieces.append(_near(side, rng))
+    return Room(merge(pieces), height, (2.3, max(wall_x - 0.75, 2.6)), (-0.4, 0.4))
 
 
-def place_room_camera(*, rng: np.random.Generator) -> Floats:
-    """`world_from_camera` of a camera on a tripod or shelf: 1.25-1.65 m high, pitched 0-7 degrees down, nearly level."""
-    yaw, pitch, roll = np.radians((rng.normal(0, 2.0), rng.uniform(0.0, 7.0), rng.normal(0, 1.0)))
+def place_room_camera(view: str, room: Room, *, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """`world_from_camera` (4, 4) of one of ROOM_VIEWS, and the point (3,), m, of the floor on which the person stands.
+
+    room: on a tripod or shelf, 1.1-1.6 m high, pitched from 2 degrees up to 6 degrees down, nearly level. room_top: 2.4-2.75 m
+    above the floor, within 0.28 m of the person and 1.1 m of the wall behind, looking down to a few degrees; the wall is at the
+    top of its image.
+    """
+    yaw, roll = np.radians((rng.normal(0, 2.0), rng.normal(0, 1.0)))
+    if view == "room_top":
+        low = (room.stand_x[1] - 0.35, -0.15, 2.4)
+        eye = rng.uniform(low, (room.stand_x[1] + 0.15, 0.15, min(2.75, room.height - 0.05)))
+        pitch = np.pi / 2 + np.radians(rng.normal(0, 3.0))
+        spot = eye * (1.0, 1.0, 0.0) + (*rng.uniform(-0.28, 0.28, 2), 0.0)
+    else:
+        spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))
+        eye = np.array((0.0, rng.normal(0, 0.05), rng.uniform(1.1, 1.6)))
+        pitch = np.radians(rng.uniform(-2.0, 6.0))
     # A positive turn about y (left) looks down.
     turn = axis_rotation("z", yaw) @ axis_rotation("y", pitch) @ axis_rotation("x", roll)
-    return transform(turn @ FORWARD_FROM_CAMERA, (0.0, rng.normal(0, 0.05), rng.uniform(1.25, 1.65)))
+    return transform(turn @ FORWARD_FROM_CAMERA, eye), spot

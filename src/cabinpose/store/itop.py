@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,11 +101,14 @@ def read_itop_frames(path: Path | str) -> FrameBatch:
     return {"depth": depth, "camera_k": k, "camera_dist": np.zeros(5)}
 
 
-def as_labelled(joints_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+def as_labelled(joints_3d: NDArray[np.floating], view: Literal["side", "top"] = "side") -> NDArray[np.float64]:
     """(..., 15, 3) m where ITOP's annotators would have put the joints of a body at joints_3d: nearer, on the same ray.
 
-    Read off the labels (docs/itop-comparison.md): no published text says what they mark.
+    Read off the labels of the side view (docs/itop-comparison.md): no published text says what they mark. Those of the top
+    view are the same points, so that there joints move towards the camera of the side view, down in the image.
     """
+    if view == "top":
+        return np.asarray(joints_3d + _NEARER_M[:, None] * (0.0, 1.0, 0.0), np.float64)
     distance = np.linalg.norm(joints_3d, axis=-1, keepdims=True)
     return np.asarray(joints_3d * (1.0 - _NEARER_M[:, None] / distance), np.float64)
 

@@ -2,9 +2,10 @@
 
 Two encodings of one table, a row for each joint found: JSON lines (`.jsonl`), or Parquet (`.parquet`, with the extra `parquet`).
 Columns: `frame` (number in the dataset), `person` (slot), `joint` (name), `u`, `v` (px, or null), `x`, `y`, `z` (m, camera frame;
-all three, or null), `score`, `presence` (0..1). The header holds `format`, `version`, `model`, `skeleton`, `joints`, `persons`,
-and, where the writer knows it, `dataset`. In JSON lines the header is the first line and `{"rows": n}` the last, so that a file
-cut short is noticed; in Parquet the header is the value of the key `cabinpose` of the file's metadata.
+all three, or null), `score`, `presence` (0..1), `expected_error_m` (m, or null). The header holds `format`, `version`, `model`,
+`skeleton`, `joints`, `persons`, and, where the writer knows it, `dataset`. In JSON lines the header is the first line and
+`{"rows": n}` the last, so that a file cut short is noticed; in Parquet the header is the value of the key `cabinpose` of the
+file's metadata.
 
 A joint without a row was not found: what the file leaves out counts as missed, a whole frame too.
 """
@@ -22,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import DependencyError, PredictionsError
-from cabinpose.core.ports import PoseBatch
+from cabinpose.core.ports import POSE_ARRAYS, PoseBatch
 from cabinpose.store.part import disk_errors
 
 FORMAT: Final = "cabinpose-predictions"
 VERSION: Final = 1
-_NUMBERS = ("u", "v", "x", "y", "z", "score", "presence")
+_NUMBERS = ("u", "v", "x", "y", "z", "score", "presence", "expected_error_m")
 COLUMNS = ("frame", "person", "joint", *_NUMBERS)
 _HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset")
 _PARQUET_KEY = b"cabinpose"
@@ -53,7 +54,7 @@ class Predictions(PoseBatch):
         at = np.minimum(np.searchsorted(self.frame, frames), max(len(self.frame) - 1, 0))
         known = self.frame[at] == frames if len(self.frame) else np.zeros(len(frames), bool)
         batch = empty_batch(len(frames), len(self.persons), len(self.joints))
-        for name in ("joints_2d", "joints_3d", "score", "presence"):
+        for name in POSE_ARRAYS:
             getattr(batch, name)[known] = getattr(self, name)[at[known]]
         return batch
 
@@ -150,8 +151,9 @@ def _rows(predictions: Predictions) -> Iterator[dict[str, Any]]:
         for names, values in (("uv", predictions.joints_2d[f, p, j]), ("xyz", predictions.joints_3d[f, p, j])):
             if np.isfinite(values).all():  # str(float32) is its shortest decimal: it reads back as the same float32
                 row |= {name: float(str(value)) for name, value in zip(names, values, strict=True)}
-        row["score"] = float(str(predictions.score[f, p, j]))
-        row["presence"] = float(str(predictions.presence[f, p, j]))
+        for name in ("score", "presence", "expected_error_m"):
+            if np.isfinite(value := getattr(predictions, name)[f, p, j]):
+                row[name] = float(str(value))
         yield row
 
 
@@ -218,10 +220,7 @@ def _write_parquet(path: Path, header: Mapping[str, Any], predictions: Predictio
     import pyarrow as pa  # noqa: PLC0415 - an extra
 
     f, p, j = _found(predictions)
-    two, three = predictions.joints_2d[f, p, j], predictions.joints_3d[f, p, j]
-    numbers = np.concatenate(
-        (two, three, predictions.score[f, p, j, None], predictions.presence[f, p, j, None]), axis=1, dtype=np.float32
-    )
+    numbers = np.column_stack([getattr(predictions, name)[f, p, j] for name in POSE_ARRAYS]).astype(np.float32)
     columns = {
         "frame": pa.array(predictions.frame[f]),
         "person": pa.array(np.array(predictions.persons)[p]),
@@ -307,11 +306,11 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     batch = empty_batch(len(frame), len(persons), len(joints))
     batch.joints_2d[f, p, j] = np.stack((values["u"], values["v"]), axis=-1)
     batch.joints_3d[f, p, j] = np.stack((values["x"], values["y"], values["z"]), axis=-1)
-    batch.score[f, p, j] = values["score"]
-    batch.presence[f, p, j] = values["presence"]
+    for name in ("score", "presence", "expected_error_m"):
+        getattr(batch, name)[f, p, j] = values[name]
     return Predictions(
-        batch.joints_2d, batch.joints_3d, batch.score, batch.presence, frame, persons, joints,
-        header["model"], str(header.get("skeleton", "cabinpose")), header.get("dataset"),
+        **vars(batch), frame=frame, persons=persons, joints=joints, model=header["model"],
+        skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"),
     )  # fmt: skip
 
 
@@ -353,3 +352,4 @@ def _check_values(file: Path, values: Mapping[str, NDArray[np.float32]]) -> None
     _refuse(file, neither, lambda _: " has no position", "give u and v, or x, y and z, or leave the row out")
     outside = (values["presence"] < 0) | (values["presence"] > 1)
     _refuse(file, outside, lambda _: ": presence is a probability", "give a number from 0 to 1")
+    _refuse(file, values["expected_error_m"] < 0, lambda _: ": expected_error_m is below 0", "give metres, or leave it out")

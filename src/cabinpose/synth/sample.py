@@ -23,7 +23,7 @@ from cabinpose.core.once import cached_once
 from cabinpose.core.pose import STANDING_SLOT
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, belt_surface, harness_surface
-from cabinpose.scene.room import Room, furnish_room, place_room_camera
+from cabinpose.scene.room import ROOM_VIEWS, Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.scene.things import PlacedThing
 from cabinpose.scene.things.child_seats import SITTING
@@ -364,11 +364,11 @@ class SceneSampler:
         (subject,) = self._plan.people(index, 1, rng=rng)
         person = self._casting.person(subject)
         tried.append(f"room {number} ({subject})")
-        camera = place_room_camera(rng=rng)
-        spot = np.array((rng.uniform(*room.stand_x), rng.uniform(*room.stand_y), 0.0))
-        heading = (
-            np.arctan2(camera[1, 3] - spot[1], camera[0, 3] - spot[0]) + np.radians(scene.facing_deg) * rng.standard_normal()
-        )
+        weights = {name: weight for name, weight in self._config.camera.weights.items() if name in ROOM_VIEWS}
+        view = weighted(weights or {"room": 1.0}, rng=rng)
+        camera, spot = place_room_camera(view, room, rng=rng)
+        # People face the camera of the view `room`, which in its other views stands for whatever they look at.
+        heading = np.arctan2(-spot[1], -spot[0]) + np.radians(scene.facing_deg) * rng.standard_normal()
         for proposals in range(1, self._config.limits.poses_per_person + 1):
             pose = sample_standing(person, scene.profile, index=index, rng=rng)
             world_from_root = transform(axis_rotation("z", heading), spot) @ pose.floor_from_root
@@ -376,7 +376,7 @@ class SceneSampler:
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
             if verdict.rejection is None:
                 somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed, (posed.surface(1),))
-                return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", "room"), proposals
+                return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", view), proposals
             causes[verdict.rejection] += 1
         return None, self._config.limits.poses_per_person
 

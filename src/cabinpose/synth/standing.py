@@ -52,7 +52,7 @@ ARM_POSES: Mapping[str, tuple[Spread, ...]] = MappingProxyType(
     }
 )
 _LOW, _LOW_SHARES = ("hang", "front", "hip", "back"), (0.62, 0.26, 0.06, 0.06)
-_RAISED, _RAISED_SHARES = ("forward", "side", "up", "goalpost", "head"), (0.34, 0.24, 0.14, 0.14, 0.14)
+_RAISED, _RAISED_SHARES = ("forward", "side", "up", "goalpost", "head"), (0.30, 0.24, 0.18, 0.14, 0.14)
 _PAIRS, _PAIR_SHARES = ("none", "both", "left", "right", "cross"), (0.50, 0.19, 0.13, 0.13, 0.05)
 _ALIKE = 0.65  # how often two raised arms do the same
 
@@ -76,12 +76,12 @@ class Stance(NamedTuple):
 
 STANCES: Mapping[str, tuple[float, Stance]] = MappingProxyType(
     {
-        "stand": (0.60, Stance()),
+        "stand": (0.56, Stance()),
         "step": (0.12, Stance(stagger=(0.0, 0.22), drop=(0.03, 0.02), shift=(0.0, 0.04))),
         "straddle": (0.09, Stance(width=(0.20, 0.08), drop=(0.05, 0.04), shift=(0.0, 0.07))),
         "squat": (0.05, Stance(width=(0.08, 0.04), drop=(0.20, 0.09), pitch=(20.0, 8.0), bend=(16.0, 7.0))),
-        "bend": (0.05, Stance(drop=(0.03, 0.02), pitch=(24.0, 9.0), bend=(26.0, 10.0))),
-        "lift_leg": (0.09, Stance(lifted=((42.0, 20.0), (6.0, 9.0), (48.0, 24.0)))),
+        "bend": (0.07, Stance(drop=(0.03, 0.02), pitch=(24.0, 9.0), bend=(26.0, 10.0))),
+        "lift_leg": (0.11, Stance(lifted=((42.0, 20.0), (6.0, 9.0), (48.0, 24.0)))),
     }
 )
 
@@ -172,11 +172,11 @@ def _gesture(person: Person, rng: np.random.Generator) -> tuple[Floats, Matrix, 
     stance_name = _pick(names, tuple(STANCES[n][0] for n in names), rng)
     stance = STANCES[stance_name][1]
     _set(q, "lumbar.flexion", _normal(stance.bend, rng))
-    for name, sigma in (("lumbar.lateral", 3.5), ("lumbar.rotation", 3.0), ("thorax.lateral", 2.5), ("thorax.rotation", 8.0)):
+    for name, sigma in (("lumbar.lateral", 3.5), ("lumbar.rotation", 3.0), ("thorax.lateral", 2.5), ("thorax.rotation", 12.0)):
         _set(q, name, _normal((0.0, sigma), rng))
     _set(q, "thorax.flexion", _normal((2.0, 4.0), rng))
     for name, spread in (
-        ("neck.flexion", (2.0, 7.0)), ("neck.lateral", (0.0, 4.0)), ("neck.rotation", (0.0, 14.0)),
+        ("neck.flexion", (4.0, 10.0)), ("neck.lateral", (0.0, 4.0)), ("neck.rotation", (0.0, 22.0)),
         ("head.flexion", (0.0, 4.0)), ("head.rotation", (0.0, 10.0)),
     ):  # fmt: skip
         _set(q, name, _normal(spread, rng))

@@ -23,7 +23,7 @@ from cabinpose.app.cli.output import printable
 GROUPS = MappingProxyType(
     {
         "datasets": ("synth", "train-style", "config", "car", "info", "view", "export", "import"),
-        "detectors": ("train", "models", "predict", "evaluate", "experiment", "live", "serve"),
+        "detectors": ("train", "models", "calibrate-confidence", "predict", "evaluate", "experiment", "live", "serve"),
         "recordings": (
             "record",
             "recover",
@@ -40,7 +40,8 @@ GROUPS = MappingProxyType(
     }
 )
 VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
-_OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict")  # their first argument is the dataset
+# Their first argument is the dataset.
+_OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict", "calibrate-confidence")
 
 
 def _module_name(verb: str) -> str:

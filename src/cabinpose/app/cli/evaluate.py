@@ -43,6 +43,8 @@ class Evaluate(SelectsFrames):
     """Folder of the dataset."""
     itop_npz: Maybe[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
+    itop_view: Literal["side", "top"] = "side"
+    """Which of ITOP's cameras took the --itop-npz frames: it decides which way its labels lie off the joints."""
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files (.jsonl or .parquet) or label images of body parts (.zarr), one per model."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
@@ -212,10 +214,10 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
     model = open_predictor(command.model[0])
     if model.joints != ITOP_JOINTS or len(model.persons) != 1:
-        raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room`")
+        raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room` or `room_top`")
     reference = read_itop_reference(frames)
     found = model.predict(read_itop_frames(frames)).joints_3d[:, 0]
-    labelled = evaluate_itop(reference, as_labelled(found), options, model=model.name, name=frames.name)
+    labelled = evaluate_itop(reference, as_labelled(found, command.itop_view), options, model=model.name, name=frames.name)
     anatomical = evaluate_itop(reference, found, replace(options, resamples=0))  # for one number, without its interval
     within = itop_summary(anatomical)["within_10cm"]
     if command.as_json:

@@ -153,7 +153,7 @@ def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> 
     """Joints by person and name; those without an answer are left out."""
     import numpy as np
 
-    poses = found.poses
+    poses, expected = found.poses, found.poses.expected_error_m[0]
     there = np.isfinite(poses.joints_2d[0]).all(axis=-1) | np.isfinite(poses.joints_3d[0]).all(axis=-1)
     return {
         person: {
@@ -163,6 +163,7 @@ def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> 
                 "score": round(float(poses.score[0, p, j]), 4),
                 "presence": round(float(poses.presence[0, p, j]), 4),
             }
+            | ({"expected_error_m": round(float(expected[p, j]), 4)} if np.isfinite(expected[p, j]) else {})
             for j, joint in enumerate(joints)
             if there[p, j]
         }

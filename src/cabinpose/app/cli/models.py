@@ -60,5 +60,10 @@ def _rows(described: dict[str, Any]) -> list[tuple[str, str]]:
             ]
         ),
         ("places", ", ".join(described["persons"]) or "any"),
+        *([("expected error", _calibrated(described["expected_error"]))] if described["expected_error"] else []),
         ("parts", ", ".join(described["parts"])) if described["parts"] else ("joints", ", ".join(described["joints"])),
     ]
+
+
+def _calibrated(said: dict[str, Any]) -> str:
+    return f"of {len(said['joints'])} joints, from {said['frames']} frames of {said['data']}"

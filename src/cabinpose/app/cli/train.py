@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,7 +50,7 @@ class Train(PrintsJson):
     nodes: int = 1
     """Machines, started by Lightning's launchers."""
     init: Maybe[Path] = None
-    """Checkpoint of an earlier run of the same network to start from."""
+    """Checkpoint of an earlier run of the same network to start from, or such a model of `compact`: packaged, or an ONNX file."""
     resume: bool = False
     """Continue the run in the folder."""
 
@@ -65,6 +66,7 @@ def run(command: Train) -> None:
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress()), False
         report.phase("loading torch")
+        from cabinpose.app.report.curves import write_curves
         from cabinpose.app.training import read_train_config
         from cabinpose.estimate.methods import method_named
         from cabinpose.estimate.training import fit, frame_spec
@@ -86,6 +88,7 @@ def run(command: Train) -> None:
         best = fit(
             config, training, validation, command.out, resume=command.resume, init=command.init,
             devices=int(command.devices) if command.devices.isdigit() else command.devices, nodes=command.nodes, progress=show,
+            draw=partial(write_curves, command.out / "curves.png"),
         )  # fmt: skip
     if command.as_json:
         print_json({"best": str(best)})

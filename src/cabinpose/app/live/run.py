@@ -136,7 +136,7 @@ class Live:
         found = joined([empty_batch(0, len(model.persons), len(model.joints)), *answers.batches])
         order = np.argsort(np.array(answers.numbers, np.int64), kind="stable")
         return Predictions(
-            found.joints_2d[order], found.joints_3d[order], found.score[order], found.presence[order],
-            frame=np.array(answers.numbers, np.int64)[order], persons=model.persons, joints=model.joints, model=model.name,
+            **vars(found.map(lambda values: values[order])), frame=np.array(answers.numbers, np.int64)[order],
+            persons=model.persons, joints=model.joints, model=model.name,
             skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset,
         )  # fmt: skip

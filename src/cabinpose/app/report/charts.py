@@ -66,20 +66,35 @@ class Plot:
 
 def series_chart(
     title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], *, top: float | None = None,
-    width: int = 420, height: int = 220,
+    width: int = 420, height: int = 220, diagonal: bool = False, log: bool = False, marks: Mapping[str, float] | None = None,
 ) -> Html:  # fmt: skip
     """Lines over x, for each its xs and ys, with 0 in view; one without points keeps its colour.
 
-    A line breaks where a value is not finite. top: the greatest y shown; default: that of the lines.
+    A line breaks where a value is not finite. top: the greatest y shown; default: that of the lines · diagonal: with the line on
+    which y is x · log: the axis is logarithmic, and has no 0 · marks: upright lines at values of x, by the words beside them.
     """
     known = [(x, y) for xs, ys in lines.values() for x, y in zip(xs, ys, strict=False) if np.isfinite(y)]
     xs, ys = zip(*known, strict=True) if known else ((0.0, 1.0), (0.0, 1.0))
     low, high = min(*ys, 0.0), top or max(ys)
-    step = nice_step(max(high - low, 1e-9) / 5)
-    y = float(step * np.floor(low / step)), float(step * max(np.ceil(high / step - 1e-9), 1))
-    plot = Plot(title, (width, height), (min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0), y)
-    plot.rows(np.arange(y[0], y[1] + step / 2, step).tolist())
+    if log:
+        rows = _powers(min(ys), high)
+    else:
+        step = nice_step(max(high - low, 1e-9) / 5)
+        rows = (np.arange(np.floor(low / step), max(np.ceil(high / step - 1e-9), 1) + 0.5) * step).tolist()
+    y = rows[0], rows[-1]
+    plot = Plot(title, (width, height), (min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0), y, log=log)
+    plot.rows(rows)
     plot.columns()
+    for i, (words, x) in enumerate((marks or {}).items()):
+        u = plot.at(x, y[0])[0]
+        right = u > width / 2
+        plot.body += [
+            line(u, plot.top, u, plot.bottom, "axis"),
+            text(u - 4 if right else u + 4, plot.top + 14 * (i + 1), words, "end" if right else "soft"),
+        ]
+    if diagonal:
+        ends = max(plot.x[0], y[0]), min(plot.x[1], y[1])
+        plot.body.append(line(*plot.at(ends[0], ends[0]), *plot.at(ends[1], ends[1]), "axis"))
     for name, colour in reversed(list(zip(lines, _colours(lines), strict=True))):  # the first is drawn last, on top
         plot.body.append(el("path", el("title", name), d=plot.path(*lines[name]), fill="none", stroke=colour, stroke_width=1.8))
     return plot.svg(x_label)
@@ -93,8 +108,7 @@ def box_chart(
     ends = [end for by_joint in boxes.values() for box in by_joint.values() for end in (box.high, *box.outliers[-1:])]
     top = max(ends, default=1.0) or 1.0
     if log:
-        rows = [k * 10.0**n for n in range(-1, int(np.ceil(np.log10(max(top, 1.0)))) + 1) for k in (1, 2, 5)]
-        rows = rows[: next((i for i, value in enumerate(rows) if value >= top), len(rows) - 1) + 1]
+        rows = _powers(0.1, top)
     else:
         step = nice_step(top / 5)
         rows = np.arange(0, step * (max(int(np.ceil(top / step)), 1) + 0.5), step).tolist()
@@ -141,6 +155,15 @@ def charts(drawn: Iterable[str], columns: str = "") -> Html:
 
 def _colours(names: Iterable[str]) -> list[str]:
     return [COLOURS[i % len(COLOURS)] for i, _ in enumerate(names)]
+
+
+def _powers(least: float, greatest: float) -> list[float]:
+    """1, 2 and 5 times powers of ten, from the last that is not above `least` to the first not below `greatest`; at least two."""
+    first, last = (int(np.floor(np.log10(value))) for value in (least, max(greatest, least)))
+    rows = [k * 10.0**n for n in range(first, last + 2) for k in (1, 2, 5)]
+    start = max(i for i, value in enumerate(rows) if value <= least * (1 + 1e-9))
+    end = next(i for i, value in enumerate(rows) if value >= greatest * (1 - 1e-9) and i > start)
+    return rows[start : end + 1]
 
 
 def nice_step(step: float) -> float:

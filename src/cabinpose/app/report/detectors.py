@@ -18,6 +18,11 @@ _BOX_NOTE = (
     "Joints found. Box: quartiles and median; whiskers: to the farthest error within 1.5 times the box's height; dots: outliers, "
     "of more than a hundred every so many. The threshold is --hit-px, --hit-cm."
 )
+_CONFIDENCE_NOTE = (
+    "Presence: by tenths of what the model said, the share of joints that are in the image, and of those found within the "
+    "threshold, too; the thin line is that of a model which is right about itself. Expected error: by tenths of joints found. "
+    "Surest joints: ordered by the expected error where the model gives one, else by the score."
+)
 _TILES = (
     ("PCKh", "2d", ALL, None), ("AUC of PCKh", "2d", ALL, None), ("mean error", "2d", ALL, None), ("AP", "2d", PEOPLE, None),
     ("PCKh", "3d", ALL, None), ("AUC of PCKh", "3d", ALL, None), ("MPJPE", "3d", ALL, None), ("PCK", "3d", ALL, 10.0),
@@ -38,6 +43,7 @@ def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[Html]], 
         section("By joint group", _group_table(reports), intervals),
         section("Curves", _curves(reports), curves),
         section("Error by joint", _boxes(reports), _BOX_NOTE),
+        section("Confidence", _confidence(reports), _CONFIDENCE_NOTE),
         section("By visibility", _visibility_table(reports)),
         section("Typical frames", _frames(reports, typical), near),
         section("Worst frames", _frames(reports, worst), dots),
@@ -121,6 +127,29 @@ def box_charts(reports: Sequence[Report]) -> list[Html]:
 
 def _boxes(reports: Sequence[Report]) -> str:
     return (legend(r.model for r in reports) if len(reports) > 1 else "") + "".join(box_charts(reports))
+
+
+def _confidence(reports: Sequence[Report]) -> str:
+    """Presence against what is there, expected error against error, and the error of the joints that a model is surest of."""
+    several = len(reports) > 1
+    drawn = []
+    for kind, what in (("in_image", "in the image"), ("within", "found within the threshold")):
+        bins = {r.model: r.calibration["presence"][ALL][kind] for r in reports}
+        lines = {m: ([100 * x for x in b["said"]], [100 * y for y in b["was"]]) for m, b in bins.items()}
+        drawn.append(series_chart(f"Joints {what}, %", "presence, %", lines, top=100.0, height=260, diagonal=True))
+    expected = {r.model: r.calibration["expected_error"].get(ALL, {"said": (), "was": ()}) for r in reports}
+    if any(len(bins["said"]) for bins in expected.values()):
+        lines = {m: (b["said"], b["was"]) for m, b in expected.items()}
+        drawn.append(series_chart("Mean error, cm", "expected error, cm", lines, height=260, diagonal=True))
+    surest = []
+    for space, unit in _UNIT.items():
+        sets = {r.model: r.calibration["surest"].get(space, {}) for r in reports}
+        if any(sets.values()):
+            groups = {m: {g: (c["kept"], c["median"]) for g, c in by_group.items()} for m, by_group in sets.items()}
+            lines = {m: by_group.get(ALL, ((), ())) for m, by_group in groups.items()} if several else groups[reports[0].model]
+            surest.append(series_chart(f"Median error, {space.upper()}, {unit}", "surest joints, %", lines, height=260))
+    names = [r.model for r in reports] if several else list(reports[0].joint_sets)
+    return (legend(names) if several else "") + charts(drawn) + ("" if several else legend(names)) + charts(surest, "two")
 
 
 def _visibility_table(reports: Sequence[Report]) -> Html:

@@ -75,9 +75,8 @@ def write_kept(kept: Sequence[Shown], root: Path) -> tuple[Path, list[Path]]:
         if answers:
             found = joined(answers)
             predictions = Predictions(
-                found.joints_2d, found.joints_3d, found.score, found.presence, frame=np.array(rows, np.int64),
-                persons=tuple(model.persons), joints=tuple(model.joints), model=model.name,
-                skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset_id(manifest),
+                **vars(found), frame=np.array(rows, np.int64), persons=tuple(model.persons), joints=tuple(model.joints),
+                model=model.name, skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset_id(manifest),
             )  # fmt: skip
             files.append(write_predictions(root / f"{folder.name}.predictions-{number}.jsonl", predictions))
     return folder, files

@@ -29,14 +29,16 @@ class Votes(NamedTuple):
     """The network's answers for N frames, S places and J joints.
 
     joints: (N, S, J, 3) u, v (px of the view) and depth (m) · inside, visible: (N, S, J) logits of the joint being in the
-    image, and seen there · present: (N, S) logit of somebody being there · weights: (N, S, J, cells) log-probability of
-    each cell, and earlier: the joints (N, S, J, 3) before each look that refined them, both for training.
+    image, and seen there · present: (N, S) logit of somebody being there · spreads: (N, S, J, C) m, standard deviation of the
+    votes about their mean, and of a `Mirrored` network how far apart its two answers are · weights: (N, S, J, cells)
+    log-probability of each cell, and earlier: the joints (N, S, J, 3) before each look that refined them, both for training.
     """
 
     joints: Tensor
     inside: Tensor
     visible: Tensor
     present: Tensor
+    spreads: Tensor
     weights: Tensor
     earlier: tuple[Tensor, ...]
 
@@ -124,9 +126,13 @@ class Compact(Backbone):
         votes = self.votes(torch.cat((features, near), dim=1)).reshape(n, s, j, _VALUES, -1)
         weights = torch.log_softmax(votes[:, :, :, 0], dim=-1)
         p = weights.exp()
-        u = (p * (self.cells[0] + STRIDE * votes[:, :, :, 1])).sum(-1)
-        v = (p * (self.cells[1] + STRIDE * votes[:, :, :, 2])).sum(-1)
+        cell_u, cell_v = (self.cells[i] + STRIDE * votes[:, :, :, 1 + i] for i in range(2))
+        u, v = (p * cell_u).sum(-1), (p * cell_v).sum(-1)
         z = 0.5 * self.config.max_depth_m * (1.0 + (p * votes[:, :, :, 3]).sum(-1))
+        with torch.no_grad():
+            cell_z = 0.5 * self.config.max_depth_m * (1.0 + votes[:, :, :, 3])
+            apart = torch.stack((cell_u - u[..., None], cell_v - v[..., None], cell_z - z[..., None]), dim=-1)
+            spread = (p * squared_m(apart, z[..., None], self.config.focal)).sum(-1).sqrt()
         inside, visible = (p.unsqueeze(3) * votes[:, :, :, 4:]).sum(-1).unbind(-1)
         pooled = torch.cat((deep.mean((2, 3)), deep.amax((2, 3))), dim=1)
         joints, earlier = torch.stack((u, v, z), dim=-1), []
@@ -135,7 +141,12 @@ class Compact(Backbone):
             start = joints.detach()
             more = look(depth.unsqueeze(1), fine, features, start, inside.detach(), visible.detach())
             joints, inside, visible = start + more.joints, inside + more.inside, visible + more.visible
-        return Votes(joints, inside, visible, self.present(pooled), weights, tuple(earlier))
+        return Votes(joints, inside, visible, self.present(pooled), spread[..., None], weights, tuple(earlier))
+
+
+def squared_m(apart: Tensor, depth: Tensor, focal: float) -> Tensor:
+    """(...) squared length in m² of differences (..., 3) in u, v (px) and depth (m), at depths (...) m."""
+    return apart[..., :2].square().sum(-1) * (depth / focal).square() + apart[..., 2].square()
 
 
 class Block(nn.Module):
@@ -189,8 +200,9 @@ def _stage(inputs: int, outputs: int, count: int) -> list[nn.Module]:
 class Mirrored(nn.Module):
     """A trained network that answers with the mean of what it says of a frame and of its mirror image.
 
-    The errors of the two differ, so that their mean is smaller, at twice the time. weights and earlier are those of the
-    frame alone.
+    The errors of the two differ, so that their mean is smaller, at twice the time, and how much they differ says how large they
+    are. weights and earlier are those of the frame alone. Whether the places of the front row change sides, as on benches that
+    face each other, is told by which of the two brings the mirror image's answer nearer to the frame's.
     """
 
     def __init__(self, network: Compact) -> None:
@@ -198,22 +210,49 @@ class Mirrored(nn.Module):
         self._network = network
         self._joints = mirrored_joints(network.config.joints)
         self._slots = mirrored_slots(network.config.slots)
+        self._facing_slots = mirrored_slots(network.config.slots, facing=True)
 
     def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
         """Votes as the network's own."""
         one = self._network(depth, amplitude)
         other = self._network(depth.flip(-1), None if amplitude is None else amplitude.flip(-1))
-        uvz = other.joints[:, self._slots][:, :, self._joints]
-        uvz = torch.cat((self._network.config.width - 1 - uvz[..., :1], uvz[..., 1:]), dim=-1)
+        width = self._network.config.width
+        turned = self._turned(one, other) if self._slots != self._facing_slots else None
+
+        def placed(theirs: Tensor) -> Tensor:
+            plain = theirs[:, self._slots]
+            if turned is None:
+                return plain
+            return torch.where(turned.reshape(-1, *[1] * (theirs.ndim - 1)), theirs[:, self._facing_slots], plain)
+
+        uvz = placed(other.joints)[:, :, self._joints]
+        uvz = torch.cat((width - 1 - uvz[..., :1], uvz[..., 1:]), dim=-1)
 
         def mean(mine: Tensor, theirs: Tensor) -> Tensor:
-            return 0.5 * (mine + theirs[:, self._slots][:, :, self._joints])
+            return 0.5 * (mine + placed(theirs)[:, :, self._joints])
 
+        joints = 0.5 * (one.joints + uvz)
+        apart = squared_m(one.joints - uvz, joints[..., 2], self._network.config.focal).sqrt()
         return Votes(
-            0.5 * (one.joints + uvz),
+            joints,
             mean(one.inside, other.inside),
             mean(one.visible, other.visible),
-            0.5 * (one.present + other.present[:, self._slots]),
+            0.5 * (one.present + placed(other.present)),
+            torch.cat((mean(one.spreads, other.spreads), apart[..., None]), dim=-1),
             one.weights,
             one.earlier,
         )
+
+    def _turned(self, one: Votes, other: Votes) -> Tensor:
+        """(N,) bool: whether the front places of the mirror image's answer change sides.
+
+        They do where that brings the people who are found nearer, in px of u, or agrees better about who is there.
+        """
+        sure = one.present.sigmoid()
+        u, width = one.joints[..., 0].mean(-1), self._network.config.width
+
+        def apart(slots: list[int]) -> Tensor:
+            mirrored_u = width - 1 - other.joints[:, slots][..., 0].mean(-1)
+            return (sure * (u - mirrored_u).abs() / width + (sure - other.present[:, slots].sigmoid()).abs()).sum(-1)
+
+        return apart(self._facing_slots) < apart(self._slots)

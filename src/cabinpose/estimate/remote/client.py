@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -191,7 +191,7 @@ class RemotePredictor:
         if not np.isnan(found.joints_2d).all() or np.isnan(found.joints_3d).all():
             return found
         uv = cameras_of(frames, slice(index, index + 1))[0].project(found.joints_3d).astype(np.float32)
-        return PoseBatch(uv, found.joints_3d, found.score, found.presence)
+        return replace(found, joints_2d=uv)
 
     # ------------------------------------------------------------------------------------------------- what there is
 

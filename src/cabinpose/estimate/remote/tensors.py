@@ -57,6 +57,7 @@ OUTPUTS = (
     TensorSpec("joints_3d", "FP32", ("N", "P", "J", 3), "m", False, "x, y, z in the camera frame; NaN: no answer"),
     TensorSpec("score", "FP32", ("N", "P", "J"), "any", False, "confidence, more is better; left out: the presence"),
     TensorSpec("presence", "FP32", ("N", "P", "J"), "0 to 1", False, "probability that the joint is in the image; left out: 1"),
+    TensorSpec("expected_error_m", "FP32", ("N", "P", "J"), "m", False, "mean 3D error of such joints; NaN: not known"),
     TensorSpec("person_names", "BYTES", ("P",), "", False, "seats such as driver; left out: named in the address"),
     TensorSpec("joint_names", "BYTES", ("J",), "", False, "joints such as lhand; left out: named in the address"),
 )
@@ -138,8 +139,10 @@ def pose_batch(answer: Arrays, persons: Sequence[str], joints: Sequence[str]) ->
     _refuse((presence > 0) & ~found, "presence is above 0 and the position NaN", persons, joints)
     score = answer.get("score", presence)
     _refuse(~np.isfinite(score), "score is not finite", persons, joints)
-    nothing = [np.full((*shape, n), np.nan, np.float32) for n in (2, 3)]
-    return PoseBatch(positions.get("joints_2d", nothing[0]), positions.get("joints_3d", nothing[1]), score, presence)
+    expected = answer.get("expected_error_m", np.full(shape, np.nan, np.float32))
+    _refuse((expected < 0) | np.isinf(expected), "expected_error_m is not a distance", persons, joints)
+    two, three = (positions.get(f"joints_{n}d", np.full((*shape, n), np.nan, np.float32)) for n in (2, 3))
+    return PoseBatch(two, three, score, presence, expected_error_m=expected)
 
 
 def _refuse(wrong: NDArray[np.bool_], what: str, persons: Sequence[str], joints: Sequence[str]) -> None:

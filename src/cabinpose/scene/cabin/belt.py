@@ -5,7 +5,7 @@ Each ribbon runs in planes through its two anchors and a point of the body: the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -30,20 +30,13 @@ _ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads 
 _BETWEEN_M = 0.08  # by which one shoulder is nearer to the anchor than the other, where the belt lies on that one alone
 STEPS = 40  # cross-sections of a ribbon
 
-# Bones by which a triangle of the skin is told to be trunk or not: ends, the piece of the bone (0 first end .. 1 second),
-# and the girth of the flesh around it (m). The roots of arms and thighs belong to the trunk: the belts lie on them.
+# Bones of the trunk, by which the flesh about the shoulders is told from the rest of it: ends, the piece of the bone (0 first end
+# .. 1 second), and the girth of the flesh around it (m).
 _TRUNK = (
     ("neck", "chest", 0.0, 1.0, 0.15), ("chest", "hip", 0.0, 1.0, 0.15), ("hip", "lpelvis", 0.0, 1.0, 0.14),
     ("hip", "rpelvis", 0.0, 1.0, 0.14), ("neck", "lshoulder", 0.0, 1.0, 0.08), ("neck", "rshoulder", 0.0, 1.0, 0.08),
     ("lshoulder", "lelbow", 0.0, 0.3, 0.06), ("rshoulder", "relbow", 0.0, 0.3, 0.06),
     ("lpelvis", "lknee", 0.0, 0.4, 0.085), ("rpelvis", "rknee", 0.0, 0.4, 0.085),
-)  # fmt: skip
-_OTHER = (
-    ("lpelvis", "lknee", 0.4, 1.0, 0.085), ("rpelvis", "rknee", 0.4, 1.0, 0.085), ("neck", "head", 0.0, 1.0, 0.07),
-    ("head", "head", 0.0, 1.0, 0.16), ("lshoulder", "lelbow", 0.3, 1.0, 0.055), ("rshoulder", "relbow", 0.3, 1.0, 0.055),
-    ("lelbow", "lwrist", 0.0, 1.0, 0.045), ("relbow", "rwrist", 0.0, 1.0, 0.045), ("lwrist", "lhand", 0.0, 1.0, 0.05),
-    ("rwrist", "rhand", 0.0, 1.0, 0.05), ("lhand", "lhand", 0.0, 1.0, 0.09), ("rhand", "rhand", 0.0, 1.0, 0.09),
-    ("lknee", "lankle", 0.0, 1.0, 0.06), ("rknee", "rankle", 0.0, 1.0, 0.06),
 )  # fmt: skip
 # The classes that belts lie on, and how far down arms and thighs: the lap belt farther than one before the chest, which does not
 # climb a thigh.
@@ -57,16 +50,15 @@ _ROOTS = tuple(
         ("thigh", "pelvis", "knee", (0.1, 0.4)),
     )
 )
-_BONES = np.array([(INDEX[a], INDEX[b]) for a, b, *_ in _TRUNK + _OTHER], dtype=np.int64)
-_PIECE = np.array([piece for _, _, *piece, _ in _TRUNK + _OTHER])[:, :, None]
-_GIRTH = np.array([girth for *_, girth in _TRUNK + _OTHER])
+_BONES = np.array([(INDEX[a], INDEX[b]) for a, b, *_ in _TRUNK], dtype=np.int64)
+_PIECE = np.array([piece for _, _, *piece, _ in _TRUNK])[:, :, None]
+_GIRTH = np.array([girth for *_, girth in _TRUNK])
 
 
 class _Trunk(NamedTuple):
-    """What belts lie on: the surface, the pieces of bones that tell its trunk, and directions and places of the body, m.
+    """What belts lie on: the surface, the pieces of the trunk's bones, and directions and places of the body, m.
 
-    faces: those before the chest, and those that a lap belt lies on · others: pieces of bones, of `_TRUNK` and `_OTHER`, whose
-    surroundings are not the trunk's · shoulders: whether theirs are.
+    faces: those before the chest, and those that a lap belt lies on · shoulders: whether what surrounds their bones is trunk.
     """
 
     skin: Floats32
@@ -77,11 +69,10 @@ class _Trunk(NamedTuple):
     up: Vector
     ahead: Vector
     size: float
-    others: Sequence[int] = ()
     shoulders: bool = True
 
     @classmethod
-    def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats, labels: Bytes | None) -> _Trunk:
+    def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats, labels: Bytes) -> _Trunk:
         at = {name: joints[i] for name, i in INDEX.items()}
         pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
         up = at["chest"] - pelvis
@@ -92,10 +83,8 @@ class _Trunk(NamedTuple):
         size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
         ends = joints[_BONES]
         bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
-        others = range(len(_TRUNK), len(_GIRTH)) if labels is None else ()
         vertices, faces = np.ascontiguousarray(skin, dtype=np.float32), np.ascontiguousarray(skin_faces, dtype=np.int32)
-        lain_on = (faces, faces) if labels is None else _lain_on(vertices, faces, joints, labels)
-        return cls(vertices, lain_on, bones, at, pelvis, up, ahead, size, others)
+        return cls(vertices, _lain_on(vertices, faces, joints, labels), bones, at, pelvis, up, ahead, size)
 
     def shoulder_at(self, anchor: Vector) -> Vector:
         """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
@@ -122,14 +111,14 @@ def _lain_on(skin: Floats32, faces: Ints32, joints: Floats, labels: Bytes) -> tu
 
 def belt_surface(
     skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *,
-    labels: Bytes | None = None, gap_m: float = 0.004, worn: BeltWear = "worn", guide: Vector | None = None,
+    labels: Bytes, gap_m: float = 0.004, worn: BeltWear = "worn", guide: Vector | None = None,
 ) -> Surface:  # fmt: skip
     """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
 
     skin: (V, 3) the posed body, or whatever the belt lies on (a clothed surface), m · skin_faces: (F, 3) · joints: (20, 3) of
-    the same pose · labels: (F,) the faces' classes; without them the trunk is told by distances from bones, and what an arm comes
-    near may count as arm · gap_m: clearance of the webbing from the surface · worn: how · guide: (3,) m, through which a
-    booster leads the belt to the shoulder. Raises ConfigError for a seat that has no belt or is not in the cabin.
+    the same pose · labels: (F,) the faces' classes, of which belts lie on some · gap_m: clearance of the webbing from the
+    surface · worn: how · guide: (3,) m, through which a booster leads the belt to the shoulder. Raises ConfigError for a seat
+    that has no belt or is not in the cabin.
     """
     anchors = _anchors(seat, setting, cabin)
     body = _Trunk.of(skin, skin_faces, joints, labels)
@@ -158,7 +147,7 @@ def belt_surface(
 
 def harness_surface(
     skin: Floats32, skin_faces: Ints32, joints: Floats, slots: Floats, hips: Floats, *,
-    labels: Bytes | None = None, gap_m: float = 0.004,
+    labels: Bytes, gap_m: float = 0.004,
 ) -> Surface:  # fmt: skip
     """The harness of a child seat over the child in it, vehicle frame, class child_seat.
 
@@ -245,7 +234,7 @@ def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt")
     rows = np.array((*course[:3], course.through - course.start if straight else course.front), dtype=np.float64)
     vertices, normals = np.empty((2, STEPS, 3, 3), np.float32), np.empty((2, STEPS, 3, 3), np.float32)
     mine = [n for n in range(len(_TRUNK)) if body.shoulders or n not in _SHOULDERS]
-    order = [*mine, *(() if body.shoulders else _SHOULDERS), *body.others]
+    order = [*mine, *(() if body.shoulders else _SHOULDERS)]
     trunk, webbing = (body.bones[order], _GIRTH[order], len(mine)), (WEBBING_WIDTH, WEBBING_THICKNESS, gap)
     faces = body.faces[course.lap][: 0 if straight else None]
     topology = _ribbon_faces(native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices, normals))

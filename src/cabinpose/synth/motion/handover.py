@@ -7,14 +7,15 @@ import math
 import numpy as np
 
 from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, invert
+from cabinpose.core.frames import Matrix, invert, rotation_vector
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.synth.posture.grasps import Hold, closed_around, hold
 from cabinpose.synth.posture.hands import palm_frame
 
-_STRETCHED = 0.72  # from shoulder to palm, of the shorter arm: elbows stay bent
+_STRETCHED = 0.8  # from shoulder to palm, of the shorter arm: elbows stay bent
 _BELOW_M, _LEAST_AHEAD_M, _SIGMA_M = 0.14, 0.12, 0.02  # of the place against the shoulders
+_TOWARDS = math.radians(60.0)  # of the fingers towards the neighbour, from the line of shoulder and thing: wrists do not cross
 _ROOM_M = 0.009  # between a hand that is not yet closed and the thing, beyond where it touches
 
 
@@ -37,20 +38,22 @@ def giving_palm(held: Hold, body: PosedBody, place: Floats) -> Matrix:
     return _palm(held, body, place, np.array([0.0, 0.0, 1.0]), 0.0)
 
 
-def taking_palm(person: Person, body: PosedBody, held: Hold, vehicle_from_thing: Matrix) -> Matrix:
-    """`vehicle_from_palm` of the other side's hand of somebody, at what another one holds, beside that one's hand.
+def taking_palm(person: Person, body: PosedBody, held: Hold, vehicle_from_thing: Matrix) -> tuple[Hold, Matrix]:
+    """How the other side's hand of somebody can hold what another one holds, and `vehicle_from_palm` just before it closes.
 
     Raises SceneError where the hand is too small for it.
     """
     mine = hold(person, "take" if held.place == "give" else "give", held.kind, held.variant, 1 - held.side)
-    return _palm(mine, body, vehicle_from_thing[:3, 3], vehicle_from_thing[:3, 2], _ROOM_M)
+    return mine, _palm(mine, body, vehicle_from_thing[:3, 3], vehicle_from_thing[:3, 2], _ROOM_M)
 
 
 def _palm(held: Hold, body: PosedBody, place: Floats, up: Floats, off_m: float) -> Matrix:
-    """A palm whose thing, round about `up`, has its origin at `place`; the fingers point away from the shoulder."""
+    """A palm whose thing, round about `up`, has its origin at `place`; fingers away from the shoulder, to the neighbour."""
     away = place - body.joints[INDEX["lr"[held.side] + "shoulder"]]
     away = away - (away @ up) * up
-    thumb = (1.0 - 2.0 * held.side) * up
+    left = 1.0 - 2.0 * held.side
+    away = rotation_vector(left * _TOWARDS * up) @ away
+    thumb = left * up
     palm = palm_frame(np.zeros(3), np.cross(away, thumb), away)
     palm[:3, 3] = place - held.placed(palm)[:3, 3] - off_m * palm[:3, 2]
     return palm

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, 
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
 from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, duration, way_through
 from cabinpose.synth.posture.actions import inboard_side
-from cabinpose.synth.posture.goals import between, given
+from cabinpose.synth.posture.goals import between, given, staying
 from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.intents import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
@@ -50,7 +51,8 @@ _SETTLE = 0.5  # of what a hold may be shorter or longer
 _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
 _HASTE = 1.5  # of who brings or fetches something, against the usual speed
-_WAITS_S, _SHORT_S, _MEETS_S = 2.5, 0.1, 0.35  # for who is to take something, at most; any moment; hands beside each other
+_WAITS_S, _SHORT_S, _MEETS_S = 2.5, 0.1, 0.3  # for who is to take something, at most; any moment; hands beside each other
+_ASIDE_M, _LINGERS_S = 0.07, 0.5  # of a hand that comes to a thing in another one; until that one, empty, goes
 _WHEEL_SIGMA, _WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 
 # The goals of one person: an action, the wheel's angle, what is held, a number (other feet and grips with each), the time (s),
@@ -70,7 +72,7 @@ class Somebody(NamedTuple):
 class _Goal(NamedTuple):
     pose: Pose
     holds: tuple[bool, bool]  # the wheel
-    beside: int | None = None  # the hand that is at a thing in another hand
+    via: Pose | None = None  # from which a hand comes to a thing in another hand, and to which it leaves it
 
 
 class Surroundings:
@@ -193,7 +195,7 @@ class Planner:
         """
         self.tried += 1
         if activity == "hand_over":
-            return self._hand_over(now, time_s, number)
+            return self._hand_over(now, time_s)
         cabin, segments = self._around.cabin, self._track.segments
         first, done = len(segments), None
         steps = steps_of(activity, cabin.seats[self._who.slot], cabin, self._track.hold)
@@ -237,11 +239,11 @@ class Planner:
         way = way_through(self._between(self._track, now, goal, interior, time_s))
         lasts_s = duration(way, tempo)
         passes = self._track.hold is not None and self._track.hold.place in ("give", "take")
-        limit = _ROUND_HAND if passes or now.beside is not None or goal.beside is not None else _ROUNDABOUT
+        limit = _ROUND_HAND if passes or now.via is not None or goal.via is not None else _ROUNDABOUT
         return (way, lasts_s) if lasts_s <= limit * duration(way_through(np.stack(ends)), tempo) + 0.3 else None
 
-    def _hand_over(self, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
-        """Brings what is held to a place where the neighbour's hand arrives at the same time and takes it; then both go back."""
+    def _hand_over(self, now: _Goal, time_s: float) -> tuple[_Goal, float] | None:
+        """Holds out what is held; the neighbour's hand comes, takes it and draws it away; then the empty hand goes back."""
         seats, held = self._around.cabin.seats, self._track.hold
         slot = inboard_neighbour(seats[self._who.slot], self._around.cabin, self._around.people) or ""
         other = self._around.partners.get(slot)
@@ -252,7 +254,7 @@ class Planner:
         tracks = self._track, other._track
         before = [(list(track.segments), list(track.holds)) for track in tracks]
         for interior in _INTERIOR:
-            found = self._meet(other, held, (now, other._now), number, interior)
+            found = self._meet(other, held, (now, other._now), interior)
             if found is not None:
                 other._now, other.time_s = found[1]
                 return found[0]
@@ -261,53 +263,66 @@ class Planner:
         return None
 
     def _meet(
-        self, other: Planner, held: Hold, now: tuple[_Goal, _Goal], number: int, interior: int
+        self, other: Planner, held: Hold, now: tuple[_Goal, _Goal], interior: int
     ) -> tuple[tuple[_Goal, float], tuple[_Goal, float]] | None:
         """See `_hand_over`: where both end. What it has planned until it fails stays."""
-        both, starts_s, people = (self, other), (self.time_s, other.time_s), (self._who.person, other._who.person)
-        seat, at_s = self._around.cabin.seats[self._who.slot], other.time_s
+        people, at_s = (self._who.person, other._who.person), other.time_s
+        seat, (side, free) = self._around.cabin.seats[self._who.slot], (held.side, 1 - held.side)
         bodies = people[0].pose(now[0].pose.q, now[0].pose.root), people[1].pose(now[1].pose.q, now[1].pose.root)
         ahead = np.array([np.cos(seat.facing_yaw), np.sin(seat.facing_yaw), 0.0])
-        place = meeting_place(people, bodies, held.side, ahead, rng=self._rng)
-        there = Reach(place, held.side, giving_palm(held, bodies[0], place))
-        gives = self._goal(Step("hand_over"), now[0], at_s, number, there)
-        if gives is None:
+        place = meeting_place(people, bodies, side, ahead, rng=self._rng)
+        gives = self._goal(Step("hand_over"), now[0], at_s, self._habit, Reach(place, side, giving_palm(held, bodies[0], place)))
+        way = gives and self._brought(gives, now[0], interior, at_s, "hand_over")
+        if gives is None or way is None:
             return None
-        thing = held.placed(people[0].pose(gives.pose.q, gives.pose.root).palms["lr"[held.side]])
-        there = Reach(thing[:3, 3], 1 - held.side, taking_palm(people[1], bodies[1], held, thing))
-        way = way_through(np.stack([self._track.last, self._track.state_of(gives.pose)]))
-        self._track.segments.append(Segment(at_s, _SHORT_S, way, "hand_over"))
-        takes = other._goal(Step(RECEIVE), now[1], at_s + _SHORT_S, number, there)
+        out = people[0].pose(gives.pose.q, gives.pose.root).palms["lr"[side]]
+        mine, palm = taking_palm(people[1], bodies[1], held, held.placed(out))
+        # The goal and the way of who takes, while the thing is held out and the fingers are open.
+        self._track.segments.append(Segment(at_s, _SHORT_S, way[0], "hand_over"))
+        ready_s = at_s + _SHORT_S
+        other._track.holds.append(Held(mine, ready_s + CLOSING_S, ready_s + CLOSING_S))
+        takes = other._goal(Step(RECEIVE), now[1], ready_s, other._habit, Reach(palm[:3, 3], free, palm))
+        if takes is not None:
+            takes = takes._replace(via=other._aside(takes, free, ready_s, -_ASIDE_M * palm[:3, 2]))
+        back = takes and other._brought(takes, now[1], interior, ready_s, RECEIVE)
         self._track.segments.pop()
-        if takes is None:
+        other._track.holds.pop()
+        if takes is None or back is None:
             return None
-        labels, leaves = ("hand_over", RECEIVE), (gives._replace(beside=held.side), takes)
-        ways = []
-        for planner, start, goal, label in zip(both, now, (gives, takes._replace(beside=1 - held.side)), labels, strict=True):
-            found = planner._way(start, goal, max(interior, _led(start, goal) * _INTERIOR[1]), at_s, _HASTE * planner._tempo)
-            if found is None:
-                self._causes[Rejection("way", planner._who.slot, label)] += 1
-                return None
-            ways.append(found)
-        meet_s = max(start_s + last_s for start_s, (_, last_s) in zip(starts_s, ways, strict=True))
-        for planner, (way, last_s), label in zip(both, ways, labels, strict=True):
-            planner._track.segments.append(Segment(meet_s - last_s, last_s, way, label))
+        out_s = max(self.time_s + way[1], other.time_s)
+        meet_s = out_s + back[1]
+        self._track.segments.append(Segment(out_s - way[1], way[1], way[0], "hand_over"))
+        other._track.segments.append(Segment(out_s, back[1], back[0], RECEIVE))
         change_s, until_s = meet_s + _MEETS_S, meet_s + _MEETS_S + CLOSING_S
         refused = self._pass_on(other, held, change_s)
-        for planner, start_s in zip(both, starts_s, strict=True):
-            refused = refused or planner._refused(start_s, min(until_s, self._lasts_s))
+        for planner in (self, other):
+            refused = refused or planner._refused(planner.time_s, min(until_s, self._lasts_s))
         if refused is not None:
             self._causes[refused] += 1
             return None
-        ends = []
-        for planner, goal, label in zip(both, leaves, labels, strict=True):
-            cabin = self._around.cabin
-            action = resting(cabin.seats[planner._who.slot], cabin, planner._track.hold)
-            end = planner._step(label, Step(action, haste=_HASTE), goal, until_s, number)
-            if end is None:
-                return None
-            ends.append(end)
-        return ends[0], ends[1]
+        # It is drawn out of the open hand, which goes back afterwards as it came.
+        takes = takes._replace(via=other._aside(takes, free, until_s, _ASIDE_M * out[:3, 2]))
+        end = other._step(RECEIVE, other._rest(held), takes, until_s, other._habit)
+        if end is None:
+            return None
+        leave_s = until_s + _LINGERS_S
+        self._track.segments.append(Segment(leave_s, way[1], way_through(way[0](way[0].x)[::-1]), "hand_over"))
+        refused = self._refused(until_s, min(leave_s + way[1], self._lasts_s))
+        if refused is not None:
+            self._causes[refused] += 1
+            return None
+        return (now[0], leave_s + way[1]), end
+
+    def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[CubicSpline, float] | None:
+        found = self._way(now, goal, max(interior, _led(now, goal) * _INTERIOR[1]), time_s, _HASTE * self._tempo)
+        if found is None:
+            self._causes[Rejection("way", self._who.slot, label)] += 1
+        return found
+
+    def _rest(self, held: Hold) -> Step:
+        """Back to rest with something in a hand."""
+        cabin = self._around.cabin
+        return Step(resting(cabin.seats[self._who.slot], cabin, held), haste=_HASTE)
 
     def _pass_on(self, other: Planner, held: Hold, time_s: float) -> Rejection | None:
         """Lets the other one hold it from a time on, as it is in that hand then."""
@@ -344,6 +359,8 @@ class Planner:
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
             drawn = self._who.draw(step.action, now.pose.wheel_angle, hold, number, time_s, reach)
             angle = now.pose.wheel_angle
+        if reach is not None and reach.side is not None:
+            drawn = replace(drawn, sitter=staying(drawn.sitter, now.pose.q, now.pose.root, reach.side, now.holds))
         placed = self._around.empty(angle).placed
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
         if found.refused:
@@ -372,10 +389,10 @@ class Planner:
 
     def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:
         """(K, 51) states from one pose to another, with poses in between that the solver finds."""
-        start, end = now.pose, goal.pose
+        start, end = now.via or now.pose, goal.via or goal.pose
         ends = track.state_of(start), track.state_of(end)
         shares = np.linspace(0.0, 1.0, interior + 2)
-        states = [ends[0]]
+        states = [track.state_of(now.pose), ends[0]] if now.via else [ends[0]]
         sitters = self._around.sitters(self._who.slot, time_s) if interior else []
         for share in shares[1:-1].tolist():
             straight = track.pose_of((1.0 - share) * ends[0] + share * ends[1])
@@ -392,18 +409,18 @@ class Planner:
             )  # fmt: skip
             solve([who, *sitters], self._around.empty(straight.wheel_angle).placed)
             states.append(track.state_of(Pose(who.q, who.root, straight.wheel_angle)))
-        return np.stack([*states, ends[1]])
+        return np.stack([*states, ends[1], *([track.state_of(goal.pose)] if goal.via else [])])
 
     def _palm(
         self, side: int, now: _Goal, goal: _Goal, between: Pose, share: float, *, lets_go: bool, arrives: bool
     ) -> Matrix | None:
         """Where a palm is on its way: with the rim that it holds, off what it holds as it lets go or arrives; else None."""
-        wheel, on_rim = self._around.cabin.steering_wheel, (now.holds[side], goal.holds[side])
-        before, after = (a or goal.beside == side for a, goal in zip(on_rim, (now, goal), strict=True))
+        wheel, (before, after) = self._around.cabin.steering_wheel, (now.holds[side], goal.holds[side])
         if not (before or after):
             return None
-        palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in (now.pose, goal.pose)]
-        if all(on_rim) and wheel is not None:
+        ends = now.via or now.pose, goal.via or goal.pose
+        palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in ends]
+        if before and after and wheel is not None:
             angles = now.pose.wheel_angle, goal.pose.wheel_angle, between.wheel_angle
             hub = [wheel.vehicle_from_wheel @ transform(axis_rotation("z", angle)) for angle in angles]
             first, last = invert(hub[0]) @ palm[0], invert(hub[1]) @ palm[1]
@@ -415,15 +432,27 @@ class Planner:
             return np.asarray(off)
         return None
 
+    def _aside(self, goal: _Goal, side: int, time_s: float, by: Floats) -> Pose:
+        """The pose near one in which a hand is at a thing, and now `by` (3,) m from there, vehicle frame."""
+        pose, who = goal.pose, self._who
+        body = who.person.pose(pose.q, pose.root)
+        palms = [body.palms[s] if goal.holds[hand] else None for hand, s in enumerate("lr")]
+        palms[side] = transform(None, by) @ body.palms["lr"[side]]
+        near = between(
+            who.person, self._around.cabin.seats[who.slot], pose.q, pose.root, (palms[0], palms[1]),
+            (body.soles["l"], body.soles["r"]), goal.holds,
+        )  # fmt: skip
+        solve([near, *self._around.sitters(who.slot, time_s)], self._around.empty(pose.wheel_angle).placed)
+        return pose._replace(q=near.q, root=near.root)
+
     def _soles(self, start: Pose, end: Pose, share: float) -> tuple[Matrix, Matrix]:
         one, two = (self._who.person.pose(pose.q, pose.root) for pose in (start, end))
         return _mixed(one.soles["l"], two.soles["l"], share), _mixed(one.soles["r"], two.soles["r"], share)
 
 
 def _led(start: _Goal, end: _Goal) -> bool:
-    """Whether hands are not free on the way: one stays at the rim, or has to come or go by the side of something."""
-    stays = any(a and b for a, b in zip(start.holds, end.holds, strict=True))
-    return stays or start.beside is not None or end.beside is not None
+    """Whether a hand stays at the rim on the way."""
+    return any(a and b for a, b in zip(start.holds, end.holds, strict=True))
 
 
 def _mixed(first: Matrix, last: Matrix, share: float) -> Matrix:

@@ -30,8 +30,9 @@ _FASTEST_ROOT = np.concatenate((np.full(3, 1.5), np.full(3, np.radians(280.0))))
 _FASTEST_WHEEL = 2.0 * np.pi  # rad/s; the arms that hold it have limits of their own
 FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL]))
 _SHORTEST_S = 0.35
-CLOSING_S = 0.25  # in which fingers open, and close around something
+CLOSING_S, _OPEN_S = 0.25, 0.8  # in which fingers open, and close around something; for which they stay open before and after
 _GRIPS = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
+_LEAST_APART = 0.1  # of the longest piece of a way
 _DENSE = np.linspace(0.0, 1.0, 61)
 
 
@@ -44,10 +45,12 @@ class Pose(NamedTuple):
 
 
 def way_through(states: Floats) -> CubicSpline:
-    """The way through states (K, 51) at equal shares 0..1 of it: the natural cubic spline; of two, the straight way."""
+    """The way 0..1 through states (K, 51), a natural cubic spline; each piece is as long as its slowest joint takes."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - loaded where people move
 
-    return CubicSpline(np.linspace(0.0, 1.0, len(states)), states, bc_type="natural")
+    apart = (np.abs(np.diff(states, axis=0)) / FASTEST_STATE).max(axis=1)
+    shares = np.concatenate(([0.0], np.cumsum(np.maximum(apart, _LEAST_APART * apart.max() + 1e-9))))
+    return CubicSpline(shares / shares[-1], states, bc_type="natural")
 
 
 def duration(way: CubicSpline, tempo: float) -> float:
@@ -118,10 +121,11 @@ class Held(NamedTuple):
 
     def curl(self, time_s: float, grip: float) -> Floats | None:
         """(5,) curl of the fingers, None where they follow the hand's `grip`: they open before they close, and afterwards."""
-        away = max(self.start_s - time_s, time_s - self.end_s, 0.0) / CLOSING_S
-        if away >= 2.0:
+        away_s = max(self.start_s - time_s, time_s - self.end_s, 0.0)
+        if away_s >= 2.0 * CLOSING_S + _OPEN_S:
             return None
-        opened, closed = (float(progress(np.array(share))) for share in (2.0 - away, 1.0 - away))
+        share = np.array([2.0 * CLOSING_S + _OPEN_S - away_s, CLOSING_S - away_s]) / CLOSING_S
+        opened, closed = progress(share).tolist()
         return closed * self.hold.grasp.curl + (1.0 - closed) * (opened * OPEN_HAND + (1.0 - opened) * grip)
 
 

@@ -111,6 +111,26 @@ def between(
     return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, "settled", float(seat.design_h_point[1]))
 
 
+def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[bool, bool]) -> Sitter:
+    """The same person who moves one arm (0 left, 1 right) and the head as chosen, and the rest as little as that allows.
+
+    q (D,) rad, root `vehicle_from_root` (4, 4): where the person is · holds: which hands are closed around the wheel there.
+    """
+    goals, q, mine, grip = chosen.goals, q.copy(), _ARM[side], DOF_INDEX["lr"[side] + "hand.grip"]
+    posed = chosen.person.pose(q, root)
+    q[grip] = chosen.q[grip]
+    posture, stiffness, target, weight = (v.copy() for v in (q, goals.stiffness, goals.target, goals.weight))
+    base = goals.base.copy()
+    posture[mine : mine + 7] = goals.posture[mine : mine + 7]
+    for row, place in ((1 - side, posed.palms["rl"[side]]), (2, posed.soles["l"]), (3, posed.soles["r"])):
+        target[row], weight[row], base[row] = place, _STAYS, -1
+    for first, count in ((_ARM[1 - side], 7), (_LEG[0], 6), (_LEG[1], 6)):
+        stiffness[first : first + count] = _HELD_LIMB
+    goals = goals._replace(posture=posture, stiffness=stiffness, root=root, target=target, weight=weight, base=base)
+    stay = holds[0] and side != 0, holds[1] and side != 1
+    return chosen._replace(goals=goals, q=q, root=root.copy(), holds=stay)
+
+
 def as_recorded(chosen: Sitter, posture: Floats, upper_body: list[int], weight: float) -> Sitter:
     """The same person with an upper body as near to `posture` (D,) rad as car and body allow, by `weight` (1/rad)."""
     stiffness, tasks = chosen.goals.stiffness.copy(), chosen.goals.weight.copy()

@@ -68,6 +68,7 @@ class LimbTask(NamedTuple):
 
 _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
+_OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
 _CLOTH_M, _THIGH_RADIUS_M = 0.012, 0.09  # between what is lowest of a hand and the thigh's skin; the thigh's own
@@ -296,12 +297,16 @@ def before_mouth(person: Person, skeleton: Frames, side: int, forward: float, le
     return LimbTask(palm_frame(point, inwards, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), FACE_ARM, _STIFFNESS)
 
 
-def over_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, *, upright: bool) -> LimbTask:
-    """A hand that holds something over its own thigh: a thing that stands thumb up, others with the palm to the face."""
+def over_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, *, upright: bool, below_m: float) -> LimbTask:
+    """A hand that holds something over its own thigh: a thing that stands thumb up, others with the palm to the face.
+
+    below_m: by which an upright thing reaches below the palm.
+    """
     bone, s = skeleton.bone("lr"[side] + "thigh"), 1.0 - 2.0 * side
     up, ahead, inwards = bone[:3, 0], -bone[:3, 2], -s * bone[:3, 1]
     top = float(np.interp(_CARRIED_ALONG, np.linspace(0.0, 1.0, len(fit.thigh_top)), fit.thigh_top))
-    point = bone[:3, 3] + _CARRIED_ALONG * femur * ahead + (top + _CARRIED_M) * up + 0.02 * inwards
+    over = max(_CARRIED_M, below_m + _OVER_THIGH_M) if upright else _CARRIED_M
+    point = bone[:3, 3] + _CARRIED_ALONG * femur * ahead + (top + over) * up + 0.02 * inwards
     normal, fingers = (inwards, ahead) if upright else (0.75 * up - 0.65 * ahead, 0.6 * inwards + 0.65 * ahead + 0.4 * up)
     return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), CARRY_ARM, _STIFFNESS)
 

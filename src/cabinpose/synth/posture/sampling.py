@@ -459,7 +459,8 @@ def _task(s: _Situation, hand: Hand, side: int, skeleton: Frames) -> LimbTask:
     if hand.place == "drink":
         return at.before_mouth(s.person, skeleton, side, 0.085 + 0.02 * a, 0.13 + 0.02 * c)
     if hand.place == "carry" and s.carried is not None:
-        return at.over_thigh(skeleton, s.fit, femur, side, upright=s.carried.kind in HANDED["drink"])
+        below_m = -float(s.carried.grasp.palm_from_thing[1, 3])
+        return at.over_thigh(skeleton, s.fit, femur, side, upright=s.carried.kind in HANDED["drink"], below_m=below_m)
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
     if hand.palm is not None:
