@@ -125,12 +125,14 @@ def test_spreads_of_the_network(checkpoints: dict[str, Path], tmp_path: Path) ->
     both, plain = (load_model(tmp_path / f"{name}.onnx", threads=1).outputs for name in "mp")
     image = {name: np.ascontiguousarray(array[..., ::-1]) for name, array in seen.items()}
     head = small.JOINTS.index("head")
-    one, other = (plain(frame)["joints"][0, 0, head].astype(np.float64) for frame in (seen, image))
-    other[0] = config.width - 1 - other[0]
-    apart = _distances((one - other)[:, None], 0.5 * (one + other)[2], config.focal)[0]
+    one, others = (plain(frame)["joints"][0, :, head].astype(np.float64) for frame in (seen, image))
+    others[:, 0] = config.width - 1 - others[:, 0]
+    apart = [_distances((one[0] - other)[:, None], 0.5 * (one[0] + other)[2], config.focal)[0] for other in others]
+    one_side, other_side = (plain(frame)["spreads"][0, :, head, 0] for frame in (seen, image))
     spreads = both(seen)["spreads"][0, 0, head]
-    assert spreads[1] == pytest.approx(apart, rel=1e-3)
-    assert spreads[0] == pytest.approx(np.mean([plain(f)["spreads"][0, 0, head, 0] for f in (seen, image)]), rel=1e-4)
+    # In noise, the mirror image's driver may be taken for the front passenger, as on benches that face each other.
+    expected = [(0.5 * (one_side[0] + other_side[slot]), apart[slot]) for slot in (0, 1)]
+    assert any(spreads == pytest.approx(pair, rel=1e-3) for pair in expected)
 
 
 def test_models_of_older_versions_say_no_spreads(trained: dict[str, Path], tmp_path: Path) -> None:

@@ -58,15 +58,18 @@ def test_a_mirrored_model_knows_no_side(checkpoints: dict[str, Path], trained: d
     other_side = {name: ("r" if name[0] == "l" else "l") + name[1:] for name in JOINTS}
     swap = [JOINTS.index(other_side[name]) if other_side[name] in JOINTS else i for i, name in enumerate(JOINTS)]
 
-    def reflected(uvz: NDArray[np.float32]) -> NDArray[np.float32]:
-        uvz = uvz[:, :, swap].copy()  # the places of these models have no mirror places
+    def reflected(uvz: NDArray[np.float32], slots: list[int]) -> NDArray[np.float32]:
+        uvz = uvz[:, slots][:, :, swap]
         uvz[..., 0] = view.width - 1 - uvz[..., 0]
         return uvz
 
+    def mean(slots: list[int]) -> NDArray[np.float32]:
+        return (plain.outputs(frame)["joints"] + reflected(plain.outputs(image)["joints"], slots)) / 2
+
     one, other = model.outputs(frame)["joints"], model.outputs(image)["joints"]
-    np.testing.assert_allclose(one, reflected(other), atol=1e-3)
-    mean = (plain.outputs(frame)["joints"] + reflected(plain.outputs(image)["joints"])) / 2
-    np.testing.assert_allclose(one, mean, atol=1e-3)
+    # Noise shows no wheel: it may be taken for a front row or for a bench that looks backwards, whose places change sides.
+    (slots,) = (slots for slots in ([0, 1, 2], [1, 0, 2]) if np.allclose(one, mean(slots), atol=1e-3))
+    np.testing.assert_allclose(one, reflected(other, slots), atol=1e-3)
     assert np.abs(one - plain.outputs(frame)["joints"]).max() > 0.1
     with pytest.raises(ConfigError, match="mirrored form"):
         export_onnx(checkpoints["paf"], tmp_path / "p.onnx", name="p", card={}, mirrored=True)

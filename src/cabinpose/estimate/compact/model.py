@@ -246,13 +246,15 @@ class Mirrored(nn.Module):
     def _turned(self, one: Votes, other: Votes) -> Tensor:
         """(N,) bool: whether the front places of the mirror image's answer change sides.
 
-        They do where that brings the people who are found nearer, in px of u, or agrees better about who is there.
+        They do where that brings the people who are found nearer, in px of u, or agrees better about who is there. A frame and
+        its mirror image get the same answer.
         """
-        sure = one.present.sigmoid()
+        here, there = one.present.sigmoid(), other.present.sigmoid()
         u, width = one.joints[..., 0].mean(-1), self._network.config.width
+        mirrored_u = width - 1 - other.joints[..., 0].mean(-1)
 
         def apart(slots: list[int]) -> Tensor:
-            mirrored_u = width - 1 - other.joints[:, slots][..., 0].mean(-1)
-            return (sure * (u - mirrored_u).abs() / width + (sure - other.present[:, slots].sigmoid()).abs()).sum(-1)
+            theirs = there[:, slots]
+            return (here * theirs * (u - mirrored_u[:, slots]).abs() / width + (here - theirs).abs()).sum(-1)
 
         return apart(self._facing_slots) < apart(self._slots)
