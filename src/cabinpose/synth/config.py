@@ -61,7 +61,7 @@ class CabinScene(Model):
     random_cars: int = Field(
         0, ge=0, le=10_000, description="Cars drawn at random for the dataset beside them: C0000, C0001, ..."
     )
-    right_hand_drive: Probability = Field(0.15, description="Share of cars with the wheel on the right.")
+    right_hand_drive: Probability = Field(0.15, description="Share with the wheel on the right, of the cars that have one.")
     occupants: Mapping[str, Occupant] = Field(
         {}, description="By seat: who sits there and does what. Such seats are always taken, others as `occupancy` says."
     )

@@ -41,6 +41,7 @@ RECLINE = (np.deg2rad(10.0), np.deg2rad(45.0))  # range of a front backrest's to
 def build_cabin(dimensions: CabinDimensions | str, *, drive_side: DriveSide = "left") -> Cabin:
     """The cabin of these dimensions, or of the preset of this name. Equal input gives the same object.
 
+    Benches that face each other have no wheel, which alone would tell the drive side: their `driver` sits on the left always.
     Raises ConfigError for an unknown preset or drive side.
     """
     if isinstance(dimensions, str):
@@ -49,7 +50,7 @@ def build_cabin(dimensions: CabinDimensions | str, *, drive_side: DriveSide = "l
         dimensions = PRESET_DIMENSIONS[dimensions]
     if drive_side not in ("left", "right"):
         raise ConfigError(f"unknown drive side '{drive_side}'", hint="known: left, right")
-    return _build(dimensions, drive_side)
+    return _build(dimensions, "left" if dimensions.layout == "facing" else drive_side)
 
 
 @lru_cache(maxsize=32)
