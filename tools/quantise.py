@@ -18,6 +18,7 @@ import onnx
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 
 import cabinpose
+from cabinpose.estimate.half import widen
 from cabinpose.estimate.onnx_model import METADATA_KEY, OnnxModel, cameras_of, packaged_models, view_inputs
 from cabinpose.evaluate.offline import frame_batch
 from cabinpose.store import open_dataset
@@ -53,8 +54,10 @@ def main() -> None:
     given = parser.parse_args()
     source = packaged_models().get(str(given.model), given.model)
     model, calibrate = OnnxModel(source, threads=1), open_dataset(given.calibrate)
+    float32 = onnx.load(str(source))
+    widen(float32)
     quantize_static(
-        str(source), str(given.out), _Frames(model, calibrate, 100), activation_type=QuantType.QUInt8,
+        float32, str(given.out), _Frames(model, calibrate, 100), activation_type=QuantType.QUInt8,
         weight_type=QuantType.QInt8, per_channel=True, op_types_to_quantize=["Conv", "MaxPool", "Relu"],
     )  # fmt: skip
     quantised = onnx.load(str(given.out))

@@ -16,8 +16,10 @@ from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.compact.model import Mirrored
 from cabinpose.estimate.data import StoredFrames, collate
 from cabinpose.estimate.export import export_onnx
+from cabinpose.estimate.half import widen
 from cabinpose.estimate.onnx_model import OnnxModel, packaged_models
 from cabinpose.estimate.training import Detector, TrainConfig, begin_with, fit, frame_spec, load_detector
+from cabinpose.estimate.weights import read_weights
 
 FRAMES = 4
 
@@ -64,6 +66,31 @@ def test_the_packaged_model_can_be_begun_with_in_another_view() -> None:
     batch = collate(some)
     votes = detector.network.eval()(batch.depth, batch.amplitude)
     torch.testing.assert_close(votes.joints, votes.earlier[-1], rtol=0, atol=0)  # a look that is new changes nothing
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_halved_weights_are_the_nearest_of_half_precision(checkpoints: dict[str, Path], tmp_path: Path, mirrored: bool) -> None:
+    paths = {half: tmp_path / f"{half}.onnx" for half in (False, True)}
+    for half, path in paths.items():
+        export_onnx(checkpoints["compact"], path, name="small", card={}, mirrored=mirrored, half=half)
+    assert paths[True].stat().st_size < 0.75 * paths[False].stat().st_size
+    whole, halved = (read_weights(path) for path in (paths[False], paths[True]))
+    assert list(halved.state) == list(whole.state)
+    rounded = 0
+    for name, value in whole.state.items():
+        if not torch.equal(halved.state[name], value):
+            torch.testing.assert_close(halved.state[name], value.half().float(), rtol=0, atol=0)
+            rounded += value.numel()
+    assert rounded > 0.8 * sum(value.numel() for value in whole.state.values())
+    files = [onnx.load(str(path)) for path in paths.values()]
+    widen(files[1])
+    assert [n.op_type for n in files[0].graph.node] == [n.op_type for n in files[1].graph.node]
+    onnx.save(files[1], str(tmp_path / "widened.onnx"))
+    batch = collate(list(frames(config())))
+    seen = {"depth": batch.depth.numpy(), "amplitude": batch.amplitude.numpy()}
+    one, other = (OnnxModel(path, threads=1).outputs(seen) for path in (paths[True], tmp_path / "widened.onnx"))
+    for name, wanted in other.items():
+        np.testing.assert_allclose(one[name], wanted, atol=1e-6)
 
 
 def test_norms_have_the_statistics_of_what_they_see(trained: dict[str, Path]) -> None:

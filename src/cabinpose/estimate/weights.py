@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from cabinpose.core.errors import ModelError
 from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.half import widen
 from cabinpose.estimate.onnx_model import OnnxModel
 
 _EPS = 1e-5  # of nn.BatchNorm2d
@@ -36,7 +37,9 @@ def read_weights(path: Path) -> Exported:
     model = OnnxModel(path, threads=1)
     if model.method.name != "compact":
         raise ModelError(f"{path} is a model of {model.method.name}", hint="of ONNX files --init takes compact ones alone")
-    graph = onnx.load(str(path)).graph
+    file = onnx.load(str(path))
+    widen(file)
+    graph = file.graph
     if any(node.op_type == "DequantizeLinear" for node in graph.node):
         raise ModelError(f"{path} is quantised", hint="begin with the float32 model that it was made of")
     arrays = {i.name: torch.from_numpy(onnx.numpy_helper.to_array(i).copy()) for i in graph.initializer}
