@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,20 @@ def test_a_run_learns_from_several_datasets(data: Path, tmp_path: Path, capsys: 
     capsys.readouterr()
     assert run("train", str(other), str(other), *arguments) == 2
     assert "a dataset is named twice" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_of_several_processes_one_speaks(data: Path, tmp_path: Path) -> None:
+    config = tmp_path / "run.yaml"
+    config.write_text(yaml.safe_dump({"settings": json.loads(json.dumps(small.TINY["compact"])), "epochs": 1, "batch": 2}))
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
+    arguments = ["train", str(data), "--config", str(config), "--splits", str(splits), "--out", str(tmp_path / "run"), "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "cabinpose", *arguments, "--devices", "2"], capture_output=True, text=True, timeout=300, check=True
+    )
+    assert json.loads(done.stdout) == {"best": str(tmp_path / "run" / "best.ckpt")}  # one line
+    assert "warning" not in done.stderr
 
 
 def test_a_run_needs_one_source_of_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

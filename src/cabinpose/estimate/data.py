@@ -97,7 +97,7 @@ class StoredFrames(Dataset[Kept]):
         names = [*self.spec.images, _joints_variable(self.spec), "visibility", "camera_k", "camera_dist", "subject"]
         if "vehicle_from_camera" in self._dataset:
             names.append("vehicle_from_camera")
-        frame = {name: self._dataset[name][index].values for name in names}
+        frame = {name: self._dataset.variables[name][index].values for name in names}  # coordinates would cost two thirds more
         kept = view_frame(frame, self.spec, self._rows)
         if self._kept is not None:
             self._kept[index] = kept

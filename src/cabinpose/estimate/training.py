@@ -46,6 +46,7 @@ _NOISE = (
     ".*exists and is not empty.*",
     ".*The number of training batches .* is smaller than the logging interval.*",
     ".*isinstance\\(treespec, LeafSpec\\).*",
+    "(?s).*Grad strides do not match bucket view strides.*",
 )
 _NO_MEMORY = re.compile("can't allocate memory|out of memory|bad_alloc|ALLOC_FAILED")
 Positive = Annotated[int, Field(ge=1)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -68,14 +69,15 @@ def listed(counts: Mapping[str, int], most: int | None = None) -> str:
 class ProgressReport:
     """Progress of `total` items on stderr: a bar on a terminal, a line every ten seconds elsewhere, nothing for short work."""
 
-    def __init__(self, bar: Progress | None, total: int, unit: str, start: int) -> None:
+    def __init__(self, bar: Progress | None, total: int, unit: str, start: int, *, first: float = QUIET_S) -> None:
+        """first: seconds until the first line."""
         self._bar = bar
         self._task = bar.add_task("", total=total or None, completed=start, rate="", note="") if bar is not None else None
         self._total, self._unit, self._start = total, unit, start
         self._done, self._note = start, ""
         self._began = time.monotonic()
         self._seen = [(self._began, start)]
-        self._logged = self._began - LOG_EVERY_S + QUIET_S
+        self._logged = self._began - LOG_EVERY_S + first
         self._lock = Lock()
 
     def __call__(self, done: int, note: str = "") -> None:
@@ -117,11 +119,14 @@ class ProgressReport:
 
 
 @contextmanager
-def progress(total: int = 0, unit: str = "", *, start: int = 0) -> Iterator[ProgressReport]:
+def progress(total: int = 0, unit: str = "", *, start: int = 0, silent: bool = False) -> Iterator[ProgressReport]:
     """A `ProgressReport` of `total` items, of which `start` exist already; its bar disappears when the block ends.
 
-    A total of 0 is for work in which nothing is counted: it shows the phases.
+    A total of 0 is for work in which nothing is counted: it shows the phases. `silent`: it shows nothing.
     """
+    if silent:
+        yield ProgressReport(None, total, unit, start, first=math.inf)
+        return
     if not sys.stderr.isatty():
         report, over = ProgressReport(None, total, unit, start), Event()
 

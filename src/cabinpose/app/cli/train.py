@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -56,6 +57,7 @@ class Train(PrintsJson):
 
 
 COMMAND = Train
+_RANKS = ("RANK", "LOCAL_RANK", "SLURM_PROCID")  # the launchers' name for a process; the first one alone speaks
 
 
 def run(command: Train) -> None:
@@ -63,8 +65,9 @@ def run(command: Train) -> None:
     require("train")
     if command.datasets and command.synth is not None:
         raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
+    helps = any(os.environ.get(name, "0") != "0" for name in _RANKS)
     with ExitStack() as stack:
-        report, counted = stack.enter_context(progress()), False
+        report, counted = stack.enter_context(progress(silent=helps)), False
         report.phase("loading torch")
         from cabinpose.app.report.curves import write_curves
         from cabinpose.app.training import read_train_config
@@ -75,7 +78,7 @@ def run(command: Train) -> None:
             nonlocal report, counted
             if total and not counted:
                 stack.close()
-                report, counted = stack.enter_context(progress(total, unit, start=done)), True
+                report, counted = stack.enter_context(progress(total, unit, start=done, silent=helps)), True
             if counted:
                 report(done, note)
             else:
@@ -90,6 +93,8 @@ def run(command: Train) -> None:
             devices=int(command.devices) if command.devices.isdigit() else command.devices, nodes=command.nodes, progress=show,
             draw=partial(write_curves, command.out / "curves.png"),
         )  # fmt: skip
+    if helps:
+        return
     if command.as_json:
         print_json({"best": str(best)})
     else:

@@ -20,7 +20,6 @@ _WEIGHTS = {
     "visible": 0.2,
     "present": 0.5,
 }
-_MISSED = 4.0  # weight of a joint in the image that is missed, relative to one that is invented
 _OUTSIDE = 0.2  # weight of a joint outside the image: it is guessed from the rest of the body
 
 
@@ -55,7 +54,7 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
         terms["earlier_depth"] = terms.get("earlier_depth", 0.0) + depth
     terms |= {
         "votes": _cross_entropy(votes.weights, uv, inside, network.cells),
-        "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside), _MISSED),
+        "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside)),
         "visible": _binary(votes.visible, batch.visibility == 4, batch.present.unsqueeze(-1).expand_as(inside)),
         "present": functional.binary_cross_entropy_with_logits(votes.present, batch.present.float()),
     }
@@ -70,9 +69,7 @@ def _cross_entropy(log_weights: Tensor, uv: Tensor, inside: Tensor, cells: Tenso
     return -((aim * log_weights).sum(-1) * inside).sum() / inside.sum().clamp(min=1)
 
 
-def _binary(logit: Tensor, truth: Tensor, where: Tensor, weight: float = 1.0) -> Tensor:
-    """Mean binary cross entropy; `weight` of what is true."""
-    each = functional.binary_cross_entropy_with_logits(
-        logit, truth.float(), reduction="none", pos_weight=logit.new_tensor(weight)
-    )
+def _binary(logit: Tensor, truth: Tensor, where: Tensor) -> Tensor:
+    """Mean binary cross entropy: the logit becomes that of the probability."""
+    each = functional.binary_cross_entropy_with_logits(logit, truth.float(), reduction="none")
     return (each * where).sum() / where.sum().clamp(min=1)

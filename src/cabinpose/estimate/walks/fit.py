@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cabinpose._native import walks as native
 from cabinpose.core.errors import DatasetError
 from cabinpose.estimate.data import Kept
-from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
+from cabinpose.estimate.mirror import mirrored_joints
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.find import view_of
 
@@ -65,9 +65,9 @@ def fit(settings: WalksConfig, frames: Sequence[Kept], config: TrainConfig, prog
     begin = np.broadcast_to(starts, (len(kept), *starts.shape))
     if config.augment.flip > 0:
         mirror = np.array([-1.0, 1.0, 1.0])
-        swapped = joints[:, mirrored_slots(settings.slots)][:, :, mirrored_joints(settings.joints)]
-        joints = np.concatenate((joints, swapped * mirror))
-        begin = np.concatenate((begin, begin[:, mirrored_slots(settings.slots)] * mirror))
+        # Whose place is whose in a mirror image does not matter here: each person keeps the start of their own.
+        joints = np.concatenate((joints, joints[:, :, mirrored_joints(settings.joints)] * mirror))
+        begin = np.concatenate((begin, begin * mirror))
     trees: dict[int, Grown] = {}
     for turn, (joint, parent) in enumerate(settings.order):
         rng = np.random.Generator(np.random.Philox(key=(config.seed, joint)))
