@@ -10,9 +10,10 @@ import xarray as xr
 
 from cabinpose.core.errors import DatasetError, PredictionsError
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
-from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import ITOP_JOINTS, UPPER_BODY
 from cabinpose.evaluate import offline
-from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate
+from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate, truth_of
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store.predictions import Predictions
 
@@ -69,6 +70,40 @@ def test_chunks_of_a_file(dataset: xr.Dataset, predictions: Predictions, monkeyp
 def test_no_image_is_read(dataset: xr.Dataset, predictions: Predictions) -> None:
     without = dataset.drop_vars([n for n in dataset.data_vars if "y" in dataset[n].dims])
     assert repr(evaluate(without, predictions, OPTIONS).values) == repr(evaluate(dataset, predictions, OPTIONS).values)
+
+
+def test_joints_of_itop_where_the_dataset_has_them(dataset: xr.Dataset) -> None:
+    """Held against `itop_joints_3d`, seen by each frame's camera; one outside of the image is absent, and one that is unknown."""
+    rng = np.random.default_rng(3)
+    frames, people = dataset.sizes["frame"], dataset.sizes["person"]
+    points = rng.uniform((-0.3, -0.2, 1.5), (0.3, 0.2, 2.5), (frames, people, 15, 3)).astype(np.float32)
+    points[0, 0, 3] = (5.0, 0.0, 2.0)  # beside the image
+    points[1, 1, 4] = np.nan
+    own = dataset.assign(itop_joints_3d=(("frame", "person", "itop_joint", "xyz"), points)).assign_coords(
+        itop_joint=list(ITOP_JOINTS)
+    )
+    k = dataset["camera_k"].values[:, None]
+    seen = (points / points[..., 2:]) @ k.swapaxes(-1, -2)
+    found = points + np.float32((0.0, 0.0, 0.05))
+    ones = np.ones(points.shape[:-1], np.float32)
+    persons = tuple(str(p) for p in dataset["person"].values)
+    answers = Predictions(
+        seen[..., :2].astype(np.float32), found, ones, ones, frame=dataset["frame"].values.astype(np.int64), persons=persons,
+        joints=ITOP_JOINTS, model="itop", skeleton="itop",
+    )  # fmt: skip
+    assert common_joints(own, [answers]) == ITOP_JOINTS
+    without = own.drop_vars([n for n in own.data_vars if "y" in own[n].dims])
+    truth = truth_of(without, ITOP_JOINTS)
+    np.testing.assert_allclose(truth["joints_2d"].values, seen[..., :2], atol=1e-3)
+    assert truth["visibility"].values[0, 0, 3] == Visibility.OUTSIDE_IMAGE
+    assert truth["visibility"].values[1, 1, 4] == Visibility.ABSENT
+    assert (truth["visibility"].values == Visibility.VISIBLE).sum() == frames * people * 15 - 2
+    report = evaluate(without, answers, OPTIONS)
+    mean = report.value("MPJPE", "3d")
+    assert mean is not None
+    assert (mean.value, mean.samples) == (pytest.approx(5.0, abs=1e-4), frames * people * 15 - 2)
+    with pytest.raises(PredictionsError, match=r"no joint .*torso"):
+        common_joints(dataset, [answers])
 
 
 def test_frames_left_out_count_as_missed(dataset: xr.Dataset, predictions: Predictions) -> None:

@@ -10,13 +10,16 @@ import xarray as xr
 
 from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor, Segmenter, joined
+from cabinpose.core.pose import Visibility
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store.class_images import ClassImages
+from cabinpose.store.lazy import camera_of
 from cabinpose.store.predictions import Predictions
 
+_TORSO = "torso"  # only ITOP has it
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
 
@@ -24,8 +27,13 @@ Progress = Callable[[int], None]  # called with the number of frames done
 
 
 def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
-    """The joints of the dataset, in its order, that all models answer for; `PredictionsError` for one unknown to it."""
+    """The joints of the dataset, in its order, that all models answer for; `PredictionsError` for one unknown to it.
+
+    Those of ITOP where the dataset has them (`itop_joints_3d`) and all models answer in them.
+    """
     known = [str(name) for name in dataset["joint"].values]
+    if "itop_joints_3d" in dataset and all(_TORSO in model.joints for model in models):
+        known = [str(name) for name in dataset["itop_joint"].values]
     for model in models:
         if unknown := [name for name in model.joints if name not in known]:
             raise PredictionsError(
@@ -35,6 +43,28 @@ def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]
     if not joints:
         raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
     return joints
+
+
+def truth_of(dataset: xr.Dataset, joints: Sequence[str]) -> xr.Dataset:
+    """joints_2d, joints_3d and visibility of some joints, with sequence and sync_ns; of ITOP's where the torso is among them.
+
+    Those are projected by each frame's camera; what hides them is not known, and those in the image count as visible.
+    """
+    times = dataset[["sequence", "sync_ns"]]
+    if _TORSO not in joints:
+        return times.assign(dataset[["joints_2d", "joints_3d", "visibility"]].sel(joint=list(joints)))
+    points = dataset["itop_joints_3d"].sel(itop_joint=list(joints)).values
+    width, height = int(dataset.attrs["width"]), int(dataset.attrs["height"])
+    cameras = [camera_of(dataset.isel(frame=i), width, height) for i in range(len(points))]
+    uv = np.stack([camera.project(each) for camera, each in zip(cameras, points, strict=True)])
+    inside = np.stack([camera.contains(each) for camera, each in zip(cameras, uv, strict=True)])
+    known = np.isfinite(points).all(axis=-1)
+    states = np.where(known, np.where(inside, Visibility.VISIBLE, Visibility.OUTSIDE_IMAGE), Visibility.ABSENT)
+    dims = ("frame", "person", "joint")
+    arrays = {"joints_2d": ((*dims, "uv"), uv.astype(np.float32)), "joints_3d": ((*dims, "xyz"), points)}
+    return times.assign(arrays | {"visibility": (dims, states.astype(np.uint8))}).assign_coords(
+        person=dataset["person"].values, joint=list(joints)
+    )
 
 
 def model_name(model: Predictions | Predictor | Segmenter) -> str:
@@ -136,7 +166,7 @@ def _chunks(
     rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in joints]
     count = dataset.sizes["frame"]
     step = CHUNK if isinstance(model, Predictions) else BATCH
-    truth = dataset[["joints_2d", "joints_3d", "visibility", "sequence", "sync_ns"]].sel(joint=list(joints))
+    truth = truth_of(dataset, joints)
     for start in range(0, count, step):
         part = truth.isel(frame=slice(start, start + step))
         frame, sequence, sync_ns = (part[name].values.astype(np.int64) for name in ("frame", "sequence", "sync_ns"))

@@ -97,13 +97,13 @@ def _measured(
 
     from cabinpose.estimate.expected_error import cues
     from cabinpose.estimate.onnx_model import cameras_of
-    from cabinpose.evaluate.offline import BATCH, common_joints, frame_batch, shared_places
+    from cabinpose.evaluate.offline import BATCH, common_joints, frame_batch, shared_places, truth_of
 
     joints, persons = list(common_joints(dataset, [model])), list(shared_places(dataset, [model]))
     if not set(persons) <= set(model.persons):
         raise DatasetError(f"{model.name} looks at {', '.join(model.persons)}", hint="give a dataset of people in these places")
     rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in joints]
-    truth = dataset[["joints_3d", "visibility"]].sel(person=persons, joint=joints)
+    truth = truth_of(dataset.sel(person=persons), joints)
     known, error_m = [], []
     for start in range(0, dataset.sizes["frame"], BATCH):
         which = slice(start, start + BATCH)

@@ -14,7 +14,7 @@ from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
 from cabinpose.core.ports import PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
-from cabinpose.evaluate.offline import frame_batch
+from cabinpose.evaluate.offline import frame_batch, truth_of
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import ALL, Report
 from cabinpose.evaluate.skeletons import EvaluatedSkeleton, evaluated_skeleton
@@ -32,15 +32,16 @@ def frame_figures(
         return []
     skeleton = evaluated_skeleton(report.joint_sets[ALL])
     columns = [model.joints.index(name) for name in skeleton.joints]
-    small = [str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]
-    wanted = dataset[[*small, "depth"]].sel(joint=list(skeleton.joints))
+    away = [n for n, v in dataset.variables.items() if n != "depth" and {"y", "joint", "itop_joint"} & set(v.dims)]
+    rest = dataset.drop_vars(away)
     figures = []
     for number in numbers:
         batch = _poses(dataset, model, number)
         uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
         if options.match == "slot":  # in the order of the dataset's people, so that joints correspond
             uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
-        frame = wanted.sel(frame=number).load()
+        truth = truth_of(dataset.sel(frame=[number]), skeleton.joints)
+        frame = rest.sel(frame=[number]).assign(truth).isel(frame=0).load()
         points = None
         if not np.isfinite(batch.joints_2d).any():  # a model of 3D joints alone: their depths show from the side
             points = np.where(batch.presence[..., None] >= options.presence, batch.joints_3d, np.nan)[0][:, columns]
