@@ -52,6 +52,11 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "the dataset follows the verb: cabinpose evaluate DATASET",
         ),
         (
+            "evaluate d --model in_car --model=room",
+            "--model is given twice",
+            "give all its values behind one: --model A B",
+        ),
+        (
             "experiment compare --out o --test d --methods yolo --model yolo=room",
             "d has no joints of ITOP",
             "test on scenes in a room, or on ITOP's files",

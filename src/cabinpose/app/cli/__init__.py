@@ -102,6 +102,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
         if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
             raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
+        flags = [word.partition("=")[0] for word in rest if word.startswith("--")]
+        if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
+            raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
         import tyro
         from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
