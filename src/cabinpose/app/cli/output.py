@@ -69,15 +69,15 @@ def listed(counts: Mapping[str, int], most: int | None = None) -> str:
 class ProgressReport:
     """Progress of `total` items on stderr: a bar on a terminal, a line every ten seconds elsewhere, nothing for short work."""
 
-    def __init__(self, bar: Progress | None, total: int, unit: str, start: int, *, first: float = QUIET_S) -> None:
-        """first: seconds until the first line."""
+    def __init__(self, bar: Progress | None, total: int, unit: str, start: int, *, first: float | None = None) -> None:
+        """first: seconds until the first line; default: `QUIET_S`."""
         self._bar = bar
         self._task = bar.add_task("", total=total or None, completed=start, rate="", note="") if bar is not None else None
         self._total, self._unit, self._start = total, unit, start
         self._done, self._note = start, ""
         self._began = time.monotonic()
         self._seen = [(self._began, start)]
-        self._logged = self._began - LOG_EVERY_S + first
+        self._logged = self._began - LOG_EVERY_S + (QUIET_S if first is None else first)
         self._lock = Lock()
 
     def __call__(self, done: int, note: str = "") -> None:
