@@ -30,7 +30,7 @@ def load_model(model: str | Path, *, threads: int | None = None) -> JointPredict
     Parameters
     ----------
     model
-        The name of a model of the package ("in_car", "five_seats", "room", "room_top"), an ONNX file that
+        The name of a model of the package ("in_car", "five_seats", "room", "room_top", "paf"), an ONNX file that
         `cabinpose export --onnx` wrote, or an .npz file that `cabinpose train` wrote.
     threads
         Threads of a network; default: ONNX Runtime's.
