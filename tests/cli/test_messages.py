@@ -91,7 +91,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (
             "predict d --model nope --out f.jsonl",
             "there is no model nope",
-            "give an ONNX file, or a packaged model (five_seats, in_car, lift, parts, room, room_top)",
+            "give an ONNX file, or a packaged model (five_seats, in_car, lift, paf, parts, room, room_top)",
         ),
         (
             "predict d --model grpc://pc --out f.jsonl",
