@@ -56,6 +56,19 @@ def test_a_mirror_image_of_a_bench_that_looks_backwards_changes_the_front_places
     assert both.spreads[..., -1].abs().max() < 1e-4
 
 
+def test_where_nobody_sits_rounding_decides_nothing() -> None:
+    """Places whose order fits as badly as the other by less than what rounding may do stay as they are."""
+    network, slots = _Drawn(), torch.zeros(1, 2)
+    some = torch.zeros(1, 2, 20)
+
+    def votes(present: list[float]) -> Votes:
+        return Votes(torch.zeros(1, 2, 20, 3), some, some, slots + torch.tensor(present), some[..., None], some, ())
+
+    mirrored = Mirrored(network)  # type: ignore[arg-type]
+    assert not mirrored._turned(votes([-9.0, -6.0]), votes([-6.0, -9.0])).item()  # 0.002 and 0.0001
+    assert mirrored._turned(votes([-9.0, 6.0]), votes([6.0, -9.0])).item()
+
+
 def test_classes_swap_sides_and_the_world_stays() -> None:
     table = mirrored_labels()
     assert np.array_equal(table[table], np.arange(256))

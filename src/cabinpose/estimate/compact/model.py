@@ -22,6 +22,7 @@ from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
 
 STRIDE = 8
 _VALUES = 6  # of a vote: weight, offset in u and v, depth, inside, visible
+_CLEARLY = 0.02  # by how much more another order of the front places has to fit: where nobody sits rounding would decide
 _CLOUD_M = 1.5  # half width of the cloud that is mapped to [-1, 1]
 
 
@@ -257,4 +258,4 @@ class Mirrored(nn.Module):
             theirs = there[:, slots]
             return (here * theirs * (u - mirrored_u[:, slots]).abs() / width + (here - theirs).abs()).sum(-1)
 
-        return apart(self._facing_slots) < apart(self._slots)
+        return apart(self._facing_slots) < apart(self._slots) - _CLEARLY
