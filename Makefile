@@ -87,7 +87,7 @@ LOCK_FLAGS := --no-header --no-annotate --no-emit-index-url --no-emit-find-links
 
 # One environment, filled step by step: what the package needs, what training needs, what its developers need.
 $(VENV)/.base: requirements.lock $(VENV)/.native
-	@BYTECODE=1 tools/patiently.sh "installing what cabinpose needs into $(VENV)" tools/install.sh $(VENV) -r requirements.lock
+	@tools/patiently.sh "installing what cabinpose needs into $(VENV)" tools/install.sh $(VENV) -r requirements.lock
 	@$(BIN)/python -m compileall -q src
 	@touch $@
 

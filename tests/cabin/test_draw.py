@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from cars import random_car
 
 from cabinpose.scene.cabin import CabinDimensions
 
-CARS = [random_car(seed) for seed in range(3000)]
+
+@cache
+def cars() -> list[CabinDimensions]:
+    """Many random cars, made when the first test asks for them."""
+    return [random_car(seed) for seed in range(3000)]
 
 
 def column(code: str) -> np.ndarray:
     """(car,) one dimension of every car."""
-    return np.array([getattr(car, code) for car in CARS])
+    return np.array([getattr(car, code) for car in cars()])
 
 
 def test_dimensions_are_within_the_models_limits() -> None:
@@ -29,13 +35,13 @@ def test_dimensions_are_within_the_models_limits() -> None:
 
 def test_a_car_stands_as_the_same_numbers_in_a_file() -> None:
     """Every car passes the model's own check again, and is not changed by it."""
-    for car in CARS:
+    for car in cars():
         assert CabinDimensions(**car.model_dump()) == car
 
 
 def test_the_same_seed_draws_the_same_car() -> None:
-    assert [random_car(seed) for seed in range(50)] == CARS[:50]
-    assert len({tuple(car.model_dump(exclude={"name"}).values()) for car in CARS}) == len(CARS)
+    assert [random_car(seed) for seed in range(50)] == cars()[:50]
+    assert len({tuple(car.model_dump(exclude={"name"}).values()) for car in cars()}) == len(cars())
 
 
 @pytest.mark.parametrize(
@@ -56,7 +62,7 @@ def test_what_does_not_follow_the_height_is_independent_of_it(code: str) -> None
 def test_low_and_tall_cars_both_appear() -> None:
     """Heights are spread evenly between those of a sports car and of a van."""
     counts = np.histogram(column("h30_mm"), bins=10, range=(175, 400))[0]
-    assert counts.sum() == len(CARS)
+    assert counts.sum() == len(cars())
     assert (np.abs(counts - 300) < 5 * np.sqrt(300)).all()
 
 

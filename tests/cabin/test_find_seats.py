@@ -36,8 +36,15 @@ def drafted(cabin: Cabin, folder: Path, *, fused: bool) -> tuple[Cabin, dict[str
     return found, off
 
 
-@pytest.mark.parametrize("fused", [pytest.param(False, id="parts", marks=pytest.mark.slow), pytest.param(True, id="fused")])
-@pytest.mark.parametrize("name", [name for name in PRESETS if name != "shuttle"])
+@pytest.mark.parametrize(
+    ("name", "fused"),
+    [
+        pytest.param(name, fused, marks=() if fused and name in ("sedan", "van") else pytest.mark.slow)
+        for name in PRESETS
+        if name != "shuttle"
+        for fused in (True, False)
+    ],
+)
 def test_seats_and_wheel_of_the_presets_are_found(name: str, fused: bool, tmp_path: Path) -> None:
     cabin = build_cabin(name)
     found, off = drafted(cabin, tmp_path, fused=fused)

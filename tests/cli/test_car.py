@@ -44,6 +44,7 @@ def changed(path: Path, **keys: Any) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_first_yaml_holds_people(car: Path, run: Run) -> None:
     code, out, err = run("car", "check", car, "--out", car.parent / "check", "--json")
     assert (code, err) == (0, "")
@@ -66,9 +67,9 @@ def test_init_says_what_it_found(folder: Path, tmp_path: Path, run: Run) -> None
         "found  unit cm: only so are its extents 163 x 134.2 x 299.6 those of a car",
         "seat   driver, H-point [-0.80, 0.39, 0.33] m",
         "seat   front_passenger, H-point [-0.80, -0.39, 0.33] m",
-        "seat   rear_left, H-point [-1.67, 0.39, 0.34] m",
+        "seat   rear_left, H-point [-1.66, 0.39, 0.34] m",
         "seat   rear_center, H-point [-1.67, 0.00, 0.34] m",
-        "seat   rear_right, H-point [-1.67, -0.39, 0.34] m",
+        "seat   rear_right, H-point [-1.66, -0.39, 0.34] m",
         "wheel  [-0.40, 0.39, 0.70] m, by its shape, a ring",
     ]
     assert err.startswith("look at it with: cabinpose car check ")
@@ -118,11 +119,23 @@ def test_the_give_of_a_fused_seat_is_measured_and_cures_it(car: Path, run: Run) 
     ("where", "key", "value", "words"),
     [
         (("seats", "driver"), "h_point", [-0.8, 0.39, 0.45], "move the h_point by"),
-        (("seats", "driver"), "h_point", [-0.8, 0.39, 0.75], "there is no cushion within 300 mm below its H-point"),
+        pytest.param(
+            ("seats", "driver"),
+            "h_point",
+            [-0.8, 0.39, 0.75],
+            "there is no cushion within 300 mm below its H-point",
+            marks=pytest.mark.slow,
+        ),
         (("seats", "driver"), "heel_point", [0.0, 0.39, 0.12], "the floor is -1"),
-        (("seats", "driver"), "heel_point", [2.0, 0.39, 0.0], "there is no floor under the heels at [2.00, 0.39, 0.00]"),
+        pytest.param(
+            ("seats", "driver"),
+            "heel_point",
+            [2.0, 0.39, 0.0],
+            "there is no floor under the heels at [2.00, 0.39, 0.00]",
+            marks=pytest.mark.slow,
+        ),
         (("steering_wheel",), "centre", [0.2, 0.39, 0.7], "out of reach"),
-        (("steering_wheel",), "axis", [0.9, 0.0, -0.43], "turn it round"),
+        pytest.param(("steering_wheel",), "axis", [0.9, 0.0, -0.43], "turn it round", marks=pytest.mark.slow),
     ],
 )
 def test_points_that_the_mesh_contradicts_are_told(

@@ -14,6 +14,7 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.estimate.augment import AugmentConfig
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.predictor import describe_model, packaged_models
+from cabinpose.estimate.settings import ViewSettings
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.store.split import parse_splits
 
@@ -22,7 +23,7 @@ SECTIONS: dict[str, type[BaseModel]] = {"## Configuration": TrainConfig, "### Au
     f"### Settings of {name}": method.config for name, method in METHODS.items()
 }
 WORDS = {
-    "the method's": None, "measured": None, "160 at a width of 352": None, "all five": OCCUPANT_SLOTS,
+    "the method's": None, "measured": None, "139 at a width of 352": None, "all five": OCCUPANT_SLOTS,
 }  # fmt: skip
 
 
@@ -47,6 +48,11 @@ def test_every_key_stands_with_its_default(heading: str) -> None:
         default = None if of_method else field.get_default(call_default_factory=True)
         expected[name] = {} if isinstance(default, BaseModel) else default
     assert rows(heading) == expected
+
+
+@pytest.mark.parametrize("settings", [s for s in SECTIONS.values() if issubclass(s, ViewSettings)])
+def test_the_stated_focal_length_is_the_views(settings: type[ViewSettings]) -> None:
+    assert settings(width=176).view.focal == pytest.approx(139 / 2)
 
 
 def test_the_stated_rates_are_the_methods() -> None:

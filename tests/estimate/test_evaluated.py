@@ -175,7 +175,13 @@ def test_labels_lie_nearer_on_the_same_ray() -> None:
 
 
 def test_labels_of_the_top_view_are_those_of_the_side_view_turned() -> None:
-    side = np.zeros((15, 3)) + (0.0, 0.0, 3.0)  # on the axis of the camera at the side, which looks horizontally
-    top_from_side, shift = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.1, 2.9, 1.3])
-    turned = as_labelled(side) @ top_from_side.T + shift
-    np.testing.assert_allclose(as_labelled(side @ top_from_side.T + shift, "top"), turned, atol=1e-12)
+    """Two cameras see the same people: one level at their side, whose scale is too large, and one tilted on the ceiling."""
+    people = np.random.default_rng(1).uniform((-0.5, -1.0, 2.5), (0.5, 1.0, 3.5), (6, 15, 3))  # m, axes of the camera at the side
+    people[0] = (0.0, 0.0, 3.0)  # on its axis, where its rays are parallel to it
+    top_from_side, tilt = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), np.radians(3.3)
+    tilted = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]) @ top_from_side
+    labels = as_labelled(1.147 * people) @ top_from_side.T
+    shift = as_labelled(people @ tilted.T + (0.1, 0.3, 2.6), "top") - labels
+    head = ITOP_JOINTS.index("head")  # its label is not moved
+    np.testing.assert_allclose(shift[:, head], np.broadcast_to(shift[0, head], (6, 3)), atol=1e-9)
+    np.testing.assert_allclose(shift[0], np.broadcast_to(shift[0, head], (15, 3)), atol=1e-9)

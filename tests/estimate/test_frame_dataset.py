@@ -46,7 +46,7 @@ def assert_same(loaded: dict[str, np.ndarray], dataset: xr.Dataset) -> None:
         np.testing.assert_array_equal(values, dataset[name].values)
 
 
-@pytest.mark.parametrize(("workers", "context"), [(0, None), (2, "fork"), (2, "spawn")])
+@pytest.mark.parametrize(("workers", "context"), [(0, None), (2, "fork"), pytest.param(2, "spawn", marks=pytest.mark.slow)])
 def test_values_are_those_of_the_dataset_with_any_workers(folder: Path, workers: int, context: str | None) -> None:
     frames = FrameDataset(folder, VARIABLES)
     assert len(frames) == FRAMES

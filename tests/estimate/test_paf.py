@@ -95,8 +95,9 @@ def test_the_network_is_the_stated_one() -> None:
     cells = (352 // 8) * (288 // 8)
     assert network.classify.first.shape == (14, cells, 100)
     assert network.classify.second.shape == (14, 100, 2)
-    assert config.view.focal == 160
-    assert PafConfig(width=176, height=144).view.focal == 80
+    assert config.view.focal == pytest.approx(139)
+    assert PafConfig(width=176, height=144).view.focal == pytest.approx(69.5)
+    assert PafConfig(focal=None).view.focal == 160  # as models have it that were trained before
 
 
 def test_what_runs_has_the_tables_layers(trained: dict[str, Path]) -> None:

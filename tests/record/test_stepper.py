@@ -76,7 +76,7 @@ def test_play_and_missed_steps_stay_unknown_to_the_controller() -> None:
     np.testing.assert_allclose(true - said, [0, 0, 0, -0.5, -0.5, 0.5, 1, 1, 1], atol=1e-9)
 
 
-@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("dialect", ["grbl", pytest.param("marlin", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("fault", "said"),
     [

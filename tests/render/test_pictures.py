@@ -280,7 +280,7 @@ def _config(**images: Any) -> SynthConfig:
     return SynthConfig.parse({"camera": {"sensor": sensor}, "images": images, "output": {"frames_per_part": 2}})
 
 
-@pytest.mark.parametrize("renderer", ["path_traced", "raster"])
+@pytest.mark.parametrize("renderer", [pytest.param("path_traced", marks=pytest.mark.slow), "raster"])
 def test_datasets_have_the_same_bytes_whatever_the_workers(renderer: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     if renderer == "path_traced":
         request.getfixturevalue("path_tracer")

@@ -166,7 +166,7 @@ def test_a_scene_that_cannot_be_ends_with_its_cause(tmp_path: Path) -> None:
         (0, {}, "0 frames"),
         (1, {"workers": 0}, "0 workers"),
         (1, {"seed": -1}, "seed"),
-        (1, {"scheduler": "tcp://127.0.0.1:9"}, "127.0.0.1:9"),
+        pytest.param(1, {"scheduler": "tcp://127.0.0.1:9"}, "127.0.0.1:9", marks=pytest.mark.slow),  # tried for ten seconds
     ],
 )
 def test_bad_numbers(frames: int, options: dict[str, int], word: str, tmp_path: Path) -> None:

@@ -160,6 +160,7 @@ def test_what_makes_no_sense_is_refused_before_work(scene: dict[str, Any], messa
 # -------------------------------------------------------------------------------------------- scenes written out
 
 
+@pytest.mark.slow
 def test_a_scene_written_out_gives_the_same_bytes(tmp_path: Path) -> None:
     """Cars and people of every kind; through a file, as `config frame` writes it."""
     seats = {"driver": 1.0, "front_passenger": 0.7, "rear_left": 0.5, "rear_right": 0.5}

@@ -80,8 +80,8 @@ def exact_excess(scene: Scene) -> float:
 @pytest.mark.parametrize(
     "scene",
     [
-        {"motion": {"driver": {"drink": 1.0}}},
-        {"motion": {"driver": {"phone_ear": 0.5, "phone_text": 0.5}}, "in_hand": 1.0},
+        pytest.param({"motion": {"driver": {"drink": 1.0}}}, marks=pytest.mark.slow),
+        pytest.param({"motion": {"driver": {"phone_ear": 0.5, "phone_text": 0.5}}, "in_hand": 1.0}, marks=pytest.mark.slow),
         {"occupancy": {"front_passenger": 1.0}, "objects": {"front_passenger": {"bag": 0.5, "laptop": 0.5}}},
     ],
 )

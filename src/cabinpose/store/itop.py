@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.errors import DatasetError
+from cabinpose.core.frames import axis_rotation
 from cabinpose.core.optional import optional_module
 from cabinpose.core.ports import FrameBatch
 from cabinpose.core.skeleton import ITOP_JOINTS
@@ -33,6 +34,11 @@ _NEAR = 2.5  # 1 / scaled depth; nearer than that the levels are finer than the 
 # the trunk half as deep as its middle, the head's in its middle. How much nearer, in round numbers, per joint.
 _NEARER_M = np.array([{"head": 0.0, "hand": 0.04, "foot": 0.04}.get(name.lstrip("rl"), 0.08) for name in ITOP_JOINTS])
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
+# The labels of the top view are those of the side view, turned by 90 degrees and shifted, in the side view's scale. Scale and
+# tilt are measured on the depth of both views; the shift is read off floor, heads and their labels (docs/itop-comparison.md).
+_SIDE_SCALE = 1.147
+_TOP_TILT = axis_rotation("x", np.radians(3.3))
+_TOP_SHIFT_M = np.array([0.0, 0.09, -0.16])
 
 
 @dataclass(frozen=True)
@@ -105,10 +111,12 @@ def as_labelled(joints_3d: NDArray[np.floating], view: Literal["side", "top"] = 
     """(..., 15, 3) m where ITOP's annotators would have put the joints of a body at joints_3d: nearer, on the same ray.
 
     Read off the labels of the side view (docs/itop-comparison.md): no published text says what they mark. Those of the top
-    view are the same points, so that there joints move towards the camera of the side view, down in the image.
+    view are the same points as the side view measures them. So there joints come into its scale and upright axes, and then
+    move towards its camera, down in the image.
     """
     if view == "top":
-        return np.asarray(joints_3d + _NEARER_M[:, None] * (0.0, 1.0, 0.0), np.float64)
+        in_side_view = _SIDE_SCALE * (joints_3d @ _TOP_TILT.T) + _TOP_SHIFT_M
+        return np.asarray(in_side_view + _NEARER_M[:, None] * (0.0, 1.0, 0.0), np.float64)
     distance = np.linalg.norm(joints_3d, axis=-1, keepdims=True)
     return np.asarray(joints_3d * (1.0 - _NEARER_M[:, None] / distance), np.float64)
 

@@ -17,7 +17,6 @@ class BackboneConfig(ViewSettings):
 
     width: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Width of the network's view (px).")] = 176
     height: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Height of the network's view (px).")] = 144
-    focal: Annotated[float, Field(gt=0, description="Focal length of the network's view (px).")] = 70.0
     amplitude: Annotated[bool, Field(description="Use the amplitude image beside the depth.")] = True
     skeleton: Annotated[Literal["cabinpose", "itop"], Field(description="Joints to predict.")] = "cabinpose"
     channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)

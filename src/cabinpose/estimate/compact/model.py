@@ -133,7 +133,7 @@ class Compact(Backbone):
         with torch.no_grad():
             cell_z = 0.5 * self.config.max_depth_m * (1.0 + votes[:, :, :, 3])
             apart = torch.stack((cell_u - u[..., None], cell_v - v[..., None], cell_z - z[..., None]), dim=-1)
-            spread = (p * squared_m(apart, z[..., None], self.config.focal)).sum(-1).sqrt()
+            spread = (p * squared_m(apart, z[..., None], self.config.view.focal)).sum(-1).sqrt()
         inside, visible = (p.unsqueeze(3) * votes[:, :, :, 4:]).sum(-1).unbind(-1)
         pooled = torch.cat((deep.mean((2, 3)), deep.amax((2, 3))), dim=1)
         joints, earlier = torch.stack((u, v, z), dim=-1), []
@@ -233,7 +233,7 @@ class Mirrored(nn.Module):
             return 0.5 * (mine + placed(theirs)[:, :, self._joints])
 
         joints = 0.5 * (one.joints + uvz)
-        apart = squared_m(one.joints - uvz, joints[..., 2], self._network.config.focal).sqrt()
+        apart = squared_m(one.joints - uvz, joints[..., 2], self._network.config.view.focal).sqrt()
         return Votes(
             joints,
             mean(one.inside, other.inside),

@@ -13,10 +13,11 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
-from scipy.signal import fftconvolve
 
-from cabinpose.core.arrays import Bools, Floats, Ints
+from cabinpose.core.arrays import Bools, Floats, Ints, distinct_rows
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
 from cabinpose.scene.contact import sampled_surface
 
@@ -25,7 +26,8 @@ CUSHION_BELOW_H, BACK_BEHIND_H = PAN_BELOW_H - 0.04, PAN_BEHIND_H - 0.04
 _RECLINES, _CUSHIONS = np.deg2rad((10.0, 17.0, 24.0, 31.0)), np.deg2rad((8.0, 16.0))
 _GOOD, _GOOD_BACKWARD = 0.7, 0.9  # of 1; a console before a dashboard is much like a seat that looks backward
 _SAME = 0.85  # of a place's score, across the car: still the same seat or bench
-_HALF_WIDTH = 0.135  # of the template, m
+_HALF_VOXELS = 4  # of the template, beside the middle one
+_HALF_WIDTH = (_HALF_VOXELS + 0.5) * VOXEL  # m
 _APART_M = (0.45, 0.30)  # between seats, along the car and in height
 _BENCH, _THREE = 0.80, 1.25  # m: a seat this wide is for two, for three
 _FROM_EDGE_M = 0.30  # a bench's outer sitters
@@ -119,19 +121,18 @@ def _run(good: Bools, at: int) -> tuple[int, int]:
 
 def _scores(taken: Bools) -> tuple[Floats, Ints]:
     """The best score of a seat with its H-point in each voxel, and the number of its pair of angles."""
-    near = binary_dilation(taken)
+    near, inside = _summed_across(binary_dilation(taken)), _summed_across(taken)
     score, which = np.zeros(taken.shape), np.zeros(taken.shape, np.int64)
     for number, (recline, rise) in enumerate(product(_RECLINES, _CUSHIONS)):
         cushion, back, room = _template(recline, rise)
-        there = np.minimum(_share(near, cushion), _share(near, back)) * np.clip(1 - 3 * _share(taken, room), 0, 1)
+        there = np.minimum(_share(near, cushion), _share(near, back)) * np.clip(1 - 3 * _share(inside, room), 0, 1)
         better = there > score
         score[better], which[better] = there[better], number
     return score, which
 
 
 def _template(recline: float, rise: float) -> tuple[Ints, ...]:
-    """Voxels (n, 3) from the H-point's: of the cushion, of the backrest, of the sitter's room."""
-    across = np.arange(-_HALF_WIDTH + VOXEL / 2, _HALF_WIDTH, VOXEL)
+    """Voxels (n, 2) along x and z from the H-point's: of the cushion, of the backrest, of the sitter's room."""
     up, ahead = np.array((-np.sin(recline), np.cos(recline))), np.array((np.cos(recline), np.sin(recline)))
 
     def of_cushion(x: float, above: float) -> Floats:
@@ -142,24 +143,27 @@ def _template(recline: float, rise: float) -> tuple[Ints, ...]:
     trunk = [up * k + ahead * t for k in np.arange(0.03, 0.68, VOXEL) for t in np.arange(0.0, 0.16, VOXEL)]
     thighs = [of_cushion(x, t) for x in np.arange(0.0, 0.32, VOXEL) for t in np.arange(0.075, 0.18, VOXEL)]
     shins = [np.array((x, z)) for x in np.arange(0.44, 0.51, VOXEL) for z in np.arange(-0.22, 0.0, VOXEL)]
-    parts = []
-    for xz in (cushion, back, trunk + thighs + shins):
-        places = np.array([(x, y, z) for x, z in xz for y in across])
-        parts.append(np.unique(np.round(places / VOXEL).astype(np.int64), axis=0))
-    return tuple(parts)
+    return tuple(np.unique(np.rint(np.array(xz) / VOXEL).astype(int), axis=0) for xz in (cushion, back, trunk + thighs + shins))
 
 
-def _share(taken: Bools, cells: Ints) -> Floats:
-    """For every voxel the share of the cells (n, 3) from it that are taken; beyond the grid nothing is."""
-    low = cells.min(axis=0)
-    kernel = np.zeros(cells.max(axis=0) - low + 1, np.float32)
-    kernel[tuple((cells - low).T)] = 1.0
-    full = fftconvolve(taken.astype(np.float32), kernel[::-1, ::-1, ::-1])
-    result = np.zeros(taken.shape)
-    shift = low + np.array(kernel.shape) - 1
-    to = [slice(max(0, -s), min(n, m - s)) for s, n, m in zip(shift, taken.shape, full.shape, strict=True)]
-    result[tuple(to)] = full[tuple(slice(t.start + s, t.stop + s) for t, s in zip(to, shift, strict=True))]
-    return result / len(cells)
+def _summed_across(taken: Bools) -> NDArray[np.uint16]:
+    """How many voxels are taken across the template's width, for every voxel in the middle of it."""
+    padded = np.pad(taken, ((0, 0), (_HALF_VOXELS, _HALF_VOXELS), (0, 0)))
+    return sliding_window_view(padded, 2 * _HALF_VOXELS + 1, axis=1).sum(axis=-1, dtype=np.uint16)
+
+
+def _share(summed: NDArray[np.uint16], cells: Ints) -> Floats:
+    """For every voxel the share of the cells (n, 2) in x and z from it, as wide as the template, that are taken.
+
+    summed: `_summed_across` of what is taken; beyond the grid nothing is.
+    """
+    reach = np.abs(cells).max()
+    padded = np.pad(summed, ((reach, reach), (0, 0), (reach, reach)))
+    total = np.zeros(summed.shape, np.uint16)
+    nx, _, nz = summed.shape
+    for x, z in reach + cells:
+        total += padded[x : x + nx, :, z : z + nz]
+    return total / (len(cells) * (2 * _HALF_VOXELS + 1))
 
 
 def _fitted(points: Floats, guess: Floats, recline: float, rise: float, width: float, score: float) -> FoundSeat | None:
@@ -204,7 +208,7 @@ def _floor_before(points: Floats, h: Floats) -> float | None:
     if not ahead.any():
         return None
     column = np.floor(from_h[ahead][:, :2] / VOXEL).astype(int)
-    _, group = np.unique(column, axis=0, return_inverse=True)
+    _, group = distinct_rows(column)
     top = np.full(group.max() + 1, -np.inf)
-    np.maximum.at(top, group.reshape(-1), points[ahead][:, 2])
+    np.maximum.at(top, group, points[ahead][:, 2])
     return float(np.quantile(top, 0.1))

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Bools, Floats, Ints, Ints32
+from cabinpose.core.arrays import Bools, Floats, Ints, Ints32, distinct_rows
 from cabinpose.core.errors import MeshError
 from cabinpose.core.frames import Matrix, invert
 from cabinpose.scene.cabin.car_file import COMMON_RULES, Rule
@@ -47,7 +47,9 @@ def openness(vertices: Floats, faces: NDArray[np.integer]) -> Openness:
     """
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices()
-    edges, uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    sides = mesh.edges_sorted
+    first, edge = distinct_rows(sides)
+    edges, uses = sides[first], np.bincount(edge)
     share = float((uses == 1).mean())
     if share == 0.0:
         return Openness(0.0, 0.0, 0.0, 0.0)
@@ -188,8 +190,8 @@ def faces_within(meshes: Sequence[tuple[Floats, Ints32]], low: Floats, high: Flo
 
 def piece_of_face(vertices: Floats, faces: Ints32) -> Ints:
     """(F,) number of the connected piece that each face (F, 3) of vertices (V, 3) m belongs to, doubled vertices merged."""
-    _, merged = np.unique(np.round(vertices / _WELD_M), axis=0, return_inverse=True)
-    welded = merged.reshape(-1)[faces]
+    _, merged = distinct_rows(np.round(vertices / _WELD_M))
+    welded = merged[faces]
     ends = welded[:, [0, 1, 1, 2]].reshape(-1, 2)
     return np.asarray(trimesh.graph.connected_component_labels(ends, merged.max() + 1)[welded[:, 0]], np.int64)
 
@@ -203,7 +205,7 @@ def _cleaned(vertices: Floats, faces: Ints32, h_points: Floats) -> tuple[list[tu
     mesh.merge_vertices()
     f = np.asarray(mesh.faces)
     f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
-    _, first = np.unique(np.sort(f, axis=1), axis=0, return_index=True)
+    first, _ = distinct_rows(np.sort(f, axis=1))
     doubled = len(f) - len(first)
     remarks = [f"{doubled} triangles lay twice in one place: one of each kept"] if doubled else []
     v, f = np.asarray(mesh.vertices, dtype=np.float64), f[np.sort(first)].astype(np.int32)
@@ -233,10 +235,10 @@ def _piece(vertices: Floats, faces: Ints32) -> Solid:
 def _open_sides(faces: Ints32) -> Ints:
     """(F,) how many sides of each face have no neighbour, or more than one, or one that looks the other way round."""
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2)
-    _, edge, uses = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(edge.reshape(-1), ends[:, 0] < ends[:, 1])
-    good = (uses == 2) & (forward == 1)
-    return np.asarray((~good[edge.reshape(-1)]).reshape(-1, 3).sum(axis=1))
+    _, edge = distinct_rows(np.sort(ends, axis=1))
+    forward = np.bincount(edge, ends[:, 0] < ends[:, 1])
+    good = (np.bincount(edge) == 2) & (forward == 1)
+    return np.asarray((~good[edge]).reshape(-1, 3).sum(axis=1))
 
 
 def _solid_angle(corners: Floats, point: Floats) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Floats, Ints, Ints32
+from cabinpose.core.arrays import Floats, Ints, Ints32, distinct_rows
 
 WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex per face corner for hard shading
 CELL_M = 0.03  # cell of the search grid, about the size of a cabin triangle
@@ -66,9 +66,9 @@ def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *,
     `closed` states that the triangles bound a volume; it is not verified here.
     """
     keys = np.round(np.asarray(vertices, np.float64) / WELD_M)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    first, which = distinct_rows(keys)
     welded = np.asarray(vertices, np.float64)[first]
-    triangles = inverse.reshape(-1)[np.asarray(faces)].astype(np.int32)
+    triangles = which[np.asarray(faces)].astype(np.int32)
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles = triangles[distinct]
     corners = np.ascontiguousarray(welded[triangles])
@@ -111,7 +111,7 @@ def sampled_surface(corners: Floats, spacing: float) -> Floats:
         weights = np.stack((n - i - j, i, j), axis=1) / n
         points.append((weights @ corners[pieces == n]).reshape(-1, 3))
     every = np.concatenate(points)
-    _, first = np.unique(np.round(every / WELD_M), axis=0, return_index=True)
+    first, _ = distinct_rows(np.round(every / WELD_M))
     # In order of place: the nearest triangle of one point is then a good guess for the next.
     every = every[np.sort(first)]
     return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]

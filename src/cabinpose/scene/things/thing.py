@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Floats, Floats32
+from cabinpose.core.arrays import Floats, Floats32, distinct_rows
 from cabinpose.core.errors import unknown_name
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.cabin.model import Part
@@ -77,7 +77,7 @@ class Thing:
         apart = float(np.ptp(self.box, axis=0).max()) / _POINTS_A_SIDE
         points = np.concatenate([sampled_surface(part.mesh.corners, apart) for part in self.field.parts])
         # Long thin triangles have more than are needed.
-        _, first = np.unique(np.floor(points * (_CROWDED / apart)), axis=0, return_index=True)
+        first, _ = distinct_rows(np.floor(points * (_CROWDED / apart)))
         return Cloud.of(points[np.sort(first)])
 
     @property
