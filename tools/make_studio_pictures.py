@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.studio import page_of, studio
+from benchmarks.studio import choose, page_of, studio
 
 SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 TABS = ("Dataset", "Label", "Compare", "Live")
@@ -38,8 +38,7 @@ def pictures(dataset: Path, out: Path, size: str, scheme: Literal["light", "dark
         for name in TABS:
             page.get_by_role("tab", name=name).click()
             if name == "Label":
-                page.get_by_label("proposals from").click()
-                page.get_by_role("option", name="in_car").click()
+                choose(page, "proposals from", "in_car")
                 page.get_by_text("proposal", exact=True).first.wait_for()
             elif name == "Compare":
                 page.get_by_role("button", name="Run").click()
