@@ -18,8 +18,8 @@ from cabinpose.scene.cabin.meshfile import NamedMesh
 from cabinpose.scene.cabin.model import STATIC_GROUP, Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import Solid
+from cabinpose.scene.contact.triangles import welded
 
-_WELD_M = 1e-5  # vertices closer than this are one
 _MOST, _ENOUGH = 0.5, 0.25  # of a piece, to lie in a box; of what is in the box, for such pieces to be all that it means
 _MANY_HOLES = 0.03  # holes a triangle: the windows of a car are far fewer, a mesh with every tenth triangle gone has more
 _MANY_OPEN = 0.15  # of the edges, where a tenth of the triangles is gone
@@ -190,10 +190,10 @@ def faces_within(meshes: Sequence[tuple[Floats, Ints32]], low: Floats, high: Flo
 
 def piece_of_face(vertices: Floats, faces: Ints32) -> Ints:
     """(F,) number of the connected piece that each face (F, 3) of vertices (V, 3) m belongs to, doubled vertices merged."""
-    _, merged = distinct_rows(np.round(vertices / _WELD_M))
-    welded = merged[faces]
-    ends = welded[:, [0, 1, 1, 2]].reshape(-1, 2)
-    return np.asarray(trimesh.graph.connected_component_labels(ends, merged.max() + 1)[welded[:, 0]], np.int64)
+    _, merged = welded(vertices)
+    triangles = merged[faces]
+    ends = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
+    return np.asarray(trimesh.graph.connected_component_labels(ends, merged.max() + 1)[triangles[:, 0]], np.int64)
 
 
 def _cleaned(vertices: Floats, faces: Ints32, h_points: Floats) -> tuple[list[tuple[Solid, bool]], str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cabinpose._native import contact as native
 from cabinpose.core.arrays import Floats, Ints, Ints32, distinct_rows
 
-WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex per face corner for hard shading
+_WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex per face corner for hard shading
 CELL_M = 0.03  # cell of the search grid, about the size of a cabin triangle
 
 
@@ -60,23 +60,28 @@ class TriangleMesh:
         return distance
 
 
+def welded(points: Floats) -> tuple[Ints, Ints]:
+    """Which of the points (N, 3) m are the first at their place, and for each point which of those it is, as `distinct_rows`."""
+    return distinct_rows(np.round(points / _WELD_M))
+
+
 def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *, closed: bool) -> TriangleMesh:
     """A `TriangleMesh` of vertices (V, 3) m and faces (F, 3), counter-clockwise from outside; drops slivers of no area.
 
     `closed` states that the triangles bound a volume; it is not verified here.
     """
-    keys = np.round(np.asarray(vertices, np.float64) / WELD_M)
-    first, which = distinct_rows(keys)
-    welded = np.asarray(vertices, np.float64)[first]
+    every = np.asarray(vertices, np.float64)
+    first, which = welded(every)
+    corner_points = every[first]
     triangles = which[np.asarray(faces)].astype(np.int32)
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles = triangles[distinct]
-    corners = np.ascontiguousarray(welded[triangles])
+    corners = np.ascontiguousarray(corner_points[triangles])
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     dims = np.maximum(np.ceil((high - low) / CELL_M), 1).astype(np.int64)
-    normals = _pseudo_normals(corners, triangles, len(welded))
+    normals = _pseudo_normals(corners, triangles, len(corner_points))
     cells = (low, CELL_M, dims, *native.bin_triangles(corners, low, CELL_M, dims))
-    return TriangleMesh(welded, triangles, corners, normals, closed, cells)
+    return TriangleMesh(corner_points, triangles, corners, normals, closed, cells)
 
 
 def edge_keys(faces: Ints32, count: int) -> Ints:
@@ -111,7 +116,7 @@ def sampled_surface(corners: Floats, spacing: float) -> Floats:
         weights = np.stack((n - i - j, i, j), axis=1) / n
         points.append((weights @ corners[pieces == n]).reshape(-1, 3))
     every = np.concatenate(points)
-    first, _ = distinct_rows(np.round(every / WELD_M))
+    first, _ = welded(every)
     # In order of place: the nearest triangle of one point is then a good guess for the next.
     every = every[np.sort(first)]
     return every[np.lexsort(np.floor(every / (2.0 * spacing)).T)]
