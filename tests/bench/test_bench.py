@@ -166,6 +166,7 @@ def test_nothing_to_measure_is_refused() -> None:
         bench.run(**(NO_FLAGS | {"frames": 0}))
 
 
+@pytest.mark.slow
 def test_where_blender_cannot_be_installed_the_reason_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.renderers.REQUIREMENT", str(tmp_path / "no-such-wheel.whl"))
     python, reason = blender_python(tmp_path)

@@ -25,9 +25,11 @@ def cabin_mesh(cabin: Cabin, name: str, settings: dict[str, SeatSetting] | None 
 
 
 def depth_in(thing: PlacedThing, mesh: trimesh.Trimesh) -> float:
-    """How deep the deepest of many points of a thing is in a closed mesh, m, by trimesh; negative: the distance."""
+    """How deep the deepest of many points of a thing is in a closed mesh, m, by trimesh; negative: the distance, up to 0.05."""
     surfaces = [trimesh.Trimesh(piece.solid.vertices, piece.solid.faces) for piece in thing.thing.pieces]
     points = np.concatenate(
         [*(trimesh.sample.sample_surface_even(s, 600, seed=1)[0] for s in surfaces), *(s.vertices for s in surfaces)]
     )
-    return float(trimesh.proximity.signed_distance(mesh, apply(thing.vehicle_from_thing, points)).max())
+    points = apply(thing.vehicle_from_thing, points)
+    near = points[((points > mesh.bounds[0] - 0.05) & (points < mesh.bounds[1] + 0.05)).all(axis=1)]
+    return float(trimesh.proximity.signed_distance(mesh, near).max(initial=-0.05)) if len(near) else -0.05
