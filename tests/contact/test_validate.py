@@ -185,6 +185,7 @@ def test_rejections_are_codes_that_speak() -> None:
     assert most_common(rejections, 2) == "driver, front_passenger: head in torso (3); driver: lhand in rim (2)"
 
 
+@pytest.mark.slow
 def test_people_admitted_one_by_one_are_judged_like_the_whole_scene(validator: Validator) -> None:
     """Random scenes of three and a turned wheel: `admit` says what `check` says of all, to the last bit."""
     rng = np.random.default_rng(5)

@@ -44,6 +44,7 @@ def _fingerprint(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.skipif(not _baseline.runs_here(), reason="this processor has no AVX2: there is one build to run")
+@pytest.mark.slow
 def test_builds_and_threads_make_the_same_bytes(tmp_path: Path) -> None:
     made = {}
     for simd, threads in (("avx2", "1"), ("baseline", "1"), ("avx2", "3")):
