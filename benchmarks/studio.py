@@ -81,7 +81,7 @@ def page_of(width: int, height: int, scheme: Literal["light", "dark"] = "light")
 def choose(page: Any, label: str, option: str) -> None:
     """Choose from a list.
 
-    On a busy machine a list that is clicked while its tab slides into place may open without being seen: then again.
+    On a busy machine a list that is clicked as soon as it is there may count as open without being seen: then again.
     """
     wanted = page.get_by_role("option", name=option, exact=True)
     for tries_left in reversed(range(20)):
