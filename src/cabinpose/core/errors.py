@@ -73,6 +73,10 @@ class DependencyError(CabinposeError):
     """An optional dependency (an extra) is needed and not installed."""
 
 
+class ExtensionError(CabinposeError):
+    """What an installed extension offers cannot be used; the message names its package, and everything else works."""
+
+
 def unknown_name(kind: str, name: str, known: list[str] | tuple[str, ...]) -> ConfigError:
     """A `ConfigError` for a name that does not exist, listing the ones that do."""
     return ConfigError(f"unknown {kind} '{name}'", hint=f"known: {', '.join(sorted(known))}")

@@ -1,0 +1,154 @@
+"""What is chosen by name: the package's own and what installed extensions add.
+
+Each kind of thing has an entry point group, `cabinpose.<kind>`, in which the package registers its own like anybody else. Names
+are listed from the metadata of installed packages; a thing is imported when it is first asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from cabinpose.core.errors import CabinposeError, ConfigError, ExtensionError, unknown_name
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+T = TypeVar("T")
+OURS = "cabinpose"
+_HINT = "update or uninstall {}; everything else works without it"
+
+
+class Registry(Generic[T]):
+    """The things of one kind by name.
+
+    Parameters
+    ----------
+    group
+        The entry point group, "cabinpose.formats".
+    kind
+        What one is called in messages, "format".
+    expected
+        The type of one, or of which one is a subclass where `subclass` is set.
+
+    Notes
+    -----
+    An entry point names the thing itself, or a table (a mapping) that has it under the entry point's name. The order is that of
+    our metadata, then other packages' by name. Where another package uses a name of ours, ours stays; where two others use the
+    same name, neither is taken. `conflicts` says so.
+    """
+
+    def __init__(self, group: str, kind: str, expected: type[T], *, subclass: bool = False) -> None:
+        self.group, self.kind = group, kind
+        self._expected, self._subclass = expected, subclass
+        self._loaded: dict[str, T] = {}
+
+    def names(self, *, own: bool = False) -> tuple[str, ...]:
+        """All names, without importing anything; `own`: the package's alone."""
+        offers = _offers(self.group)
+        return tuple(name for name, entries in offers.items() if not own or _package(entries[0]) == OURS)
+
+    def __contains__(self, name: object) -> bool:
+        return name in _offers(self.group)
+
+    def __getitem__(self, name: str) -> T:
+        """The thing of this name.
+
+        Raises
+        ------
+        ConfigError
+            For a name that does not exist; lists the ones that do.
+        ExtensionError
+            Where another package's cannot be loaded, is of another type, wants another version of this package, or where two
+            packages use the name. The message names the package.
+        """
+        if name not in self._loaded:
+            if name not in self:
+                raise unknown_name(self.kind, name, self.names())
+            entry, *others = _offers(self.group)[name]
+            if others and _package(entry) != OURS:
+                raise ExtensionError(self._taken(name), hint="uninstall one of them")
+            self._loaded[name] = self._load(entry)
+        return self._loaded[name]
+
+    def package(self, name: str) -> str:
+        """The distribution that offers the thing of this name; ConfigError for a name that does not exist."""
+        if name not in self:
+            raise unknown_name(self.kind, name, self.names())
+        return _package(_offers(self.group)[name][0])
+
+    def conflicts(self) -> tuple[str, ...]:
+        """A sentence for each name that more than one package uses."""
+        return tuple(self._taken(name) for name, entries in _offers(self.group).items() if len(entries) > 1)
+
+    def _taken(self, name: str) -> str:
+        first, *others = (_package(entry) for entry in _offers(self.group)[name])
+        if first == OURS:
+            return f"the {self.kind} '{name}' of {', '.join(others)} is left out: {OURS} has one of this name"
+        return f"the {self.kind} '{name}' is left out: {first}, {', '.join(others)} all have one of this name"
+
+    def _load(self, entry: EntryPoint) -> T:
+        package = _package(entry)
+        if package != OURS:
+            _check_version(entry)
+        try:
+            found = entry.load()
+        except CabinposeError:  # for instance a missing extra: says itself what to do
+            raise
+        except Exception as error:
+            if package == OURS:
+                raise
+            what = f"the {self.kind} '{entry.name}' of {package} cannot be loaded: {type(error).__name__}: {error}"
+            raise ExtensionError(what, hint=_HINT.format(package)) from error
+        if isinstance(found, Mapping) and not self._fits(found):
+            found = found.get(entry.name)
+        if not self._fits(found):
+            what = f"the {self.kind} '{entry.name}' of {package} is not a {self._expected.__name__}, but {found!r:.80}"
+            raise ExtensionError(what, hint=_HINT.format(package))
+        return found  # type: ignore[no-any-return]  # `_fits` says so
+
+    def _fits(self, found: object) -> bool:
+        if self._subclass:
+            return isinstance(found, type) and issubclass(found, self._expected)
+        return isinstance(found, self._expected)
+
+
+@cache
+def _offers(group: str) -> dict[str, list[EntryPoint]]:
+    """Entry points by name: ours first, then by package."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 - 30 ms, which `--help` does without
+
+    entries = entry_points(group=group)
+    ours = {entry.name: [entry] for entry in entries if _package(entry) == OURS}
+    others = [entry for entry in entries if _package(entry) != OURS]
+    for entry in sorted(others, key=lambda entry: (_package(entry), entry.name)):
+        ours.setdefault(entry.name, []).append(entry)
+    return ours
+
+
+def _package(entry: EntryPoint) -> str:
+    return entry.dist.name if entry.dist is not None else "an unnamed package"
+
+
+def _check_version(entry: EntryPoint) -> None:
+    """Raise ExtensionError where the package of an entry point requires another version of this one."""
+    from importlib.metadata import version  # noqa: PLC0415 - see above
+
+    from packaging.requirements import Requirement  # noqa: PLC0415 - for extensions alone
+
+    here = version(OURS)
+    for text in entry.dist.requires or () if entry.dist is not None else ():
+        wanted = Requirement(text)
+        marked = wanted.marker is not None and not wanted.marker.evaluate({"extra": ""})
+        if wanted.name.lower() == OURS and not marked and not wanted.specifier.contains(here, prereleases=True):
+            what = f"{_package(entry)} is built for {OURS} {wanted.specifier}; this is {here}"
+            raise ExtensionError(what, hint=_HINT.format(_package(entry)))
+
+
+def one_of(registry: Registry[T], name: str) -> str:
+    """`name`, for validators of settings; ValueError lists the names that exist."""
+    if name not in registry:
+        error: ConfigError = unknown_name(registry.kind, name, registry.names())
+        raise ValueError(f"{error}; {error.hint}")
+    return name
