@@ -106,7 +106,7 @@ class Registry(Generic[T]):
         if not self._fits(found):
             what = f"the {self.kind} '{entry.name}' of {package} is not a {self._expected.__name__}, but {found!r:.80}"
             raise ExtensionError(what, hint=_HINT.format(package))
-        return found  # type: ignore[no-any-return]  # `_fits` says so
+        return found
 
     def _fits(self, found: object) -> bool:
         if self._subclass:
