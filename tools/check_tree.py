@@ -2,7 +2,8 @@
 
 A file carries no absolute path of somebody's machine and no package index address; nothing is left unfinished; no line ends in
 blanks and every file in a new line; no file is larger than 10 MB; a module stays below 500 lines; randomness is the required
-keyword `rng`.
+keyword `rng`; no figure of the structure is larger than its row in `STRUCTURE`. With `--structure`, those figures are all that is
+printed, with what each counts.
 """
 
 from __future__ import annotations
@@ -13,10 +14,27 @@ import re
 import subprocess
 import sys
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import grimp
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
 MAX_LINES = 500
+MAX_PARAMETERS = 7
+FEW_LINES = 25
+# What each figure of the structure may be at most. One that has come down is written down here, so that it stays there.
+STRUCTURE = {
+    "functions with more than 7 parameters": 35,
+    "Python modules under 25 lines of code": 48,
+    "modules under 25 lines of code, with C++": 73,
+    "import circles": 3,
+    "names of classes that stand twice": 31,
+    "lines of code in src and benchmarks": 53_200,
+}
 _SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 MAX_BYTES = 10_000_000
 LONG_MODULES: dict[str, str] = {}  # path -> why it is one module nevertheless
@@ -94,10 +112,70 @@ def code_lines(name: str, text: str) -> int:
     return len(said - without)
 
 
+def parameters(args: ast.arguments) -> int:
+    """How many parameters a function has, without `self` and `cls`."""
+    names = [arg.arg for arg in args.posonlyargs + args.args + args.kwonlyargs]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def circles(source: Path) -> list[list[str]]:
+    """Modules of the package that import each other, directly or through others, wherever the import stands in them.
+
+    The package's own face, which offers what `app` has and loads it when it is asked for, ties no circle.
+    """
+    sys.path.insert(0, str(source))
+    graph = grimp.build_graph("cabinpose", cache_dir=None)
+    modules = sorted(graph.modules - {"cabinpose"})
+    at = {module: i for i, module in enumerate(modules)}
+    pairs = [(i, at[to]) for module, i in at.items() for to in graph.find_modules_directly_imported_by(module) if to in at]
+    arrows = coo_array((np.ones(len(pairs)), np.array(pairs).T), shape=(len(modules), len(modules)))
+    _, group = connected_components(arrows, connection="strong")
+    members = [[modules[i] for i in np.flatnonzero(group == number)] for number in range(group.max() + 1)]
+    return [found for found in members if len(found) > 1]
+
+
+def structure(root: Path) -> Iterator[tuple[str, list[str], int]]:
+    """The figures of the structure: name, what was counted, figure; in the order of `STRUCTURE`."""
+    wide: list[str] = []
+    small: list[str] = []
+    classes: Counter[str] = Counter()
+    lines = 0
+    for name in tracked_files(root):
+        if not name.startswith(("src/", "benchmarks/")) or not name.endswith((".py", ".cpp", ".hpp")):
+            continue
+        text = (root / name).read_text(encoding="utf-8")
+        code = code_lines(name, text)
+        lines += code
+        if not name.startswith("src/"):
+            continue
+        if code < FEW_LINES and not name.endswith("__init__.py"):
+            small.append(name)
+        for node in ast.walk(ast.parse(text, name)) if name.endswith(".py") else ():
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and parameters(node.args) > MAX_PARAMETERS:
+                wide.append(f"{name}:{node.lineno} {node.name}: {parameters(node.args)}")
+            if isinstance(node, ast.ClassDef):
+                classes[node.name] += 1
+    python = [name for name in small if name.endswith(".py")]
+    tied = [" ".join(found) for found in circles(root / "src")]
+    twice = sorted(name for name, times in classes.items() if times > 1)
+    counted = (wide, python, small, tied, twice)
+    yield from ((name, found, len(found)) for name, found in zip(STRUCTURE, counted, strict=False))
+    yield (*STRUCTURE,)[-1], [], lines
+
+
 def main() -> int:
-    """Print every breach, or the size of the tree; 1 if there is a breach."""
+    """Print every breach and the figures of the tree, or with `--structure` what they count; 1 if there is a breach."""
     root = Path(__file__).resolve().parent.parent
-    breaches, lines = [], 0
+    figures = list(structure(root))
+    if sys.argv[1:] == ["--structure"]:
+        for name, found, figure in figures:
+            print(f"{name}: {figure}", *found, sep="\n  ")
+        return 0
+    breaches = [
+        f"tools/check_tree.py:1: {name}: {figure}, and {STRUCTURE[name]} at most; --structure lists them"
+        for name, _, figure in figures
+        if figure > STRUCTURE[name]
+    ]
     for name in tracked_files(root):
         data = (root / name).read_bytes()
         if len(data) > MAX_BYTES:
@@ -106,10 +184,10 @@ def main() -> int:
             continue
         text = data.decode("utf-8")
         breaches += text_breaches(name, text)
-        if name.startswith(("src/", "benchmarks/")):
-            lines += code_lines(name, text)
-            breaches += module_breaches(name, text) if name.endswith(".py") else ()
-    print("\n".join(breaches) or f"The tree keeps its rules; {lines} lines of code in src and benchmarks.")
+        if name.startswith(("src/", "benchmarks/")) and name.endswith(".py"):
+            breaches += module_breaches(name, text)
+    print("\n".join(breaches) or "The tree keeps its rules.")
+    print(*(f"{figure} {name}" for name, _, figure in figures), sep="\n")
     return 1 if breaches else 0
 
 

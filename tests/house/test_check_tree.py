@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -85,3 +88,44 @@ def test_lines_of_code(check_tree: ModuleType) -> None:
     assert check_tree.code_lines("a.py", source) == 4
     assert check_tree.code_lines("a.cpp", "#include <cmath>\n// why\n\nint f() {\n  return 1;\n}\n") == 3
     assert check_tree.code_lines("a.md", "words\n") == 0
+
+
+def test_parameters(check_tree: ModuleType) -> None:
+    function = ast.parse("def f(self, a, /, b, *args, c, d=1, **rest): ...").body[0]
+    assert isinstance(function, ast.FunctionDef)
+    assert check_tree.parameters(function.args) == 4
+
+
+def test_structure(check_tree: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "src" / "cabinpose"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("from cabinpose import long\n")
+    lines = "\n".join(f"x{i} = {i}" for i in range(30))
+    (package / "long.py").write_text(
+        f"from cabinpose import __init__\nclass Twice: ...\ndef f(a, b, c, d, e, f, g, h): ...\n{lines}\n"
+    )
+    (package / "one.py").write_text("def f():\n    from cabinpose.two import Twice\n")
+    (package / "two.py").write_text("import cabinpose.three\nclass Twice: ...\n")
+    (package / "three.py").write_text("from cabinpose.one import f\n")
+    (package / "bodies.cpp").write_text("int f();\n")
+    names = [str(path.relative_to(tmp_path)) for path in sorted(package.iterdir())]
+    monkeypatch.setattr(check_tree, "tracked_files", lambda _: names)
+    monkeypatch.setattr(check_tree, "circles", lambda _: [["cabinpose.one", "cabinpose.three", "cabinpose.two"]])
+    found = {name: figure for name, _, figure in check_tree.structure(tmp_path)}
+    assert list(found) == list(check_tree.STRUCTURE)
+    assert list(found.values()) == [1, 3, 4, 1, 1, 32]  # a line of three points alone is none of code
+
+
+def test_circles_wherever_the_import_stands(tmp_path: Path) -> None:
+    package = tmp_path / "cabinpose"
+    package.mkdir()
+    (package / "__init__.py").write_text("from cabinpose import one\n")
+    (package / "one.py").write_text("import cabinpose\ndef f():\n    from cabinpose.two import g\n")
+    (package / "two.py").write_text("from cabinpose import three\n")
+    (package / "three.py").write_text("from cabinpose.one import f\n")
+    (package / "four.py").write_text("from cabinpose.one import f\n")
+    code = "import sys; sys.path.insert(0, 'tools'); from check_tree import circles, Path; print(circles(Path(sys.argv[1])))"
+    told = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    assert told.strip() == "[['cabinpose.one', 'cabinpose.three', 'cabinpose.two']]"
