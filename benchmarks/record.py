@@ -13,10 +13,10 @@ from typing import Any
 import psutil
 
 from benchmarks import Say
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError
 from cabinpose.record.config import Rig, parse_rig
 from cabinpose.record.session import begin
+from cabinpose.signals.clock import HostClock
 from cabinpose.store.recording import Recording
 
 _WIDTH, _HEIGHT = 640, 576  # of an Azure Kinect's depth image, the largest in the field

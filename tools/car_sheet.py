@@ -22,7 +22,7 @@ from cabinpose.app.view.draw import INVALID, PERSON_COLOUR, Image, amplitude_ima
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import invert, look_at
 from cabinpose.scene.cabin import PRESETS
-from cabinpose.scene.labels import ID, LAST_BODY_ID
+from cabinpose.scene.labels import LABEL_ID, LAST_BODY_ID
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.scene import Scene
@@ -39,7 +39,7 @@ _APART = 50  # frames: each car shows other people
 def outside_view(scene: Scene, side: tuple[float, float, float]) -> Image:
     """People, seats, wheel, belts and pedals seen from a side, lit and coloured by person."""
     whole = scene.surface()
-    furniture = [ID[name] for name in ("seat", "steering_wheel", "pedal", "seat_belt")]
+    furniture = [LABEL_ID[name] for name in ("seat", "steering_wheel", "pedal", "seat_belt")]
     shown = ((whole.label > 0) & (whole.label <= LAST_BODY_ID)) | np.isin(whole.label, furniture)
     kept = {name: getattr(whole, name)[shown] for name in ("faces", "label", "material", "instance")}
     joints = np.concatenate([p.posed.joints for p in scene.people])
@@ -54,7 +54,7 @@ def outside_view(scene: Scene, side: tuple[float, float, float]) -> Image:
     normal = np.cross(b - a, c - a)
     light = 0.35 + 0.65 * np.abs(normal @ _LIGHT) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
     colours = np.array([(150, 156, 166), *PERSON_COLOUR], np.float64)[kept["instance"]] * light[:, None]
-    colours = np.where((kept["label"] == ID["seat_belt"])[:, None], (224, 48, 48), colours)
+    colours = np.where((kept["label"] == LABEL_ID["seat_belt"])[:, None], (224, 48, 48), colours)
     return np.where((face >= 0)[..., None], colours[face], INVALID).astype(np.uint8)
 
 

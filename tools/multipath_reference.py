@@ -136,7 +136,7 @@ def sensor() -> Any:
 def ours(scene: Any, unseen: float) -> tuple[Any, Any]:
     """Error of range by multipath (H, W) in m, and the buffers of the view."""
     from cabinpose.core.frames import invert
-    from cabinpose.scene.materials import ID
+    from cabinpose.scene.materials import MATERIAL_ID
     from cabinpose.scene.sensor.indirect import indirect_light
     from cabinpose.scene.sensor.optics import material_table
     from cabinpose.scene.surface import Surface
@@ -144,9 +144,9 @@ def ours(scene: Any, unseen: float) -> tuple[Any, Any]:
 
     camera, table = sensor().camera, material_table(True, True, 0.0, 0.0).copy()
     none = np.zeros(len(scene["faces"]), np.uint8)
-    material = scene["material"] if "material" in scene else none + np.uint8(ID["painted_wall"])
+    material = scene["material"] if "material" in scene else none + np.uint8(MATERIAL_ID["painted_wall"])
     if "material" not in scene:
-        table[ID["painted_wall"], 0] = scene["reflectance"][0]
+        table[MATERIAL_ID["painted_wall"], 0] = scene["reflectance"][0]
     surface = Surface(scene["vertices"], scene["normals"], scene["faces"], none, material, none)
     buffers = Rasteriser(camera, 2).render(surface, invert(scene["world_from_camera"])).buffers
     light = indirect_light(buffers, sensor(), table, np.array(FREQUENCIES), falloff=True, unseen=unseen)
@@ -174,7 +174,7 @@ def blocks(image: Any) -> Any:
 def compare(folder: Path, keep: Path | None) -> None:
     """Prints RMS errors, and draws reference, ours and their difference."""
     from cabinpose.app.view.draw import depth_image
-    from cabinpose.scene.materials import ID
+    from cabinpose.scene.materials import MATERIAL_ID
     from cabinpose.store.frames import write_png
 
     kept, rows = {}, []
@@ -186,7 +186,9 @@ def compare(folder: Path, keep: Path | None) -> None:
         theirs = 1e3 * range_error(light["direct"], light["all"])
         error, buffers = ours(scene, 0.15 if "material" in scene else 0.0)
         error *= 1e3
-        seen = np.isfinite(theirs) & np.isfinite(error) & ~np.isin(buffers.material, (ID["nothing"], ID["glass"]))
+        seen = (
+            np.isfinite(theirs) & np.isfinite(error) & ~np.isin(buffers.material, (MATERIAL_ID["nothing"], MATERIAL_ID["glass"]))
+        )
         seen.flat[buffers.mixed] = False
         images = [np.where(seen, image, np.nan).astype(np.float32) for image in (theirs, error, error - theirs)]
         means = [blocks(image) for image in images[:2]]

@@ -19,10 +19,10 @@ from scipy.optimize import nnls
 
 from cabinpose.app.view.draw import depth_image
 from cabinpose.core.camera import Camera
-from cabinpose.core.recorded import ToFFrame
-from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, Sensor, simulate
 from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT
+from cabinpose.signals.recorded import ToFFrame
 from cabinpose.store.convert.azure_mkv import read_azure_mkv
 from cabinpose.store.frames import write_png
 
@@ -30,7 +30,7 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 PARTS = 3  # of a pixel's side; edges of the filled depth lie a third of a pixel beside its border, so that pixels mix
 STEP = 0.08  # share of the depth that makes a silhouette
-WALL = ID["painted_wall"]
+WALL = MATERIAL_ID["painted_wall"]
 Row = tuple[str, float, float]  # what, theirs, ours
 
 

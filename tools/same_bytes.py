@@ -109,10 +109,13 @@ def reports(made: Path) -> Iterator[list[object]]:
 JOBS: dict[str, Job] = {job.__name__: job for job in (datasets, laboratory, exchange, models, reports)}
 
 
-def make(jobs: list[str], made: Path) -> None:
-    """Let the package that this process sees make what the jobs name; a command that fails leaves its last words as a file."""
+def make(jobs: list[str], made: Path, tree: Path) -> None:
+    """Let the package of a tree make what the jobs name; a command that fails leaves its last words as a file."""
+    import cabinpose
     from cabinpose.app.cli import main
 
+    if not Path(cabinpose.__file__).is_relative_to(tree):  # or a tree would be held against itself
+        raise RuntimeError(f"{cabinpose.__file__} is not of {tree}")
     for job in jobs:
         (made / job).mkdir(parents=True, exist_ok=True)
         for number, command in enumerate(JOBS[job](made)):
@@ -176,7 +179,8 @@ def build(ref: str, folder: Path) -> dict[str, str]:
         rows = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in of.items()) for group, of in project["entry-points"].items()]
         (info / "entry_points.txt").write_text("\n".join(rows), encoding="utf-8")
         (folder / "built").touch()
-    return {"PYTHONPATH": f"{tree / 'src'}{os.pathsep}{site}", "CABINPOSE_NATIVE": str(native)}
+    # Python is started without `site`: an editable installation would put its own package before all others.
+    return {"PYTHONPATH": os.pathsep.join(map(str, (tree / "src", site, *sys.path[1:]))), "CABINPOSE_NATIVE": str(native)}
 
 
 def _compiler(tree: Path, environment: Path) -> list[str]:
@@ -184,11 +188,12 @@ def _compiler(tree: Path, environment: Path) -> list[str]:
     return told.stdout.split()
 
 
-def _made(jobs: list[str], folder: Path, environment: dict[str, str]) -> dict[str, str]:
-    """The digests of what the package of an environment makes, in a folder that is emptied first."""
+def _made(jobs: list[str], folder: Path, tree: Path, environment: dict[str, str]) -> dict[str, str]:
+    """The digests of what the package of a tree makes in an environment, in a folder that is emptied first."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    command = [sys.executable, __file__, "--make", str(folder), *jobs]
+    options = ["-S"] if environment else []
+    command = [sys.executable, *options, __file__, "--make", str(folder), "--tree", str(tree), *jobs]
     log = folder.with_suffix(".log")
     with log.open("w", encoding="utf-8") as told:
         subprocess.run(command, check=True, env=os.environ | ONE_THREAD | environment, stdout=told, stderr=told)
@@ -202,9 +207,10 @@ def main() -> int:
     parser.add_argument("jobs", nargs="*", help="jobs, with those that they need; default: all")
     parser.add_argument("--list", action="store_true", help="list the jobs")
     parser.add_argument("--make", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--tree", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.make is not None:  # the process that does it: `ref` is the first job
-        make([given.ref, *given.jobs], given.make)
+        make([given.ref, *given.jobs], given.make, given.tree)
         return 0
     if given.list or given.ref is None:
         print(*(f"{name}: {job.__doc__}" for name, job in JOBS.items()), sep="\n")
@@ -218,9 +224,9 @@ def main() -> int:
     environment = build(commit, folder)
     kept = folder / f"{'-'.join(jobs)}.json"
     if not kept.exists():
-        kept.write_text(json.dumps(_made(jobs, folder / "made", environment), indent=1), encoding="utf-8")
+        kept.write_text(json.dumps(_made(jobs, folder / "made", folder / "tree", environment), indent=1), encoding="utf-8")
     before = json.loads(kept.read_text(encoding="utf-8"))
-    now = _made(jobs, CACHE / "tree", {})
+    now = _made(jobs, CACHE / "tree", ROOT / "src", {})
     for name in sorted(before.keys() | now.keys()):
         if before.get(name) != now.get(name):
             print(f"{name}: {'new' if name not in before else 'gone' if name not in now else 'differs'}")

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cabinpose.synth.camera import Camera
-from cabinpose.synth.config import CabinScene, Output, SynthConfig
-from cabinpose.synth.generate import generate
+from cabinpose.synth import CabinScene, Camera, Output, SynthConfig, generate
 
 OUT = Path("my-dataset")
 

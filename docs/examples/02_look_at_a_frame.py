@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import xarray as xr
 
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, LIMBS
-from cabinpose.scene.labels import RGB
+from cabinpose.core import INDEX, LIMBS, Visibility
+from cabinpose.scene import RGB
 from cabinpose.store import open_dataset, points_m
 
 DATASET = Path("my-dataset")

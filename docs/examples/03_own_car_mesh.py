@@ -12,10 +12,9 @@ import numpy as np
 import trimesh
 import yaml
 
-from cabinpose.core.frames import apply
+from cabinpose.core import apply
 from cabinpose.scene.cabin import Cabin, build_cabin, load_cabin
-from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.generate import generate
+from cabinpose.synth import SynthConfig, generate
 
 GLTF_FROM_VEHICLE = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])  # glTF: y up, z forward
 CENTIMETRES = 100

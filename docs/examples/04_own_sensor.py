@@ -10,13 +10,10 @@ from math import radians
 
 import numpy as np
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.frames import invert
+from cabinpose.core import Camera, invert
 from cabinpose.scene.sensor import NO_EFFECTS, PhysicalNoise, Sensor, simulate
-from cabinpose.synth.config import CabinScene, SynthConfig
+from cabinpose.synth import CabinScene, SceneSampler, SynthConfig, frame_rng
 from cabinpose.synth.render import Rasteriser
-from cabinpose.synth.sample import SceneSampler
-from cabinpose.synth.streams import frame_rng
 
 SEED = 3
 OWN = Sensor(

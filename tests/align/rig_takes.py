@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, rows
 from cabinpose.core.camera import Camera
-from cabinpose.core.clock import ClockMap
 from cabinpose.core.frames import apply, invert, look_at, transform
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Message, SegmentPoses, ToFFrame
 from cabinpose.core.skeleton import INDEX, JOINTS, MVN_SEGMENTS, RIGS
+from cabinpose.signals.clock import ClockMap
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Message, SegmentPoses, ToFFrame
 from cabinpose.store.recording import Participant, RecordingWriter, Take
 
 START_NS = 1_750_000_000_000_000_000

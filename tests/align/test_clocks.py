@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import linprog
 
 from cabinpose.align.clocks import host_from_device
-from cabinpose.core.clock import ClockMap
 from cabinpose.core.errors import AlignmentError
+from cabinpose.signals.clock import ClockMap
 
 TRUE = ClockMap(1_700_000_000_123_456_789, 8e-5, 0)
 

@@ -20,10 +20,10 @@ from cabinpose.align.time import (
     tof_to_optical,
 )
 from cabinpose.core.camera import Camera
-from cabinpose.core.correlation import correlogram
 from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import apply, invert, look_at
-from cabinpose.core.register import kabsch
+from cabinpose.signals.correlation import correlogram
+from cabinpose.signals.register import kabsch
 
 OFFSET, DRIFT = 0.1234567, 50e-6
 CAMERA_S = np.arange(0, 40, 1 / 30)

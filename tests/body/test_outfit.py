@@ -35,7 +35,7 @@ def test_every_part_is_there_and_in_its_place() -> None:
     middle = surface.vertices[surface.faces].mean(axis=1)
 
     def centre(name: str) -> np.ndarray:
-        return middle[surface.label == labels.ID[name]].mean(axis=0)
+        return middle[surface.label == labels.LABEL_ID[name]].mean(axis=0)
 
     chain = ["head", "shoulder", "upper_arm", "elbow", "forearm", "wrist", "hand"]
     for upper, lower in itertools.pairwise(chain):
@@ -46,11 +46,11 @@ def test_every_part_is_there_and_in_its_place() -> None:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     for label in labels.BODY_PARTS:
         if label.name.endswith("_left"):
-            left, right = (surface.label == labels.ID[label.name.replace("left", s)] for s in ("left", "right"))
+            left, right = (surface.label == labels.LABEL_ID[label.name.replace("left", s)] for s in ("left", "right"))
             assert middle[left][:, 1].mean() > 0 > middle[right][:, 1].mean()
             assert mesh.area_faces[left].sum() == pytest.approx(mesh.area_faces[right].sum(), rel=0.02)
     for name, (low, high) in AREA_SHARE.items():
-        part = (surface.label == labels.ID[name + "_left"]) | (surface.label == labels.ID[name + "_right"])
+        part = (surface.label == labels.LABEL_ID[name + "_left"]) | (surface.label == labels.LABEL_ID[name + "_right"])
         assert low < mesh.area_faces[part].sum() / mesh.area < high
 
 
@@ -222,9 +222,9 @@ def test_surface_is_consistent() -> None:
     used = np.unique(surface.faces)
     assert np.allclose(np.linalg.norm(surface.normals[used], axis=1), 1, atol=1e-4)
     for name in ("hair", "headwear", "glasses"):
-        assert (surface.label == labels.ID[name]).any()
+        assert (surface.label == labels.LABEL_ID[name]).any()
     for name in ("skin", "hair", "synthetic_fabric", "denim", "spectacle_lens", "rubber"):
-        assert (surface.material == materials.ID[name]).any()
+        assert (surface.material == materials.MATERIAL_ID[name]).any()
     assert np.unique(surface.label).max() <= labels.LAST_BODY_ID
 
 
@@ -235,7 +235,7 @@ def test_accessories_are_closed_and_turned_outwards(hair: str) -> None:
     for part in accessories(body.rest_skin.astype(np.float64), body.rest, body.eyes_rest, outfit):
         mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
         assert mesh.is_winding_consistent
-        if part.material[0] != materials.ID["spectacle_lens"]:  # a lens is a sheet
+        if part.material[0] != materials.MATERIAL_ID["spectacle_lens"]:  # a lens is a sheet
             assert mesh.is_watertight
             assert mesh.volume > 0
 
@@ -267,10 +267,10 @@ def test_glasses_and_cap_sit_on_the_head() -> None:
     posed = body.pose(np.zeros(len(DOFS)), np.eye(4))
     surface = posed.surface(1)
     at = surface.vertices[surface.faces].mean(axis=1)
-    lens = at[surface.material == materials.ID["spectacle_lens"]].mean(axis=0)
+    lens = at[surface.material == materials.MATERIAL_ID["spectacle_lens"]].mean(axis=0)
     assert 0.005 < lens[0] - posed.eyes_m[0] < 0.04
     assert np.abs(lens[1:] - posed.eyes_m[1:]).max() < 0.01
-    assert at[surface.label == labels.ID["headwear"]][:, 2].max() > posed.skin[:, 2].max()
+    assert at[surface.label == labels.LABEL_ID["headwear"]][:, 2].max() > posed.skin[:, 2].max()
 
 
 def test_random_outfits_differ_and_are_seeded() -> None:

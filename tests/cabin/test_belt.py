@@ -10,7 +10,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import axis_rotation
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.cabin import PRESETS, Cabin, belt_surface, build_cabin
-from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.surface import Surface
 
 

@@ -18,7 +18,7 @@ from cabinpose.core.errors import ConfigError, DependencyError, MeshError
 from cabinpose.core.frames import apply
 from cabinpose.scene.cabin import Cabin, SeatSetting, build_cabin, load_cabin
 from cabinpose.scene.cabin.meshfile import read_mesh
-from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.labels import LABEL_ID as LABEL
 
 # file = FILE_FROM_VEHICLE @ vehicle: glTF's axes (x left, y up, z forward), and a common z-up one that looks along -y
 GLTF_FROM_VEHICLE = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])

@@ -11,7 +11,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, look_at
 from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, Cabin, build_cabin
 from cabinpose.scene.cabin.layout import Layout, pedal_plane_angle
-from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.labels import LABEL_ID as LABEL
 
 MONSTAR = Camera.from_fov(352, 287, np.deg2rad(100), np.deg2rad(85))
 SEEN = {

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ToFFrame
-from cabinpose.scene.materials import ID
+from cabinpose.scene.materials import MATERIAL_ID
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, Sensor, simulate
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import ToFFrame
 from cabinpose.store.recording import RecordingWriter
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import Source, blank_frame, import_source
@@ -37,7 +37,7 @@ def frames_of(distance: float, count: int) -> Iterator[dict[str, Any]]:
     ratio = sensor.camera.scaled(2).range_over_depth
     flat = GeometryBuffers.dense(
         2, np.full(ratio.shape, distance, np.float32), (1 / ratio).astype(np.float32),
-        np.full(ratio.shape, ID["painted_wall"], np.uint8),
+        np.full(ratio.shape, MATERIAL_ID["painted_wall"], np.uint8),
     )  # fmt: skip
     for i in range(count):
         rng = np.random.Generator(np.random.Philox(key=(round(1000 * distance), i)))

@@ -17,7 +17,7 @@ from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import InputView
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.estimate.training import TrainConfig
-from cabinpose.scene.labels import ID
+from cabinpose.scene.labels import LABEL_ID
 
 VIEW = InputView(64, 48, 51.2)
 RAYS = torch.tensor(VIEW.camera.rays.transpose(2, 0, 1), dtype=torch.float32)
@@ -45,7 +45,7 @@ def batch(depth: np.ndarray, joints: np.ndarray | None = None, visibility: int =
         torch.full(uvz.shape[:3], visibility, dtype=torch.uint8),
         torch.ones(uvz.shape[:2], dtype=torch.bool),
         torch.arange(depth.size, dtype=torch.float32).reshape(1, *depth.shape),
-        torch.full((1, *depth.shape), ID["torso_left"], dtype=torch.uint8),
+        torch.full((1, *depth.shape), LABEL_ID["torso_left"], dtype=torch.uint8),
         torch.zeros(1, dtype=torch.bool),
     )
 
@@ -124,7 +124,7 @@ def test_amplitude_and_labels_come_from_where_the_depth_came_from() -> None:
     source = result.amplitude[0].numpy().astype(int)  # each pixel's amplitude is its own number
     hit = result.depth[0].numpy() > 0
     np.testing.assert_allclose(b.depth[0].numpy().ravel()[source][hit], result.depth[0].numpy()[hit], atol=1e-5)
-    assert set(np.unique(result.labels.numpy())) == {0, ID["torso_left"]}
+    assert set(np.unique(result.labels.numpy())) == {0, LABEL_ID["torso_left"]}
     assert (result.labels[0].numpy() > 0).tolist() == hit.tolist()
 
 
@@ -201,9 +201,9 @@ def test_flip_twice_is_identity_and_once_swaps_sides() -> None:
     torch.testing.assert_close(once.joints[:, rear_left, left, 0], 63 - b.joints[:, rear_right, right, 0])
     torch.testing.assert_close(once.joints[:, 0, left, 1:], b.joints[:, 0, right, 1:])
     assert torch.equal(once.present[:, rear_left], b.present[:, rear_right])
-    hand = b.labels == ID["hand_left"]
+    hand = b.labels == LABEL_ID["hand_left"]
     assert hand.any()
-    assert torch.equal(once.labels.flip(-1) == ID["hand_right"], hand)
+    assert torch.equal(once.labels.flip(-1) == LABEL_ID["hand_right"], hand)
 
 
 def test_front_places_change_sides_on_a_bench_that_looks_backwards() -> None:

@@ -17,7 +17,7 @@ from sklearn.isotonic import IsotonicRegression
 
 from cabinpose.app.cli import main
 from cabinpose.core.errors import ModelError
-from cabinpose.estimate.expected_error import METADATA_KEY, check, cues, expected_errors, fit
+from cabinpose.estimate.expected_error import METADATA_KEY, check, cues, expected_errors, fit_expected_error
 from cabinpose.estimate.export import write_copy
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.predictor import describe_model, load_model
@@ -41,7 +41,7 @@ def drawn(seed: int, count: int = 4000) -> tuple[Found, NDArray[np.float64], NDA
 
 def test_the_law_is_found_again() -> None:
     said, error, _ = drawn(1)
-    table = fit(cues(said), error, ["head"])
+    table = fit_expected_error(cues(said), error, ["head"])
     weights = np.array(table["head"]["weights"])
     np.testing.assert_allclose(weights[:2] / weights[1] * 0.8, (0.3, 0.8), atol=0.04)
     assert weights[2] < 0.05 * weights[1]
@@ -57,7 +57,7 @@ def test_the_steps_are_an_isotonic_regression() -> None:
     """Of all errors by themselves, scikit-learn's is the same but for the width of a step."""
     said, error, _ = drawn(3)
     flat = found(said.score)
-    table = fit(cues(flat), error, ["head"])
+    table = fit_expected_error(cues(flat), error, ["head"])
     oracle = IsotonicRegression().fit(-said.score.ravel(), error.ravel())
     ours = expected_errors(table, ["head"], flat).ravel()
     theirs = oracle.predict(-said.score.ravel())
@@ -68,7 +68,7 @@ def test_the_steps_are_an_isotonic_regression() -> None:
 def test_scores_on_any_scale() -> None:
     said, error, _ = drawn(4, 1000)
     one, other = (found(f(said.score)) for f in (lambda s: s, lambda s: 100 * s - 700))
-    expected = [expected_errors(fit(cues(each), error, ["head"]), ["head"], each) for each in (one, other)]
+    expected = [expected_errors(fit_expected_error(cues(each), error, ["head"]), ["head"], each) for each in (one, other)]
     np.testing.assert_allclose(*expected, atol=1e-9)
 
 
@@ -76,16 +76,16 @@ def test_a_cue_that_tells_nothing_gives_the_mean() -> None:
     rng = np.random.default_rng(5)
     score = rng.random((500, 1, 1))
     error = 0.05 + 0.01 * score  # the surer, the farther off
-    expected = expected_errors(fit(cues(found(score)), error, ["head"]), ["head"], found(score))
+    expected = expected_errors(fit_expected_error(cues(found(score)), error, ["head"]), ["head"], found(score))
     np.testing.assert_allclose(expected, error.mean())
 
 
 def test_too_few_errors_say_nothing() -> None:
     said, error, _ = drawn(6, 200)
     error[99:] = np.nan
-    assert fit(cues(said), error, ["head"]) == {}
+    assert fit_expected_error(cues(said), error, ["head"]) == {}
     error[99] = 0.02
-    table = fit(cues(said), error, ["head"])
+    table = fit_expected_error(cues(said), error, ["head"])
     two = Found(*(np.repeat(a, 2, axis=2) for a in (said.uv, said.joints_3d, said.score, said.presence, said.spreads)))
     two.joints_3d[0, 0, 0] = np.nan
     expected = expected_errors(table, ["head", "neck"], two)

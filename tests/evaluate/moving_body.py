@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Message, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Message, SegmentPoses, SensorReadings
 from cabinpose.store.recording import Participant, RecordingWriter, Take
 
 # Offsets of a segment's origin from its parent's, m; x forward, y left, z up, standing in an N-pose.

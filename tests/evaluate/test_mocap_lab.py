@@ -15,12 +15,12 @@ from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import Truth, dress_up, write_motion_take
 from cabinpose.app.mocap.compare import dfe_runs, dse_runs
 from cabinpose.app.mocap.inputs import read_motion
-from cabinpose.core.resample import resample_positions, resample_rotations
-from cabinpose.core.rotations import angle, since_first
 from cabinpose.core.skeleton import MVN_SEGMENTS
 from cabinpose.evaluate.mocap.dfe import KABSCH
 from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
 from cabinpose.evaluate.mocap.sfe import find_poses, sfe_run
+from cabinpose.signals.resample import resample_positions, resample_rotations
+from cabinpose.signals.rotations import angle, since_first
 
 pytest.importorskip("mcap")
 pytestmark = pytest.mark.slow

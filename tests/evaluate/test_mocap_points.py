@@ -18,14 +18,14 @@ from cabinpose.app.cli.evaluate_mocap import EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap import compare
 from cabinpose.app.mocap.inputs import PointTracks, read_motion
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.recorded import Facts, Markers
-from cabinpose.core.rotations import angle_between, since_first
 from cabinpose.core.skeleton import MVN_SEGMENTS, RIGS
 from cabinpose.evaluate.mocap.dfe import PELVIS_STAGE
 from cabinpose.evaluate.mocap.landmarks import CLUSTERS, segment_poses
 from cabinpose.evaluate.mocap.pairs import SEGMENT_PAIRS
 from cabinpose.evaluate.mocap.sfe import sfe_run
 from cabinpose.evaluate.mocap.stillness import Window
+from cabinpose.signals.recorded import Facts, Markers
+from cabinpose.signals.rotations import angle_between, since_first
 from cabinpose.store.convert.c3d_write import write_c3d
 
 pytest.importorskip("mcap")

@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.recorded import Markers, SegmentPoses
 from cabinpose.core.skeleton import MVN_SEGMENTS
 from cabinpose.evaluate.mocap.bones import bone_lengths, mvn_bones, rigid_pairs
 from cabinpose.evaluate.mocap.sfe import ERROR, RATE, find_poses, sfe, sfe_run
 from cabinpose.evaluate.mocap.stillness import Window
+from cabinpose.signals.recorded import Markers, SegmentPoses
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.mvnx import read_mvnx
 

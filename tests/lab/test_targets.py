@@ -15,7 +15,7 @@ from cabinpose.app.lab.raycast import Plate, PrimitiveScene, cast
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.targets import as_message, board_scene, pendulum_scene, see
 from cabinpose.core.frames import apply, invert, transform
-from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import GeometryBuffers, sensor_by_name
 
 F64 = NDArray[np.float64]
@@ -33,7 +33,7 @@ def light(buffers: GeometryBuffers) -> F64:
     """(H, W) reflectance x cosine of incidence, mean over each pixel."""
     result = buffers.cos_incidence.astype(np.float64).copy()
     result.ravel()[buffers.mixed] = buffers.parts_cos_incidence.mean(axis=1)
-    return result * MATERIALS[ID["painted_wall"]].reflectance
+    return result * MATERIALS[MATERIAL_ID["painted_wall"]].reflectance
 
 
 def centroid(image: F64) -> F64:
@@ -143,7 +143,7 @@ def test_rays_meet_what_a_distance_field_says() -> None:
     there = np.abs(field(p)) < 1e-6  # a ray that grazes a body has not arrived yet
     assert there.mean() > 0.97
     assert np.abs(seen - reached)[there].max() < 1e-5
-    cosine = buffers.cos_incidence[v, u] * MATERIALS[ID["painted_wall"]].reflectance
+    cosine = buffers.cos_incidence[v, u] * MATERIALS[MATERIAL_ID["painted_wall"]].reflectance
     of_wall = np.abs(WALL[0, 3] - p @ WALL[0, :3]) < 1e-5
     of_capsule = np.min([np.abs(field(p))], axis=0) < 1e-6
     reflectance = np.where(of_wall, 0.5, np.where(_nearest_is_a_sphere(p, spheres), 1.0, 0.5))

@@ -17,11 +17,12 @@ from cabinpose.app.cli.live import _people
 from cabinpose.app.live.choose import open_feed, parsed_settings
 from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
 from cabinpose.app.live.run import Found, Latency, Live
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
-from cabinpose.core.ports import Counts, FrameBatch, PoseBatch, Sample
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.record.config import Rig, SourcePlan, parse_rig
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Counts, Sample
+from cabinpose.signals.recorded import ToFFrame
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import empty_batch, read_predictions
 from cabinpose.store.recording import Recording, tof_frames

@@ -99,7 +99,9 @@ def test_a_hand_in_the_lap_lies_on_the_trousers(name: str) -> None:
     found = solve_posture(person, seat, seat.default, sedan, hands="lap")
     pose = person.pose(found.q, found.vehicle_from_root)
     surface = pose.surface(1)
-    worn = np.isin(surface.label, [labels.ID[part + side] for part in ("thigh", "knee", "hip") for side in ("_left", "_right")])
+    worn = np.isin(
+        surface.label, [labels.LABEL_ID[part + side] for part in ("thigh", "knee", "hip") for side in ("_left", "_right")]
+    )
     cloth = np.unique(surface.faces[worn])
     for side in ("lhand", "rhand"):
         skin = pose.skin[person.skin_segment == SEGMENTS.index(side)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cabinpose.core.clock import HostClock
+from cabinpose.signals.clock import HostClock
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -17,7 +17,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """`cabinpose record` with a clock that passes only while all its threads wait."""
     from virtual_clock import VirtualClock
 
-    monkeypatch.setattr("cabinpose.core.clock.HostClock", VirtualClock)  # which the command imports when it runs
+    monkeypatch.setattr("cabinpose.signals.clock.HostClock", VirtualClock)  # which the command imports when it runs
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.ports import Sample
 from cabinpose.record.config import parse_rig
 from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
 
 
 def main() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import (
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import (
     Channels,
     Facts,
     JointAngles,

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import FrameSource
 from cabinpose.record import config
 from cabinpose.record.config import KINDS, load_rig, load_take, parse_rig
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import FrameSource
 
 NUMBERED = {"kind": "numbered"}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cabinpose.core.ports import Counts
 from cabinpose.record.sources.counting import DeviceClock, FrameNumbers, FramePeriod
+from cabinpose.signals.ports import Counts
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=300), st.integers(0, 2**16 - 1))

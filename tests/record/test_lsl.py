@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import DependencyError, RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Channels, Facts
 from cabinpose.record.sources.lsl import LslSettings, LslSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Channels, Facts
 
 PATIENCE_S = 120.0  # of a busy machine
 

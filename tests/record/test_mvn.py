@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import FrameSource, Sample
-from cabinpose.core.recorded import SegmentPoses
 from cabinpose.record.emulate.mvn import MvnEmulator, Sent
 from cabinpose.record.emulate.mvn_motion import generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings, Streamer
 from cabinpose.record.sources import mvn_protocol as mvn
 from cabinpose.record.sources.mvn import MvnSettings, MvnSource
+from cabinpose.signals.ports import FrameSource, Sample
+from cabinpose.signals.recorded import SegmentPoses
 from cabinpose.store.convert.mvnx import read_mvnx
 
 MOTION = generated("seated")

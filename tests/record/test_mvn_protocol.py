@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.recorded import Channels, Facts, JointAngles, Markers, SegmentKinematics, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_SEGMENTS, RIGS
 from cabinpose.record.emulate.mvn_motion import generated, offset_m
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings, Streamer
@@ -27,6 +26,7 @@ from cabinpose.record.sources.mvn_messages import (
     rotated_frame_wxyz,
 )
 from cabinpose.record.sources.mvn_protocol import Header, MalformedError
+from cabinpose.signals.recorded import Channels, Facts, JointAngles, Markers, SegmentKinematics, SegmentPoses, SensorReadings
 
 ALL = (1, 2, 3, 5, 20, 21, 22, 23, 24, 25)
 

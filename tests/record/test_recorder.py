@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from virtual_clock import VirtualClock
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, Sample
-from cabinpose.core.recorded import Channels
 from cabinpose.record.config import parse_rig
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Outcome, Recorder
 from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSettings, NumberedSource
 from cabinpose.record.split import SplitWriter
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Counts, Sample
+from cabinpose.signals.recorded import Channels
 from cabinpose.store.recording import Recording, RecordingWriter, SourceStatus
 from cabinpose.store.recording.scan import Chunk, Scanner
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from recorded_things import bits, take_samples
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Sample
 from cabinpose.record.config import parse_rig
 from cabinpose.record.session import begin
 from cabinpose.record.sources.replay import ReplaySettings, ReplaySource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
 from cabinpose.store.recording import Recording, RecordingWriter
 
 SAMPLES = take_samples(60, rng=np.random.default_rng(2))

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import yaml
 
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Channels, Facts
 from cabinpose.record.config import parse_rig
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Channels, Facts
 from cabinpose.store.recording import RecordingWriter, SourceStatus, survey
 from cabinpose.store.recording.messages import decode_status
 

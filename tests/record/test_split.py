@@ -16,15 +16,15 @@ from recorded_things import bits, take_samples
 from test_crash import killed
 
 import cabinpose
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, Sample
 from cabinpose.record.config import parse_rig
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
 from cabinpose.record.session import begin
 from cabinpose.record.sources.replay import ReplaySettings, ReplaySource
 from cabinpose.record.split import Limit, SplitWriter
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Counts, Sample
 from cabinpose.store.recording import (
     Participant,
     Recording,

@@ -18,14 +18,14 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, RecordingError, SourceEndedError
 from cabinpose.record.config import parse_rig
 from cabinpose.record.emulate.mvn import MvnEmulator
-from cabinpose.record.emulate.mvn_motion import Motion
+from cabinpose.record.emulate.mvn_motion import SuitMotion
 from cabinpose.record.emulate.mvn_streamer import _MOUNT_WXYZ, MvnEmulatorSettings
 from cabinpose.record.emulate.stepper import StepperEmulator, StepperEmulatorSettings
 from cabinpose.record.sources.stepper import StepperSettings, StepperSource
+from cabinpose.signals.clock import HostClock
 from cabinpose.store.recording import Recording, survey
 
 QUICK: dict[str, Any] = {"steps": 3, "dwell_s": 0.2, "settle_s": 0.05, "speed_deg_s": 360.0, "answer_s": 1.0}
@@ -170,7 +170,7 @@ def test_sse_finds_what_the_shaft_and_the_sensor_did(tmp_path: Path, run: Callab
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    still = Motion(60.0, np.zeros((3, 23, 3)), np.tile((1.0, 0, 0, 0), (3, 23, 1)))
+    still = SuitMotion(60.0, np.zeros((3, 23, 3)), np.tile((1.0, 0, 0, 0), (3, 23, 1)))
     mount = Rotation.from_quat(_MOUNT_WXYZ, scalar_first=True)
     over, truth = threading.Event(), []
     with StepperEmulator(StepperEmulatorSettings(backlash_deg=1.0, miss_every=3, miss_deg=0.5)) as emulator:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
 from cabinpose.record.sources.tof.simulated import SimulatedSettings, SimulatedSource
+from cabinpose.signals.clock import HostClock
 from cabinpose.store import open_dataset
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "three_source_take.py"

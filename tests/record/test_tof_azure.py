@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ToFFrame
 from cabinpose.record.sources.tof.azure_mkv import AzureMkvSettings, AzureMkvSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import ToFFrame
 
 
 @pytest.mark.real_data

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, ToFFrame
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.record.sources.tof.bta import BtaSettings, BtaSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Facts, ToFFrame
 
 CAMERA = Camera(40, 30, 38.0, 39.0, 20.5, 14.0, (-0.15, 0.03, 0.0, 0.0, 0.0))
 U8, U16, I16, F32 = 0x11, 0x12, 0x22, 0x34

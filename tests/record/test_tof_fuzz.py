@@ -18,9 +18,9 @@ from test_tof_bta import library  # noqa: F401 - fixtures
 from test_tof_genicam import rig  # noqa: F401
 from test_tof_royale import roypy  # noqa: F401
 
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ToFFrame
 from cabinpose.record.sources.tof import bta_library as bta
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import ToFFrame
 from cabinpose.store.recording import RecordingWriter
 
 Rng = np.random.Generator

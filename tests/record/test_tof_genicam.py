@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import DependencyError, RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, ToFFrame
 from cabinpose.record.sources.tof.genicam import GenicamSettings, GenicamSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Facts, ToFFrame
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.0, 12.5)
 

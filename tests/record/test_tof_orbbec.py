@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, ToFFrame
 from cabinpose.record.config import parse_rig
 from cabinpose.record.sources.tof.orbbec import OrbbecSettings, OrbbecSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Facts, ToFFrame
 
 SHAPE = (48, 64)
 PERIOD_US = 33_333
@@ -588,7 +588,7 @@ def test_the_sdk_without_a_camera_says_so_and_keeps_quiet(tmp_path: Any) -> None
     """Its import writes on stdout, its context makes a folder for logs."""
     pytest.importorskip("pyorbbecsdk")
     script = (
-        "from cabinpose.core.clock import HostClock\n"
+        "from cabinpose.signals.clock import HostClock\n"
         "from cabinpose.record.sources.tof.orbbec import OrbbecSettings, OrbbecSource\n"
         "print(*OrbbecSource('tof', OrbbecSettings(serial='none of these'), HostClock()).check())"
     )

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, ToFFrame
 from cabinpose.record.emulate.tof import TofFaults
 from cabinpose.record.sources.tof.simulated import SimulatedSettings, SimulatedSource
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Facts, ToFFrame
 from cabinpose.store import open_dataset
 
 

@@ -10,10 +10,10 @@ import pytest
 import yaml
 
 from cabinpose.app.live_camera import SynthCameraSettings, SynthCameraSource
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import CabinposeError
-from cabinpose.core.recorded import ToFFrame
 from cabinpose.record.emulate.tof import TofFaults
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.recorded import ToFFrame
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.write import FrameMaker
 

@@ -17,23 +17,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.clock import HostClock
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Counts, FrameSource, Sample
-from cabinpose.core.recorded import Channels, Facts, Markers, SegmentPoses
 from cabinpose.core.skeleton import RIGS
 from cabinpose.record.emulate.vicon import ViconEmulator
 from cabinpose.record.emulate.vicon_content import Outage, ViconEmulatorSettings
-from cabinpose.record.emulate.vicon_motion import Motion, generated_motion, motion_of_c3d
+from cabinpose.record.emulate.vicon_motion import MarkerMotion, generated_motion, motion_of_c3d
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon import ViconSettings, ViconSource
 from cabinpose.record.sources.vicon_messages import FrameAccount, PacketDecoder, quaternion_wxyz
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter, SegmentInfo, SubjectInfo, Type
+from cabinpose.signals.clock import HostClock
+from cabinpose.signals.ports import Counts, FrameSource, Sample
+from cabinpose.signals.recorded import Channels, Facts, Markers, SegmentPoses
 
 PATIENCE_S = 20.0
 
 
-def motion(subjects: tuple[str, ...] = ("S01", "S02"), rate_hz: float = 200.0) -> Motion:
+def motion(subjects: tuple[str, ...] = ("S01", "S02"), rate_hz: float = 200.0) -> MarkerMotion:
     return generated_motion(rng=np.random.default_rng(1), rate_hz=rate_hz, seconds=0.4, subjects=subjects)
 
 
@@ -288,7 +288,7 @@ def test_check_says_what_is_missing() -> None:
         assert source.counts == Counts()
     (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1])).check()
     assert "refused" in problem
-    empty = Motion(100.0, (), np.zeros((10, 0, 3)))
+    empty = MarkerMotion(100.0, (), np.zeros((10, 0, 3)))
     with ViconEmulator(empty) as emulator:
         (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1])).check()
     assert "no subject" in problem

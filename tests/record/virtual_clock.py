@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from cabinpose.core.clock import HostClock
+from cabinpose.signals.clock import HostClock
 
 _LOOK_S = 0.001  # real time between looks at what others do without this clock: events that they set, bytes that they send
 _NEW_S = 0.1  # real time in which a new thread may come to ask this clock for the first time

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import Matrix, apply, invert, look_at
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.labels import LABEL_ID as LABEL
+from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
 
 BARREL = (-0.18, 0.03, 0.001, -0.0015, -0.002)  # a wide lens; its corners see nothing

@@ -18,7 +18,7 @@ from render_scenes import BARREL, ball, cabin_view, people_in_cars, person, room
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DependencyError
 from cabinpose.core.frames import invert, look_at
-from cabinpose.scene.labels import ID as LABEL
+from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.scene.surface import Surface, merge

@@ -12,8 +12,8 @@ from render_scenes import BARREL, Embree, ball, cabin_view, people_in_cars, pers
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, invert, look_at
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.labels import LABEL_ID as LABEL
+from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.sensor import SENSORS, PhysicalNoise, StructuredLightNoise, simulate
 from cabinpose.scene.sensor.buffers import in_parts
 from cabinpose.scene.surface import Surface, merge

@@ -15,8 +15,8 @@ from cabinpose.core.frames import Matrix, apply, invert, look_at
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import INDEX, JOINTS, REACH_M
 from cabinpose.scene.labels import BODY_PARTS
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.labels import LABEL_ID as LABEL
+from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.synth.render import OWN_PARTS, Rasteriser
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cabinpose.core.camera import Camera
-from cabinpose.scene.materials import ID
+from cabinpose.scene.materials import MATERIAL_ID
 from cabinpose.scene.sensor import SENSORS, GeometryBuffers, Sensor
 
 WHITE = "painted_wall"
@@ -52,7 +52,7 @@ def wall(sensor: Sensor, depth: float, supersample: int = 2, material: str = WHI
         supersample,
         np.full(factor.shape, depth, np.float32),
         (1 / factor).astype(np.float32),
-        np.full(factor.shape, ID[material], np.uint8),
+        np.full(factor.shape, MATERIAL_ID[material], np.uint8),
     )
 
 
@@ -64,7 +64,7 @@ def sphere_of_range(sensor: Sensor, ranges: np.ndarray, supersample: int = 1) ->
         supersample,
         (wide / factor).astype(np.float32),
         np.ones(factor.shape, np.float32),
-        np.full(factor.shape, ID[WHITE], np.uint8),
+        np.full(factor.shape, MATERIAL_ID[WHITE], np.uint8),
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 from sensor_scenes import WHITE, generator, small_sensor, sphere_of_range, step_edge, use_case, wall
 
 from cabinpose.core.errors import ConfigError
-from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import (
     NO_EFFECTS,
     SENSORS,
@@ -33,7 +33,9 @@ def facing(sensor: Sensor, range_m: float) -> GeometryBuffers:
     """Surfaces at one range everywhere that return the same light at any distance: the cosine makes up for 1 / r^2."""
     factor = sensor.camera.range_over_depth
     cosine = np.full(factor.shape, (range_m / 3.0) ** 2, np.float32)
-    return GeometryBuffers.dense(1, (range_m / factor).astype(np.float32), cosine, np.full(factor.shape, ID[WHITE], np.uint8))
+    return GeometryBuffers.dense(
+        1, (range_m / factor).astype(np.float32), cosine, np.full(factor.shape, MATERIAL_ID[WHITE], np.uint8)
+    )
 
 
 def test_samples_are_exposed_one_after_the_other() -> None:
@@ -134,7 +136,7 @@ def test_full_pixels_come_from_the_shorter_integration(z: float, ambient: float,
     buffers = sphere_of_range(one, np.full((one.camera.height, one.camera.width), z))
     frames = [simulate(buffers, two, noise, rng=generator(1, i)) for i in range(3)]
     alone = simulate(buffers, one, noise, rng=generator(1, 0))
-    rho = MATERIALS[ID[WHITE]].reflectance
+    rho = MATERIALS[MATERIAL_ID[WHITE]].reflectance
     signal, background = (4.1e6 * (short_s if full else long_s) * rho * share for share in (1 / z**2, ambient))
     sigma = C * np.sqrt(signal + background + 12.0**2) / (np.sqrt(2) * signal * 0.75) / (4 * np.pi * 50e6)
     ranges = np.stack([frame.depth_m for frame in frames]) * one.camera.range_over_depth

@@ -8,7 +8,7 @@ from scipy import stats
 from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_range, step_edge, wall
 
 from cabinpose.core.camera import Camera
-from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import NO_EFFECTS, GeometryBuffers, PhysicalNoise, simulate
 from cabinpose.scene.sensor.shade import light_shadow, sunlit
 
@@ -202,7 +202,7 @@ def test_sunlight_is_shot_noise_and_then_saturates() -> None:
     """In the beam sigma follows the closed form with ambient light of sun x cosine; with more of it the wells are full."""
     sensor = small_sensor(read_noise_e=0.0)
     flat = wall(sensor, 1.0)
-    rho = MATERIALS[ID[WHITE]].reflectance
+    rho = MATERIALS[MATERIAL_ID[WHITE]].reflectance
     ratio = sensor.camera.range_over_depth
     signal = sensor.signal_e * rho / ratio / ratio**2
     sun = 20.0
@@ -228,7 +228,7 @@ def test_the_sun_leaves_all_else_alone() -> None:
     sensor = small_sensor()
     edge = step_edge(sensor, 0.8, 1.4, 80)
     depth, cosine, material = samples(edge)
-    material[:40] = ID["glass"]
+    material[:40] = MATERIAL_ID["glass"]
     scene = GeometryBuffers.dense(2, depth, cosine, material)
     noise = PhysicalNoise(sun=500.0, sun_width_m=0.1, range_window=False, low_amplitude=False)
     inside = np.ones(scene.shape, bool)

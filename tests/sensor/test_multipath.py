@@ -12,7 +12,7 @@ from scipy.integrate import dblquad
 from scipy.ndimage import gaussian_filter
 from sensor_scenes import WHITE, generator, small_sensor, sphere_of_range, step_edge, wall
 
-from cabinpose.scene.materials import ID
+from cabinpose.scene.materials import MATERIAL_ID
 from cabinpose.scene.sensor import NO_EFFECTS, GeometryBuffers, PhysicalNoise, indirect, simulate
 from cabinpose.scene.sensor.indirect import indirect_light
 from cabinpose.scene.sensor.optics import material_table
@@ -27,8 +27,8 @@ ALBEDO = 0.5
 def table(*black: str) -> np.ndarray:
     """Walls of one reflectance, and materials that return nothing."""
     result = material_table(True, True, 0.0, 0.0).copy()
-    result[ID[WHITE], 0] = ALBEDO
-    result[[ID[name] for name in black], 0] = 0.0
+    result[MATERIAL_ID[WHITE], 0] = ALBEDO
+    result[[MATERIAL_ID[name] for name in black], 0] = 0.0
     return result
 
 
@@ -42,7 +42,10 @@ def corner_view(sensor: object, distance: float = 1.0) -> GeometryBuffers:
     z = distance / (1 + np.abs(x))
     factor = sensor.camera.range_over_depth  # type: ignore[attr-defined]
     return GeometryBuffers.dense(
-        1, z.astype(np.float32), ((1 + np.abs(x)) / np.sqrt(2) / factor).astype(np.float32), np.full(z.shape, ID[WHITE], np.uint8)
+        1,
+        z.astype(np.float32),
+        ((1 + np.abs(x)) / np.sqrt(2) / factor).astype(np.float32),
+        np.full(z.shape, MATERIAL_ID[WHITE], np.uint8),
     )
 
 
@@ -100,7 +103,7 @@ def test_what_is_between_two_walls_keeps_their_light_apart() -> None:
     x = np.abs(sensor.camera.rays[..., 0])
     depth = np.minimum(0.5 / np.maximum(x, 1e-9), 3.0)
     cosine = np.where(depth < 3.0, x, 1.0) / sensor.camera.range_over_depth
-    material = np.where(depth < 3.0, ID[WHITE], ID["rubber"]).astype(np.uint8)
+    material = np.where(depth < 3.0, MATERIAL_ID[WHITE], MATERIAL_ID["rubber"]).astype(np.uint8)
     received = []
     for z in (depth, np.where(x < 0.06, 2.6, depth)):
         view = GeometryBuffers.dense(1, z.astype(np.float32), cosine.astype(np.float32), material)

@@ -17,7 +17,7 @@ from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_ran
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
-from cabinpose.scene.materials import ID, MATERIALS
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import NO_EFFECTS, SENSORS, GeometryBuffers, PhysicalNoise, Sensor, simulate
 
 C = 299_792_458.0
@@ -53,7 +53,7 @@ def test_sigma_has_its_closed_form(distance: float, frequencies: tuple[float, ..
     sensor = small_sensor(frequencies_hz=frequencies, read_noise_e=12.0)
     noise = only(shot_noise=True, read_noise=True, reflectance=True, ambient=0.1, wrapping=True)
     measured = ranges_of(sensor, flat_range(sensor, distance), noise, frames=4)
-    rho = MATERIALS[ID[WHITE]].reflectance
+    rho = MATERIALS[MATERIAL_ID[WHITE]].reflectance
     signal = 4.1e6 * 7e-4 * rho / distance**2
     ambient = 4.1e6 * 7e-4 * rho * 0.1
     sigma_phase = np.sqrt(signal + ambient + 12.0**2) / (np.sqrt(2) * signal * 0.75)
@@ -157,10 +157,10 @@ def test_inconsistent_phases_are_invalid() -> None:
     near, far, column = 0.65, 1.65, 40
     split = step_edge(sensor, near, far, 2 * column + 1)
     depth, cosine, material = samples(split)
-    material[:, : 2 * column + 1] = ID["soft_trim"]
+    material[:, : 2 * column + 1] = MATERIAL_ID["soft_trim"]
     split = GeometryBuffers.dense(2, depth, cosine, material)
     mixed = {"flying_pixels": True, "wrapping": True, "reflectance": True}
-    rho = [MATERIALS[ID[name]].reflectance for name in ("soft_trim", WHITE)]
+    rho = [MATERIALS[MATERIAL_ID[name]].reflectance for name in ("soft_trim", WHITE)]
     row = sensor.camera.height // 2
     sub = sensor.camera.scaled(2).range_over_depth[2 * row : 2 * row + 2, 2 * column : 2 * column + 2]
     ranges = sub * [near, far]
@@ -204,7 +204,7 @@ def test_the_centre_of_a_smooth_pixel_stands_for_its_parts(slope: float) -> None
     rays = np.concatenate((fine.rays, np.ones((*x.shape, 1))), axis=-1)
     tilt = np.array([-normal[0], 0.0, 1.0])
     cosine = (rays @ tilt) / np.linalg.norm(tilt) / np.linalg.norm(rays, axis=-1)
-    material = np.full(x.shape, ID[WHITE], np.uint8)
+    material = np.full(x.shape, MATERIAL_ID[WHITE], np.uint8)
     dense = GeometryBuffers.dense(2, depth.astype(np.float32), np.abs(cosine).astype(np.float32), material)
     ray = sensor.camera.rays
     z = 1.0 / (1.0 - normal[0] * ray[..., 0])
@@ -311,7 +311,7 @@ def test_amplitude_falls_with_range_incidence_reflectance_and_lens() -> None:
     lit = only(reflectance=True, incidence=True, vignetting=True)
     frame = simulate(wall(sensor, 1.0, 1), sensor, lit, rng=generator(1, 1))
     ray = sensor.camera.range_over_depth
-    rho = MATERIALS[ID[WHITE]].reflectance
+    rho = MATERIALS[MATERIAL_ID[WHITE]].reflectance
     # 1 / r^2 and the cosine of incidence give cos^3, the lens cos^4, the light cos^-2.
     expected = sensor.signal_e * sensor.contrast * rho * ray ** -(3.0 + 4.0 - 2.0)
     np.testing.assert_allclose(frame.amplitude, expected, atol=0.51, rtol=1e-3)
@@ -363,7 +363,9 @@ def test_pixels_outside_the_lens_model_send_no_stray_light() -> None:
     rays = np.isfinite(barrel.range_over_depth)
     assert 0.3 < rays.mean() < 0.7
     shape = (120, 160)
-    flat = GeometryBuffers.dense(2, np.ones(shape, np.float32), np.ones(shape, np.float32), np.full(shape, ID[WHITE], np.uint8))
+    flat = GeometryBuffers.dense(
+        2, np.ones(shape, np.float32), np.ones(shape, np.float32), np.full(shape, MATERIAL_ID[WHITE], np.uint8)
+    )
     frame = simulate(flat, sensor, PhysicalNoise(), rng=generator(1, 1))
     assert not np.isfinite(frame.depth_m[~rays]).any()
     assert (frame.amplitude[~rays] == 0).all()
@@ -397,8 +399,8 @@ def busy_scene(sensor: Sensor) -> GeometryBuffers:
     depth[: height // 4, width // 2 :] = 4.0
     depth[height // 2 :, width // 2 + 1 :] = 0.7
     depth[:, -width // 8 :] = 8.0
-    material[: height // 3, width // 3 : width // 2] = ID["glass"]
-    material[height // 3 : height // 2, width // 3 : width // 2] = ID["rubber"]
+    material[: height // 3, width // 3 : width // 2] = MATERIAL_ID["glass"]
+    material[height // 3 : height // 2, width // 3 : width // 2] = MATERIAL_ID["rubber"]
     return GeometryBuffers.dense(2, depth, np.float32(0.8) * cosine, material)
 
 

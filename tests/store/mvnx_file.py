@@ -10,7 +10,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from cabinpose.core.recorded import (
+from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.signals.recorded import (
     F64,
     Channels,
     Facts,
@@ -20,7 +21,6 @@ from cabinpose.core.recorded import (
     SegmentPoses,
     SensorReadings,
 )
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, turned
 from cabinpose.store.convert.rows import Row
 

@@ -9,7 +9,7 @@ import pytest
 from adtfdat_file import IndexedFileWriter, write_imu
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Channels, Facts
+from cabinpose.signals.recorded import Channels, Facts
 from cabinpose.store.convert.adtfdat import read_adtfdat
 
 pytest.importorskip("adtf_file")

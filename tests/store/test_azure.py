@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Facts, SensorReadings, ToFFrame
+from cabinpose.signals.recorded import Facts, SensorReadings, ToFFrame
 from cabinpose.store.convert.azure_mkv import DEPTH_MODES, AzureFile, rational_lens, read_azure_mkv
 
 av = pytest.importorskip("av")

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError, RecordingError
-from cabinpose.core.recorded import Facts, SegmentPoses
+from cabinpose.signals.recorded import Facts, SegmentPoses
 from cabinpose.store.convert.bvh import CMU_UNIT_M, read_bvh, read_bvh_rows
 from cabinpose.store.convert.bvh_write import write_bvh
 from cabinpose.store.convert.clip import read_clip

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import MocapError, RecordingError
-from cabinpose.core.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses
+from cabinpose.signals.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.c3d_write import write_c3d
 

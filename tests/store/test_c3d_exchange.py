@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import MocapError
-from cabinpose.core.recorded import Channels, Facts, Markers
+from cabinpose.signals.recorded import Channels, Facts, Markers
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.c3d_write import write_c3d
 from cabinpose.store.convert.recordings import RecordingOptions, Selection, export_recording, import_recording

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabinpose.core.recorded import Facts, Markers
+from cabinpose.signals.recorded import Facts, Markers
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.c3d_up import WORLD_FROM_UP
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import (
+from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import (
     Channels,
     Facts,
     JointAngles,

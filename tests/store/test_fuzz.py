@@ -14,8 +14,8 @@ from mvnx_file import write_mvnx
 from xdf_file import XdfStream, write_xdf
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, SensorReadings
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.signals.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, SensorReadings
 from cabinpose.store.convert import RECORDING_IMPORTS
 from cabinpose.store.convert.bvh_write import write_bvh
 from cabinpose.store.convert.c3d_write import write_c3d

@@ -14,7 +14,7 @@ from PIL import Image
 from ticam_folder import PEOPLE, save, ticam_folder
 
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.scene.labels import ID, LABELS, RGB, ticam_class
+from cabinpose.scene.labels import LABEL_ID, LABELS, RGB, ticam_class
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.convert import open_source, ticam
 from cabinpose.store.convert.reading import ImportOptions
@@ -71,7 +71,7 @@ def test_classes_are_those_of_generated_datasets() -> None:
         if row.name in ("person", "accessory"):
             assert row.id not in {label.id for label in LABELS}
         else:
-            assert (row.id, row.rgb) == (ID[row.name], RGB[row.id])
+            assert (row.id, row.rgb) == (LABEL_ID[row.name], RGB[row.id])
             assert row.ticam == ticam_class(next(label for label in LABELS if label.id == row.id))
             assert ticam.CLASSES[row.ticam][1] == row.name
     assert len({row.rgb for row in ticam.LABELS} | {label.rgb for label in LABELS}) == len(LABELS) + 2

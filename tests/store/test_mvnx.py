@@ -14,7 +14,8 @@ from mvnx_file import write_mvnx
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import (
+from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS, RIGS
+from cabinpose.signals.recorded import (
     Channels,
     Facts,
     JointAngles,
@@ -23,7 +24,6 @@ from cabinpose.core.recorded import (
     SegmentPoses,
     SensorReadings,
 )
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS, RIGS
 from cabinpose.store.convert.mvnx import read_mvnx
 from cabinpose.store.convert.rows import Row
 

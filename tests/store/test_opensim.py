@@ -11,7 +11,7 @@ from opensim_text import ZUP_FROM_YUP, read_sto, read_trc
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import MocapError, RecordingError
-from cabinpose.core.recorded import Facts, JointAngles, Markers, SegmentPoses
+from cabinpose.signals.recorded import Facts, JointAngles, Markers, SegmentPoses
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.opensim import write_sto, write_trc
 

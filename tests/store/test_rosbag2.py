@@ -13,7 +13,7 @@ from rosbag_file import BEGAN, STORE, H, K, Message, P, W, bag, depth_mm, header
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Facts, ToFFrame
+from cabinpose.signals.recorded import Facts, ToFFrame
 from cabinpose.store.convert.rosbag2 import read_rosbag2
 
 

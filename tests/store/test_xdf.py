@@ -9,7 +9,7 @@ import pytest
 from xdf_file import XdfStream, write_xdf
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Channels, Facts
+from cabinpose.signals.recorded import Channels, Facts
 from cabinpose.store.convert.rows import Entry
 from cabinpose.store.convert.xdf import read_xdf
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from synth_scenes import fingerprint, small_config
 
 from cabinpose.core.errors import ConfigError, ModelError
-from cabinpose.scene.labels import ID
+from cabinpose.scene.labels import LABEL_ID
 from cabinpose.store import open_dataset, points_m
 from cabinpose.synth.generate import GenerationReport, generate
 from cabinpose.synth.style.encoder import STYLE, VGG_WIDTHS, Encoder, StyleLoss, gram, own_encoder, shown, vgg19
@@ -139,7 +139,7 @@ def test_the_packages_encoder_tells_noise_from_noise() -> None:
 
 
 def test_a_frame_that_moves_is_seen_to_move() -> None:
-    labels = np.full((60, 80), ID["seat"], np.uint8)
+    labels = np.full((60, 80), LABEL_ID["seat"], np.uint8)
     labels[:, 30:50] = 14  # a torso, from top to bottom
     body = labels == 14
     depth, instance = np.where(body, 0.7, 1.2).astype(np.float32), body.astype(np.uint8)
@@ -290,7 +290,7 @@ def test_a_style_frame_without_masks_is_an_error(tmp_path: Path, arrays: dict[st
 def test_edges_are_a_region_of_their_own() -> None:
     depth = np.full((40, 40), 1.5, np.float32)
     depth[:, :20] = 0.8
-    guides = guides_of(np.full((40, 40), ID["seat"], np.uint8), depth)
+    guides = guides_of(np.full((40, 40), LABEL_ID["seat"], np.uint8), depth)
     np.testing.assert_array_equal(np.flatnonzero(guides[3, 20]), range(17, 23))
     np.testing.assert_array_equal(guides.sum(axis=0), 1.0)
     assert not guides[1:3].any()

@@ -13,7 +13,7 @@ from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, BodyModel, Phenotype
 from cabinpose.scene.body.phenotype import age_of, usual_stature_m
-from cabinpose.scene.labels import ID
+from cabinpose.scene.labels import LABEL_ID
 from cabinpose.scene.things.thing import sitting_in
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
@@ -94,7 +94,7 @@ def test_a_harness_lies_on_a_toddler() -> None:
     scene, child = drawn("toddler", "rear_left")
     assert child.belt == "harness"
     assert scene.things[0].thing.kind == "toddler_in_use"
-    assert set(child.surfaces[1].label) == {ID["child_seat"]}
+    assert set(child.surfaces[1].label) == {LABEL_ID["child_seat"]}
     distance = np.linalg.norm(child.surfaces[1].vertices[:, None, :] - child.surfaces[0].vertices[None, ::7], axis=2).min(axis=1)
     assert (distance < 0.03).mean() > 0.6
 

@@ -10,7 +10,7 @@ import yaml
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.labels import ID, THINGS
+from cabinpose.scene.labels import LABEL_ID, THINGS
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
@@ -41,10 +41,10 @@ def test_frames_say_what_is_in_them(tmp_path: Path) -> None:
     assert set(things[:, right]) <= {"toddler", "booster"}
     labels, instance = dataset.labels.values, dataset.instance.values
     for name in ("infant_seat", "child_seat", "bottle"):
-        seen = labels == ID[name]
+        seen = labels == LABEL_ID[name]
         assert seen.any(axis=(1, 2)).all()
         assert (instance[seen] == 0).all()
-    assert dict(zip(dataset.labels.flag_values, dataset.labels.flag_ticam, strict=True))[ID["infant_seat"]] == 15
+    assert dict(zip(dataset.labels.flag_values, dataset.labels.flag_ticam, strict=True))[LABEL_ID["infant_seat"]] == 15
 
 
 def test_datasets_without_things_do_not_know_of_them() -> None:

@@ -39,11 +39,11 @@ def test_every_design_is_closed_and_of_its_size(kind: str) -> None:
             assert mesh.is_watertight
             assert mesh.is_winding_consistent
             assert mesh.volume > 0.0
-            assert piece.material in materials.ID
+            assert piece.material in materials.MATERIAL_ID
         extent = np.ptp(thing.surface.vertices, axis=0)
         assert (extent < LARGEST[kind]).all()
         assert (extent > 0.33 * np.array(LARGEST[kind])).all()
-        assert set(thing.surface.label) == {labels.ID[thing.label]}
+        assert set(thing.surface.label) == {labels.LABEL_ID[thing.label]}
         volumes.add(round(sum(piece.solid.volume() for piece in thing.pieces), 9))
     assert len(volumes) == VARIANTS  # designs differ
 

@@ -12,9 +12,7 @@ from cabinpose.align.calibration import Names
 from cabinpose.align.corners import corners_or_reason
 from cabinpose.align.extrinsics import board_pose
 from cabinpose.align.streams import frame_times, on_host
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix
+from cabinpose.core import AlignmentError, Camera, Matrix
 from cabinpose.store.recording import MarkerSeries, Recording, marker_series, tof_frames
 
 F64 = NDArray[np.float64]

@@ -16,9 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cabinpose.align.board import Board
 from cabinpose.align.extrinsics import ExtrinsicsResult, skew, world_from_boards
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, apply, rotation_vector
+from cabinpose.core import AlignmentError, Camera, Matrix, apply, rotation_vector
 
 F64 = NDArray[np.float64]
 

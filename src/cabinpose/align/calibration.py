@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cabinpose.align.suit import HANDS_M, Triple
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, is_rigid
-from cabinpose.store.yaml_file import read_mapping, validated
+from cabinpose.core import AlignmentError, Camera, Matrix, is_rigid
+from cabinpose.store import read_mapping, validated
 
 Row = tuple[float, float, float, float]
 Rows = tuple[Row, Row, Row, Row]

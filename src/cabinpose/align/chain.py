@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, invert
+from cabinpose.core import AlignmentError, Matrix, invert
 
 F64 = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.clock import ClockMap
-from cabinpose.core.errors import AlignmentError
+from cabinpose.core import AlignmentError
+from cabinpose.signals import ClockMap
 
 _GREATEST_DRIFT = 1e-3  # a quartz clock has 1e-4 at worst; beyond it, stamps are no clock's
 _FEWEST = 10

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 
 from cabinpose._native import align
 from cabinpose.align.board import Board
-from cabinpose.core.errors import AlignmentError
+from cabinpose.core import AlignmentError
 
 F64 = NDArray[np.float64]
 

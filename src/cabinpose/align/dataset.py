@@ -15,15 +15,11 @@ from cabinpose import __version__
 from cabinpose.align.calibration import Calibration
 from cabinpose.align.project import Aligned, align_take
 from cabinpose.align.visibility import visibility
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import invert
-from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
-from cabinpose.core.recorded import FRAME_IMAGES, ToFFrame
-from cabinpose.core.skeleton import JOINTS
-from cabinpose.store.convert.reading import put_camera, put_person
+from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, invert
+from cabinpose.signals import FRAME_IMAGES, ToFFrame
+from cabinpose.store import DEPTH_SCALE_M, UNKNOWN, Manifest, Source, blank_frame
+from cabinpose.store.convert import put_camera, put_person
 from cabinpose.store.recording import Recording, Take, tof_frames
-from cabinpose.store.schema import DEPTH_SCALE_M, Manifest
-from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 POV = "tof"
 _ALL = np.arange(len(JOINTS))

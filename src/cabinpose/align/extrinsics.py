@@ -18,10 +18,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, apply, transform
-from cabinpose.core.register import kabsch
+from cabinpose.core import AlignmentError, Camera, Matrix, apply, transform
+from cabinpose.signals import kabsch
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]

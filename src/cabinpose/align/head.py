@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, transform
-from cabinpose.core.register import icp, kabsch
+from cabinpose.core import AlignmentError, Matrix, transform
+from cabinpose.signals import icp, kabsch
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]

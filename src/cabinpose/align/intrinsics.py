@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, apply, transform
+from cabinpose.core import AlignmentError, Camera, Matrix, apply, transform
 
 F64 = NDArray[np.float64]
 

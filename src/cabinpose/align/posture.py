@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.suit import CARRIER, POINTS
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix
+from cabinpose.core import AlignmentError, Matrix
 
 F64 = NDArray[np.float64]
 

@@ -15,11 +15,8 @@ from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
 from cabinpose.align.time import suit_to_optical
-from cabinpose.core.delay import Delay
-from cabinpose.core.errors import AlignmentError, UndeterminedError
-from cabinpose.core.lags import WindowDelays
-from cabinpose.core.resample import resample_positions, resample_rotations
-from cabinpose.core.skeleton import RIGS
+from cabinpose.core import RIGS, AlignmentError, UndeterminedError
+from cabinpose.signals import Delay, WindowDelays, resample_positions, resample_rotations
 from cabinpose.store.recording import Recording, segment_series
 
 F64 = NDArray[np.float64]

@@ -23,14 +23,10 @@ from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical
-from cabinpose.core.camera import Camera
-from cabinpose.core.delay import Delay
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, apply, transform
-from cabinpose.core.resample import resample_positions, resample_rotations
-from cabinpose.core.skeleton import INDEX, JOINTS, RIGS
+from cabinpose.core import INDEX, JOINTS, RIGS, AlignmentError, Camera, Matrix, apply, transform
+from cabinpose.signals import Delay, resample_positions, resample_rotations
+from cabinpose.store import read_mapping, validated
 from cabinpose.store.recording import Recording, marker_series, segment_series, tof_frames
-from cabinpose.store.yaml_file import read_mapping, validated
 
 F64 = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.align.clocks import host_from_device
-from cabinpose.core.errors import AlignmentError, RecordingError
+from cabinpose.core import AlignmentError, RecordingError
 from cabinpose.store.recording import MarkerSeries, Recording, SegmentSeries
 
 F64 = NDArray[np.float64]

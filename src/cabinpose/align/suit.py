@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.align.chain import rigid
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix
-from cabinpose.core.skeleton import JOINTS, MVN_JOINTS, MVN_SEGMENTS, RIGS
+from cabinpose.core import JOINTS, MVN_JOINTS, MVN_SEGMENTS, RIGS, AlignmentError, Matrix
 
 F64 = NDArray[np.float64]
 

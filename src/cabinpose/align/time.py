@@ -11,14 +11,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.angular import angular_speed, angular_velocity, rotation_angle
-from cabinpose.core.camera import Camera
-from cabinpose.core.delay import Delay, estimate_delay
-from cabinpose.core.errors import AlignmentError, unknown_name
-from cabinpose.core.frames import Matrix, apply
-from cabinpose.core.lags import WindowDelays
-from cabinpose.core.register import kabsch
-from cabinpose.core.resample import resample_positions
+from cabinpose.core import AlignmentError, Camera, Matrix, apply, unknown_name
+from cabinpose.signals import (
+    Delay,
+    WindowDelays,
+    angular_speed,
+    angular_velocity,
+    estimate_delay,
+    kabsch,
+    resample_positions,
+    rotation_angle,
+)
 
 __all__ = [
     "Delay",

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, JOINTS, LIMBS, REACH_M
+from cabinpose.core import INDEX, JOINTS, LIMBS, REACH_M, Camera, Visibility
 
 F64 = NDArray[np.float64]
 

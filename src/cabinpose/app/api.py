@@ -9,19 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cabinpose.core.ports import Predictor
-    from cabinpose.estimate.joint_predictor import JointPredictor
-    from cabinpose.evaluate.options import EvaluationOptions
-    from cabinpose.evaluate.report import Report
-    from cabinpose.store.predictions import Predictions
+    from cabinpose.core import Predictor
+    from cabinpose.estimate import JointPredictor
+    from cabinpose.evaluate import EvaluationOptions, Report
+    from cabinpose.store import Predictions
     from cabinpose.store.recording import Recording
-    from cabinpose.synth.config import SynthConfig
-    from cabinpose.synth.write import Frame
+    from cabinpose.synth import Frame, SynthConfig
 
 
 def load_model(model: str | Path, *, threads: int | None = None) -> JointPredictor:
@@ -45,7 +43,7 @@ def load_model(model: str | Path, *, threads: int | None = None) -> JointPredict
     ModelError
         For a file that is missing, truncated or not a model of this package.
     """
-    from cabinpose.estimate.predictor import load_model as load  # noqa: PLC0415 - ONNX Runtime
+    from cabinpose.estimate import load_model as load  # noqa: PLC0415 - ONNX Runtime
 
     return load(model, threads=threads)
 
@@ -80,7 +78,7 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
 
         return Recording(place)
     if place.suffix in (".jsonl", ".parquet"):
-        from cabinpose.store.predictions import read_predictions  # noqa: PLC0415
+        from cabinpose.store import read_predictions  # noqa: PLC0415
 
         return read_predictions(place)
     raise ConfigError(
@@ -122,10 +120,7 @@ def generate(
     SceneError
         Where no valid scene is found.
     """
-    from cabinpose.synth.config import SynthConfig  # noqa: PLC0415 - the generator takes half a second to import
-    from cabinpose.synth.preflight import preflight  # noqa: PLC0415
-    from cabinpose.synth.streams import check_seed  # noqa: PLC0415 - the generator takes half a second to import
-    from cabinpose.synth.write import FrameMaker  # noqa: PLC0415
+    from cabinpose.synth import FrameMaker, SynthConfig, check_seed, preflight  # noqa: PLC0415 - trimesh, pydantic
 
     if not all(isinstance(override, str) for override in overrides):
         raise ConfigError("overrides are texts, such as 'scene.cars=[suv]'", hint="give a whole configuration as config=...")
@@ -172,12 +167,19 @@ def evaluate_predictions(
     DatasetError, ModelError, PredictionsError
         For what is missing, damaged or of another dataset.
     """
-    from cabinpose.core.ports import Predictor  # noqa: PLC0415 - the package imports in no time
+    from cabinpose.core import Predictor  # noqa: PLC0415 - the package imports in no time
     from cabinpose.estimate.remote import open_predictor  # noqa: PLC0415
-    from cabinpose.evaluate.offline import check_predictions, evaluate, shared_places  # noqa: PLC0415
-    from cabinpose.evaluate.options import EvaluationOptions  # noqa: PLC0415
-    from cabinpose.store import open_dataset  # noqa: PLC0415
-    from cabinpose.store.predictions import Predictions, read_predictions  # noqa: PLC0415
+    from cabinpose.evaluate import (  # noqa: PLC0415
+        EvaluationOptions,
+        check_predictions,
+        evaluate,
+        shared_places,
+    )
+    from cabinpose.store import (  # noqa: PLC0415
+        Predictions,
+        open_dataset,
+        read_predictions,
+    )
 
     name = Path(data).resolve().name if isinstance(data, Path | str) else ""
     dataset = open_dataset(data) if isinstance(data, Path | str) else data

@@ -10,15 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.frames import Matrix, apply, invert
-from cabinpose.scene.cabin import Cabin, Part, Seat, load_cabin
-from cabinpose.scene.cabin.car_file import COMMON_RULES, CabinFile, Rule, read_car_file
-from cabinpose.scene.cabin.imported import file_from_vehicle
+from cabinpose.core import Matrix, apply, invert
+from cabinpose.scene import LABELS, MATERIALS
+from cabinpose.scene.cabin import COMMON_RULES, Cabin, CabinFile, Part, Rule, Seat, file_from_vehicle, load_cabin, read_car_file
 from cabinpose.scene.contact import FLESH_M, first_crossings, sampled_surface
-from cabinpose.scene.labels import LABELS
-from cabinpose.scene.materials import MATERIALS
-from cabinpose.synth.seat_trial import SEAT_BOXES, SeatSide, SeatTrial, try_seats
-from cabinpose.synth.validate import SITTING
+from cabinpose.synth import SEAT_BOXES, SITTING, SeatSide, SeatTrial, try_seats
 
 Floats = NDArray[np.float64]
 POSES = 12  # tried in each seat

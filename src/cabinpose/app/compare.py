@@ -21,24 +21,24 @@ from numpy.typing import NDArray
 
 from cabinpose.app.report.curves import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
-from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
-from cabinpose.core.ports import FrameBatch
-from cabinpose.core.skeleton import ITOP_JOINTS
-from cabinpose.estimate.methods import METHODS, method_named
-from cabinpose.estimate.predictor import load_model
-from cabinpose.evaluate.itop import evaluate_itop
-from cabinpose.evaluate.offline import BATCH, frame_batch
-from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import Report
-from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.convert import open_source
-from cabinpose.store.convert.reading import ImportOptions
-from cabinpose.store.itop import ItopReference, as_labelled, read_itop_frames, read_itop_reference
-from cabinpose.store.schema import MANIFEST_NAME, dataset_id
-from cabinpose.store.source import import_source
+from cabinpose.core import ITOP_JOINTS, ConfigError, DatasetError, FrameBatch, unknown_name
+from cabinpose.estimate import METHODS, load_model, method_named
+from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
+from cabinpose.store import (
+    MANIFEST_NAME,
+    ItopReference,
+    as_labelled,
+    dataset_id,
+    import_source,
+    open_dataset,
+    read_itop_frames,
+    read_itop_reference,
+    read_manifest,
+)
+from cabinpose.store.convert import ImportOptions, open_source
 
 if TYPE_CHECKING:
-    from cabinpose.estimate.training import TrainConfig
+    from cabinpose.estimate import TrainConfig
 
 # The settings of every method that has them: a person in a room as the packaged model `room` sees it.
 _ROOM = MappingProxyType(
@@ -88,7 +88,7 @@ class Answers:
 
 def recipe(method: str, path: Path | None, epochs: int | None) -> TrainConfig:
     """The run of a method: from a YAML file, or the small one that this module states, in either case with `epochs` if given."""
-    from cabinpose.estimate.training import TrainConfig  # noqa: PLC0415 - torch, which models that are given do without
+    from cabinpose.estimate import TrainConfig  # noqa: PLC0415 - torch, which models that are given do without
 
     if method_named(method).task != "joints":
         known = [m.name for m in METHODS.values() if m.task == "joints"]
@@ -112,8 +112,11 @@ def train_model(
     ConfigError
         Where the folder holds a model of another recipe or of other data.
     """
-    from cabinpose.estimate.export import export_onnx  # noqa: PLC0415 - torch
-    from cabinpose.estimate.training import fit, frame_spec  # noqa: PLC0415 - torch
+    from cabinpose.estimate import (  # noqa: PLC0415 - torch
+        export_onnx,
+        fit,
+        frame_spec,
+    )
 
     facts = {"recipe": config.model_dump(mode="json"), "data": [dataset_id(read_manifest(folder)) for folder in data]}
     record, text = out / "recipe.json", json.dumps(facts, indent=1) + "\n"

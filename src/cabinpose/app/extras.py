@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from types import MappingProxyType
 
-from cabinpose.core.errors import DependencyError
+from cabinpose.core import DependencyError
 
 _MODULES = MappingProxyType(
     {

@@ -9,11 +9,10 @@ from typing import Any, ClassVar
 
 from pydantic import Field
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError
-from cabinpose.record.sources.tof.simulated import SimulatedSettings, SimulatedSource
-from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.write import FrameMaker
+from cabinpose.core import CabinposeError
+from cabinpose.record.sources.tof import SimulatedSettings, SimulatedSource
+from cabinpose.signals import HostClock
+from cabinpose.synth import FrameMaker, SynthConfig
 
 
 class SynthCameraSettings(SimulatedSettings):

@@ -9,17 +9,13 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import Predictor, Segmenter
-from cabinpose.core.pose import Visibility
-from cabinpose.estimate.inputs import camera_of
-from cabinpose.estimate.lifting.predict import LiftedPredictor, OnnxLifting, lifted
-from cabinpose.estimate.onnx_model import OtherTaskError, packaged_models
+from cabinpose.core import Camera, ConfigError, Predictor, Segmenter, Visibility
+from cabinpose.estimate import OtherTaskError, camera_of, packaged_models
+from cabinpose.estimate.lifting import LiftedPredictor, OnnxLifting, lifted
 from cabinpose.estimate.remote import open_predictor
-from cabinpose.estimate.unet.segment import OnnxSegmenter
-from cabinpose.evaluate.offline import check_predictions
-from cabinpose.store.predictions import Predictions, read_predictions
+from cabinpose.estimate.unet import OnnxSegmenter
+from cabinpose.evaluate import check_predictions
+from cabinpose.store import Predictions, read_predictions
 
 TRUTH = "truth"
 Model = Predictions | Predictor | Segmenter

@@ -13,12 +13,22 @@ import numpy as np
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
 import cabinpose
-from cabinpose.core.errors import CabinposeError, RemoteError
-from cabinpose.core.ports import FrameBatch, Predictor
-from cabinpose.estimate.joint_predictor import JointPredictor
-from cabinpose.estimate.remote.messages import add_tensors, read_tensors
-from cabinpose.estimate.remote.regions import EXTENSION, ServerRegions
-from cabinpose.estimate.remote.tensors import INPUTS, OUTPUTS, PLATFORM, VERSION, Arrays, TensorError, TensorSpec, pack
+from cabinpose.core import CabinposeError, FrameBatch, Predictor, RemoteError
+from cabinpose.estimate import JointPredictor
+from cabinpose.estimate.remote import (
+    EXTENSION,
+    INPUTS,
+    OUTPUTS,
+    PLATFORM,
+    VERSION,
+    Arrays,
+    ServerRegions,
+    TensorError,
+    TensorSpec,
+    add_tensors,
+    pack,
+    read_tensors,
+)
 
 _MODEL_VERSION = "1"
 _THREADS, _MOST_CALLS = 4, 16  # calls that wait cost memory, a frame each

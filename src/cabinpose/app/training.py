@@ -11,15 +11,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
-from cabinpose.estimate.training import TrainConfig
-from cabinpose.store.split import held_out, read_splits, split_datasets
-from cabinpose.store.yaml_file import read_mapping, validated
-from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.plan import person_slots
-from cabinpose.synth.preflight import preflight
-from cabinpose.synth.write import FrameMaker
+from cabinpose.core import ConfigError, DatasetError
+from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames, TrainConfig, fits_memory, joined
+from cabinpose.store import held_out, read_mapping, read_splits, split_datasets, validated
+from cabinpose.synth import FrameMaker, SynthConfig, person_slots, preflight
 
 _NAMES = 5  # of subjects in a message
 _RANDOM_PERSON = re.compile(r"R\d{4,}")  # the names of random people

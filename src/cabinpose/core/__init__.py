@@ -1,1 +1,5 @@
 """Types and pure maths that every room uses; numpy and scipy only."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

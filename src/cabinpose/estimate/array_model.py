@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from cabinpose.core.errors import ModelError
+from cabinpose.core import ModelError
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, existing
 

@@ -16,9 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+from cabinpose.core import ITOP_JOINTS, JOINTS, DatasetError, Visibility
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import InputView, camera_of
 

@@ -34,7 +34,7 @@ def cues(found: Found) -> Array:
     return np.concatenate((doubt[..., None], np.log(np.maximum(found.spreads, _SPREAD_M))), axis=-1)
 
 
-def fit(known: Array, error_m: Array, joints: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+def fit_expected_error(known: Array, error_m: Array, joints: Sequence[str]) -> dict[str, dict[str, list[float]]]:
     """The table of a model: by joint the weights of the cues, and the expected error (m) by their weighted sum.
 
     Parameters

@@ -13,7 +13,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.core import ConfigError, ModelError
 from cabinpose.estimate.array_model import ArrayModel, rewrite
 from cabinpose.estimate.half import halve
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, open_session

@@ -11,7 +11,7 @@ import xarray as xr
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from cabinpose.core.errors import DatasetError, unknown_name
+from cabinpose.core import DatasetError, unknown_name
 from cabinpose.store import open_dataset
 
 _IMAGE = ("frame", "y", "x")

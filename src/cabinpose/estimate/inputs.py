@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import Camera, ConfigError
 
 F32 = NDArray[np.float32]
 Joints = NDArray[np.float64]

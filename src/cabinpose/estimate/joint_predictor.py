@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import FrameBatch, PoseBatch, joined
+from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, joined
 from cabinpose.estimate.expected_error import expected_errors
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, slices, view_inputs

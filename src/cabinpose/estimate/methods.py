@@ -10,7 +10,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core import ConfigError, unknown_name
 from cabinpose.estimate.compact import decode as compact_decode
 from cabinpose.estimate.compact.config import CompactConfig
 from cabinpose.estimate.dpm.config import DpmConfig

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.skeleton import SYMMETRIC_PAIRS
-from cabinpose.scene.labels import ID
+from cabinpose.core import SYMMETRIC_PAIRS
+from cabinpose.scene import LABEL_ID
 
 _ITOP_PAIRS = (("lhip", "rhip"),)
 _SLOT_PAIRS = (("rear_left", "rear_right"),)  # the driver stays at the wheel of the mirrored car
@@ -31,9 +31,9 @@ def mirrored_slots(slots: Sequence[str], *, facing: bool = False) -> list[int]:
 def mirrored_labels() -> NDArray[np.uint8]:
     """(256,) the class of the mirrored pixel by the class of the pixel (`scene.labels`): left and right parts change."""
     table = np.arange(256, dtype=np.uint8)
-    for name, number in ID.items():
+    for name, number in LABEL_ID.items():
         if name.endswith("_left"):
-            partner = ID[name.removesuffix("left") + "right"]
+            partner = LABEL_ID[name.removesuffix("left") + "right"]
             table[number], table[partner] = partner, number
     return table
 

@@ -15,9 +15,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError, ModelError
-from cabinpose.core.ports import FrameBatch
+from cabinpose.core import Camera, ConfigError, FrameBatch, ModelError
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, camera_of

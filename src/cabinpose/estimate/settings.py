@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, UPPER_BODY, index_pairs
+from cabinpose.core import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, OCCUPANT_SLOTS, UPPER_BODY, index_pairs
 from cabinpose.estimate.inputs import InputView
 
 _FOCAL_PER_WIDTH = 139 / 352  # 103 deg across: all but 0.1 % of the joints that a Monstar sees, which 95.5 deg lose 6 % of

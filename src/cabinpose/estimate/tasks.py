@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cabinpose.core.segmentation import class_table, confusion, intersection_over_union, whole_person
+from cabinpose.core import class_table, confusion, intersection_over_union, whole_person
 from cabinpose.estimate.augment import AugmentConfig, Mirror, augment
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import FrameSpec

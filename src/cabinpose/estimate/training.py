@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core.errors import ConfigError, ModelError
+from cabinpose.core import ConfigError, ModelError
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor

@@ -16,7 +16,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from cabinpose.core.errors import ModelError
+from cabinpose.core import ModelError
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.half import widen
 from cabinpose.estimate.onnx_model import OnnxModel

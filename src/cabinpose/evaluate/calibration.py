@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.pose import Visibility
+from cabinpose.core import Visibility
 from cabinpose.evaluate.samples import Samples
 
 _BINS = 10

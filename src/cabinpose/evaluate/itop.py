@@ -11,16 +11,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import PredictionsError
-from cabinpose.core.ports import PoseBatch
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core import ITOP_JOINTS, PoseBatch, PredictionsError, Visibility
 from cabinpose.evaluate.errors import finite
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
-from cabinpose.store.itop import ItopReference, project
+from cabinpose.store import ItopReference, project
 
 
 def evaluate_itop(

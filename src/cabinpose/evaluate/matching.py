@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import PredictionsError
-from cabinpose.core.ports import PoseBatch
+from cabinpose.core import PoseBatch, PredictionsError
 from cabinpose.evaluate.oks import oks
 from cabinpose.evaluate.options import Matching
 

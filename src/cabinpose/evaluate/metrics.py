@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.pose import Visibility
+from cabinpose.core import Visibility
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.samples import Samples, Space
 

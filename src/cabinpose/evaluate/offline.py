@@ -8,16 +8,22 @@ from typing import cast
 import numpy as np
 import xarray as xr
 
-from cabinpose.core.errors import DatasetError, PredictionsError, unknown_name
-from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor, Segmenter, joined
-from cabinpose.core.pose import Visibility
+from cabinpose.core import (
+    DatasetError,
+    FrameBatch,
+    PoseBatch,
+    PredictionsError,
+    Predictor,
+    Segmenter,
+    Visibility,
+    joined,
+    unknown_name,
+)
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
 from cabinpose.evaluate.skeletons import evaluated_skeleton
-from cabinpose.store.class_images import ClassImages
-from cabinpose.store.lazy import camera_of
-from cabinpose.store.predictions import Predictions
+from cabinpose.store import ClassImages, Predictions, camera_of
 
 _TORSO = "torso"  # only ITOP has it
 CHUNK = 512  # frames of joints at a time

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.pose import Visibility
+from cabinpose.core import ConfigError, Visibility
 
 HeadSize = Literal["thesis", "true"]
 Matching = Literal["slot", "oks", "distance"]

@@ -10,9 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.ports import Segmenter
-from cabinpose.core.segmentation import class_table, confusion, intersection_over_union, whole_person
+from cabinpose.core import DatasetError, Segmenter, class_table, confusion, intersection_over_union, whole_person
 from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
 from cabinpose.evaluate.offline import BATCH, frame_batch
 

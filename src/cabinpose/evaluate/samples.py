@@ -12,9 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import PredictionsError
-from cabinpose.core.ports import PoseBatch
-from cabinpose.core.pose import Visibility
+from cabinpose.core import PoseBatch, PredictionsError, Visibility
 from cabinpose.evaluate import errors
 from cabinpose.evaluate.matching import assigned_places, placed, slot_places
 from cabinpose.evaluate.oks import Detections, match_frame, oks

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.skeleton import GROUPS, ITOP_JOINTS, ITOP_LIMBS, LIMBS, SYMMETRIC_PAIRS, index_pairs, oks_sigma
+from cabinpose.core import GROUPS, ITOP_JOINTS, ITOP_LIMBS, LIMBS, SYMMETRIC_PAIRS, index_pairs, oks_sigma
 
 _ITOP_GROUPS = MappingProxyType(
     {

@@ -9,11 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, SourceEndedError
-from cabinpose.core.ports import FrameSource
+from cabinpose.core import CabinposeError, SourceEndedError
 from cabinpose.record.config import Rig, SourcePlan, Storage
 from cabinpose.record.lane import is_data
+from cabinpose.signals import FrameSource, HostClock
 from cabinpose.store.recording import parts_beside
 
 _PATIENCE_S = 25.0  # for one source; they are asked at the same time

@@ -17,11 +17,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.ports import FrameSource
-from cabinpose.core.yaml_text import read_yaml
+from cabinpose.core import ConfigError, read_yaml, unknown_name
 from cabinpose.record.split import Limit
+from cabinpose.signals import FrameSource, HostClock
 from cabinpose.store.recording import Compression, Take
 
 ENTRY_POINTS = "cabinpose.sources"

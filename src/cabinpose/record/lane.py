@@ -13,12 +13,9 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, FrameSource, Sample
-from cabinpose.core.recorded import Facts
-from cabinpose.store.recording import SourceStatus
-from cabinpose.store.recording.messages import sample_bytes
+from cabinpose.core import CabinposeError, RecordingError, SourceEndedError
+from cabinpose.signals import Counts, Facts, FrameSource, HostClock, Sample
+from cabinpose.store.recording import SourceStatus, sample_bytes
 
 READ_S = 0.1  # how long a source waits for a sample before it looks whether the take is over
 RETRY_S = 0.5  # pause before a source is opened again; it doubles up to

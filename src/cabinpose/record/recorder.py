@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, RecordingError
+from cabinpose.core import CabinposeError, RecordingError
 from cabinpose.record.lane import Lane, LaneStatus
 from cabinpose.record.split import SplitWriter
+from cabinpose.signals import HostClock
 from cabinpose.store.recording import SourceStatus
 
 _TURN_BYTES = 1 << 20  # that one source may write before the next has its turn

@@ -6,13 +6,13 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core import CabinposeError
 from cabinpose.record.config import Rig
 from cabinpose.record.host import host_facts
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
 from cabinpose.record.split import Limit, SplitWriter
+from cabinpose.signals import HostClock
 from cabinpose.store.recording import RecordingWriter
 
 

@@ -8,9 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
+from cabinpose.core import RecordingError
+from cabinpose.signals import HostClock, Sample
 from cabinpose.store.recording import RecordingWriter, SourceStatus, part_path, parts_beside
 
 _UNITS = {"s": (1.0, 0.0), "min": (60.0, 0.0), "h": (3600.0, 0.0), "MB": (0.0, 1e6), "GB": (0.0, 1e9)}  # to s, to bytes

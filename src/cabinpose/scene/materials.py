@@ -46,4 +46,4 @@ MATERIALS: tuple[Material, ...] = (
     Material(41, "paper", 0.75),
 )
 OF_THINGS = MATERIALS[-2:]  # of things that people bring along alone
-ID = MappingProxyType({material.name: material.id for material in MATERIALS})
+MATERIAL_ID = MappingProxyType({material.name: material.id for material in MATERIALS})

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import FORWARD_FROM_CAMERA, axis_rotation, transform
+from cabinpose.core import FORWARD_FROM_CAMERA, Floats, axis_rotation, transform
 from cabinpose.scene import labels, materials
 from cabinpose.scene.surface import Surface, merge
 
@@ -65,8 +64,8 @@ def _solid(triangles: Floats, normals: Floats, label: str, material: str) -> Sur
         triangles.reshape(-1, 3).astype(np.float32),
         np.repeat(normals, 3, axis=0).astype(np.float32),
         np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
-        np.full(count, labels.ID[label], np.uint8),
-        np.full(count, materials.ID[material], np.uint8),
+        np.full(count, labels.LABEL_ID[label], np.uint8),
+        np.full(count, materials.MATERIAL_ID[material], np.uint8),
         np.zeros(count, np.uint8),
     )
 

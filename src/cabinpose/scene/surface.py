@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cabinpose.core.arrays import Bytes, Floats32, Ints32
-from cabinpose.core.frames import Matrix
+from cabinpose.core import Bytes, Floats32, Ints32, Matrix
 
 
 @dataclass(frozen=True)

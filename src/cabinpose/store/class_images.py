@@ -17,9 +17,7 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError, PredictionsError
-from cabinpose.core.ports import FrameBatch
-from cabinpose.core.segmentation import Part
+from cabinpose.core import DatasetError, FrameBatch, Part, PredictionsError
 from cabinpose.store.part import disk_errors
 
 SUFFIX: Final = ".zarr"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import DatasetError
 from cabinpose.store.part import disk_errors, temporary_parts
 from cabinpose.store.part_facts import check_part
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, manifest_yaml, read_manifest, with_checksum_line

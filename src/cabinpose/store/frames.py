@@ -12,8 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
+from cabinpose.core import DatasetError, Visibility
 
 
 @dataclass(frozen=True)

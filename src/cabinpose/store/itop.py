@@ -13,11 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.frames import axis_rotation
-from cabinpose.core.optional import optional_module
-from cabinpose.core.ports import FrameBatch
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core import ITOP_JOINTS, DatasetError, FrameBatch, axis_rotation, optional_module
 
 K = np.array([[1 / 0.0035, 0.0, 160.0], [0.0, 1 / 0.0035, 120.0], [0.0, 0.0, 1.0]])
 NOMINAL_SCALE_M = 4.24  # metres that a depth of 1 stands for in the frames scaled to 0 .. 1 (their source's figure)

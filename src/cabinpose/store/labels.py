@@ -21,8 +21,7 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
+from cabinpose.core import DatasetError, Visibility
 
 FORMAT: Final = "cabinpose-labels"
 VERSION: Final = 1

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import Camera, DatasetError
 from cabinpose.store.part_facts import PartFacts, check_part
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole

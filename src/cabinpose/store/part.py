@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import DatasetError
 from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable
 from cabinpose.store.shard import ShardWriter, compressed, compressed_column, depth_ticks
 from cabinpose.store.zarr_metadata import array_json, dimension_labels, group_json, zarr_arrays

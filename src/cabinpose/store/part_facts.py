@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import DatasetError
 from cabinpose.store.schema import MANIFEST_NAME, SCHEMA_VERSION, Manifest, PartPlan, checksum
 from cabinpose.store.shard import read_whole
 from cabinpose.store.zarr_metadata import describes, dimension_labels, zarr_arrays

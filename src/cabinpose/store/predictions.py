@@ -22,8 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DependencyError, PredictionsError
-from cabinpose.core.ports import POSE_ARRAYS, PoseBatch
+from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError
 from cabinpose.store.part import disk_errors
 
 FORMAT: Final = "cabinpose-predictions"

@@ -18,10 +18,7 @@ from typing import Annotated, Any, Final, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import OCCUPANT_SLOTS, Visibility
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.core.yaml_text import parse_yaml
+from cabinpose.core import ITOP_JOINTS, JOINTS, OCCUPANT_SLOTS, DatasetError, Visibility, parse_yaml
 
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import DatasetError
 from cabinpose.store.dataset import create_dataset
 from cabinpose.store.part import PartWriter, disk_errors
 from cabinpose.store.schema import MANIFEST_NAME, Manifest

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError, unknown_name
-from cabinpose.core.yaml_text import read_yaml
+from cabinpose.core import DatasetError, read_yaml, unknown_name
 
 if TYPE_CHECKING:
     import xarray as xr

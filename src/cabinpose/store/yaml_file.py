@@ -7,8 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from cabinpose.core.errors import CabinposeError, ConfigError
-from cabinpose.core.yaml_text import read_yaml
+from cabinpose.core import CabinposeError, ConfigError, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core import ITOP_JOINTS
 from cabinpose.store.schema import Manifest, checksum, variable_attributes
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL
 

@@ -1,0 +1,5 @@
+"""Generated datasets: scenes drawn at random, validated, rendered, sensed and written."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

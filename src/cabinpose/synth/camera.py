@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core import ConfigError, unknown_name
 from cabinpose.scene.sensor import SENSORS, Sensor, sensor_by_name
 from cabinpose.synth.occupant import Matrix4
 from cabinpose.synth.people import Model, Probability

@@ -8,9 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, field_validator, model_serializer, model_validator
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, CabinDimensions
-from cabinpose.scene.cabin.dimensions import DimensionFields
+from cabinpose.core import ConfigError, unknown_name
+from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, CabinDimensions, DimensionFields
 
 _RANDOM_CAR = re.compile(r"C\d{4,}")
 _OF_THE_PRESET = "layout"  # what cannot be changed: no other dimension fits both

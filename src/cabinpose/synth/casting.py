@@ -8,16 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.once import cached_once
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting
-from cabinpose.scene.things.child_seats import SITTING
-from cabinpose.scene.things.objects import SOFT
-from cabinpose.scene.things.thing import VARIANTS
+from cabinpose.scene.things import SITTING, SOFT, VARIANTS
 from cabinpose.synth.cars import ChangedPreset, is_random_car
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.occupant import ExactPose
+from cabinpose.synth.once import cached_once
 from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, subject_body
 from cabinpose.synth.posing import slimmest_in_the_middle
 from cabinpose.synth.posture import choose_setting

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from distributed import Client, KilledWorker, as_completed
 
-from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core import ConfigError, SceneError
 from cabinpose.store import Manifest, PartPlan
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.sample import SceneSampler

@@ -16,14 +16,11 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.core.yaml_text import parse_yaml, read_yaml
+from cabinpose.core import OCCUPANT_SLOTS, ConfigError, parse_yaml, read_yaml, unknown_name
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
-from cabinpose.scene.things.objects import SOFT
-from cabinpose.scene.things.thing import Attachment
+from cabinpose.scene.things import SOFT, Attachment
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig

@@ -10,18 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.camera import Camera
-from cabinpose.core.frames import Matrix, invert, transform
+from cabinpose.core import Camera, Floats, Matrix, invert, transform
+from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.cabin.shapes import Solid, slab
-from cabinpose.scene.surface import Surface, merge
-from cabinpose.scene.things import PlacedThing
-from cabinpose.scene.things.objects import CLOTH_M
-from cabinpose.scene.things.pieces import Piece, of_design
-from cabinpose.scene.things.placing import cushion_frame
-from cabinpose.scene.things.thing import Thing
+from cabinpose.scene.cabin import Cabin, SeatSetting, Solid, slab
+from cabinpose.scene.things import CLOTH_M, Piece, PlacedThing, Thing, cushion_frame, of_design
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.things import lap_frame
 

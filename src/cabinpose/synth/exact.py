@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix
+from cabinpose.core import ConfigError, Floats, Matrix
 from cabinpose.scene.body import DOFS
 from cabinpose.synth.camera import ExactCameraPose
 from cabinpose.synth.cars import place_name

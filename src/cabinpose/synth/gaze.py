@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.scene.body import SEGMENTS
-from cabinpose.scene.body.rig import BONE_INDEX
-from cabinpose.scene.cabin.model import STATIC_GROUP
+from cabinpose.core import Floats
+from cabinpose.scene.body import BONE_INDEX, SEGMENTS
+from cabinpose.scene.cabin import STATIC_GROUP
 from cabinpose.scene.contact import first_crossings
 from cabinpose.synth.posture.gaze import HEAD_SHARE
 from cabinpose.synth.scene import Scene, ScenePerson

@@ -14,11 +14,9 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import cabinpose
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.optional import optional_module
-from cabinpose.scene.labels import LABELS, THINGS, ticam_class
-from cabinpose.scene.materials import MATERIALS, OF_THINGS
-from cabinpose.scene.things.objects import SOFT
+from cabinpose.core import ConfigError, optional_module
+from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THINGS, ticam_class
+from cabinpose.scene.things import SOFT
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import GAZE_VARIABLES

@@ -9,14 +9,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import is_rigid
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
 from cabinpose.scene.cabin import BeltWear
-from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
-from cabinpose.scene.things.child_seats import IN_USE
-from cabinpose.scene.things.objects import HELD, SOFT
-from cabinpose.scene.things.thing import Attachment
+from cabinpose.scene.things import CHILD_SEATS, HELD, IN_USE, OBJECTS, SOFT, Attachment, PlacedThing, make_thing
 from cabinpose.synth.people import Model
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import Profile, check_within, dof_scale, limits_deg, standing

@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.scene.body import SUBJECTS, Outfit, Phenotype
-from cabinpose.scene.body.phenotype import DEFAULT_RANGES, STATURE_LIMITS_M, YEARS_LIMITS
+from cabinpose.core import ConfigError, unknown_name
+from cabinpose.scene.body import DEFAULT_RANGES, STATURE_LIMITS_M, SUBJECTS, YEARS_LIMITS, Outfit, Phenotype
 from cabinpose.synth.streams import frame_rng
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -13,14 +13,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.once import cached_once
-from cabinpose.core.pose import OCCUPANT_SLOTS, STANDING_SLOT
-from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Phenotype
-from cabinpose.scene.body.phenotype import YEARS_LIMITS, age_of, usual_stature_m
+from cabinpose.core import OCCUPANT_SLOTS, STANDING_SLOT, ConfigError, unknown_name
+from cabinpose.scene.body import SUBJECTS, YEARS_LIMITS, BodyModel, Outfit, Phenotype, age_of, usual_stature_m
 from cabinpose.scene.cabin import CabinDimensions, random_dimensions
 from cabinpose.synth.cars import ChangedPreset, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
+from cabinpose.synth.once import cached_once
 from cabinpose.synth.people import CHILD_NAME, OwnPerson
 from cabinpose.synth.streams import frame_rng, own_rng
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError, Floats
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, CabinDimensions, build_cabin
 from cabinpose.scene.contact import ContactField

@@ -18,14 +18,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cabinpose._native import core as native
-from cabinpose.core.arrays import Floats, Ints
-from cabinpose.core.errors import ConfigError, MocapError, unknown_name
-from cabinpose.core.frames import axis_rotation
-from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.core import ConfigError, Floats, Ints, MocapError, axis_rotation, unknown_name
+from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER
 
 if TYPE_CHECKING:
-    from cabinpose.store.convert.bvh import UpAxis
+    from cabinpose.store.convert import UpAxis
     from cabinpose.synth.posture.retarget import RetargetedMotion
 
 
@@ -346,7 +343,7 @@ _UPPER_BODY = tuple(dof.name for dof in DOFS if not dof.name[1:].startswith(("hi
 @lru_cache(maxsize=8)
 def _recorded_motion(path: str, unit_m: float, up: UpAxis, subject: str | None) -> tuple[RetargetedMotion, float, Floats]:
     """A file's retargeted motion, the seconds between frames, and the middle of its spine's angles."""
-    from cabinpose.store.convert.clip import read_clip  # noqa: PLC0415 - scipy's rotations, for recordings alone
+    from cabinpose.store.convert import read_clip  # noqa: PLC0415 - scipy's rotations, for recordings alone
     from cabinpose.synth.posture.retarget import retarget  # noqa: PLC0415 - likewise
 
     clip = read_clip(path, unit_m=unit_m, up=up, subject=subject)

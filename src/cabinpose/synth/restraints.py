@@ -6,15 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import apply, invert
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, apply, invert
+from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting, fastening_surface
-from cabinpose.scene.surface import Surface, merge
-from cabinpose.scene.things import PlacedThing, make_thing
-from cabinpose.scene.things.child_seats import IN_USE
-from cabinpose.scene.things.thing import Attachment, sitting_in
+from cabinpose.scene.things import IN_USE, Attachment, PlacedThing, make_thing, sitting_in
 from cabinpose.synth.things import drawn
 
 _GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it

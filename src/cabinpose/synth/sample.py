@@ -16,19 +16,12 @@ from typing import Literal
 import numpy as np
 
 from cabinpose._native import cabin as native
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, axis_rotation, transform
-from cabinpose.core.once import cached_once
-from cabinpose.core.pose import STANDING_SLOT
+from cabinpose.core import STANDING_SLOT, ConfigError, Floats, Matrix, axis_rotation, transform
+from cabinpose.scene import ROOM_VIEWS, Room, furnish_room, place_room_camera
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, belt_surface, harness_surface
-from cabinpose.scene.room import ROOM_VIEWS, Room, furnish_room, place_room_camera
 from cabinpose.scene.sensor import jittered, place_camera
-from cabinpose.scene.things import PlacedThing
-from cabinpose.scene.things.child_seats import SITTING
-from cabinpose.scene.things.objects import SOFT
-from cabinpose.scene.things.thing import sitting_in
+from cabinpose.scene.things import SITTING, SOFT, PlacedThing, sitting_in
 from cabinpose.synth.camera import CameraPose, ExactCameraPose
 from cabinpose.synth.cars import is_car_file, place_name
 from cabinpose.synth.casting import Cast, Casting
@@ -38,6 +31,7 @@ from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.film import Film, make_film
 from cabinpose.synth.motion.sequences import DrawGoals
 from cabinpose.synth.occupant import Occupant
+from cabinpose.synth.once import cached_once
 from cabinpose.synth.plan import Plan, person_slots, room_rng
 from cabinpose.synth.posing import pose_people
 from cabinpose.synth.posture import draw_offset, random_action

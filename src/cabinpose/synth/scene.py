@@ -9,15 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
-from cabinpose.scene.body import SEGMENTS, Person, PosedBody
-from cabinpose.scene.body.phenotype import CHILD_YEARS
+from cabinpose.core import INDEX, ITOP_JOINTS, OCCUPANT_SLOTS, Floats, Matrix, SceneError
+from cabinpose.scene import Surface, merge
+from cabinpose.scene.body import CHILD_YEARS, SEGMENTS, Person, PosedBody
 from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting
-from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
 

@@ -9,13 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import apply, invert
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, apply, invert
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
-from cabinpose.scene.cabin.model import WHEEL_GROUP
-from cabinpose.scene.cabin.seats import BACK_BOX, CUSHION_BOX
+from cabinpose.scene.cabin import BACK_BOX, CUSHION_BOX, WHEEL_GROUP, Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import first_crossings
 from cabinpose.synth.config import CabinScene
 from cabinpose.synth.posture import choose_setting, draw_offset, random_action

@@ -15,10 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, axis_rotation, transform
-from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
+from cabinpose.core import Floats, Matrix, axis_rotation, transform
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, UPPER, Person
 from cabinpose.synth.posture.feet import GROUND_M
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.goals import stand_on

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 Name = TypeVar("Name")
 

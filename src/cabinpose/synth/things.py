@@ -8,29 +8,33 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import Matrix, axis_rotation, invert, transform
-from cabinpose.core.once import cached_once
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, OCCUPANT_SLOTS, ConfigError, Matrix, axis_rotation, invert, transform, unknown_name
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
-from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
-from cabinpose.scene.things.child_seats import HOLDING_CHILDREN, SITTING
-from cabinpose.scene.things.objects import LAP_OBJECTS, SOFT
-from cabinpose.scene.things.placing import (
+from cabinpose.scene.things import (
+    CHILD_SEATS,
+    HOLDING_CHILDREN,
+    LAP_OBJECTS,
     NOTHING_PLACED,
+    OBJECTS,
     PRESSED_M,
     RESTING_M,
+    SITTING,
+    SOFT,
+    VARIANTS,
+    Cloud,
     Obstacle,
+    PlacedThing,
+    Thing,
     felt,
     in_the_way,
     let_down,
+    make_thing,
     stand_on_seat,
     stands_free,
 )
-from cabinpose.scene.things.thing import VARIANTS, Cloud, Thing
+from cabinpose.synth.once import cached_once
 from cabinpose.synth.people import Probability
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by

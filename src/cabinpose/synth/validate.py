@@ -14,8 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Floats, Ints32
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, Ints32
 from cabinpose.scene.body import SEGMENTS, Person, PosedBody
 from cabinpose.scene.contact import (
     FLESH_M,
@@ -29,8 +28,7 @@ from cabinpose.scene.contact import (
     self_contact,
     solid_topology,
 )
-from cabinpose.scene.things import PlacedThing
-from cabinpose.scene.things.placing import NOTHING_PLACED, RESTING_M, in_the_way
+from cabinpose.scene.things import NOTHING_PLACED, RESTING_M, PlacedThing, in_the_way
 
 AXIS_STEP_M = 0.02
 # Limb, its bone from and to a joint, and the first part of it left out: shoulders lean into the backrest.

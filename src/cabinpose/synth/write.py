@@ -19,12 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cabinpose.core.frames import apply, invert
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+from cabinpose.core import ITOP_JOINTS, JOINTS, apply, invert
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, median_of_valid, sample_times, simulate
-from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS
-from cabinpose.store import Manifest, PartPlan, PartWriter
-from cabinpose.store.part import EncodedFrame, encode_frame
+from cabinpose.scene.things import CHILD_SEAT_LABELS
+from cabinpose.store import EncodedFrame, Manifest, PartPlan, PartWriter, encode_frame
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import gaze_labels
 from cabinpose.synth.plan import brings_things, person_slots

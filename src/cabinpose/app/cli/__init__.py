@@ -88,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted.
     """
     import cabinpose
-    from cabinpose.core.errors import CabinposeError
+    from cabinpose.core import CabinposeError
 
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])

@@ -14,10 +14,10 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
-    from cabinpose.align.dataset import TakeReport
+    from cabinpose.align import TakeReport
 
 _WARN_FLOATING = 0.05
 
@@ -55,9 +55,8 @@ COMMAND = Align
 def run(command: Align) -> None:
     """Align and write, with a progress bar; say what was left out of each take, and how well the joints fit the depth."""
     require("record")
-    from cabinpose.align.calibration import Calibration
-    from cabinpose.align.dataset import align_takes
-    from cabinpose.store.source import check_new_dataset, import_source
+    from cabinpose.align import Calibration, align_takes
+    from cabinpose.store import check_new_dataset, import_source
 
     if not command.recordings:
         raise ConfigError("there is nothing to align", hint="name one or more recordings")
@@ -118,6 +117,6 @@ def _plain(take: Any) -> dict[str, Any]:
 
 
 def _words(state: int) -> str:
-    from cabinpose.core.pose import Visibility
+    from cabinpose.core import Visibility
 
     return Visibility(state).name.lower().replace("_", " ")

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Optional, TypeVar, Union
 
 from tyro.conf import Positional, arg, subcommand
 
-from cabinpose.core.errors import ConfigError, DatasetError
+from cabinpose.core import ConfigError, DatasetError
 
 
 def several(metavar: str) -> Any:

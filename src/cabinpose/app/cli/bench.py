@@ -13,7 +13,7 @@ import cabinpose
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, several
 from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 _STAGES = ("input", "network", "decode")
 

@@ -13,10 +13,10 @@ from tyro.conf import Positional, arg
 from cabinpose.app.cli.arguments import PrintsJson
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
-    from cabinpose.align.session import Calibrated
+    from cabinpose.align import Calibrated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ COMMAND = Calibrate
 def run(command: Calibrate) -> None:
     """Calibrate, write the file, and say how far each step can be trusted."""
     require("record")
-    from cabinpose.align.session import Session, calibrate
+    from cabinpose.align import Session, calibrate
 
     if command.out.exists() and not command.overwrite:
         raise ConfigError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")

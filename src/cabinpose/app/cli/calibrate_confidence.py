@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cabinpose.app.cli.arguments import DatasetArgument, SelectsFrames
 from cabinpose.app.cli.output import print_json, print_table, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import DatasetError, ModelError
+from cabinpose.core import DatasetError, ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-    from cabinpose.estimate.joint_predictor import JointPredictor
-    from cabinpose.evaluate.options import EvaluationOptions
+    from cabinpose.estimate import JointPredictor
+    from cabinpose.evaluate import EvaluationOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +50,8 @@ def run(command: CalibrateConfidence) -> None:
     import numpy as np
 
     from cabinpose.app.cli.selection import opened, selected
-    from cabinpose.estimate.expected_error import FEWEST, METADATA_KEY, fit
-    from cabinpose.estimate.export import write_copy
-    from cabinpose.estimate.predictor import load_model
-    from cabinpose.evaluate.options import EvaluationOptions
+    from cabinpose.estimate import FEWEST, METADATA_KEY, fit_expected_error, load_model, write_copy
+    from cabinpose.evaluate import EvaluationOptions
 
     options = EvaluationOptions(presence=command.presence)
     model = load_model(command.model)
@@ -65,7 +63,7 @@ def run(command: CalibrateConfidence) -> None:
     frames = dataset.sizes["frame"]
     with progress(frames, "frames") as report:
         known, error_m, joints = _measured(dataset, model, options, report)
-    table = fit(known, error_m, joints)
+    table = fit_expected_error(known, error_m, joints)
     if not table:
         raise DatasetError(
             f"no joint is found {FEWEST} times or more in {frames} frames", hint="calibrate on a larger dataset of the same seats"
@@ -95,9 +93,8 @@ def _measured(
     """
     import numpy as np
 
-    from cabinpose.estimate.expected_error import cues
-    from cabinpose.estimate.onnx_model import cameras_of
-    from cabinpose.evaluate.offline import BATCH, common_joints, frame_batch, shared_places, truth_of
+    from cabinpose.estimate import cameras_of, cues
+    from cabinpose.evaluate import BATCH, common_joints, frame_batch, shared_places, truth_of
 
     joints, persons = list(common_joints(dataset, [model])), list(shared_places(dataset, [model]))
     if not set(persons) <= set(model.persons):

@@ -14,15 +14,13 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, is_recording, refuse_existing, several
 from cabinpose.app.cli.output import print_json, print_rows, print_table, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError, DatasetError, RecordingError
+from cabinpose.core import ConfigError, DatasetError, RecordingError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cabinpose.core.camera import Camera
-    from cabinpose.scene.sensor import Sensor
-    from cabinpose.scene.sensor.noise_fit import EmpiricalFit, Estimate, PhysicalFit
-    from cabinpose.scene.sensor.walls import Wall
+    from cabinpose.core import Camera
+    from cabinpose.scene.sensor import EmpiricalFit, Estimate, PhysicalFit, Sensor, Wall
 
     Frames = Iterator[tuple[NDArray[Any], NDArray[Any] | None]]
 
@@ -61,7 +59,7 @@ COMMAND = CalibrateNoise
 
 def run(command: CalibrateNoise) -> None:
     """Read the walls, fit, write the results and print them."""
-    from cabinpose.scene.sensor.noise_fit import check_distances, fit_empirical, fit_physical
+    from cabinpose.scene.sensor import check_distances, fit_empirical, fit_physical
 
     if not command.walls:
         raise ConfigError("there is no wall to look at", hint="name recordings or datasets of a flat wall")
@@ -114,7 +112,7 @@ def _rows(walls: list[dict[str, Any]]) -> list[list[str]]:
 
 def _sensor(name: str) -> Sensor:
     from cabinpose.scene.sensor import sensor_by_name
-    from cabinpose.synth.config import SynthConfig
+    from cabinpose.synth import SynthConfig
 
     if name.endswith((".yaml", ".yml")):
         return SynthConfig.load(Path(name)).camera.sensor_model
@@ -122,7 +120,7 @@ def _sensor(name: str) -> Sensor:
 
 
 def _walls(path: Path, command: CalibrateNoise, sensor: Sensor | None, distance_m: float | None) -> list[Wall]:
-    from cabinpose.scene.sensor.walls import walls_of_frames
+    from cabinpose.scene.sensor import walls_of_frames
 
     if is_recording(path):
         require("record")
@@ -138,7 +136,7 @@ def _walls(path: Path, command: CalibrateNoise, sensor: Sensor | None, distance_
 def _camera(k: NDArray[Any], dist: NDArray[Any], shape: tuple[int, ...]) -> Camera | None:
     import numpy as np
 
-    from cabinpose.estimate.inputs import camera_of
+    from cabinpose.estimate import camera_of
 
     if not (np.isfinite(k).all() and k[0, 0] > 0):
         return None
@@ -147,7 +145,7 @@ def _camera(k: NDArray[Any], dist: NDArray[Any], shape: tuple[int, ...]) -> Came
 
 def _of_recording(path: Path, source: str | None) -> tuple[Camera | None, float, Frames]:
     """Intrinsics, step of the depth (m) and frames of the camera of a recording."""
-    from cabinpose.core.errors import unknown_name
+    from cabinpose.core import unknown_name
     from cabinpose.store.recording import Recording, tof_frames
 
     with Recording(path) as recording:
@@ -175,8 +173,7 @@ def _of_recording(path: Path, source: str | None) -> tuple[Camera | None, float,
 
 def _of_dataset(folder: Path) -> tuple[Camera | None, float, Frames]:
     """The same of a dataset."""
-    from cabinpose.store import open_dataset
-    from cabinpose.store.schema import DEPTH_SCALE_M
+    from cabinpose.store import DEPTH_SCALE_M, open_dataset
 
     data = open_dataset(folder)
     if "depth" not in data:

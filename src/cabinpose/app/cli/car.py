@@ -14,12 +14,12 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
-from cabinpose.core.errors import ConfigError, SceneError
+from cabinpose.core import ConfigError, SceneError
 
 if TYPE_CHECKING:
     from cabinpose.app.car_check import CarReport
-    from cabinpose.scene.cabin.car_file import Rule
-    from cabinpose.synth.seat_trial import SeatTrial
+    from cabinpose.scene.cabin import Rule
+    from cabinpose.synth import SeatTrial
 
 _PICTURE = "car.png"
 _VIEWS = ("front_row", "driver", "rear")  # the picture shows a frame from the first of these that the car has
@@ -69,8 +69,8 @@ def run(command: CarInit | CarCheck) -> None:
 
 def _init(command: CarInit) -> None:
     from cabinpose.app.car_check import point_text
-    from cabinpose.scene.cabin.car_draft import draft_car_file
-    from cabinpose.store.part import disk_errors
+    from cabinpose.scene.cabin import draft_car_file
+    from cabinpose.store import disk_errors
 
     _refuse_existing(command.out, command.overwrite)
     with progress() as report:
@@ -210,9 +210,8 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
     from PIL import Image as PilImage
 
     from cabinpose.app.view.car import draw_car
-    from cabinpose.store.part import disk_errors
-    from cabinpose.synth.config import SynthConfig
-    from cabinpose.synth.write import FrameMaker
+    from cabinpose.store import disk_errors
+    from cabinpose.synth import FrameMaker, SynthConfig
 
     held = {slot: float(trial.held > 0) for slot, trial in report.trials.items()}
     view = next((name for name in _VIEWS if name in report.cabin.views), None)

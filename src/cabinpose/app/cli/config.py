@@ -13,12 +13,12 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import DatasetArgument, PrintsJson, one_of, several
 from cabinpose.app.cli.output import print_json, print_rows, progress
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from cabinpose.synth.config import SynthConfig
+    from cabinpose.synth import SynthConfig
 
 _TRIED_FRAMES = 3  # scenes that `config check` draws
 _NewFile = Annotated[Positional[Path | None], several("FILE")]
@@ -63,7 +63,7 @@ COMMAND = one_of(init=ConfigInit, check=ConfigCheck, frame=ConfigFrame, schema=C
 
 def run(command: ConfigInit | ConfigCheck | ConfigFrame | ConfigSchema) -> None:
     """Write, check or describe a configuration."""
-    from cabinpose.synth.config import SynthConfig, room_preset
+    from cabinpose.synth import SynthConfig, room_preset
 
     if isinstance(command, ConfigInit):
         _write(commented_yaml(room_preset() if command.scene == "room" else SynthConfig()), command.file)
@@ -81,8 +81,7 @@ def _frame_yaml(command: ConfigFrame) -> str:
 
     import cabinpose
     from cabinpose.store import read_manifest
-    from cabinpose.synth.config import SynthConfig
-    from cabinpose.synth.exact import exact_config, without_defaults
+    from cabinpose.synth import SynthConfig, exact_config, without_defaults
 
     folder, number, manifest = command.dataset, command.frame, read_manifest(command.dataset)
     if manifest.generator != "cabinpose.synth":
@@ -113,9 +112,7 @@ def _write(text: str, file: Path | None) -> None:
 
 def _check(command: ConfigCheck, config: SynthConfig) -> None:
     """Draw a few scenes, as `synth` would, and summarise the configuration."""
-    from cabinpose.synth.preflight import preflight
-    from cabinpose.synth.sample import SceneSampler
-    from cabinpose.synth.streams import frame_rng
+    from cabinpose.synth import SceneSampler, frame_rng, preflight
 
     with progress() as report:
         report.phase("trying scenes")

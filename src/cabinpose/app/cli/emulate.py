@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of
 from cabinpose.app.cli.output import print_json, print_rows
-from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
+from cabinpose.core import ConfigError, RecordingError, unknown_name
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from cabinpose.record.emulate.mvn import Sent
-    from cabinpose.record.emulate.mvn_motion import Motion
-    from cabinpose.record.emulate.vicon_motion import Motion as ViconMotion
+    from cabinpose.record.emulate import MarkerMotion, Sent, SuitMotion
 
 _Settings = TypeVar("_Settings", bound="BaseModel")
 
@@ -149,8 +147,7 @@ def run(command: EmulateMvn | EmulateVicon | EmulateStepper) -> None:
 
 
 def _mvn(command: EmulateMvn) -> dict[str, Any]:
-    from cabinpose.record.emulate.mvn import MvnEmulator
-    from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings
+    from cabinpose.record.emulate import MvnEmulator, MvnEmulatorSettings
 
     settings = _checked(
         MvnEmulatorSettings,
@@ -183,9 +180,9 @@ def _mvn(command: EmulateMvn) -> dict[str, Any]:
     return sent | {"samples": emulator.samples}
 
 
-def _motion(name: str) -> Motion:
-    from cabinpose.record.emulate.mvn_motion import generated, recorded
-    from cabinpose.store.convert.mvnx import read_mvnx
+def _motion(name: str) -> SuitMotion:
+    from cabinpose.record.emulate import generated, recorded
+    from cabinpose.store.convert import read_mvnx
 
     path = Path(name)
     return recorded(read_mvnx(path)) if path.suffix.lower() == ".mvnx" else generated(name)
@@ -202,15 +199,14 @@ def _log_file(path: Path | None) -> Iterator[Callable[[Any], None]]:
         file = path.open("x", encoding="utf-8", newline="\n", buffering=1)
     except OSError as error:
         raise RecordingError(f"cannot write {path} ({error.strerror or error})", hint="give a new file with --log") from error
-    from cabinpose.record.emulate.base import log_line
+    from cabinpose.record.emulate import log_line
 
     with file:
         yield lambda sent: print(log_line(sent), end="", file=file)
 
 
 def _vicon(command: EmulateVicon) -> dict[str, Any]:
-    from cabinpose.record.emulate.vicon import ViconEmulator
-    from cabinpose.record.emulate.vicon_content import ViconEmulatorSettings
+    from cabinpose.record.emulate import ViconEmulator, ViconEmulatorSettings
 
     outages = [] if command.die_after is None else [(command.die_after, command.dead_for, command.anew)]
     settings = _checked(
@@ -242,7 +238,7 @@ def _wait(seconds: float | None) -> None:
 
 
 def _stepper(command: EmulateStepper) -> dict[str, Any]:
-    from cabinpose.record.emulate.stepper import StepperEmulator, StepperEmulatorSettings
+    from cabinpose.record.emulate import StepperEmulator, StepperEmulatorSettings
 
     settings = _checked(
         StepperEmulatorSettings,
@@ -275,10 +271,10 @@ def _linked(link: Path | None, port: str) -> Iterator[None]:
         link.unlink(missing_ok=True)
 
 
-def _vicon_motion(command: EmulateVicon) -> ViconMotion:
+def _vicon_motion(command: EmulateVicon) -> MarkerMotion:
     import numpy as np
 
-    from cabinpose.record.emulate.vicon_motion import generated_motion, motion_of_c3d
+    from cabinpose.record.emulate import generated_motion, motion_of_c3d
 
     path = Path(command.motion)
     if path.suffix.lower() == ".c3d":

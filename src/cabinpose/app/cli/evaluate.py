@@ -14,16 +14,14 @@ from tyro.conf import Positional, arg
 from cabinpose.app.cli.arguments import Maybe, SelectsFrames, refuse_existing, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
-from cabinpose.core.errors import ConfigError, DatasetError
+from cabinpose.core import ConfigError, DatasetError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cabinpose.core.ports import Predictor, Segmenter
-    from cabinpose.evaluate.options import EvaluationOptions
-    from cabinpose.evaluate.report import Report
-    from cabinpose.store.class_images import ClassImages
-    from cabinpose.store.predictions import Predictions
+    from cabinpose.core import Predictor, Segmenter
+    from cabinpose.evaluate import EvaluationOptions, Report
+    from cabinpose.store import ClassImages, Predictions
 
 _USUAL = (
     "PCKh@0.5 2D", "AUC of PCKh 2D", "median error 2D", "PCK@10 cm 3D", "MPJPE 3D", "median error 3D", "presence precision",
@@ -90,8 +88,8 @@ COMMAND = Evaluate
 
 def run(command: Evaluate) -> None:
     """Evaluate all files and models; the tables go to stdout, the page to `out`."""
-    from cabinpose.core.pose import Visibility
-    from cabinpose.evaluate.options import EvaluationOptions
+    from cabinpose.core import Visibility
+    from cabinpose.evaluate import EvaluationOptions
 
     options = EvaluationOptions(
         min_visibility=Visibility[command.min_visibility.upper()], presence=command.presence, head=command.head,
@@ -110,12 +108,9 @@ def run(command: Evaluate) -> None:
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
     from cabinpose.app.cli.selection import opened, selected
     from cabinpose.app.models import opened_models
-    from cabinpose.core.ports import Segmenter
-    from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate
-    from cabinpose.store import read_manifest
-    from cabinpose.store.class_images import SUFFIX, read_class_images
-    from cabinpose.store.predictions import read_predictions
-    from cabinpose.store.schema import dataset_id
+    from cabinpose.core import Segmenter
+    from cabinpose.evaluate import check_predictions, common_joints, evaluate
+    from cabinpose.store import SUFFIX, dataset_id, read_class_images, read_manifest, read_predictions
 
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
     whole = opened(folder, command.labels)
@@ -171,7 +166,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
 def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmenter], name: str) -> None:
     """Segmentations against the dataset's pixel classes."""
     from cabinpose.app.report.parts import parts_page, pictures, write_sheet
-    from cabinpose.evaluate.parts import evaluate_parts
+    from cabinpose.evaluate import evaluate_parts
 
     reports = []
     for model in models:
@@ -205,10 +200,10 @@ def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmente
 
 def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> None:
     """One model on ITOP frames, by ITOP's protocol."""
-    from cabinpose.core.skeleton import ITOP_JOINTS
+    from cabinpose.core import ITOP_JOINTS
     from cabinpose.estimate.remote import open_predictor
-    from cabinpose.evaluate.itop import evaluate_itop, itop_summary
-    from cabinpose.store.itop import as_labelled, read_itop_frames, read_itop_reference
+    from cabinpose.evaluate import evaluate_itop, itop_summary
+    from cabinpose.store import as_labelled, read_itop_frames, read_itop_reference
 
     if len(command.model) != 1 or command.predictions or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
@@ -240,7 +235,7 @@ def _with_own_names(models: Sequence[Predictions], paths: Sequence[Path]) -> lis
 
 def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
     """The slots that all models predict; people in the others are counted on stderr."""
-    from cabinpose.evaluate.offline import shared_places
+    from cabinpose.evaluate import shared_places
 
     shared = shared_places(dataset, models)
     places = [place for place in dataset["person"].values.tolist() if place not in shared]
@@ -253,7 +248,7 @@ def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> t
 
 def write_report(folder: Path, page: str, record: dict[str, Any]) -> None:
     """Write a page and its numbers as index.html and report.json; DatasetError where there is no such folder."""
-    from cabinpose.store.part import disk_errors
+    from cabinpose.store import disk_errors
 
     with disk_errors(folder):
         try:

@@ -14,15 +14,12 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, refuse_existing, several
 from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import AlignmentError, ConfigError, RecordingError
+from cabinpose.core import AlignmentError, ConfigError, RecordingError
 
 if TYPE_CHECKING:
     from cabinpose.app.mocap.figures import Section
     from cabinpose.app.mocap.inputs import PointTracks
-    from cabinpose.evaluate.mocap.bones import Bone
-    from cabinpose.evaluate.mocap.result import Judgement
-    from cabinpose.evaluate.mocap.sfe import SfeRun
-    from cabinpose.evaluate.mocap.sse import SseRun
+    from cabinpose.evaluate.mocap import Bone, Judgement, SfeRun, SseRun
 
 _MOTOR_GAP_S = 60.0  # an encoder may speak only when it turns
 Outcome = tuple["Judgement", "list[Section]", dict[str, Any]]
@@ -165,7 +162,7 @@ def run(command: EvaluateSse | EvaluateSfe | EvaluateDse | EvaluateDfe) -> None:
 def _sse(command: EvaluateSse) -> Outcome:
     from cabinpose.app.mocap.figures import sse_sections
     from cabinpose.app.mocap.inputs import labelled
-    from cabinpose.evaluate.mocap.sse import AXES, sse
+    from cabinpose.evaluate.mocap import AXES, sse
 
     runs: list[SseRun] = []
     for axis, path in labelled(command.takes):
@@ -180,9 +177,8 @@ def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
     import numpy as np
 
     from cabinpose.app.mocap.inputs import read_channels, read_orientations
-    from cabinpose.core.recorded import MOTOR_CHANNELS
-    from cabinpose.core.resample import resample_positions
-    from cabinpose.evaluate.mocap.sse import find_steps, sse_run
+    from cabinpose.evaluate.mocap import find_steps, sse_run
+    from cabinpose.signals import MOTOR_CHANNELS, resample_positions
 
     time, turned, origin_ns = read_orientations(path, command.sensor, source=command.source)
     source, slash, channel = (command.motor or "").partition("/")
@@ -204,8 +200,7 @@ def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
 def _sfe(command: EvaluateSfe) -> Outcome:
     from cabinpose.app.mocap.figures import sfe_sections
     from cabinpose.app.mocap.inputs import body_source, labelled, read_motion
-    from cabinpose.evaluate.mocap.bones import bone_lengths, mvn_bones, rigid_pairs
-    from cabinpose.evaluate.mocap.sfe import sfe
+    from cabinpose.evaluate.mocap import bone_lengths, mvn_bones, rigid_pairs, sfe
 
     runs: list[SfeRun] = []
     bones: dict[str, tuple[Bone, ...]] = {}
@@ -224,8 +219,7 @@ def _sfe(command: EvaluateSfe) -> Outcome:
 
 
 def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRun:
-    from cabinpose.evaluate.mocap.sfe import find_poses, sfe_run
-    from cabinpose.evaluate.mocap.stillness import Window
+    from cabinpose.evaluate.mocap import Window, find_poses, sfe_run
 
     if (command.first is None) != (command.last is None):
         raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
@@ -250,7 +244,7 @@ def _dse(command: EvaluateDse) -> Outcome:
 
     from cabinpose.app.mocap.compare import dse_runs
     from cabinpose.app.mocap.figures import dse_sections
-    from cabinpose.evaluate.mocap.dse import dse
+    from cabinpose.evaluate.mocap import dse
 
     runs, judged = _against_optical(command, dse_runs, dse)
     headings = [{"condition": r.condition, "heading_deg": float(np.degrees(r.heading_rad))} for r in runs]
@@ -260,7 +254,7 @@ def _dse(command: EvaluateDse) -> Outcome:
 def _dfe(command: EvaluateDfe) -> Outcome:
     from cabinpose.app.mocap.compare import dfe_runs
     from cabinpose.app.mocap.figures import dfe_sections
-    from cabinpose.evaluate.mocap.dfe import dfe
+    from cabinpose.evaluate.mocap import dfe
 
     runs, judged = _against_optical(command, dfe_runs, dfe)
     return judged, dfe_sections(judged, runs, _measures(judged)), {}

@@ -12,12 +12,12 @@ from tyro.conf import Positional, arg
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cabinpose.evaluate.report import Report
+    from cabinpose.evaluate import Report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +59,8 @@ def run(command: Experiment) -> None:
     from cabinpose.app.compare import answers, judged, named, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
     from cabinpose.app.report.detectors import page_html
-    from cabinpose.estimate.methods import METHODS
-    from cabinpose.evaluate.options import EvaluationOptions
+    from cabinpose.estimate import METHODS
+    from cabinpose.evaluate import EvaluationOptions
 
     known = [method.name for method in METHODS.values() if method.task == "joints"]
     methods = known if command.methods is None else [word for word in command.methods.split(",") if word]
@@ -113,8 +113,7 @@ def _models(
 ) -> tuple[dict[str, Path], list[str]]:
     """The model file of each method, trained where none is given, and a line on each of where it is from."""
     from cabinpose.app.compare import recipe, train_model
-    from cabinpose.estimate.methods import method_named
-    from cabinpose.estimate.predictor import packaged_models
+    from cabinpose.estimate import method_named, packaged_models
 
     for name in methods:
         method_named(name)

@@ -12,12 +12,12 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, SelectsFrames, several
 from cabinpose.app.cli.output import listed, print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cabinpose.store.split import Splits
+    from cabinpose.store import Splits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +100,8 @@ def run(command: Export) -> None:
 def _frames(command: Export, folder: Path, name: str) -> tuple[xr.Dataset, Splits]:
     """The frames to export, and the splits to write them by: one that is named or all, where the format can tell splits apart."""
     from cabinpose.app.cli.selection import frames_with, opened, selected, selection
+    from cabinpose.store import read_splits
     from cabinpose.store.convert import IMAGE_KINDS
-    from cabinpose.store.split import read_splits
 
     dataset = opened(folder, command.labels)
     if command.splits is None or name not in IMAGE_KINDS:
@@ -116,7 +116,7 @@ def _export_model(command: Export, checkpoint: Path) -> None:
     if checkpoint.suffix == ".npz":
         raise ConfigError(f"{checkpoint} holds no network", hint="it is the model already: give it to --model")
     require("train")
-    from cabinpose.estimate.export import export_onnx
+    from cabinpose.estimate import export_onnx
 
     name = command.name or command.out.stem
     with progress() as report:
@@ -132,6 +132,6 @@ def _export_model(command: Export, checkpoint: Path) -> None:
 
 
 def _card(path: Path | None) -> dict[str, Any]:
-    from cabinpose.store.yaml_file import read_mapping
+    from cabinpose.store import read_mapping
 
     return {} if path is None else read_mapping(path, hint="give a YAML file of `key: value` lines with --card")

@@ -13,7 +13,7 @@ from cabinpose.app.cli.arguments import PrintsJson
 from cabinpose.app.cli.output import print_json
 from cabinpose.app.cli.takes import print_takes, print_unknown
 from cabinpose.app.extras import require
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, printable, progress
-from cabinpose.core.errors import unknown_name
+from cabinpose.core import unknown_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +77,8 @@ def run(command: Import) -> None:
     """Import with a progress bar and print what was written."""
     from cabinpose.app.cli.arguments import refuse
     from cabinpose.app.cli.recording_exchange import import_recording
-    from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, open_source
-    from cabinpose.store.convert.reading import ImportOptions
-    from cabinpose.store.source import check_new_dataset, import_source
+    from cabinpose.store import check_new_dataset, import_source
+    from cabinpose.store.convert import IMPORTS, RECORDING_IMPORTS, ImportOptions, open_source
 
     if import_recording(command):
         return

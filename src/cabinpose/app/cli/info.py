@@ -12,7 +12,7 @@ from cabinpose.app.cli.arguments import Maybe, SelectsFrames, ThingArgument, is_
 from cabinpose.app.cli.output import listed, print_json, print_rows, print_table, progress
 from cabinpose.app.cli.takes import print_takes, print_unknown, when
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     from cabinpose.app.view.summary import DatasetSummary

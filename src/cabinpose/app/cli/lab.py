@@ -9,7 +9,7 @@ from pathlib import Path
 from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,12 @@ from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table
 from cabinpose.app.finite import finite
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     from cabinpose.app.live.feed import LiveFrame
     from cabinpose.app.live.run import Found, Latency, Live, LiveStatus
-    from cabinpose.core.ports import Predictor
+    from cabinpose.core import Predictor
 
 _REFRESH_S = 0.25
 _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
@@ -70,7 +70,7 @@ def run(command: LiveCommand) -> int:
     require("record")
     from cabinpose.app.live.choose import open_feed, parsed_settings
     from cabinpose.app.live.run import Live
-    from cabinpose.store.predictions import check_new_predictions
+    from cabinpose.store import check_new_predictions
 
     _check(command)
     if command.predictions is not None:
@@ -174,9 +174,7 @@ def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> 
 
 def _write_predictions(command: LiveCommand, live: Live) -> None:
     from cabinpose.app.live.feed import DatasetFeed
-    from cabinpose.store import read_manifest
-    from cabinpose.store.predictions import write_predictions
-    from cabinpose.store.schema import dataset_id
+    from cabinpose.store import dataset_id, read_manifest, write_predictions
 
     assert command.predictions is not None
     (model,) = live.models
@@ -188,8 +186,7 @@ def _write_predictions(command: LiveCommand, live: Live) -> None:
 def _reports(command: LiveCommand, live: Live) -> list[Any]:
     """What `evaluate` says of the frames that were looked at, where the source is a dataset with people in the models' seats."""
     from cabinpose.app.live.feed import DatasetFeed
-    from cabinpose.evaluate.offline import common_joints, evaluate, shared_places
-    from cabinpose.evaluate.options import EvaluationOptions
+    from cabinpose.evaluate import EvaluationOptions, common_joints, evaluate, shared_places
 
     if not isinstance(live.feed, DatasetFeed) or not live.frames:
         return []

@@ -27,7 +27,7 @@ def run(command: Models) -> None:
     """Print one model's description and card, or a line for each packaged model."""
     import yaml
 
-    from cabinpose.estimate.predictor import describe_model, packaged_models
+    from cabinpose.estimate import describe_model, packaged_models
 
     packaged = packaged_models()
     chosen = packaged if command.model is None else {"": packaged.get(command.model, Path(command.model))}

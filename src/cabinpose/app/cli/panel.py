@@ -14,8 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from cabinpose.record.lane import LaneStatus
-from cabinpose.record.recorder import RecorderStatus
+from cabinpose.record import LaneStatus, RecorderStatus
 
 _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
 _COLUMNS = (

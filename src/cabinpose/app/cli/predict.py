@@ -12,14 +12,14 @@ from tyro.conf import arg
 
 from cabinpose.app.cli.arguments import DatasetArgument, Maybe, SelectsFrames
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
     from numpy.typing import NDArray
 
-    from cabinpose.core.ports import Segmenter
+    from cabinpose.core import Segmenter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +44,18 @@ def run(command: Predict) -> None:
     """Run the model over the frames in their order and write the predictions."""
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.models import opened_models
-    from cabinpose.core.ports import Segmenter
-    from cabinpose.evaluate.offline import model_name, predict_dataset
-    from cabinpose.store import open_dataset, read_manifest
-    from cabinpose.store.class_images import SUFFIX, check_new_class_images
-    from cabinpose.store.predictions import Predictions, check_new_predictions, write_predictions
-    from cabinpose.store.schema import dataset_id
+    from cabinpose.core import Segmenter
+    from cabinpose.evaluate import model_name, predict_dataset
+    from cabinpose.store import (
+        SUFFIX,
+        Predictions,
+        check_new_class_images,
+        check_new_predictions,
+        dataset_id,
+        open_dataset,
+        read_manifest,
+        write_predictions,
+    )
 
     of_parts = command.out.suffix == SUFFIX
     check = check_new_class_images if of_parts else check_new_predictions
@@ -88,8 +94,8 @@ def run(command: Predict) -> None:
 
 def _write_parts(command: Predict, dataset: xr.Dataset, model: Segmenter, name: str) -> None:
     """Run a segmentation and write its label images."""
-    from cabinpose.evaluate.offline import BATCH, frame_batch
-    from cabinpose.store.class_images import write_class_images
+    from cabinpose.evaluate import BATCH, frame_batch
+    from cabinpose.store import write_class_images
 
     count = dataset.sizes["frame"]
     with progress(count, "frames") as report:

@@ -15,11 +15,10 @@ from cabinpose.app.cli.arguments import Maybe, PrintsJson
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError, RecordingError
+from cabinpose.core import ConfigError, RecordingError
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
-    from cabinpose.record.config import Rig, Storage
-    from cabinpose.record.recorder import Outcome, Recorder
+    from cabinpose.record import Outcome, Recorder, Rig, Storage
     from cabinpose.store.recording import SourceStatus
 
 _REFRESH_S = 0.25
@@ -53,7 +52,7 @@ COMMAND = Record
 def run(command: Record) -> int:
     """Check, or record until Ctrl-C, the end of the duration, or of all sources; 1 where one that is needed fell silent."""
     require("record")
-    from cabinpose.record.config import load_rig, load_take
+    from cabinpose.record import load_rig, load_take
 
     rig = load_rig(command.config)
     if command.take is not None:
@@ -72,7 +71,7 @@ def run(command: Record) -> int:
 
 def _split(storage: Storage, text: str) -> Storage:
     """How the recording is written, with another limit of its files."""
-    from cabinpose.record.split import Limit
+    from cabinpose.record import Limit
 
     try:
         Limit.of(text)
@@ -82,8 +81,8 @@ def _split(storage: Storage, text: str) -> Storage:
 
 
 def _check(command: Record, rig: Rig) -> None:
-    from cabinpose.core.clock import HostClock
-    from cabinpose.record.check import check
+    from cabinpose.record import check
+    from cabinpose.signals import HostClock
 
     findings = check(rig, command.out, HostClock())
     missing = sum(bool(finding.problems) and finding.required for finding in findings)
@@ -97,8 +96,8 @@ def _check(command: Record, rig: Rig) -> None:
 
 def _record(command: Record, rig: Rig, out: Path) -> int:
     from cabinpose.app.cli.panel import panel
-    from cabinpose.core.clock import HostClock
-    from cabinpose.record.session import begin
+    from cabinpose.record import begin
+    from cabinpose.signals import HostClock
 
     clock = HostClock()
     recorder = begin(rig, out, clock)

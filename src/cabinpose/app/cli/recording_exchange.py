@@ -11,9 +11,8 @@ from pydantic import ValidationError
 from cabinpose.app.cli.arguments import is_recording, refuse, refuse_selection
 from cabinpose.app.cli.output import print_json, print_rows, printable
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
-from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDING_IMPORTS
-from cabinpose.store.convert.rows import epoch_ns
+from cabinpose.core import ConfigError
+from cabinpose.store.convert import FORMATS, IMPORTS, RECORDING_EXPORTS, RECORDING_IMPORTS, epoch_ns
 
 if TYPE_CHECKING:  # needs the extra `record`, which is asked for first
     from cabinpose.app.cli.export import Export
@@ -52,7 +51,7 @@ def import_recording(command: Import) -> bool:
     }  # fmt: skip
     refuse(of_dataset, f"{name} gives a recording; {{}} is of datasets")
     require("record")
-    from cabinpose.store.convert.recordings import RecordingOptions, import_recording
+    from cabinpose.store.convert import RecordingOptions, import_recording
 
     take = _take(command)
     options = RecordingOptions(
@@ -94,7 +93,7 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
     if command.out.resolve() == path.resolve():
         raise ConfigError(f"{path} is the recording itself", hint="give another file with --out")
     require("record")
-    from cabinpose.store.convert.recordings import Selection, export_recording
+    from cabinpose.store.convert import Selection, export_recording
 
     selection = Selection(command.source, command.subject, command.span, command.rate, command.angles)
     paths = export_recording(path, name, command.out, selection=selection, overwrite=command.overwrite)
@@ -107,7 +106,7 @@ def export_recording(command: Export, path: Path, name: str) -> bool:
 
 
 def _take(command: Import) -> Take:
-    from cabinpose.record.config import load_take
+    from cabinpose.record import load_take
     from cabinpose.store.recording import Take
 
     if command.take is not None:

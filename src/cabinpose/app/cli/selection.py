@@ -10,11 +10,18 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.app.cli.arguments import SelectsFrames
-from cabinpose.core.errors import ConfigError, DatasetError, unknown_name
-from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.labels import labels_of, with_labels
-from cabinpose.store.schema import dataset_id
-from cabinpose.store.split import COORDINATES, Selection, frame_mask, read_splits
+from cabinpose.core import ConfigError, DatasetError, unknown_name
+from cabinpose.store import (
+    COORDINATES,
+    Selection,
+    dataset_id,
+    frame_mask,
+    labels_of,
+    open_dataset,
+    read_manifest,
+    read_splits,
+    with_labels,
+)
 
 
 def opened(folder: Path, labels: Path | None = None) -> xr.Dataset:

@@ -37,7 +37,7 @@ COMMAND = Serve
 def run(command: Serve) -> None:
     """Print the address, serve, and say at the end how many requests there were."""
     from cabinpose.app.cli.output import print_json, printable
-    from cabinpose.core.errors import ConfigError
+    from cabinpose.core import ConfigError
     from cabinpose.estimate.remote import need_protocol, open_predictor
 
     if not 0 <= command.port <= 65535 or not 1 <= command.max_message_mb <= 1024:

@@ -14,10 +14,10 @@ from tyro.conf import Positional
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import listed, print_json, print_rows, progress
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
-    from cabinpose.synth.generate import Progress
+    from cabinpose.synth import Progress
 
 _FEW_POSES, _HARDLY_ANY = 100, 0.05  # after so many poses, an acceptance below this is explained on stderr
 
@@ -56,8 +56,7 @@ COMMAND = Synth
 
 def run(command: Synth) -> None:
     """Generate with a progress bar, then report speed, acceptance and content."""
-    from cabinpose.synth.config import SynthConfig
-    from cabinpose.synth.generate import generate
+    from cabinpose.synth import SynthConfig, generate
 
     if command.workers is not None and command.scheduler is not None:
         raise ConfigError(
@@ -107,7 +106,7 @@ def _shift(moved: Mapping[str, float]) -> str:
 
 
 def _warn_of_rejections(state: Progress, accepted: int) -> None:
-    from cabinpose.synth.validate import most_common
+    from cabinpose.synth import most_common
 
     causes = most_common(state.rejections, 3)
     print(f"only {100.0 * accepted / state.proposals:.1f} % of the poses hold: {causes}", file=sys.stderr)
@@ -115,8 +114,7 @@ def _warn_of_rejections(state: Progress, accepted: int) -> None:
 
 def _frames_there(command: Synth) -> int:
     """Frames that a resumed run finds on disk."""
-    from cabinpose.store import read_manifest
-    from cabinpose.store.schema import MANIFEST_NAME
+    from cabinpose.store import MANIFEST_NAME, read_manifest
 
     if not command.resume or not (command.out / MANIFEST_NAME).exists():
         return 0

@@ -15,10 +15,10 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
-    from cabinpose.estimate.data import Frames, FrameSpec
+    from cabinpose.estimate import Frames, FrameSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +71,7 @@ def run(command: Train) -> None:
         report.phase("loading torch")
         from cabinpose.app.report.curves import write_curves
         from cabinpose.app.training import read_train_config
-        from cabinpose.estimate.methods import method_named
-        from cabinpose.estimate.training import fit, frame_spec
+        from cabinpose.estimate import fit, frame_spec, method_named
 
         def show(done: int, total: int, note: str) -> None:
             nonlocal report, counted
@@ -109,7 +108,7 @@ def _frames(command: Train, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]
     """Training and validation frames, stored or generated."""
     from cabinpose.app.training import generated_frames, stored_frames
     from cabinpose.store import open_dataset
-    from cabinpose.synth.config import SynthConfig
+    from cabinpose.synth import SynthConfig
 
     if command.synth is not None:
         return generated_frames(SynthConfig.load(command.synth), spec, command.frames, seed)

@@ -13,10 +13,10 @@ from tyro.conf import Positional, arg
 from cabinpose.app.cli.arguments import DatasetArgument, Maybe, PrintsJson, refuse_existing
 from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
-    from cabinpose.synth.style.encoder import Loss
+    from cabinpose.synth.style import Loss
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +49,7 @@ def run(command: TrainStyle) -> None:
     """Train with a progress bar, and say what the model does to frames that it has not seen."""
     require("train")
     from cabinpose.store import open_dataset
-    from cabinpose.synth.style.fit import fit_style
-    from cabinpose.synth.style.frame import StyleFrame
+    from cabinpose.synth.style import StyleFrame, fit_style
 
     if command.out.suffix != ".onnx":
         raise ConfigError(f"{command.out} is no name of a model", hint="let it end in .onnx")

@@ -8,7 +8,7 @@ from pathlib import Path
 from cabinpose.app.cli.arguments import SelectsFrames, ThingArgument, is_recording, refuse_existing, refuse_selection
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +36,7 @@ COMMAND = View
 def run(command: View) -> None:
     """Draw, and print the names of the files."""
     from cabinpose.app.cli.selection import selected
-    from cabinpose.store import open_dataset, read_manifest
-    from cabinpose.store.part import disk_errors
+    from cabinpose.store import disk_errors, open_dataset, read_manifest
 
     folder, out, frames, rows = command.dataset, command.out, command.frames, command.rows
     if frames < 1 or rows < 1:

@@ -15,17 +15,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
-from cabinpose.align.board import Board
+from cabinpose.align import Board
 from cabinpose.app.lab.markers import marker_samples
 from cabinpose.app.lab.pendulum import Swing, swing
 from cabinpose.app.lab.raycast import PrimitiveScene
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.targets import as_message, board_scene, pendulum_scene, plate_size, see
 from cabinpose.app.lab.writing import samples, write_recording
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix, apply, invert, transform
-from cabinpose.core.ports import Sample
+from cabinpose.core import Camera, Matrix, SceneError, apply, invert, transform
+from cabinpose.signals import Sample
 from cabinpose.store.recording import Take
 
 F64 = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.clock import ClockMap
+from cabinpose.signals import ClockMap
 
 Times = NDArray[np.int64]
 

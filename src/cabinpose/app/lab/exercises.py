@@ -10,10 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.motion import F64, KeyedMotion, Window
-from cabinpose.core.frames import Matrix, transform
-from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.body.rig import LOWER, UPPER
-from cabinpose.synth.posture.feet import GROUND_M
+from cabinpose.core import Matrix, transform
+from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER, Person
+from cabinpose.synth.posture import GROUND_M
 
 PLANES = ("coronal", "sagittal", "transversal")
 NEUTRAL_S = 3.0

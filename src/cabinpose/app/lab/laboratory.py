@@ -11,7 +11,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.align.board import Board
+from cabinpose.align import Board
 from cabinpose.app.lab.calibration import board_take, pendulum_take, write_board_take, write_pendulum_take
 from cabinpose.app.lab.exercises import ARMS_OFF_DEG
 from cabinpose.app.lab.rig import VirtualRig
@@ -26,9 +26,8 @@ from cabinpose.app.lab.takes import (
     write_pair_take,
     write_pose_take,
 )
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import invert
-from cabinpose.store.yaml_file import read_mapping, validated
+from cabinpose.core import ConfigError, invert
+from cabinpose.store import read_mapping, validated
 
 SESSION, RIG = "session.yaml", "rig.yaml"
 BOARD, PENDULUM = "board.mcap", "pendulum.mcap"

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.writing import samples
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Markers
+from cabinpose.signals import Markers, Sample
 
 F64 = NDArray[np.float64]
 

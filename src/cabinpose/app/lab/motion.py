@@ -18,20 +18,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from cabinpose._native import body as native
-from cabinpose.core.errors import SceneError, unknown_name
-from cabinpose.core.frames import Matrix
-from cabinpose.core.pose import STANDING_SLOT
-from cabinpose.core.skeleton import JOINTS
-from cabinpose.scene.body import DOF_INDEX, SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.body.kinematics import main_frames
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.core import JOINTS, STANDING_SLOT, Matrix, SceneError, unknown_name
+from cabinpose.scene.body import DOF_INDEX, LOWER, SEGMENTS, SUBJECTS, UPPER, BodyModel, Person, PosedBody, main_frames
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, person_contact, self_contact, solid_topology
-from cabinpose.synth.casting import judged_cabin
-from cabinpose.synth.posture import SeatOffset, choose_setting, draw_offset, random_action, sample_pose
-from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation
-from cabinpose.synth.posture.goals import turn_head
-from cabinpose.synth.validate import Validator
+from cabinpose.synth import Validator, judged_cabin
+from cabinpose.synth.posture import (
+    HEAD_SHARE,
+    SeatOffset,
+    choose_setting,
+    draw_offset,
+    head_rotation,
+    random_action,
+    sample_pose,
+    turn_head,
+)
 
 F64 = NDArray[np.float64]
 

@@ -11,13 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose._native import lab
 from cabinpose.app.lab.motion import KeyedMotion
-from cabinpose.core.frames import Matrix, apply, invert, transform
-from cabinpose.core.register import kabsch
-from cabinpose.core.skeleton import INDEX, RIGS
-from cabinpose.scene.body import SEGMENTS, Person
-from cabinpose.scene.body.rig import BONE_INDEX
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import MATERIALS
+from cabinpose.core import INDEX, RIGS, Matrix, apply, invert, transform
+from cabinpose.scene import LABEL_ID as LABEL
+from cabinpose.scene import MATERIALS
+from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
+from cabinpose.signals import kabsch
 
 F64 = NDArray[np.float64]
 

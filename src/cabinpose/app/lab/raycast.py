@@ -14,17 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import lab
-from cabinpose.core.camera import Camera
-from cabinpose.core.frames import Matrix, apply
-from cabinpose.scene.materials import ID, MATERIALS
-from cabinpose.scene.sensor import GeometryBuffers, Sensor
-from cabinpose.scene.sensor.optics import lens_maps
+from cabinpose.core import Camera, Matrix, apply
+from cabinpose.scene import MATERIAL_ID, MATERIALS
+from cabinpose.scene.sensor import GeometryBuffers, Sensor, lens_maps
 
 F64 = NDArray[np.float64]
 
 _SUPERSAMPLE = 2  # parts of the sensor model: 2 x 2, one for each kind of surface
 # Surfaces are of one material; their reflectance relative to it is in the cosine, by which the sensor model multiplies it.
-_MATERIAL = ID["painted_wall"]
+_MATERIAL = MATERIAL_ID["painted_wall"]
 _REFLECTANCE = MATERIALS[_MATERIAL].reflectance
 
 

@@ -10,10 +10,9 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from cabinpose.app.lab.clocks import Clock, ClockSettings
-from cabinpose.core.clock import ClockMap
-from cabinpose.core.errors import unknown_name
-from cabinpose.core.frames import Matrix, invert, is_rigid, look_at
+from cabinpose.core import Matrix, invert, is_rigid, look_at, unknown_name
 from cabinpose.scene.sensor import PhysicalNoise, Sensor, sensor_by_name
+from cabinpose.signals import ClockMap
 
 Source = Literal["tof", "optical", "suit", "suit2"]
 SOURCES: tuple[Source, ...] = ("tof", "optical", "suit", "suit2")

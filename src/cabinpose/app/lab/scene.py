@@ -11,16 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.core.frames import Matrix, invert, transform
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core import Matrix, invert, transform
+from cabinpose.scene import Room
 from cabinpose.scene.cabin import belt_surface
-from cabinpose.scene.room import Room
 from cabinpose.scene.sensor import Sensor
-from cabinpose.synth.camera import Camera as CameraConfig
-from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
-from cabinpose.synth.plan import person_slots
-from cabinpose.synth.scene import Scene, ScenePerson
-from cabinpose.synth.write import FrameMaker
+from cabinpose.signals import ToFFrame
+from cabinpose.synth import CabinScene, FrameMaker, RoomScene, Scene, ScenePerson, SynthConfig, person_slots
+from cabinpose.synth import Camera as CameraConfig
 
 DEPTH_UNIT_M = 1e-4
 VIEW = "driver"

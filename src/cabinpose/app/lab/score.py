@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.align.calibration import Calibration
-from cabinpose.align.project import Aligned
+from cabinpose.align import Aligned, Calibration
 from cabinpose.app.lab.rig import Source, VirtualRig
 from cabinpose.app.lab.takes import Truth
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, invert
-from cabinpose.core.skeleton import JOINTS
+from cabinpose.core import JOINTS, AlignmentError, Matrix, invert
 
 F64 = NDArray[np.float64]
 

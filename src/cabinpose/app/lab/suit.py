@@ -19,13 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.rig import SuitErrors
-from cabinpose.core.frames import Matrix, apply, transform
-from cabinpose.core.skeleton import INDEX, MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.body.kinematics import main_frames
-from cabinpose.scene.body.rig import BONE_INDEX, N_MAIN
+from cabinpose.core import INDEX, MVN_JOINTS, MVN_SEGMENTS, Matrix, apply, transform
+from cabinpose.scene import MATERIAL_ID as MATERIAL
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, N_MAIN, Person, main_frames
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.materials import ID as MATERIAL
 
 F64 = NDArray[np.float64]
 

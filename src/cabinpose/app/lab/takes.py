@@ -28,14 +28,11 @@ from cabinpose.app.lab.rig import Device, Source, VirtualRig
 from cabinpose.app.lab.scene import SceneCamera, message_of, world_from_room, world_from_vehicle
 from cabinpose.app.lab.suit import Wear, as_worn, hand_offset, put_on, steel_of, true_segments
 from cabinpose.app.lab.writing import samples, write_recording
-from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix, apply
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Message, SegmentPoses
-from cabinpose.core.skeleton import JOINTS, MVN_SEGMENTS
+from cabinpose.core import JOINTS, MVN_SEGMENTS, Matrix, SceneError, apply
+from cabinpose.scene import furnish_room
 from cabinpose.scene.body import Person
-from cabinpose.scene.room import furnish_room
 from cabinpose.scene.sensor import Sensor
+from cabinpose.signals import Message, Sample, SegmentPoses
 from cabinpose.store.recording import Participant, Take
 
 F64 = NDArray[np.float64]

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.align.board import Board
+from cabinpose.align import Board
 from cabinpose.app.lab.raycast import Plate, PrimitiveScene, cast
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.core.frames import Matrix, apply, invert
-from cabinpose.core.recorded import ToFFrame
-from cabinpose.record.sources.tof.simulated import tof_frame
+from cabinpose.core import Matrix, apply, invert
+from cabinpose.record.sources.tof import tof_frame
 from cabinpose.scene.sensor import SensorFrame, simulate
+from cabinpose.signals import ToFFrame
 
 F64 = NDArray[np.float64]
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from cabinpose.app.lab.clocks import Clock, Times
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Message
+from cabinpose.signals import Message, Sample
 from cabinpose.store.recording import RecordingWriter, Take
 
 

@@ -9,11 +9,10 @@ from typing import Any
 import yaml
 
 from cabinpose.app.live.feed import DatasetFeed, EveryFrame, Feed, LatestFrame
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.yaml_text import read_yaml
-from cabinpose.record.config import Rig, kinds, parse_rig
-from cabinpose.store.schema import MANIFEST_NAME
+from cabinpose.core import ConfigError, read_yaml, unknown_name
+from cabinpose.record import Rig, kinds, parse_rig
+from cabinpose.signals import HostClock
+from cabinpose.store import MANIFEST_NAME
 
 _NOT_CAMERAS = ("mvn", "vicon", "lsl", "numbered", "replay")
 _SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), an Azure file (.mkv), or a kind of camera"

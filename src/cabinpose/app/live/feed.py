@@ -8,15 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, FrameBatch, FrameSource, Sample
-from cabinpose.core.recorded import ToFFrame
-from cabinpose.evaluate.offline import frame_batch
-from cabinpose.record.config import Rig
-from cabinpose.record.lane import Lane
-from cabinpose.record.recorder import Recorder
-from cabinpose.record.session import start_recorder
+from cabinpose.core import FrameBatch, RecordingError, SourceEndedError
+from cabinpose.evaluate import frame_batch
+from cabinpose.record import Lane, Recorder, Rig, start_recorder
+from cabinpose.signals import Counts, FrameSource, HostClock, Sample, ToFFrame
 from cabinpose.store import open_dataset
 
 _WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.ports import PoseBatch, Predictor, joined
-from cabinpose.store.predictions import Predictions, empty_batch
+from cabinpose.core import CabinposeError, PoseBatch, Predictor, joined
+from cabinpose.store import Predictions, empty_batch
 
 _WINDOW = 100  # frames over which the present rate and latency are taken
 

@@ -14,14 +14,23 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.app.cli.evaluate_mocap import AgainstOptical, EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap.inputs import PointTracks, pairs_of, read_motion, read_sensors, windows
-from cabinpose.core.angular import angular_speed
-from cabinpose.core.delay import estimate_delay
-from cabinpose.core.errors import AlignmentError, RecordingError
-from cabinpose.core.resample import common_clock, resample_positions, resample_rotations
-from cabinpose.evaluate.mocap.dfe import DfeRun, dfe_run, pelvis_frames
-from cabinpose.evaluate.mocap.dse import DseRun, dse_run
-from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, PELVIS, SEGMENT_PAIRS, Pair, missing, present, replaced
-from cabinpose.evaluate.mocap.stillness import Window
+from cabinpose.core import AlignmentError, RecordingError
+from cabinpose.evaluate.mocap import (
+    JOINT_PAIRS,
+    PELVIS,
+    SEGMENT_PAIRS,
+    DfeRun,
+    DseRun,
+    Pair,
+    Window,
+    dfe_run,
+    dse_run,
+    missing,
+    pelvis_frames,
+    present,
+    replaced,
+)
+from cabinpose.signals import angular_speed, common_clock, estimate_delay, resample_positions, resample_rotations
 
 F64 = NDArray[np.float64]
 MAX_LAG_S = 2.0

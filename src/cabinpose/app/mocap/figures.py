@@ -11,15 +11,24 @@ from numpy.typing import NDArray
 from cabinpose.app.mocap.stick import stick_figure
 from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
 from cabinpose.app.report.html import Html, el, join, table
-from cabinpose.core.skeleton import MVN_JOINTS, PARENT
-from cabinpose.evaluate.boxes import Box
-from cabinpose.evaluate.mocap.bones import Bone
-from cabinpose.evaluate.mocap.dfe import ICP, KABSCH, PELVIS_STAGE, POSITION, STAGES, DfeRun
-from cabinpose.evaluate.mocap.dse import DseRun
-from cabinpose.evaluate.mocap.pairs import limbs
-from cabinpose.evaluate.mocap.result import ALL, Judgement, Summary
-from cabinpose.evaluate.mocap.sfe import SfeRun
-from cabinpose.evaluate.mocap.sse import SseRun
+from cabinpose.core import MVN_JOINTS, PARENT
+from cabinpose.evaluate import Box
+from cabinpose.evaluate.mocap import (
+    ALL,
+    ICP,
+    KABSCH,
+    PELVIS_STAGE,
+    POSITION,
+    STAGES,
+    Bone,
+    DfeRun,
+    DseRun,
+    Judgement,
+    SfeRun,
+    SseRun,
+    Summary,
+    limbs,
+)
 
 F64 = NDArray[np.float64]
 Section = tuple[str, str, str]  # title, body (HTML), note

@@ -12,16 +12,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.align.streams import on_host
-from cabinpose.core.errors import AlignmentError, ConfigError, RecordingError, unknown_name
-from cabinpose.core.recorded import Channels, Facts, Markers, Message, SegmentPoses, SensorReadings
-from cabinpose.core.rotations import conjugate, product
-from cabinpose.evaluate.mocap.landmarks import segment_poses
-from cabinpose.evaluate.mocap.pairs import HAND_ENDS, JOINT_PAIRS, SEGMENT_PAIRS
-from cabinpose.evaluate.mocap.stillness import Window
-from cabinpose.store.convert.motion_files import motion_rows, of_one_subject
-from cabinpose.store.recording import Recording
-from cabinpose.store.recording.series import marker_series, segment_series
+from cabinpose.align import on_host
+from cabinpose.core import AlignmentError, ConfigError, RecordingError, unknown_name
+from cabinpose.evaluate.mocap import HAND_ENDS, JOINT_PAIRS, SEGMENT_PAIRS, Window, segment_poses
+from cabinpose.signals import Channels, Facts, Markers, Message, SegmentPoses, SensorReadings, conjugate, product
+from cabinpose.store.convert import motion_rows, of_one_subject
+from cabinpose.store.recording import Recording, marker_series, segment_series
 
 F64 = NDArray[np.float64]
 _LOOK = 50  # samples that tell what a source gives

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from cabinpose.app.mocap.figures import Section
 from cabinpose.app.report.html import Html, document, el, remark, section, table, tiles, with_small
-from cabinpose.evaluate.mocap.result import ALL, Judgement, Summary
+from cabinpose.evaluate.mocap import ALL, Judgement, Summary
 
 _FEW = 3  # measures that have tiles
 _TITLES = {

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 
 from cabinpose.app.report.html import Html, el
-from cabinpose.evaluate.boxes import Box
+from cabinpose.evaluate import Box
 
 # Okabe and Ito (2008): told apart by people with any colour vision; the first is for "All" and the first model. The last is the
 # colour of text, black or white with the page's theme.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.app.report.html import Html, document, el, section, table
-from cabinpose.evaluate.report import ALL, Report, Value
+from cabinpose.evaluate import ALL, Report, Value
 
 # Equations 6.3 to 6.6 of the thesis as printed, then the reading of the last two that its published numbers fit.
 METRICS = (

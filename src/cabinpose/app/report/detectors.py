@@ -9,8 +9,7 @@ from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
 from cabinpose.app.report.frames import ERROR, PREDICTION, TRUTH
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, tiles, with_small
 from cabinpose.app.report.numbers import Column, group_columns, interval, label, number, people_rows
-from cabinpose.evaluate.boxes import FOUND
-from cabinpose.evaluate.report import ALL, PEOPLE, Report, Value
+from cabinpose.evaluate import ALL, FOUND, PEOPLE, Report, Value
 
 _Row = tuple[object, Report, Sequence[object]]  # the first cell, the report that the row is of, the other cells
 _UNIT = MappingProxyType({"2d": "px", "3d": "cm"})

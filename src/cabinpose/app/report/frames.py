@@ -12,13 +12,9 @@ from cabinpose.app.report.charts import line, svg
 from cabinpose.app.report.html import Html, el, figure, picture_uri
 from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
-from cabinpose.core.ports import PoseBatch, Predictor
-from cabinpose.core.pose import Visibility
-from cabinpose.evaluate.offline import frame_batch, truth_of
-from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import ALL, Report
-from cabinpose.evaluate.skeletons import EvaluatedSkeleton, evaluated_skeleton
-from cabinpose.store.predictions import Predictions
+from cabinpose.core import PoseBatch, Predictor, Visibility
+from cabinpose.evaluate import ALL, EvaluatedSkeleton, EvaluationOptions, Report, evaluated_skeleton, frame_batch, truth_of
+from cabinpose.store import Predictions
 
 TRUTH, PREDICTION, ERROR = "#ffffff", "#ff9f1c", "#ff3b3b"
 _HALF = 0.5  # pixel centres are whole numbers in this package, halves in SVG

@@ -10,10 +10,9 @@ import numpy as np
 from cabinpose.app.report.charts import legend, series_chart
 from cabinpose.app.report.frames import overlay
 from cabinpose.app.report.html import document, el, section
-from cabinpose.core.skeleton import JOINTS
-from cabinpose.evaluate.skeletons import evaluated_skeleton
-from cabinpose.store import open_dataset
-from cabinpose.store.part import disk_errors
+from cabinpose.core import JOINTS
+from cabinpose.evaluate import evaluated_skeleton
+from cabinpose.store import disk_errors, open_dataset
 
 _SHOWN = 2  # best and worst frames of each take
 _NONE = np.zeros((0, len(JOINTS), 2), np.float32)

@@ -9,8 +9,7 @@ import numpy as np
 from cabinpose.app.report.charts import COLOURS, Plot, charts, legend, nice_step
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table
 from cabinpose.app.view.draw import amplitude_image, resized
-from cabinpose.scene.sensor.noise_fit import EmpiricalFit, Estimate, PhysicalFit
-from cabinpose.scene.sensor.walls import F64, Wall
+from cabinpose.scene.sensor import F64, EmpiricalFit, Estimate, PhysicalFit, Wall
 
 _Lines = Mapping[str, tuple[Sequence[float] | F64, Sequence[float] | F64]]
 _HEIGHT = 180  # px of a picture

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from cabinpose.evaluate.report import ALL, PEOPLE, Report, Value
+from cabinpose.evaluate import ALL, PEOPLE, Report, Value
 
 
 class Column(NamedTuple):

@@ -13,10 +13,9 @@ from cabinpose.app.report.charts import COLOURS
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles, with_small
 from cabinpose.app.view.draw import Image, depth_image, depth_range, text
 from cabinpose.app.view.sheet import caption
-from cabinpose.core.ports import Segmenter
-from cabinpose.core.segmentation import Part
-from cabinpose.evaluate.parts import PartsReport, PartsValue, pairs
-from cabinpose.store.frames import write_png
+from cabinpose.core import Part, Segmenter
+from cabinpose.evaluate import PartsReport, PartsValue, pairs
+from cabinpose.store import write_png
 
 _BACKGROUND = (38, 40, 46)
 _PAPER = (247, 248, 250)

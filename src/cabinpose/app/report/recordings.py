@@ -13,9 +13,8 @@ from cabinpose.app.report.charts import charts
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles
 from cabinpose.app.report.timeline import interval_chart, timeline
 from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, depth_range, resized, text
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Markers, SegmentPoses, ToFFrame
-from cabinpose.store.frames import write_png
+from cabinpose.signals import Markers, Sample, SegmentPoses, ToFFrame
+from cabinpose.store import write_png
 from cabinpose.store.recording import Recording, SourceSurvey, Survey, survey
 
 _HEIGHT = 200  # px of a picture

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.pictures import row_of
 from cabinpose.app.view.draw import PERSON_COLOUR, cloud_colours
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.frames import FORWARD_FROM_CAMERA, apply, transform
-from cabinpose.core.ports import FrameBatch
-from cabinpose.estimate.inputs import camera_of
-from cabinpose.store.lazy import points_m
+from cabinpose.core import FORWARD_FROM_CAMERA, CabinposeError, FrameBatch, apply, transform
+from cabinpose.estimate import camera_of
+from cabinpose.store import points_m
 
 MOST_POINTS = 60_000  # of a cloud in the browser: more cost frames a second and show nothing new
 MOST_LIVE = 12_000  # of a live cloud, which comes several times a second

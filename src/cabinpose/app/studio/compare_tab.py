@@ -16,13 +16,9 @@ from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.empty import empty_state, no_dataset
 from cabinpose.app.studio.models import Judged, detectors, error_words, joint_distances, judged, load_choice, worst_first
 from cabinpose.app.studio.workspace import Workspace, depth_range
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.ports import PoseBatch
-from cabinpose.core.skeleton import index_pairs
-from cabinpose.evaluate.offline import common_joints, predict_dataset, shared_places
-from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.store.predictions import Predictions
-from cabinpose.store.schema import dataset_id
+from cabinpose.core import CabinposeError, PoseBatch, index_pairs
+from cabinpose.evaluate import EvaluationOptions, common_joints, predict_dataset, shared_places
+from cabinpose.store import Predictions, dataset_id
 
 COLOURS = ("#ff9f1c", "#35a7ff", "#ff5964", "#9bde7e", "#c792ea", "#f6f740")
 _NEAR_CM = 5.0  # of the thesis' three boxes a joint: all found, those nearer than this, those nearer than Γt

@@ -17,11 +17,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cabinpose.app.studio.labelling import Labelling, nowhere
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
-from cabinpose.store.convert.coco import FLAG
-from cabinpose.store.convert.coco_import import Keypoints, read_keypoints
-from cabinpose.store.labels import JointLabel, Key
+from cabinpose.core import DatasetError, Visibility
+from cabinpose.store import JointLabel, Key
+from cabinpose.store.convert import FLAG, Keypoints, read_keypoints
 
 MOVED_PX = 0.01  # Datumaro, which CVAT exports with, rounds to 0.01 px, our export to 0.001
 _FAR_PX = 1e4  # stands for the distance of people who have no joint in common

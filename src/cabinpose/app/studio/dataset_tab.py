@@ -18,11 +18,8 @@ from cabinpose.app.studio.view3d import view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.frames import apply
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import index_pairs
-from cabinpose.store.frames import label_colours
+from cabinpose.core import CabinposeError, Visibility, apply, index_pairs
+from cabinpose.store import label_colours
 
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}

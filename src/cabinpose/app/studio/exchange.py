@@ -14,7 +14,7 @@ from nicegui.events import UploadEventArguments
 from cabinpose.app.studio.corrections import corrections
 from cabinpose.app.studio.labelling import Labelling
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core import CabinposeError
 from cabinpose.store.convert import export_dataset
 
 MOST_FRAMES = 2000  # of a download: about 100 MB, made in a minute

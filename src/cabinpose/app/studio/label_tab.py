@@ -17,9 +17,7 @@ from cabinpose.app.studio.models import choices, first_choice, frame_errors, loa
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import index_pairs
+from cabinpose.core import CabinposeError, Visibility, index_pairs
 
 _COLOUR = {state: "#{:02x}{:02x}{:02x}".format(*rgb) for state, rgb in VISIBILITY_COLOUR.items()}
 _STATE_KEYS = {

@@ -12,16 +12,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.align.visibility import surface_depth, visibility
+from cabinpose.align import surface_depth, visibility
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core.camera import Camera
-from cabinpose.core.ports import Predictor
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import JOINTS, LIMBS, REACH_M, UPPER_BODY
-from cabinpose.evaluate.offline import frame_batch
-from cabinpose.store.labels import JointLabel, Key
-from cabinpose.store.lazy import camera_of
-from cabinpose.store.predictions import Predictions
+from cabinpose.core import JOINTS, LIMBS, REACH_M, UPPER_BODY, Camera, Predictor, Visibility
+from cabinpose.evaluate import frame_batch
+from cabinpose.store import JointLabel, Key, Predictions, camera_of
 
 Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed

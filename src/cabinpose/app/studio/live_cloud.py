@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from cabinpose.app.studio.clouds import live_cloud, person_colour
 from cabinpose.app.studio.live_session import PRESENT, Shown
 from cabinpose.app.studio.view3d import view_3d
-from cabinpose.core.frames import FORWARD_FROM_CAMERA
-from cabinpose.core.skeleton import index_pairs
+from cabinpose.core import FORWARD_FROM_CAMERA, index_pairs
 
 _PERIOD_S = 0.2
 _ANSWER_S = 5.0  # a browser that has not drawn a cloud by then is sent the next one all the same

@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 
 from cabinpose import __version__
 from cabinpose.app.studio.live_session import Shown
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import joined
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.store.predictions import Predictions, write_predictions
-from cabinpose.store.schema import DEPTH_SCALE_M, Manifest, dataset_id
-from cabinpose.store.source import Source, blank_frame, import_source
+from cabinpose.core import OCCUPANT_SLOTS, ConfigError, joined
+from cabinpose.store import (
+    DEPTH_SCALE_M,
+    Manifest,
+    Predictions,
+    Source,
+    blank_frame,
+    dataset_id,
+    import_source,
+    write_predictions,
+)
 
 _TICKS = np.iinfo(np.uint16).max
 MOST = 200  # frames kept at a time: each of 352x287 takes 0.6 MB of memory

@@ -15,9 +15,8 @@ from cabinpose.app.live.choose import open_feed
 from cabinpose.app.live.feed import LiveFrame
 from cabinpose.app.live.run import Found, Live, LiveStatus
 from cabinpose.app.studio.pictures import picture
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.ports import Predictor
-from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.core import CabinposeError, Predictor
+from cabinpose.evaluate import EvaluationOptions
 
 PRESENT = EvaluationOptions().presence
 _RECENT = 64  # frames kept for browsers that have been told of them and come for their images

@@ -17,9 +17,7 @@ from cabinpose.app.studio.live_keep import keep, write_kept
 from cabinpose.app.studio.live_session import PRESENT, LiveRoom, LiveSession, Shown, image_of
 from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core.errors import CabinposeError
-from cabinpose.core.ports import Predictor
-from cabinpose.core.skeleton import index_pairs
+from cabinpose.core import CabinposeError, Predictor, index_pairs
 from cabinpose.estimate.remote import open_predictor
 
 _PERIOD_S = 0.1  # between looks for a new frame

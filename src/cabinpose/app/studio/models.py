@@ -11,14 +11,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core.ports import Predictor
-from cabinpose.estimate.onnx_model import packaged_detectors
+from cabinpose.core import Predictor
+from cabinpose.estimate import packaged_detectors
 from cabinpose.estimate.remote import open_predictor
-from cabinpose.evaluate.offline import common_joints, samples_of, shared_places
-from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.report import Report, make_report
-from cabinpose.evaluate.samples import Samples
-from cabinpose.store.predictions import Predictions
+from cabinpose.evaluate import EvaluationOptions, Report, Samples, common_joints, make_report, samples_of, shared_places
+from cabinpose.store import Predictions
 
 _FILE = "file:"
 

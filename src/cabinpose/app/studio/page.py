@@ -15,7 +15,7 @@ from cabinpose.app.studio.live_tab import live_tab
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.app.studio.scene_tab import scene_tab
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core import CabinposeError
 
 _STYLE = """
 body { font-family: system-ui, sans-serif; }

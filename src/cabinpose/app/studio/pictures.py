@@ -10,8 +10,8 @@ import xarray as xr
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import CabinposeError
-from cabinpose.store.schema import DEPTH_SCALE_M
+from cabinpose.core import CabinposeError
+from cabinpose.store import DEPTH_SCALE_M
 
 DEPTHS = ("depth", "depth_clean", "depth_styled")
 GREYS = ("amplitude", "confidence")

@@ -19,22 +19,27 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from cabinpose.app.studio.scene_form import Path as Key
-from cabinpose.core.errors import CabinposeError, ConfigError, SceneError
-from cabinpose.core.frames import Matrix, invert, nearest_rigid
-from cabinpose.core.yaml_text import read_yaml
+from cabinpose.core import CabinposeError, ConfigError, Matrix, SceneError, invert, nearest_rigid, read_yaml
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.cabin import SeatSetting
-from cabinpose.scene.cabin.car_file import read_car_file
-from cabinpose.synth.camera import Camera, CameraPose
-from cabinpose.synth.cars import is_car_file
-from cabinpose.synth.config import CabinScene, SynthConfig
-from cabinpose.synth.exact import exact_scene, without_defaults
-from cabinpose.synth.posture.goals import hand_to
-from cabinpose.synth.sample import SceneSampler
-from cabinpose.synth.scene import Scene
-from cabinpose.synth.streams import check_seed, frame_rng, noise_rng
-from cabinpose.synth.validate import Verdict
-from cabinpose.synth.write import Frame, FrameMaker
+from cabinpose.scene.cabin import SeatSetting, read_car_file
+from cabinpose.synth import (
+    CabinScene,
+    Camera,
+    CameraPose,
+    Frame,
+    FrameMaker,
+    Scene,
+    SceneSampler,
+    SynthConfig,
+    Verdict,
+    check_seed,
+    exact_scene,
+    frame_rng,
+    is_car_file,
+    noise_rng,
+    without_defaults,
+)
+from cabinpose.synth.posture import hand_to
 
 _SAME_STEP_S = 1.0  # changes of one key that follow so close are one step of undo, as a slider makes them
 _MOST_STEPS = 200

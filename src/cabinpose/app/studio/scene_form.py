@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS
-from cabinpose.scene.body.phenotype import DEFAULT_RANGES
+from cabinpose.core import OCCUPANT_SLOTS
+from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, SUBJECTS
 from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, VIEWS_OF_ALL
 from cabinpose.scene.sensor import SENSORS
-from cabinpose.synth.config import SynthConfig
+from cabinpose.synth import SynthConfig, limits_deg
 from cabinpose.synth.posture import ACTIONS
-from cabinpose.synth.profiles import limits_deg
 
 Path = tuple[str | int, ...]
 _UNITS = (

@@ -9,9 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.scene.labels import ID as LABEL_ID
-from cabinpose.scene.materials import ID as MATERIAL_ID
-from cabinpose.scene.surface import Surface
+from cabinpose.scene import LABEL_ID, MATERIAL_ID, Surface
 
 _GAMMA = 2.2  # glTF's colours are linear
 _SKIN, _HAIR = "#d9a987", "#3a2a20"

@@ -19,11 +19,8 @@ from cabinpose.app.studio.pictures import CLASSES, IMAGES, picture
 from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, own_cars, read_state
 from cabinpose.app.studio.scene_meshes import cabin_glb, person_glb
 from cabinpose.app.view.draw import cloud_colours
-from cabinpose.core.errors import CabinposeError, ConfigError, MeshError
-from cabinpose.core.frames import apply
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.generate import Progress, generate
+from cabinpose.core import OCCUPANT_SLOTS, CabinposeError, ConfigError, MeshError, apply
+from cabinpose.synth import Progress, SynthConfig, generate
 
 _RECENT = 8  # scenes kept for browsers that have been told of them and come for their images
 _MESHES = 40

@@ -16,11 +16,10 @@ from cabinpose.app.studio.scene_edit import Shown, camera_of
 from cabinpose.app.studio.scene_fields import SceneFields
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.app.studio.view3d import view_3d
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core import CabinposeError
+from cabinpose.scene import RGB
 from cabinpose.scene.body import DOFS
-from cabinpose.scene.labels import RGB
-from cabinpose.synth.profiles import dof_scale, limits_deg
-from cabinpose.synth.validate import Verdict
+from cabinpose.synth import Verdict, dof_scale, limits_deg
 
 _LABELS = [[RGB.get(i, 0) >> 16 & 255, RGB.get(i, 0) >> 8 & 255, RGB.get(i, 0) & 255] for i in range(256)]
 _FADE_S = 0.5  # that an old shape stays until the browser has the new one

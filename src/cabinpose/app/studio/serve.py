@@ -19,7 +19,7 @@ from cabinpose.app.studio.page import studio_page
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.scene_session import SceneRoom, scene_routes
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 

@@ -11,12 +11,19 @@ import xarray as xr
 
 from cabinpose.app.view import draw
 from cabinpose.app.view.complete import completed
-from cabinpose.core.errors import CabinposeError, ConfigError, DatasetError
-from cabinpose.evaluate.offline import check_predictions
-from cabinpose.store import Manifest, open_dataset, read_manifest
-from cabinpose.store.labels import Labels, with_labels
-from cabinpose.store.predictions import Predictions, read_predictions
-from cabinpose.store.schema import MANIFEST_NAME, dataset_id
+from cabinpose.core import CabinposeError, ConfigError, DatasetError
+from cabinpose.evaluate import check_predictions
+from cabinpose.store import (
+    MANIFEST_NAME,
+    Labels,
+    Manifest,
+    Predictions,
+    dataset_id,
+    open_dataset,
+    read_manifest,
+    read_predictions,
+    with_labels,
+)
 
 
 @dataclass

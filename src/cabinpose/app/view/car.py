@@ -21,18 +21,17 @@ from cabinpose.app.view.draw import (
     text,
     to_view,
 )
-from cabinpose.core.camera import Camera
-from cabinpose.core.frames import apply, look_at
+from cabinpose.core import Camera, apply, look_at
+from cabinpose.scene import LABEL_ID
 from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel, ViewAnchor
-from cabinpose.scene.labels import ID
 
 Floats = NDArray[np.float64]
 _WIDTH, _MARGIN, _HEAD, _GAP = 1180, 60, 112, 56  # px
 _PAPER, _INK, _GREY = (255, 255, 255), (28, 32, 40), (120, 128, 140)
 _SEAT, _WHEEL, _PEDAL, _VIEW, _WRONG = (0, 90, 181), (196, 110, 0), (122, 98, 0), (124, 50, 158), (214, 20, 40)
 _TINTS: Mapping[int, Colour] = {
-    ID["seat"]: (38, 120, 150), ID["trim"]: (96, 98, 108), ID["glass"]: (110, 190, 230), ID["floor"]: (150, 100, 50),
-    ID["steering_wheel"]: (200, 120, 20),
+    LABEL_ID["seat"]: (38, 120, 150), LABEL_ID["trim"]: (96, 98, 108), LABEL_ID["glass"]: (110, 190, 230),
+    LABEL_ID["floor"]: (150, 100, 50), LABEL_ID["steering_wheel"]: (200, 120, 20),
 }  # fmt: skip
 _OTHER = (130, 130, 60)
 _GRID = (226, 230, 236)
@@ -268,7 +267,7 @@ def _legend(sheet: Image, top: int) -> None:
         (_SEAT, "seat: H-point, line of the back, heels"), (_WHEEL, "wheel and axis"), (_PEDAL, "pedals"),
         (_VIEW, "views, their field of view"), (_WRONG, "x where people were refused"),
     )  # fmt: skip
-    surfaces = [(_TINTS[ID[name]], name.replace("_", " ")) for name in ("seat", "trim", "glass", "floor", "steering_wheel")]
+    surfaces = [(_TINTS[LABEL_ID[name]], name.replace("_", " ")) for name in ("seat", "trim", "glass", "floor", "steering_wheel")]
     for level, entries, ink in ((top, points, _INK), (top + 20, surfaces, _GREY)):
         left = _MARGIN
         for colour, words in entries:

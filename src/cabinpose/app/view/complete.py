@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.frames import FORWARD_FROM_CAMERA, transform
+from cabinpose.core import FORWARD_FROM_CAMERA, DatasetError, transform
 
 
 def completed(dataset: xr.Dataset) -> xr.Dataset:

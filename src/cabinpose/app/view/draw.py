@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
 
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, LIMBS
+from cabinpose.core import INDEX, LIMBS, Visibility
 
 Image = NDArray[np.uint8]  # (H, W, 3) RGB
 Colour = tuple[int, int, int]

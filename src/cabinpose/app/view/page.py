@@ -34,11 +34,8 @@ from cabinpose.app.view.draw import (
 )
 from cabinpose.app.view.sheet import contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import LIMBS
-from cabinpose.store import Manifest
-from cabinpose.store.frames import depth_mm, label_table, people, write_png
-from cabinpose.store.lazy import camera_of
+from cabinpose.core import LIMBS, Visibility
+from cabinpose.store import Manifest, camera_of, depth_mm, label_table, people, write_png
 
 _RAY_STEP = 8  # pixels between the rays that the page is given
 

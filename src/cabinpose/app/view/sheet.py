@@ -24,10 +24,8 @@ from cabinpose.app.view.draw import (
     text,
     to_view,
 )
-from cabinpose.core.frames import apply
-from cabinpose.core.pose import Visibility
-from cabinpose.store import points_m
-from cabinpose.store.frames import label_colours, people
+from cabinpose.core import Visibility, apply
+from cabinpose.store import label_colours, people, points_m
 
 _PAPER, _INK, _GREY = (247, 248, 250), (32, 36, 44), (104, 112, 124)
 _PANEL_WIDTH = 240  # smaller frames are enlarged by a whole factor

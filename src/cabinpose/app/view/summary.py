@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.pose import Visibility
+from cabinpose.core import Visibility
 from cabinpose.store import Manifest
 
 SAMPLED_FRAMES = 60  # images read for the depth histogram

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+from cabinpose.core import ITOP_JOINTS, JOINTS
 from cabinpose.estimate.settings import ViewSettings
 
 _Positive = Annotated[float, Field(gt=0)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import DatasetError
 from cabinpose.estimate.dpm.config import DpmConfig
 from cabinpose.estimate.dpm.find import APART_M, OWN_M, Person, at_roots, detect, pixels_of, surface_near
 from cabinpose.estimate.dpm.hog import F32, Level, features, levels

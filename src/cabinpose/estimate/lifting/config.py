@@ -6,8 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.core.skeleton import JOINTS, UPPER_BODY
+from cabinpose.core import JOINTS, OCCUPANT_SLOTS, UPPER_BODY
 from cabinpose.estimate.inputs import InputView
 from cabinpose.estimate.settings import Settings
 

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
+from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor
 from cabinpose.estimate.onnx_model import OnnxModel, cameras_of
 
 

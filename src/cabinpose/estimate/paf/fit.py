@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from cabinpose.core.pose import Visibility
+from cabinpose.core import Visibility
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.model import STRIDE, Maps, Paf

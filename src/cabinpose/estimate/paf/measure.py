@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
+from cabinpose.core import DatasetError, Visibility
 from cabinpose.estimate.data import Kept
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.decode import surface_depth

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
-from cabinpose.core.errors import ConfigError, RemoteError, unknown_name
-from cabinpose.core.ports import FrameBatch, PoseBatch, joined
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core import ITOP_JOINTS, ConfigError, FrameBatch, PoseBatch, RemoteError, joined, unknown_name
 from cabinpose.estimate.onnx_model import cameras_of
 from cabinpose.estimate.remote.messages import add_tensors, read_tensors
 from cabinpose.estimate.remote.regions import EXTENSION, FrameRegion
 from cabinpose.estimate.remote.tensors import INPUTS, MOST, OUTPUTS, PLATFORM, VERSION, Arrays, TensorError, pose_batch
-from cabinpose.store.predictions import empty_batch
+from cabinpose.store import empty_batch
 
 _LOOK_S = 5.0  # for the server's metadata; a server that is just starting is waited for as long
 _FIRST_ANSWER_S = 60.0  # networks are loaded and compiled at the first frame

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.ports import PoseBatch
+from cabinpose.core import PoseBatch
 
 Arrays = Mapping[str, NDArray[Any]]
 

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from cabinpose.core.segmentation import Part
+from cabinpose.core import Part
 from cabinpose.estimate.settings import ViewSettings
 from cabinpose.estimate.unet.parts import ALL, MERGED, WHOLE
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from cabinpose.core.segmentation import class_table
+from cabinpose.core import class_table
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.unet.model import Segments, Unet
 

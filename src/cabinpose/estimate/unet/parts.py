@@ -6,18 +6,18 @@ car is judged by, cut at the joints: head, torso, and left and right upper arm, 
 
 from __future__ import annotations
 
-from cabinpose.core.segmentation import Part
-from cabinpose.scene.labels import BODY_PARTS, FIRST_BODY_ID, ID, LAST_BODY_ID
+from cabinpose.core import Part
+from cabinpose.scene import BODY_PARTS, FIRST_BODY_ID, LABEL_ID, LAST_BODY_ID
 
 
 def _both(name: str, members: tuple[str, ...]) -> tuple[Part, Part]:
-    left, right = (Part(f"{name}_{side}", tuple(ID[f"{m}_{side}"] for m in members)) for side in ("left", "right"))
+    left, right = (Part(f"{name}_{side}", tuple(LABEL_ID[f"{m}_{side}"] for m in members)) for side in ("left", "right"))
     return left, right
 
 
 MERGED: tuple[Part, ...] = (
-    Part("head", tuple(ID[name] for name in ("head_left", "head_right", "hair", "headwear", "glasses", "neck"))),
-    Part("torso", tuple(ID[name] for name in ("torso_left", "torso_right", "hip_left", "hip_right", "hip_center"))),
+    Part("head", tuple(LABEL_ID[name] for name in ("head_left", "head_right", "hair", "headwear", "glasses", "neck"))),
+    Part("torso", tuple(LABEL_ID[name] for name in ("torso_left", "torso_right", "hip_left", "hip_right", "hip_center"))),
     *_both("upper_arm", ("shoulder", "upper_arm")),
     *_both("forearm", ("elbow", "forearm", "wrist", "hand")),
     *_both("leg", ("thigh", "knee", "shin", "ankle", "foot")),

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.ports import FrameBatch
-from cabinpose.core.segmentation import Part
+from cabinpose.core import FrameBatch, Part
 from cabinpose.estimate.onnx_model import OnnxModel, cameras_of, slices, view_inputs
 
 

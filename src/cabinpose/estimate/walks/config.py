@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cabinpose.core.skeleton import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, index_pairs
+from cabinpose.core import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, index_pairs
 from cabinpose.estimate.settings import ViewSettings
 
 _Count = Annotated[int, Field(ge=1)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import walks as native
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import DatasetError
 from cabinpose.estimate.data import Kept
 from cabinpose.estimate.mirror import mirrored_joints
 from cabinpose.estimate.walks.config import WalksConfig

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.skeleton import MVN_JOINTS
+from cabinpose.core import MVN_JOINTS, AlignmentError
 
 F64 = NDArray[np.float64]
 

@@ -19,11 +19,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import apply
-from cabinpose.core.register import icp, kabsch
+from cabinpose.core import AlignmentError, apply
 from cabinpose.evaluate.mocap.pairs import PELVIS
 from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
+from cabinpose.signals import icp, kabsch
 
 F64 = NDArray[np.float64]
 RAW, PELVIS_STAGE, ICP, KABSCH = "raw", "pelvis", "pelvis + ICP", "pelvis + Kabsch"

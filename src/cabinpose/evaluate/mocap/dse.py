@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.rotations import angle, angle_between, conjugate, product, rotation_vectors, since_first
+from cabinpose.core import AlignmentError
 from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
+from cabinpose.signals import angle, angle_between, conjugate, product, rotation_vectors, since_first
 
 F64 = NDArray[np.float64]
 DIFFERENCE, GEODESIC = "difference of the angles", "angle between the turns"

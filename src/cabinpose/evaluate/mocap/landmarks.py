@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.register import kabsch
-from cabinpose.core.skeleton import JOINTS, RIGS
+from cabinpose.core import JOINTS, RIGS, AlignmentError
+from cabinpose.signals import kabsch
 
 F64 = NDArray[np.float64]
 

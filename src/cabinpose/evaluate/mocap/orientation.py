@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.rotations import angle, conjugate, product
+from cabinpose.core import AlignmentError
+from cabinpose.signals import angle, conjugate, product
 
 F64 = NDArray[np.float64]
 

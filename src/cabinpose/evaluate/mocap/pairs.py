@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from cabinpose.core.errors import AlignmentError, unknown_name
-from cabinpose.core.skeleton import JOINTS, RIGS
+from cabinpose.core import JOINTS, RIGS, AlignmentError, unknown_name
 
 
 class Pair(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 from cabinpose.evaluate.bootstrap import Weights, frame_weights, interval, weighted_quantiles, weighted_sums
 
 F64 = NDArray[np.float64]

@@ -14,12 +14,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import apply
-from cabinpose.core.register import kabsch
-from cabinpose.core.rotations import conjugate, product
+from cabinpose.core import AlignmentError, apply
 from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 from cabinpose.evaluate.mocap.stillness import Window, moving_speed, still_windows
+from cabinpose.signals import conjugate, kabsch, product
 
 F64 = NDArray[np.float64]
 Fit = Literal["pelvis", "body"]

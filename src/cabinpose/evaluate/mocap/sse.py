@@ -14,10 +14,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError, unknown_name
-from cabinpose.core.rotations import conjugate, mean_orientation, product, turn_about
+from cabinpose.core import AlignmentError, unknown_name
 from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 from cabinpose.evaluate.mocap.stillness import still_windows, turning_speed
+from cabinpose.signals import conjugate, mean_orientation, product, turn_about
 
 F64 = NDArray[np.float64]
 AXES = MappingProxyType({"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)})  # Figure 3.9

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.rotations import angle_between
+from cabinpose.core import AlignmentError
+from cabinpose.signals import angle_between
 
 F64 = NDArray[np.float64]
 

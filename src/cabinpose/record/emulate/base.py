@@ -7,7 +7,7 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Any, Self
 
-from cabinpose.core.clock import HostClock
+from cabinpose.signals import HostClock
 
 
 def log_line(sent: Any) -> str:

@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 from cabinpose.record.emulate.base import Emulator
-from cabinpose.record.emulate.mvn_motion import Motion
+from cabinpose.record.emulate.mvn_motion import SuitMotion
 from cabinpose.record.emulate.mvn_streamer import Datagram, MvnEmulatorSettings, Streamer
+from cabinpose.signals import HostClock
 
 _TCP_TIMEOUT_S = 5.0
 
@@ -89,7 +89,7 @@ class MvnEmulator(Emulator):
     def __init__(
         self,
         settings: MvnEmulatorSettings,
-        motion: Motion,
+        motion: SuitMotion,
         *,
         samples: int | None = None,
         log: Callable[[Sent], None] = lambda _: None,

@@ -10,9 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import RecordingError, unknown_name
-from cabinpose.core.recorded import F64, Message, SegmentPoses
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError, unknown_name
+from cabinpose.signals import F64, Message, SegmentPoses
 
 _COUNT = len(MVN_SEGMENTS)
 _PARENT = {child: parent for _, parent, child in MVN_JOINTS}
@@ -28,7 +27,7 @@ _PERIOD_S = 2.0
 
 
 @dataclass(frozen=True)
-class Motion:
+class SuitMotion:
     """Poses in the world (z up) at `rate_hz`: position_m (F, 23, 3), orientation_wxyz (F, 23, 4). It repeats from its start."""
 
     rate_hz: float
@@ -83,7 +82,7 @@ def _rotations(orientation_wxyz: F64) -> Rotation:
     return Rotation.from_quat(orientation_wxyz.reshape(-1, 4), scalar_first=True)
 
 
-def recorded(rows: Iterable[tuple[int, int | None, Message]]) -> Motion:
+def recorded(rows: Iterable[tuple[int, int | None, Message]]) -> SuitMotion:
     """The motion of the first subject of a recording (`store.convert`: MVNX and others) whose segments are MVN's.
 
     Raises RecordingError where there are fewer than three frames of it.
@@ -99,10 +98,10 @@ def recorded(rows: Iterable[tuple[int, int | None, Message]]) -> Motion:
     if len(times) < 3 or times[-1] <= times[0]:
         raise RecordingError("fewer than three poses of MVN's segments", hint="give a recording of MVN, such as an MVNX file")
     rate_hz = 1e9 * (len(times) - 1) / (times[-1] - times[0])
-    return Motion(rate_hz, np.stack(positions), np.stack(orientations))
+    return SuitMotion(rate_hz, np.stack(positions), np.stack(orientations))
 
 
-def generated(name: str = "seated", *, rate_hz: float = 240.0) -> Motion:
+def generated(name: str = "seated", *, rate_hz: float = 240.0) -> SuitMotion:
     """A motion of two seconds, made from sines: `walk` in place, or `seated` at a steering wheel."""
     if name not in _MADE:
         raise unknown_name("motion", name, list(_MADE))
@@ -149,7 +148,7 @@ def offset_m(segment: str) -> tuple[float, float, float]:
     return (x, -y, z) if side == "Left" else (x, y, z)
 
 
-def _forward(turns: dict[str, F64], root: F64, rate_hz: float) -> Motion:
+def _forward(turns: dict[str, F64], root: F64, rate_hz: float) -> SuitMotion:
     """Poses from each segment's turn in its parent, as rotation vectors (F, 3): forward kinematics."""
     at: dict[str, F64] = {"Pelvis": root}
     turned = {"Pelvis": Rotation.from_rotvec(turns["Pelvis"])}
@@ -159,4 +158,4 @@ def _forward(turns: dict[str, F64], root: F64, rate_hz: float) -> Motion:
         turned[name] = turned[parent] * Rotation.from_rotvec(turns[name])
     position = np.stack([at[name] for name in MVN_SEGMENTS], axis=1)
     orientation = np.stack([turned[name].as_quat(scalar_first=True) for name in MVN_SEGMENTS], axis=1)
-    return Motion(rate_hz, position, orientation)
+    return SuitMotion(rate_hz, position, orientation)

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.core.recorded import F64
-from cabinpose.core.rotations import conjugate, product
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.record.emulate.mvn_motion import Motion, offset_m
+from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.record.emulate.mvn_motion import SuitMotion, offset_m
 from cabinpose.record.sources import mvn_protocol as mvn
 from cabinpose.record.sources.mvn_messages import (
     CM,
@@ -27,6 +25,7 @@ from cabinpose.record.sources.mvn_messages import (
     wxyz_to_euler,
 )
 from cabinpose.record.sources.mvn_protocol import Header, ScalePoint
+from cabinpose.signals import F64, conjugate, product
 
 Probability = Annotated[float, Field(ge=0, le=1)]
 _INDEX = {name: i for i, name in enumerate(MVN_SEGMENTS)}
@@ -113,7 +112,7 @@ class Datagram:
 class Streamer:
     """Makes the datagrams of each sample."""
 
-    def __init__(self, settings: MvnEmulatorSettings, motion: Motion) -> None:
+    def __init__(self, settings: MvnEmulatorSettings, motion: SuitMotion) -> None:
         self.settings, self.motion = settings, motion
         self._step = (settings.capture_rate_hz or settings.rate_hz) / settings.rate_hz
         self._meta_step = round(settings.meta_every_s * settings.rate_hz)

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.clock import HostClock
 from cabinpose.record.emulate.base import Emulator
+from cabinpose.signals import HostClock
 
 Frame = Mapping[str, Any]
 Fate = Literal["sent", "lost", "stalled"]

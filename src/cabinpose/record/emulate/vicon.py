@@ -18,13 +18,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 from cabinpose.record.emulate.base import Emulator
 from cabinpose.record.emulate.vicon_content import OFFERED, ViconContent, ViconEmulatorSettings
-from cabinpose.record.emulate.vicon_motion import Motion
+from cabinpose.record.emulate.vicon_motion import MarkerMotion
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter
+from cabinpose.signals import HostClock
 
 _OUTBOX = 4 << 20  # bytes that may wait for a client; then it loses frames
 _IDLE_S = 0.05
@@ -63,7 +63,7 @@ class ViconEmulator(Emulator):
 
     def __init__(
         self,
-        motion: Motion,
+        motion: MarkerMotion,
         settings: ViconEmulatorSettings | None = None,
         clock: HostClock | None = None,
         *,

@@ -7,11 +7,11 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.frames import ZUP_FROM_YUP
-from cabinpose.core.recorded import F64
-from cabinpose.record.emulate.vicon_motion import Motion, SubjectMotion
+from cabinpose.core import ZUP_FROM_YUP
+from cabinpose.record.emulate.vicon_motion import MarkerMotion, SubjectMotion
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.vicon_protocol import STATIC, Contents, Packet, Rows, SegmentInfo, SubjectInfo, Type
+from cabinpose.signals import F64
 
 OFFERED = frozenset(Type) - {Type.OBJECT_ENUMS, Type.REQUEST_FRAME, Type.REQUEST_NEXT_FRAME}
 _ANSWERS = frozenset({Type.PING, Type.CONTENTS})  # of no frame
@@ -61,7 +61,7 @@ class ViconEmulatorSettings(BaseModel):
 class ViconContent:
     """Frames of a motion, as the settings say."""
 
-    def __init__(self, motion: Motion, settings: ViconEmulatorSettings) -> None:
+    def __init__(self, motion: MarkerMotion, settings: ViconEmulatorSettings) -> None:
         self.motion, self._settings = motion, settings
         self._subjects = [_Subject(i + 1, subject) for i, subject in enumerate(motion.subjects)]
         self._rate_hz = settings.rate_hz or motion.rate_hz

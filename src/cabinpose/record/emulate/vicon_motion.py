@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import MocapError
-from cabinpose.core.recorded import F64, Facts, Markers
-from cabinpose.store.convert.c3d import read_c3d
+from cabinpose.core import MocapError
+from cabinpose.signals import F64, Facts, Markers
+from cabinpose.store.convert import read_c3d
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SubjectMotion:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MarkerMotion:
     """F frames at `rate_hz`, which repeat: subjects, and markers without a label, loose_m (F, U, 3), NaN = not seen."""
 
     rate_hz: float
@@ -72,14 +72,14 @@ def generated_motion(
     seconds: float = 4.0,
     subjects: tuple[str, ...] = ("S01",),
     loose: int = 2,
-) -> Motion:
+) -> MarkerMotion:
     """People whose joints swing on sines that fit the period, each 1 m beside the last, markers fixed to their segments."""
     frames = max(1, round(rate_hz * seconds))
     phase = np.arange(frames) / frames * 2 * np.pi  # (F,)
     chain = [*_CENTRE, *(_on_side(row, side) for side in ("L", "R") for row in _SIDED)]
     people = tuple(_person(name, place, chain, phase, rng) for place, name in enumerate(subjects))
     sway = 0.2 * np.stack([np.cos(phase), np.sin(phase), np.zeros(frames)], axis=1)  # (F, 3)
-    return Motion(rate_hz, people, rng.uniform(0, 2, (loose, 3)) + sway[:, None])
+    return MarkerMotion(rate_hz, people, rng.uniform(0, 2, (loose, 3)) + sway[:, None])
 
 
 def _on_side(row: tuple[str, str, tuple[float, float, float]], side: str) -> tuple[str, str, tuple[float, float, float]]:
@@ -110,7 +110,7 @@ def _person(
     return SubjectMotion(name, names, parents, position, rotation, markers, marker_m, attached)
 
 
-def motion_of_c3d(path: Path) -> Motion:
+def motion_of_c3d(path: Path) -> MarkerMotion:
     """The markers of a C3D file, by subject; each subject has one segment, `Root`: its markers' common motion.
 
     Root's frame is the world's, moved to the middle of the markers of the frame that shows most of them. Where less than
@@ -129,7 +129,7 @@ def motion_of_c3d(path: Path) -> Motion:
     frames = len(next(iter(rows.values()), loose))
     subjects = tuple(_of_markers(name, messages) for name, messages in rows.items())
     loose_m = np.array([message.position_m for message in loose]) if loose else np.zeros((frames, 0, 3))
-    return Motion(rate, subjects, loose_m)
+    return MarkerMotion(rate, subjects, loose_m)
 
 
 def _of_markers(name: str, messages: list[Markers]) -> SubjectMotion:

@@ -1,1 +1,1 @@
-"""Devices, one module each: a `core.ports.FrameSource`, and beside it the bytes of its protocol."""
+"""Devices, one module each: a `signals.FrameSource`, and beside it the bytes of its protocol."""

@@ -11,15 +11,14 @@ from typing import ClassVar, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import CabinposeError, DependencyError, RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, Sample
+from cabinpose.core import CabinposeError, DependencyError, RecordingError, SourceEndedError
+from cabinpose.signals import Counts, HostClock, Sample
 
 SettingsT = TypeVar("SettingsT", bound=BaseModel)
 
 
 class DeviceSource(ABC, Generic[SettingsT]):
-    """A `core.ports.FrameSource`: opened, read again and again, closed. A subclass connects, reads and disconnects."""
+    """A `signals.FrameSource`: opened, read again and again, closed. A subclass connects, reads and disconnects."""
 
     Settings: ClassVar[type[BaseModel]]
 

@@ -5,8 +5,7 @@ Devices count what they send, or give time stamps alone; both wrap, and restart 
 
 from __future__ import annotations
 
-from cabinpose.core.clock import Unwrapper
-from cabinpose.core.ports import Counts
+from cabinpose.signals import Counts, Unwrapper
 
 _JUMP = 100_000  # frames lost at once, an hour at 30 Hz: more is a counter that was set, not a loss
 

@@ -13,12 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.optional import optional_module
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Channels, Facts, Message
+from cabinpose.core import RecordingError, optional_module
 from cabinpose.record.sources.base import DeviceSource
+from cabinpose.signals import Channels, Facts, HostClock, Message, Sample
 
 _MOST_CHANNELS = 4096
 _LONGEST_DESCRIPTION = 1 << 20

@@ -21,14 +21,13 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.clock import HostClock, Unwrapper
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
+from cabinpose.core import RecordingError
 from cabinpose.record.sources import mvn_protocol as mvn
 from cabinpose.record.sources.base import DeviceSource
 from cabinpose.record.sources.mvn_messages import Decoder, PositionUnit
 from cabinpose.record.sources.mvn_protocol import Header, MalformedError
 from cabinpose.record.sources.mvn_sequence import SequenceTracker
+from cabinpose.signals import HostClock, Sample, Unwrapper
 
 _BATCH = 512  # datagrams of one read: what waits longer is read by the next
 _DATAGRAM = 1 << 16
@@ -68,7 +67,7 @@ class MvnSettings(BaseModel):
 
 
 class MvnSource(DeviceSource[MvnSettings]):
-    """A `core.ports.FrameSource` that listens to MVN.
+    """A `signals.FrameSource` that listens to MVN.
 
     `counts`: samples received and lost, datagrams reordered, duplicate and malformed.
     """

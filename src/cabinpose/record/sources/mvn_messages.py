@@ -1,4 +1,4 @@
-"""What MVN's samples mean: payloads become the messages of `core.recorded`, in metres, radians and a right-handed world, z up.
+"""What MVN's samples mean: payloads become the messages of `signals.recorded`, in metres, radians and a right-handed world, z up.
 
 Axes. A person in MVN's neutral pose faces +x with +y to the left and +z up (types 02, 13, 20 to 24). Types 01 and 03 have y up:
 x left, y up, z forward. Type 05 is Unity's left-handed frame: x right, y up, z forward, every segment relative to its parent.
@@ -17,7 +17,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.recorded import (
+from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.record.sources import mvn_protocol as mvn
+from cabinpose.record.sources.mvn_protocol import Header
+from cabinpose.signals import (
     F64,
     Channels,
     Facts,
@@ -27,11 +30,8 @@ from cabinpose.core.recorded import (
     SegmentKinematics,
     SegmentPoses,
     SensorReadings,
+    product,
 )
-from cabinpose.core.rotations import product
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.record.sources import mvn_protocol as mvn
-from cabinpose.record.sources.mvn_protocol import Header
 
 PositionUnit: TypeAlias = Literal["auto", "m", "cm"]
 Ids: TypeAlias = NDArray[np.integer]

@@ -13,8 +13,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from cabinpose.core.ports import Counts
 from cabinpose.record.sources.mvn_protocol import MAX_PAYLOAD, Header, MalformedError
+from cabinpose.signals import Counts
 
 _COUNTER = 1 << 32
 _FIRST = 1 << 10  # sequences start here, which leaves room for samples that precede the first

@@ -11,11 +11,9 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Channels, ToFFrame
+from cabinpose.core import RecordingError, SourceEndedError
 from cabinpose.record.sources.base import DeviceSource
+from cabinpose.signals import Channels, HostClock, Sample, ToFFrame
 
 _MOST_AT_ONCE = 1000
 

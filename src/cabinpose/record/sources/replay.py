@@ -8,11 +8,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError, unknown_name
-from cabinpose.core.ports import Sample
+from cabinpose.core import RecordingError, unknown_name
 from cabinpose.record.sources.base import PlayedSettings, PlayedSource
 from cabinpose.record.sources.counting import FrameNumbers
+from cabinpose.signals import HostClock, Sample
 from cabinpose.store.recording import Recording
 
 _LATE = 4096  # numbers: the samples of a suit come in any order within a second

@@ -25,10 +25,8 @@ from typing import ClassVar, Literal, Self, TypeAlias, TypeVar, cast
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Counts, Sample
-from cabinpose.core.recorded import MOTOR_CHANNELS, Channels
+from cabinpose.core import RecordingError, SourceEndedError
+from cabinpose.signals import MOTOR_CHANNELS, Channels, Counts, HostClock, Sample
 
 AXES = "XYZABC"
 _LOOK_S = 0.02  # for one look at the line

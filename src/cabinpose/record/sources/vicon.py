@@ -24,14 +24,12 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Facts, Message
+from cabinpose.core import RecordingError
 from cabinpose.record.sources import vicon_protocol as vicon
 from cabinpose.record.sources.base import DeviceSource
 from cabinpose.record.sources.vicon_messages import FrameAccount, PacketDecoder, latency
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter, Type
+from cabinpose.signals import Facts, HostClock, Message, Sample
 
 _RETRY_S = 0.25
 _PING_S = 1.0
@@ -91,7 +89,7 @@ class ViconSettings(BaseModel):
 
 
 class ViconSource(DeviceSource[ViconSettings]):
-    """A `core.ports.FrameSource` that asks a DataStream server.
+    """A `signals.FrameSource` that asks a DataStream server.
 
     `counts` are of the server's frames; `duplicate`: answers in pull mode that were no new frame.
     """

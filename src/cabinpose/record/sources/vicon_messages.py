@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.frames import ZUP_FROM_YUP
-from cabinpose.core.ports import Counts
-from cabinpose.core.recorded import F64, Channels, Facts, Markers, Message, SegmentPoses
+from cabinpose.core import ZUP_FROM_YUP
 from cabinpose.record.sources.vicon_protocol import FRAME_COUNTER, TICKS_PER_SECOND, Packet, Rows, SubjectInfo, Type
+from cabinpose.signals import F64, Channels, Counts, Facts, Markers, Message, SegmentPoses
 
 _MM = 1e-3
 _NOT_A_ROTATION = 1e-3  # largest deviation of an element from the nearest rotation's; a server's deviate by 1e-7

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from cabinpose._native import body
-from cabinpose.core.arrays import Bools, Bytes, Floats, Ints, Ints32
+from cabinpose.core import Bools, Bytes, Floats, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import borders, cap_rim_m
@@ -39,8 +39,8 @@ class Accessory:
 def _rigid(vertices: Floats, faces: Ints32, bone: str, label: str, material: str) -> Accessory:
     count = len(faces)
     return Accessory(
-        vertices, faces, (bone,), np.ones((len(vertices), 1)), np.full(count, labels.ID[label], np.uint8),
-        np.full(count, materials.ID[material], np.uint8),
+        vertices, faces, (bone,), np.ones((len(vertices), 1)), np.full(count, labels.LABEL_ID[label], np.uint8),
+        np.full(count, materials.MATERIAL_ID[material], np.uint8),
     )  # fmt: skip
 
 
@@ -152,7 +152,7 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     sole = vertices[faces][:, :, 2].max(axis=1) < bottom.max() + 0.012
     return Accessory(
         made.vertices, made.faces, made.bones, made.weights, made.label,
-        np.where(sole, materials.ID["rubber"], made.material).astype(np.uint8),
+        np.where(sole, materials.MATERIAL_ID["rubber"], made.material).astype(np.uint8),
     )  # fmt: skip
 
 
@@ -208,8 +208,8 @@ def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Acce
     count = len(faces)
     return Accessory(
         vertices, _outward(vertices - vertices.mean(axis=0), faces), ("head", "spine01"),
-        np.stack([1 - weight_neck, weight_neck], axis=1), np.full(count, labels.ID["hair"], np.uint8),
-        np.full(count, materials.ID["hair"], np.uint8),
+        np.stack([1 - weight_neck, weight_neck], axis=1), np.full(count, labels.LABEL_ID["hair"], np.uint8),
+        np.full(count, materials.MATERIAL_ID["hair"], np.uint8),
     )  # fmt: skip
 
 

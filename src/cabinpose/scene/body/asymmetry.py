@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats, Floats32
-from cabinpose.core.frames import axis_rotation
+from cabinpose.core import Floats, Floats32, axis_rotation
 from cabinpose.scene.body.chart import along_chain, load_chart
 from cabinpose.scene.body.coverage import step
 

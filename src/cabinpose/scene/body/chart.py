@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Bytes, Floats
+from cabinpose.core import Bytes, Floats
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, SEGMENTS
 from cabinpose.scene.body.shape import load_shape_space

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.body.chart import load_chart
 
 ARM_M, LEG_M, UP_M, NECK_M = 0.26, 0.42, 0.50, 0.08  # of a unit of the chart's coordinates, and of the neck's share

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
+from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
 from cabinpose.scene.body.garments import layer
@@ -61,11 +61,11 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, out
     worn = layer(skin, rest, outfit, size)
     cut = cut_skin()
     label = cut.label.copy()
-    material = np.full(len(label), materials.ID["skin"], np.uint8)
+    material = np.full(len(label), materials.MATERIAL_ID["skin"], np.uint8)
     for covered, name, is_label in worn.regions:
-        material[covered] = materials.ID[name]
+        material[covered] = materials.MATERIAL_ID[name]
         if is_label is not None:
-            label[covered] = labels.ID[is_label]
+            label[covered] = labels.LABEL_ID[is_label]
     seen = _seen(shod=outfit.shoes != "none")
     vertices, index, weight = [worn.vertices[seen.vertex]], [seen.bone_index], [seen.bone_weight]
     all_faces, all_labels, all_materials = [seen.faces], [label[seen.face]], [material[seen.face]]

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from cabinpose._native import body
-from cabinpose.core.arrays import Bools, Floats, Floats32, Ints, Ints32
+from cabinpose.core import Bools, Floats, Floats32, Ints, Ints32
 from cabinpose.scene.body.chart import Chart, load_chart
 from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
 from cabinpose.scene.body.parts import cut_skin

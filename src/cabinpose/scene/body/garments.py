@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from cabinpose._native import body
-from cabinpose.core.arrays import Bools, Floats, Floats32, Ints32
+from cabinpose.core import Bools, Floats, Floats32, Ints32
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
 from cabinpose.scene.body.folds import around, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import body as native
-from cabinpose.core.arrays import Floats, Ints
+from cabinpose.core import Floats, Ints
 from cabinpose.scene.body.rig import N_MAIN
 
 

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import body as native
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix
+from cabinpose.core import Bytes, ConfigError, Floats, Floats32, Ints32, Matrix
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
 from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.chart import load_chart, vertex_segments

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from pydantic import ConfigDict
 
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core import ConfigError, unknown_name
 
 Top = Literal["none", "t_shirt", "long_sleeve", "jumper", "jacket"]
 Bottom = Literal["none", "trousers", "jeans", "shorts"]

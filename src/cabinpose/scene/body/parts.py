@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
+from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import BOTTOM_ENDS, HEM_M, TOP_ENDS, borders
@@ -199,21 +199,21 @@ def _labels(value: dict[str, Floats], hip: float) -> Bytes:
 
     def put(mask: Bools, name: str) -> None:
         for side, own in (("left", left), ("right", ~left)):
-            result[mask & own] = labels.ID[f"{name}_{side}"]
+            result[mask & own] = labels.LABEL_ID[f"{name}_{side}"]
 
     arm, leg, up = value["arm"], value["leg"], value["up"]
     put(np.ones(len(left), bool), "torso")
     on_leg = leg > 0.5
     put(((up < _WAIST) & (arm < 0.5)) | on_leg, "hip")
     on_thigh = on_leg & (value["along_leg"] >= _LEG[0][0])
-    result[(up < _WAIST) & (np.abs(value["y"]) < _HIP_CENTRE * hip) & ~on_thigh & (arm < 0.5)] = labels.ID["hip_center"]
+    result[(up < _WAIST) & (np.abs(value["y"]) < _HIP_CENTRE * hip) & ~on_thigh & (arm < 0.5)] = labels.LABEL_ID["hip_center"]
     put(((value["aside"] > _SHOULDER_Y) & (value["reach"] < _SHOULDER_REACH) & (value["neck"] < 0.3)) | (arm > 0.5), "shoulder")
     for low, name in _ARM:
         put((arm > 0.5) & (value["along_arm"] >= low), name)
     for low, name in _LEG:
         put(on_leg & (value["along_leg"] >= low), name)
     put(on_leg & (value["along_leg"] > 1.8) & (value["x"] > load_chart().heads["lfoot"][0] + 0.06), "foot")
-    result[value["neck"] > 0.5] = labels.ID["neck"]
+    result[value["neck"] > 0.5] = labels.LABEL_ID["neck"]
     put(value["head"] >= 0.5, "head")
     return result
 

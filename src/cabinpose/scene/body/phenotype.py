@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core import ConfigError, unknown_name
 
 STATURE_LIMITS_M = (0.9, 2.3)
 # Drawn from these unless the user says otherwise: people as they are met, not the corners of the shape space.

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose._native import body as native
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
-from cabinpose.core.errors import AssetError
+from cabinpose.core import AssetError, Bytes, Floats, Floats32, Ints32
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONES
 

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import cross
-from cabinpose.core.skeleton import JOINTS
+from cabinpose.core import JOINTS, Floats, cross
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
 

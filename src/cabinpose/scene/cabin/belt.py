@@ -12,14 +12,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import cabin as native
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import cross
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Bytes, ConfigError, Floats, Floats32, Ints32, cross
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
 from cabinpose.scene.cabin.shapes import slab_faces, smoothstep
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.labels import LABEL_ID as LABEL
+from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
 
 BeltMisuse = Literal["behind_back", "under_arm"]

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import Matrix, apply, invert
+from cabinpose.core import ConfigError, Matrix, apply, invert, unknown_name
 from cabinpose.scene.cabin import cockpit, shell
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.layout import Layout

@@ -9,10 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import MeshError
-from cabinpose.core.frames import Matrix, apply
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS, Floats, Matrix, MeshError, apply
 from cabinpose.scene.cabin.find_seats import FoundSeat, find_seats
 from cabinpose.scene.cabin.find_wheel import FoundWheel, find_wheel
 from cabinpose.scene.cabin.meshfile import UNITS, MeshFile, NamedMesh, read_mesh

@@ -9,12 +9,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.yaml_text import read_yaml
+from cabinpose.core import ConfigError, read_yaml
 from cabinpose.scene.cabin.model import STATIC_GROUP, WHEEL_GROUP
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.labels import LABEL_ID as LABEL
+from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 
 Point = tuple[float, float, float]
 Slot = Literal["driver", "front_passenger", "rear_left", "rear_center", "rear_right"]

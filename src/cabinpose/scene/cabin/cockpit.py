@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix
+from cabinpose.core import Floats, Matrix
 from cabinpose.scene.cabin.layout import PEDAL_LENGTH, Layout
 from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface

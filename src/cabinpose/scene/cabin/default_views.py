@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS
 from cabinpose.scene.cabin.model import Cabin, Seat, ViewAnchor
 from cabinpose.scene.contact import ContactField
 

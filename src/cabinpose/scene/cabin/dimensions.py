@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 
 
 def _dimension(code: str, default: float, low: float, high: float, meaning: str) -> Any:

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from cabinpose.core.arrays import Bools, Floats, Ints, distinct_rows
+from cabinpose.core import Bools, Floats, Ints, distinct_rows
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
 from cabinpose.scene.contact import sampled_surface
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.find_seats import FoundSeat
 from cabinpose.scene.cabin.mesh_parts import piece_of_face
 from cabinpose.scene.cabin.meshfile import NamedMesh

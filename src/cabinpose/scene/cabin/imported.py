@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, apply
+from cabinpose.core import ConfigError, Matrix, apply
 from cabinpose.scene.cabin.car_file import CabinFile, Point, SeatSpec, WheelSpec, read_car_file
 from cabinpose.scene.cabin.default_views import default_views
 from cabinpose.scene.cabin.layout import pedal_plane_angle

@@ -10,9 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Bools, Floats, Ints, Ints32, distinct_rows
-from cabinpose.core.errors import MeshError
-from cabinpose.core.frames import Matrix, invert
+from cabinpose.core import Bools, Floats, Ints, Ints32, Matrix, MeshError, distinct_rows, invert
 from cabinpose.scene.cabin.car_file import COMMON_RULES, Rule
 from cabinpose.scene.cabin.meshfile import NamedMesh
 from cabinpose.scene.cabin.model import STATIC_GROUP, Part

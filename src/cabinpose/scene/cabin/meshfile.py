@@ -13,9 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 import trimesh
 
-from cabinpose.core.arrays import Floats, Ints32
-from cabinpose.core.errors import DependencyError, MeshError
-from cabinpose.core.optional import optional_module
+from cabinpose.core import DependencyError, Floats, Ints32, MeshError, optional_module
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 AXES = {f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i] for i, axis in enumerate("xyz") for sign in ("", "-")}

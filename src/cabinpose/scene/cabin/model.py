@@ -9,10 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats, Floats32
-from cabinpose.core.errors import ConfigError, unknown_name
-from cabinpose.core.frames import Matrix, axis_rotation
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS, ConfigError, Floats, Floats32, Matrix, axis_rotation, unknown_name
 from cabinpose.scene.surface import Surface, merge
 
 Vector = Floats  # (3,)

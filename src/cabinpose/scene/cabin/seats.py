@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import Solid, block, join, prism, rounded_box, smoothstep, tube

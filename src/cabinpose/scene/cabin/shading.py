@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.shapes import Solid
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
+from cabinpose.scene.labels import LABEL_ID as LABEL
+from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface
 
 CREASE = np.deg2rad(50.0)  # two faces that meet at more than this are an edge, not a curve

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cabinpose.core.arrays import Floats, Ints, Ints32
-from cabinpose.core.frames import axis_rotation
+from cabinpose.core import Floats, Ints, Ints32, axis_rotation
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.layout import WALL, Layout
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface

@@ -22,9 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Bools, Floats, Floats32, Ints, Ints32
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, apply, invert
+from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Ints32, Matrix, apply, invert
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
 from cabinpose.scene.contact.triangles import TriangleMesh, edge_keys, sampled_surface, triangle_mesh

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
 
 SPACING_M = 0.025  # torso and thighs have edges up to 75 mm

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
-from cabinpose.core.arrays import Floats, Ints, Ints32, distinct_rows
+from cabinpose.core import Floats, Ints, Ints32, distinct_rows
 
 _WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex per face corner for hard shading
 CELL_M = 0.03  # cell of the search grid, about the size of a cabin triangle

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Bytes, Floats32, Ints32
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import Bytes, ConfigError, Floats32, Ints32
 
 
 def centre_part(supersample: int) -> int:

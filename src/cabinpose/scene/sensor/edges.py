@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.arrays import Bools, Floats32
+from cabinpose.core import Bools, Floats32
 from cabinpose.scene.sensor.buffers import SensorFrame
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats32
+from cabinpose.core import Floats32
 from cabinpose.scene.sensor.presets import Sensor
 
 _EDGE_M = 0.03  # of the bilateral filter: neighbours that differ by more weigh little

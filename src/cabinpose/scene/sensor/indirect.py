@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import sensor as native
-from cabinpose.core.arrays import Floats32
+from cabinpose.core import Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers
 from cabinpose.scene.sensor.optics import lens_maps
 from cabinpose.scene.sensor.presets import Sensor

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import stdtrit
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 from cabinpose.scene.sensor.empirical import EmpiricalNoise
 from cabinpose.scene.sensor.physical import PhysicalNoise
 from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT, Sensor

@@ -14,7 +14,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from cabinpose._native import core as native
-from cabinpose.core.arrays import Floats32
+from cabinpose.core import Floats32
 
 
 @cache

@@ -7,8 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats32
-from cabinpose.core.camera import Camera
+from cabinpose.core import Bools, Camera, Floats32
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor.buffers import in_parts
 from cabinpose.scene.sensor.presets import Sensor

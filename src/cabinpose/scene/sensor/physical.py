@@ -18,8 +18,7 @@ from numpy.random import Generator, Philox
 from pydantic import Field
 
 from cabinpose._native import sensor as native
-from cabinpose.core.arrays import Bools, Floats, Floats32
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import Bools, ConfigError, Floats, Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import EdgeRule, invalidate
 from cabinpose.scene.sensor.indirect import indirect_light

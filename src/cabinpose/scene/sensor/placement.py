@@ -6,8 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix, is_rigid, look_at, rotation_vector, transform
+from cabinpose.core import ConfigError, Matrix, is_rigid, look_at, rotation_vector, transform
 
 _STRAIGHT = 1e-3  # sine of the angle to the vertical below which "up" is the vehicle's forward
 

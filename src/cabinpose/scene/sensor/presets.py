@@ -18,8 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core import Camera, ConfigError, unknown_name
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.

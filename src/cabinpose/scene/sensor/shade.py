@@ -9,8 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Bools, Floats32
-from cabinpose.core.camera import Camera
+from cabinpose.core import Bools, Camera, Floats32
 
 _SLANT = 0.3  # least cosine between the beam and the surface that it is aimed at
 _SAME_SURFACE = 0.05  # share of the depth that a surface may slant within a column of what a light source sees

@@ -8,7 +8,7 @@ from typing import Annotated
 from numpy.random import Generator
 from pydantic import Field
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import edge_pixels, invalidate
 from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical

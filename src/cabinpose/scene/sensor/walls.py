@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import Camera, ConfigError
 
 F64 = NDArray[np.float64]
 LEAST_FRAMES = 10

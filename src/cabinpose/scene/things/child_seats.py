@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.shapes import Solid, join, prism, rounded_box, slab, sweep, tube
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
 

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.shapes import Solid, join, rounded_box, smoothstep, tube
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, standing_box, turned_body
 

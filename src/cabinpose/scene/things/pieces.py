@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.cabin.shapes import Solid, loft, rounded_box, slab, smooth_curve
 
 # Half of a shell's section, from its middle to the rim of its wall: across and up as shares of its half width and wall.

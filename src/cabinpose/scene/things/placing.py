@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import contact as native
-from cabinpose.core.frames import Matrix, apply, axis_rotation, transform
+from cabinpose.core import Matrix, apply, axis_rotation, transform
 from cabinpose.scene.cabin.model import Seat, SeatSetting
 from cabinpose.scene.contact.field import OUTSIDE, GroupField, PlacedField
 from cabinpose.scene.things.thing import Cloud, PlacedThing, Thing

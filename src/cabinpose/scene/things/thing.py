@@ -9,9 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.arrays import Floats, Floats32, distinct_rows
-from cabinpose.core.errors import unknown_name
-from cabinpose.core.frames import Matrix
+from cabinpose.core import Floats, Floats32, Matrix, distinct_rows, unknown_name
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls_of, group_field

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import Channels, Facts
+from cabinpose.core import RecordingError, optional_module
+from cabinpose.signals import Channels, Facts
 from cabinpose.store.convert.apart import CrashedError, items_apart
 from cabinpose.store.convert.rows import Entry
 

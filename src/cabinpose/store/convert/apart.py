@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cabinpose.core.errors import CabinposeError
+from cabinpose.core import CabinposeError
 
 T = TypeVar("T")
 

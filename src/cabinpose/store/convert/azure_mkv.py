@@ -22,10 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.intrinsics import RationalLens, fit_lens
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import Facts, Message, SensorReadings, ToFFrame
+from cabinpose.core import RationalLens, RecordingError, fit_lens, optional_module
+from cabinpose.signals import Facts, Message, SensorReadings, ToFFrame
 from cabinpose.store.convert.rows import Row, epoch_ns
 
 DEPTH_UNIT_M = 0.001

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import ConfigError, MocapError
-from cabinpose.core.recorded import Facts, SegmentPoses
+from cabinpose.core import ConfigError, MocapError
+from cabinpose.signals import Facts, SegmentPoses
 from cabinpose.store.convert.rows import Row
 
 UpAxis = Literal["y", "z"]

@@ -16,10 +16,8 @@ from typing import IO
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import F64, Facts, SegmentPoses
-from cabinpose.core.resample import resample_positions, resample_rotations
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
+from cabinpose.signals import F64, Facts, SegmentPoses, resample_positions, resample_rotations
 from cabinpose.store.convert.bvh import WORLD_FROM_FILE
 from cabinpose.store.convert.rows import Row, whole_file
 

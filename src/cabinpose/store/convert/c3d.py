@@ -18,9 +18,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from cabinpose.core.errors import MocapError
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
+from cabinpose.core import MocapError, optional_module
+from cabinpose.signals import F64, Channels, Facts, JointAngles, Markers
 from cabinpose.store.convert.apart import CrashedError, items_apart
 from cabinpose.store.convert.c3d_up import WORLD_FROM_UP, Axis, vertical_axis
 from cabinpose.store.convert.rows import Row

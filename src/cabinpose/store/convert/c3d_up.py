@@ -13,8 +13,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from cabinpose.core.frames import ZUP_FROM_YUP
-from cabinpose.core.recorded import F64
+from cabinpose.core import ZUP_FROM_YUP
+from cabinpose.signals import F64
 
 Axis: TypeAlias = Literal["x", "-x", "y", "-y", "z", "-z"]
 _FLIP = np.diag([1.0, -1.0, -1.0])  # half a turn about x

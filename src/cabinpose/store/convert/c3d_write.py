@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.errors import MocapError
-from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Markers
+from cabinpose.core import MocapError
+from cabinpose.signals import F64, Channels, Facts, JointAngles, Markers
 from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d
 from cabinpose.store.convert.c3d_up import WORLD_FROM_UP
 from cabinpose.store.convert.rows import Row, whole_file

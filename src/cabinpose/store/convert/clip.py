@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import MocapError
-from cabinpose.core.recorded import F64, Markers, SegmentPoses
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, MocapError
+from cabinpose.signals import F64, Markers, SegmentPoses
 from cabinpose.store.convert.bvh import UpAxis, read_bvh
 from cabinpose.store.convert.motion_files import M, motion_rows, of_one_subject
 

@@ -21,8 +21,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import LIMBS, oks_sigma
+from cabinpose.core import LIMBS, Visibility, oks_sigma
 from cabinpose.store.convert.pictures import PICTURES, pictured
 from cabinpose.store.frames import PersonInFrame, file_stem, people, require_variables
 from cabinpose.store.source import Report

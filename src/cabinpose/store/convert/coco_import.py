@@ -23,10 +23,7 @@ import ijson
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, RIGS
+from cabinpose.core import INDEX, RIGS, Camera, DatasetError, Visibility
 from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_image
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import UNKNOWN, Source, blank_frame

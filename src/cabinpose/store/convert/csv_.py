@@ -21,9 +21,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ARRAYS, TOPICS, Channels, Facts, Markers, Message, ToFFrame
+from cabinpose.core import RecordingError
+from cabinpose.signals import ARRAYS, TOPICS, Channels, Facts, Markers, Message, Sample, ToFFrame
 from cabinpose.store.convert.rows import whole_file
 
 _MOST_TABLES = 400  # open at the same time

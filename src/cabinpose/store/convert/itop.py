@@ -16,9 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.core import INDEX, ITOP_JOINTS, DatasetError, Visibility
 from cabinpose.store.frames import frames, label_table, people, require_variables
 from cabinpose.store.itop import hdf5
 from cabinpose.store.lazy import camera_of

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core import ITOP_JOINTS, Camera
 
 Seed = Literal["head", "torso"]
 REACH_M = 0.8  # an arm's length

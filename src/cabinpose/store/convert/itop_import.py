@@ -18,10 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.core import INDEX, ITOP_JOINTS, Camera, DatasetError, Visibility
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import ImportOptions, check_projection, make_manifest, put_camera, put_person
 from cabinpose.store.itop import K, hdf5

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Markers, SegmentPoses, SensorReadings
+from cabinpose.core import RecordingError
+from cabinpose.signals import Markers, SegmentPoses, SensorReadings
 from cabinpose.store.convert.bvh import read_bvh_rows
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.mvnx import read_mvnx

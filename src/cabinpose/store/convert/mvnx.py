@@ -5,7 +5,7 @@ large in memory by them, and the content of a single element is bounded.
 
 Units of the file: metres, degrees, m/s², rad/s, milliseconds. World: x forward, y left, z up, right-handed, as ours. Sensors:
 files of version 4 give the acceleration without gravity in the world, from which the acceleration that the sensor felt in its
-own frame is computed (`core.recorded.SensorReadings`); older files give the latter.
+own frame is computed (`signals.recorded.SensorReadings`); older files give the latter.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import numpy as np
 from scipy import constants
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
+from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
+from cabinpose.signals import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
 from cabinpose.store.convert.rows import Row
 
 _CHUNK = 1 << 16

@@ -29,10 +29,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, NTU_JOINTS, RIGS
+from cabinpose.core import INDEX, NTU_JOINTS, RIGS, Camera, DatasetError, Visibility
 from cabinpose.store.convert.reading import (
     ImportOptions,
     check_projection,

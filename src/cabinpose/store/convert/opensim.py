@@ -16,9 +16,8 @@ from typing import IO, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.errors import MocapError
-from cabinpose.core.frames import ZUP_FROM_YUP
-from cabinpose.core.recorded import F64, Facts, JointAngles, Markers, SegmentPoses
+from cabinpose.core import ZUP_FROM_YUP, MocapError
+from cabinpose.signals import F64, Facts, JointAngles, Markers, SegmentPoses
 from cabinpose.store.convert.rows import Row, whole_file
 from cabinpose.store.convert.table import Table, chosen_subject, told_rate
 

@@ -16,8 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DatasetError
-from cabinpose.core.pose import Visibility
+from cabinpose.core import DatasetError, Visibility
 from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_image, read_json
 from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
 from cabinpose.store.schema import VARIABLE, Manifest

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cabinpose import __version__
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.core.pose import Visibility
+from cabinpose.core import Camera, ConfigError, DatasetError, Visibility
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import UNKNOWN
 

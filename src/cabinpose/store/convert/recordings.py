@@ -13,8 +13,8 @@ from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
-from cabinpose.core.ports import Sample
+from cabinpose.core import ConfigError, RecordingError, unknown_name
+from cabinpose.signals import Sample
 from cabinpose.store.convert import RECORDING_EXPORTS, RECORDING_FORMATS, RECORDING_IMPORTS
 from cabinpose.store.convert.c3d_up import Axis
 from cabinpose.store.convert.rows import Entry, Row

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import Message
+from cabinpose.core import RecordingError
+from cabinpose.signals import Message
 
 Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
 Entry: TypeAlias = tuple[str, int, int | None, Message]  # source, then as in a row

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.errors import MocapError
-from cabinpose.core.recorded import F64
+from cabinpose.core import MocapError
+from cabinpose.signals import F64
 
 _CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
 

@@ -22,8 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import DatasetError
+from cabinpose.core import Camera, DatasetError
 from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_grey, read_image
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Source, blank_frame

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import F64, Channels, Facts, Message
+from cabinpose.core import RecordingError, optional_module
+from cabinpose.signals import F64, Channels, Facts, Message
 from cabinpose.store.convert.apart import items_apart
 from cabinpose.store.convert.rows import Entry, epoch_ns
 

@@ -16,8 +16,7 @@ import numpy as np
 import xarray as xr
 import yaml
 
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.skeleton import SYMMETRIC_PAIRS
+from cabinpose.core import SYMMETRIC_PAIRS, ConfigError
 from cabinpose.store.convert.coco import frame_annotations
 from cabinpose.store.convert.pictures import PICTURES, pictured
 from cabinpose.store.frames import file_stem, require_variables

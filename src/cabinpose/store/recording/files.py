@@ -10,7 +10,7 @@ from typing import Literal
 
 from mcap.records import Attachment, Metadata
 
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 from cabinpose.store.recording.scan import Chunk, Scanner, messages_in
 from cabinpose.store.recording.schemas import FORMAT, HOST_METADATA, RIG_ATTACHMENT, TAKE_METADATA
 from cabinpose.store.recording.take import Take

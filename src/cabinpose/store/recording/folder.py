@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 from cabinpose.store.recording.files import read_head
 from cabinpose.store.recording.scan import Scanner
 from cabinpose.store.recording.take import Take

@@ -1,4 +1,4 @@
-"""Messages of `core.recorded` as records of a recording, and back, bit by bit the same.
+"""Messages of `signals.recorded` as records of a recording, and back, bit by bit the same.
 
 A `ToFFrame` is written on up to five topics; `depth` is always there and comes last: it completes the frame.
 """
@@ -21,8 +21,8 @@ from google.protobuf.message import DecodeError
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.recorded import (
+from cabinpose.core import RecordingError
+from cabinpose.signals import (
     ARRAYS,
     F64,
     FRAME_IMAGES,

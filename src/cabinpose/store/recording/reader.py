@@ -12,9 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from mcap.records import Channel
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import Message
+from cabinpose.core import RecordingError
+from cabinpose.signals import Message, Sample
 from cabinpose.store.recording.files import files_of_take, read_head
 from cabinpose.store.recording.messages import Decoder, decode_status
 from cabinpose.store.recording.scan import Chunk, Damage, RawMessage, Scanner, messages_in

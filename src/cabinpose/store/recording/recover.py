@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 from cabinpose.store.recording.container import ContainerWriter
 from cabinpose.store.recording.reader import sound_messages
 from cabinpose.store.recording.scan import Chunk, Damage, Scanner

@@ -30,7 +30,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from cabinpose.core.errors import RecordingError
+from cabinpose.core import RecordingError
 
 MAX_CHUNK = 1 << 30
 """Bytes of a chunk, as stored and uncompressed, beyond which it is taken as damaged."""

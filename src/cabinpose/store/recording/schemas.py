@@ -19,7 +19,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from cabinpose.core.recorded import ARRAYS, TOPICS, Channels, Facts, JointAngles, Markers, SegmentKinematics, SensorReadings
+from cabinpose.signals import ARRAYS, TOPICS, Channels, Facts, JointAngles, Markers, SegmentKinematics, SensorReadings
 
 RAW = "raw"
 HOST_ONLY = "_host"

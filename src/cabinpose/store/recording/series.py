@@ -9,9 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ARRAYS, F64, Markers, SegmentPoses, ToFFrame
+from cabinpose.core import RecordingError
+from cabinpose.signals import ARRAYS, F64, Markers, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.recording.reader import Recording
 
 Times = NDArray[np.int64]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
-from cabinpose.core.pose import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS
 
 _CODE = re.compile(r"(?=.*\d)[A-Za-z0-9][A-Za-z0-9_.-]{0,31}")
 _WORDS = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. /-]{0,63}")

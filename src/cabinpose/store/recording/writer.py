@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 
 from cabinpose import __version__
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
+from cabinpose.core import RecordingError
+from cabinpose.signals import Sample
 from cabinpose.store.part import FULL_DISK, sync
 from cabinpose.store.recording.container import DEFINITIONS_S, Compression, ContainerWriter
 from cabinpose.store.recording.messages import Record, encode, encode_json, encode_status

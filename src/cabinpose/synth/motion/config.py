@@ -6,7 +6,7 @@ import operator
 
 from pydantic import Field, field_validator
 
-from cabinpose.core.errors import unknown_name
+from cabinpose.core import unknown_name
 from cabinpose.synth.motion.activities import ACTIVITIES
 from cabinpose.synth.people import Model
 

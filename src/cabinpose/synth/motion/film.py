@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix
+from cabinpose.core import Matrix, SceneError
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.motion.config import SequenceConfig

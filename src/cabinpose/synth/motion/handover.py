@@ -6,9 +6,7 @@ import math
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, invert, rotation_vector
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, Matrix, invert, rotation_vector
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.synth.posture.grasps import Hold, closed_around, hold
 from cabinpose.synth.posture.hands import palm_frame

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.scene.body import DOFS
 
 PEAK = 1.875  # greatest speed over mean speed

@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, axis_rotation, invert, nearest_rigid, transform
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, Matrix, axis_rotation, invert, nearest_rigid, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing

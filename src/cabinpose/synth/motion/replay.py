@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.synth.motion.activities import RECORDED
 from cabinpose.synth.motion.minimum_jerk import FASTEST
 from cabinpose.synth.motion.planner import Somebody, Surroundings

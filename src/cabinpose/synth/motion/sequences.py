@@ -11,8 +11,7 @@ import numpy as np
 
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.things import PlacedThing
-from cabinpose.scene.things.child_seats import SITTING
+from cabinpose.scene.things import SITTING, PlacedThing
 from cabinpose.synth.motion.activities import HELD_AT, RECORDED, activities_for, inboard_neighbour, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings

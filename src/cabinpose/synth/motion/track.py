@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, rotation_vector, transform
-from cabinpose.scene.body import DOF_INDEX, DOFS, Person, PosedBody
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.core import Floats, Matrix, rotation_vector, transform
+from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER, Person, PosedBody
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
 from cabinpose.synth.posture.grasps import OPEN_HAND, Hold

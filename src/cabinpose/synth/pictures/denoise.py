@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
+from cabinpose.core import Floats
 from cabinpose.synth.pictures.grid import Grid, Hits
 
 _STEPS = 1, 2, 4, 8  # px between taps

@@ -11,11 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Floats32, Ints
-from cabinpose.core.camera import Camera
-from cabinpose.core.frames import Matrix, invert
-from cabinpose.scene.materials import MATERIALS
-from cabinpose.scene.surface import Surface
+from cabinpose.core import Bools, Camera, Floats, Floats32, Ints, Matrix, invert
+from cabinpose.scene import MATERIALS, Surface
 from cabinpose.synth.render import Rasteriser
 
 FINER = 2  # samples of the grid along a pixel's side, where the lens magnifies most

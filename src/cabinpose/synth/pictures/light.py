@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Floats32
+from cabinpose.core import Bools, Floats, Floats32
 from cabinpose.synth.pictures.look import linear
 
 LightKind = Literal["day", "night", "garage"]

@@ -10,12 +10,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Floats32
+from cabinpose.core import Bools, Floats, Floats32
+from cabinpose.scene import LABEL_ID as LABEL
+from cabinpose.scene import MATERIAL_ID as MATERIAL
+from cabinpose.scene import MATERIALS, Surface
 from cabinpose.scene.body import Person
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import ID as MATERIAL
-from cabinpose.scene.materials import MATERIALS
-from cabinpose.scene.surface import Surface
 from cabinpose.synth.streams import weighted
 
 # Monk skin tone scale (Monk 2019, CC BY 4.0), sRGB.

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.arrays import Bytes, Floats, Floats32
-from cabinpose.scene.sensor import Sensor
-from cabinpose.scene.sensor.optics import lens_maps
-from cabinpose.scene.surface import Surface
+from cabinpose.core import Bytes, Floats, Floats32
+from cabinpose.scene import Surface
+from cabinpose.scene.sensor import Sensor, lens_maps
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import FINER, Hits, grid_of, hits, without_panes
 from cabinpose.synth.pictures.light import Light, LightKind, draw_light

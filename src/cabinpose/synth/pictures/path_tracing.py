@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Floats32
-from cabinpose.core.camera import Camera
-from cabinpose.core.frames import Matrix
-from cabinpose.core.optional import optional_module
-from cabinpose.scene.surface import Surface
+from cabinpose.core import Bools, Camera, Floats, Floats32, Matrix, optional_module
+from cabinpose.scene import Surface
 from cabinpose.synth.pictures.light import Light
 from cabinpose.synth.pictures.look import ROUGHNESS
 

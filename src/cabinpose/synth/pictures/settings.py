@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from cabinpose.core.errors import ConfigError
+from cabinpose.core import ConfigError
 from cabinpose.synth.people import Model
 
 

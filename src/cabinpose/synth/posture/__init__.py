@@ -1,9 +1,5 @@
 """Seat-specific postures: inverse kinematics, seat fit, actions and profiles of seated people."""
 
-from cabinpose.synth.posture.actions import ACTIONS, actions_for
-from cabinpose.synth.posture.sampling import OccupantPose, random_action, sample_pose
-from cabinpose.synth.posture.seating import SeatOffset, choose_setting, draw_offset
+import lazy_loader
 
-__all__ = [
-    "ACTIONS", "OccupantPose", "SeatOffset", "actions_for", "choose_setting", "draw_offset", "random_action", "sample_pose",
-]  # fmt: skip
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
-from cabinpose.core.errors import ConfigError, unknown_name
+from cabinpose.core import ConfigError, unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
 
 Place = Literal[

@@ -8,11 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
-from cabinpose.core.skeleton import INDEX
-from cabinpose.scene.body import Person
-from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.core import INDEX, Floats, Matrix, invert, rotation_vector, transform
+from cabinpose.scene.body import BONE_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.seat_fit import SeatFit
 

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import body as native
-from cabinpose.core.arrays import Floats
-from cabinpose.scene.body.kinematics import RestArrays, main_frames
-from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.core import Floats
+from cabinpose.scene.body import BONE_INDEX, RestArrays, main_frames
 
 
 class Frames(NamedTuple):

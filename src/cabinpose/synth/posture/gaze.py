@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import axis_rotation, transform
+from cabinpose.core import Floats, axis_rotation, transform
 
 HEAD_SHARE = (0.8, 0.75)  # of a gaze's yaw and pitch that the head does; the eyes do the rest (Stahl 1999)
 

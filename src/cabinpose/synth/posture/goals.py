@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats, Ints32
-from cabinpose.core.frames import Matrix, invert
-from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
+from cabinpose.core import Floats, Ints32, Matrix, invert
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, LOWER, UPPER, Person
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.feet import FootGoal
 from cabinpose.synth.posture.frames import Frames

@@ -13,14 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Floats32, Ints
-from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix, apply, axis_rotation, invert, transform
-from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person, PosedBody
-from cabinpose.scene.body.rig import BONE_INDEX, LOWER
-from cabinpose.scene.things import PlacedThing, Thing, make_thing
-from cabinpose.scene.things.placing import felt, let_down, stands_free
-from cabinpose.scene.things.thing import VARIANTS, Cloud
+from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, SceneError, apply, axis_rotation, invert, transform
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
+from cabinpose.scene.things import VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
 

@@ -12,11 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats, Ints
-from cabinpose.core.frames import Matrix, apply, axis_rotation, cross, invert, transform
-from cabinpose.scene.body import DOF_INDEX, SEGMENTS, Person
-from cabinpose.scene.body.chart import vertex_segments
-from cabinpose.scene.body.rig import BONE_INDEX, LOWER
+from cabinpose.core import Floats, Ints, Matrix, apply, axis_rotation, cross, invert, transform
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix
+from cabinpose.core import Floats, Matrix
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture import hands as at

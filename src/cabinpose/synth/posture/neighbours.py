@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.scene.body import SEGMENTS, Person
-from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.feet import LOW_TUNNEL_M, is_opposite, tunnel_m
 from cabinpose.synth.posture.memory import kept_with_person

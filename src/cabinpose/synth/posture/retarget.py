@@ -16,11 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import MocapError
-from cabinpose.core.frames import axis_rotation
+from cabinpose.core import Floats, MocapError, axis_rotation
 from cabinpose.scene.body import DOF_INDEX, DOFS
-from cabinpose.store.convert.clip import Clip
+from cabinpose.store.convert import Clip
 
 # What is needed of a recording, under MVN's names and those of the CMU database's common conversions.
 _NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(

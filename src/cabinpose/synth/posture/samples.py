@@ -8,12 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import body as native
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints, Ints32
-from cabinpose.scene.body import SEGMENTS, Person
-from cabinpose.scene.body.chart import load_chart, vertex_segments
-from cabinpose.scene.body.rig import BONE_INDEX, BONES, MAIN_BONES
-from cabinpose.scene.body.shape import load_shape_space
-from cabinpose.scene.contact.pairs import SOLID_OF_SEGMENT, SOLIDS
+from cabinpose.core import Bytes, Floats, Floats32, Ints, Ints32
+from cabinpose.scene.body import BONE_INDEX, BONES, MAIN_BONES, SEGMENTS, Person, load_chart, load_shape_space, vertex_segments
+from cabinpose.scene.contact import SOLID_OF_SEGMENT, SOLIDS
 from cabinpose.synth.posture.memory import kept_with_person
 
 # Points of each solid: the median way to the next one is 24 to 28 mm on hands, forearms and feet, up to 54 mm elsewhere.

@@ -9,14 +9,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.errors import SceneError
-from cabinpose.core.frames import Matrix, invert, rotation_vector, transform
-from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.body.rig import LOWER, UPPER
+from cabinpose.core import Floats, Matrix, SceneError, invert, rotation_vector, transform
+from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.contact import PlacedField
-from cabinpose.scene.things.thing import PlacedThing, sitting_in
+from cabinpose.scene.things import PlacedThing, sitting_in
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     ACTIONS,

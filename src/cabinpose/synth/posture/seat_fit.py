@@ -15,12 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats, Floats32, Ints
-from cabinpose.core.frames import Matrix, axis_rotation, transform
-from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person
-from cabinpose.scene.body.chart import vertex_segments
+from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, axis_rotation, transform
+from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import Seat
-from cabinpose.scene.things.child_seats import Sitting
+from cabinpose.scene.things import Sitting
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.memory import kept_with_person
 

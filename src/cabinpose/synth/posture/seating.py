@@ -6,9 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Floats
-from cabinpose.core.frames import Matrix, axis_rotation, transform
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, Matrix, axis_rotation, transform
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.memory import kept_with_person

@@ -12,13 +12,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import pose as native
-from cabinpose.core.arrays import Floats, Ints32
-from cabinpose.core.frames import Matrix
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core import INDEX, Floats, Ints32, Matrix
 from cabinpose.scene.body import Person
-from cabinpose.scene.contact import PlacedField
-from cabinpose.scene.contact.field import WHEEL_GROUP
-from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLIDS
+from cabinpose.scene.contact import BOTH_YIELD_M, PAIRS, SOLIDS, WHEEL_GROUP, PlacedField
 from cabinpose.synth.posture.samples import samples_of
 
 _OF_TOLERANCE = 0.0  # of what the verdict lets a body's own solids overlap

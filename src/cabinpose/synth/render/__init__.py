@@ -3,7 +3,6 @@
 `Rasteriser` renders depth, labels, instances and the buffers of the sensor model, and states for every joint how it is seen.
 """
 
-from cabinpose.synth.render.rasteriser import Rasteriser, RenderedFrame
-from cabinpose.synth.render.visibility import OWN_PARTS
+import lazy_loader
 
-__all__ = ["OWN_PARTS", "Rasteriser", "RenderedFrame"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,14 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cabinpose._native import raster as native
-from cabinpose.core.arrays import Bytes, Floats, Floats32, Ints32
-from cabinpose.core.camera import Camera
-from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import Matrix
-from cabinpose.core.skeleton import JOINTS
-from cabinpose.scene.materials import ID as MATERIAL
-from cabinpose.scene.sensor.buffers import GeometryBuffers, in_parts
-from cabinpose.scene.surface import Surface
+from cabinpose.core import JOINTS, Bytes, Camera, ConfigError, Floats, Floats32, Ints32, Matrix
+from cabinpose.scene import MATERIAL_ID as MATERIAL
+from cabinpose.scene import Surface
+from cabinpose.scene.sensor import GeometryBuffers, in_parts
 from cabinpose.synth.render.visibility import visibility_rules
 
 SEE_THROUGH: tuple[int, ...] = (MATERIAL["spectacle_lens"],)

@@ -24,10 +24,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Floats
-from cabinpose.core.skeleton import JOINTS, REACH_M
-from cabinpose.scene.labels import ID as LABEL
-from cabinpose.scene.materials import MATERIALS
+from cabinpose.core import JOINTS, REACH_M, Bools, Floats
+from cabinpose.scene import LABEL_ID as LABEL
+from cabinpose.scene import MATERIALS
 
 _WORN_ON_HEAD = ("hair", "headwear", "glasses")
 _SIDED_PARTS = {

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cabinpose.core.errors import ModelError
+from cabinpose.core import ModelError
 
 CONTENT = ("conv2_1", "conv3_1")
 STYLE = MappingProxyType({"conv2_2": 0.7, "conv3_4": 0.25, "conv4_4": 0.05})  # weights: noise and edges are fine, scenes coarse

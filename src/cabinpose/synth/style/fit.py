@@ -11,8 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 
-from cabinpose.core.arrays import Bools, Floats32
-from cabinpose.core.errors import ConfigError, DatasetError
+from cabinpose.core import Bools, ConfigError, DatasetError, Floats32
 from cabinpose.synth.style.encoder import DETAIL_PX, Loss, StyleLoss
 from cabinpose.synth.style.frame import REGIONS, StyleFrame, guides_of
 from cabinpose.synth.style.settings import Style

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from cabinpose.core.arrays import Bools, Bytes, Floats32
-from cabinpose.core.errors import ConfigError
-from cabinpose.scene.labels import FIRST_BODY_ID, ID, LAST_BODY_ID
+from cabinpose.core import Bools, Bytes, ConfigError, Floats32
+from cabinpose.scene import FIRST_BODY_ID, LABEL_ID, LAST_BODY_ID
 from cabinpose.synth.style.safety import EDGE_M, EDGE_SHARE
 
 REGIONS = ("car", "human", "window")  # by their number in a style frame's masks
@@ -65,7 +64,7 @@ class StyleFrame:
 def guides_of(labels: Bytes, depth_clean: Floats32) -> Floats32:
     """(4, H, W) regions of a frame (H, W) by its classes: people, glass, the rest (eq. 5.13 of the thesis), and edges."""
     human = (labels >= FIRST_BODY_ID) & (labels <= LAST_BODY_ID)
-    return _guides(np.where(human, 1, np.where(labels == ID["glass"], 2, 0)), np.nan_to_num(depth_clean))
+    return _guides(np.where(human, 1, np.where(labels == LABEL_ID["glass"], 2, 0)), np.nan_to_num(depth_clean))
 
 
 def _guides(regions: NDArray[np.integer], depth_m: Floats32) -> Floats32:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cabinpose.core.arrays import Bools, Bytes, Floats32, Ints
+from cabinpose.core import Bools, Bytes, Floats32, Ints
 
 EDGE_M, EDGE_SHARE = 0.06, 0.04  # steps of more than 6 cm and 4 % of the depth are edges
 _REACH = 5  # px on either side of a border of labels in which its edge is looked for

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
-from cabinpose.core.arrays import Bools, Bytes, Floats32
-from cabinpose.core.errors import ConfigError, ModelError
-from cabinpose.core.optional import optional_module
+from cabinpose.core import Bools, Bytes, ConfigError, Floats32, ModelError, optional_module
 from cabinpose.synth.style.frame import StyleFrame, guides_of
 from cabinpose.synth.style.safety import LabelShift, label_shift, parts_of, without_part_means
 from cabinpose.synth.style.settings import LEFT, Style

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cabinpose.core.arrays import Bools, Floats32
+from cabinpose.core import Bools, Floats32
 from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, own_encoder, shown, vgg19, without_slow
 from cabinpose.synth.style.frame import StyleFrame
 from cabinpose.synth.style.stage import METADATA_KEY

@@ -1,1 +1,5 @@
-"""ToF cameras, one module a vendor: each gives `core.recorded.ToFFrame`."""
+"""ToF cameras, one module a vendor: each gives `signals.recorded.ToFFrame`."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core import RecordingError
 from cabinpose.record.sources.base import PlayedSettings, PlayedSource
 from cabinpose.record.sources.counting import FrameNumbers, FramePeriod
-from cabinpose.store.convert.azure_mkv import AzureFile
+from cabinpose.signals import HostClock, Sample, ToFFrame
+from cabinpose.store.convert import AzureFile
 
 
 class AzureMkvSettings(PlayedSettings):

@@ -16,10 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import ConfigError, RecordingError, unknown_name
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core import Camera, ConfigError, RecordingError, unknown_name
 from cabinpose.record.sources.counting import DeviceClock, FrameNumbers
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.record.sources.tof.camera import (
@@ -30,6 +27,7 @@ from cabinpose.record.sources.tof.camera import (
     frame_of,
     rays_of_points,
 )
+from cabinpose.signals import HostClock, ToFFrame
 
 _TURN = 2**32
 _DEVICE_TYPES = {"any": 0, "ethernet": 1, "usb": 2, "uart": 3, "bltstream": 0xF}

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.errors import DependencyError, RecordingError
+from cabinpose.core import DependencyError, RecordingError
 from cabinpose.record.sources.tof.camera import MOST_PIXELS, MalformedFrameError
 
 DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x40

@@ -13,12 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
-from cabinpose.core.intrinsics import fit_camera
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import FRAME_IMAGES, Facts, Message, ToFFrame
+from cabinpose.core import Camera, fit_camera
 from cabinpose.record.sources.base import DeviceSource
+from cabinpose.signals import FRAME_IMAGES, Facts, HostClock, Message, Sample, ToFFrame
 
 MOST_PIXELS = 1 << 24  # of an image: no ToF sensor is near it, and a header may say anything
 

@@ -18,11 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core import Camera, RecordingError, optional_module
 from cabinpose.record.sources.counting import FrameNumbers
 from cabinpose.record.sources.tof.camera import (
     CameraSettings,
@@ -33,6 +29,7 @@ from cabinpose.record.sources.tof.camera import (
     rays_of_points,
     shaped,
 )
+from cabinpose.signals import HostClock, ToFFrame
 
 _WHERE = "pip install harvesters, and name the camera vendor's GenTL producer (.cti) with `producer`"
 _COORDINATES = re.compile(r"Coord3D_(C|ABC|ABCY)(8|16s?|32f)$")

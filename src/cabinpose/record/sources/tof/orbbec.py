@@ -17,15 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import ConfigError, RecordingError
-from cabinpose.core.intrinsics import RationalLens, fit_lens
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core import Camera, ConfigError, RationalLens, RecordingError, fit_lens, optional_module
 from cabinpose.record.sources.counting import DeviceClock, FrameNumbers
 from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, MalformedFrameError, frame_of, shaped
-from cabinpose.store.convert.azure_mkv import DEPTH_MODES
+from cabinpose.signals import HostClock, ToFFrame
+from cabinpose.store.convert import DEPTH_MODES
 
 _CONNECT = "connect it, and check its power; on Linux install the udev rules that come with pyorbbecsdk"
 _REFUSED = "is another program using it? On Linux, are the udev rules of pyorbbecsdk installed?"

@@ -16,14 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core.camera import Camera
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError
-from cabinpose.core.intrinsics import pixel_error
-from cabinpose.core.optional import optional_module
-from cabinpose.core.recorded import ToFFrame
+from cabinpose.core import Camera, RecordingError, optional_module, pixel_error
 from cabinpose.record.sources.counting import FrameNumbers, FramePeriod
 from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, depth_image, frame_of, rays_of_points, shaped
+from cabinpose.signals import HostClock, ToFFrame
 
 _WHERE = "it comes with pmd's Royale SDK, from pmd or the camera's seller: put the SDK's python folder on PYTHONPATH"
 _POINTS_TO_COMPARE = 1000

@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core.clock import HostClock
-from cabinpose.core.errors import RecordingError, SourceEndedError
-from cabinpose.core.ports import Sample
-from cabinpose.core.recorded import FRAME_IMAGES, ToFFrame
+from cabinpose.core import RecordingError, SourceEndedError
 from cabinpose.record.emulate.base import log_line
 from cabinpose.record.emulate.tof import EmulatedCamera, Frame, TofFaults
 from cabinpose.record.sources.counting import FrameNumbers
 from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, MalformedFrameError
+from cabinpose.signals import FRAME_IMAGES, HostClock, Sample, ToFFrame
 from cabinpose.store import open_dataset, read_manifest
 
 DATASET_UNIT_M = 1e-4  # of the depth that a dataset stores

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply, is_rigid, transform
-from cabinpose.core.register import icp, kabsch
+from cabinpose.signals.register import icp, kabsch
 
 
 def _moved(seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray]:

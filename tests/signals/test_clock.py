@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cabinpose.core.clock import ClockMap, HostClock, Unwrapper
+from cabinpose.signals.clock import ClockMap, HostClock, Unwrapper
 
 
 def test_a_camera_that_counts_microseconds_wraps() -> None:

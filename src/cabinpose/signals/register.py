@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.frames import Matrix, apply
+from cabinpose.core import AlignmentError, Matrix, apply
 
 F64 = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline, PPoly
 from scipy.ndimage import correlate1d
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.resample import rising_times
+from cabinpose.core import AlignmentError
+from cabinpose.signals.resample import rising_times
 
 F64 = NDArray[np.float64]
 

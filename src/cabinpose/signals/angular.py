@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.resample import resample_rotations, rising_times
-from cabinpose.core.rotations import angle, conjugate, product, rotation_vectors, since_first
+from cabinpose.core import AlignmentError
+from cabinpose.signals.resample import resample_rotations, rising_times
+from cabinpose.signals.rotations import angle, conjugate, product, rotation_vectors, since_first
 
 F64 = NDArray[np.float64]
 

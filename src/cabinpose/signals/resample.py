@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.errors import AlignmentError
+from cabinpose.core import AlignmentError
 
 F64 = NDArray[np.float64]
 

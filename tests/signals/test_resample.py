@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.resample import common_clock, resample_positions, resample_rotations
+from cabinpose.signals.resample import common_clock, resample_positions, resample_rotations
 
 NAN = np.nan
 

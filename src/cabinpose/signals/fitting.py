@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from cabinpose.core.correlation import Signal
+from cabinpose.signals.correlation import Signal
 
 F64 = NDArray[np.float64]
 

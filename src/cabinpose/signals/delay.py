@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core.correlation import known_samples, smoothed
-from cabinpose.core.errors import AlignmentError, UndeterminedError
-from cabinpose.core.fitting import Fit, fit_delay
-from cabinpose.core.lags import LagSearch, Peak, WindowDelays, weak_error
+from cabinpose.core import AlignmentError, UndeterminedError
+from cabinpose.signals.correlation import known_samples, smoothed
+from cabinpose.signals.fitting import Fit, fit_delay
+from cabinpose.signals.lags import LagSearch, Peak, WindowDelays, weak_error
 
 F64 = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.correlation import Signal, correlogram
-from cabinpose.core.errors import AlignmentError
-from cabinpose.core.fitting import fit_delay
+from cabinpose.core import AlignmentError
+from cabinpose.signals.correlation import Signal, correlogram
+from cabinpose.signals.fitting import fit_delay
 
 F64 = NDArray[np.float64]
 

@@ -1,0 +1,11 @@
+from .board import Board as Board
+from .calibration import Calibration as Calibration
+from .dataset import TakeReport as TakeReport
+from .dataset import align_takes as align_takes
+from .project import Aligned as Aligned
+from .session import Calibrated as Calibrated
+from .session import Session as Session
+from .session import calibrate as calibrate
+from .streams import on_host as on_host
+from .visibility import surface_depth as surface_depth
+from .visibility import visibility as visibility

@@ -1,0 +1,14 @@
+from .connect import need_protocol as need_protocol
+from .connect import open_predictor as open_predictor
+from .messages import add_tensors as add_tensors
+from .messages import read_tensors as read_tensors
+from .regions import EXTENSION as EXTENSION
+from .regions import ServerRegions as ServerRegions
+from .tensors import INPUTS as INPUTS
+from .tensors import OUTPUTS as OUTPUTS
+from .tensors import PLATFORM as PLATFORM
+from .tensors import VERSION as VERSION
+from .tensors import Arrays as Arrays
+from .tensors import TensorError as TensorError
+from .tensors import TensorSpec as TensorSpec
+from .tensors import pack as pack

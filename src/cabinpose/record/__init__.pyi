@@ -1,0 +1,15 @@
+from .check import check as check
+from .config import Rig as Rig
+from .config import Storage as Storage
+from .config import kinds as kinds
+from .config import load_rig as load_rig
+from .config import load_take as load_take
+from .config import parse_rig as parse_rig
+from .lane import Lane as Lane
+from .lane import LaneStatus as LaneStatus
+from .recorder import Outcome as Outcome
+from .recorder import Recorder as Recorder
+from .recorder import RecorderStatus as RecorderStatus
+from .session import begin as begin
+from .session import start_recorder as start_recorder
+from .split import Limit as Limit

@@ -1,0 +1,14 @@
+from .base import log_line as log_line
+from .mvn import MvnEmulator as MvnEmulator
+from .mvn import Sent as Sent
+from .mvn_motion import SuitMotion as SuitMotion
+from .mvn_motion import generated as generated
+from .mvn_motion import recorded as recorded
+from .mvn_streamer import MvnEmulatorSettings as MvnEmulatorSettings
+from .stepper import StepperEmulator as StepperEmulator
+from .stepper import StepperEmulatorSettings as StepperEmulatorSettings
+from .vicon import ViconEmulator as ViconEmulator
+from .vicon_content import ViconEmulatorSettings as ViconEmulatorSettings
+from .vicon_motion import MarkerMotion as MarkerMotion
+from .vicon_motion import generated_motion as generated_motion
+from .vicon_motion import motion_of_c3d as motion_of_c3d

@@ -1,0 +1,17 @@
+from .labels import BODY_PARTS as BODY_PARTS
+from .labels import FIRST_BODY_ID as FIRST_BODY_ID
+from .labels import LABEL_ID as LABEL_ID
+from .labels import LABELS as LABELS
+from .labels import LAST_BODY_ID as LAST_BODY_ID
+from .labels import RGB as RGB
+from .labels import THINGS as THINGS
+from .labels import ticam_class as ticam_class
+from .materials import MATERIAL_ID as MATERIAL_ID
+from .materials import MATERIALS as MATERIALS
+from .materials import OF_THINGS as OF_THINGS
+from .room import ROOM_VIEWS as ROOM_VIEWS
+from .room import Room as Room
+from .room import furnish_room as furnish_room
+from .room import place_room_camera as place_room_camera
+from .surface import Surface as Surface
+from .surface import merge as merge
