@@ -13,8 +13,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, look_at, transform
 from cabinpose.core.skeleton import INDEX, JOINTS, MVN_SEGMENTS, RIGS
 from cabinpose.signals.clock import ClockMap
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Message, SegmentPoses, ToFFrame
+from cabinpose.signals.recorded import Message, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.recording import Participant, RecordingWriter, Take
 
 START_NS = 1_750_000_000_000_000_000

@@ -13,8 +13,7 @@ import yaml
 
 from cabinpose.scene.materials import MATERIAL_ID
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, Sensor, simulate
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import ToFFrame
+from cabinpose.signals.recorded import Sample, ToFFrame
 from cabinpose.store.recording import RecordingWriter
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import Source, blank_frame, import_source

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -209,8 +210,7 @@ def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> No
 
 
 def test_synth_refuses_before_any_work(run: Run, dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cabinpose.synth import generate
-
+    generate = import_module("cabinpose.synth.generate")  # the face has a function of this name
     monkeypatch.setattr(generate, "preflight", lambda *_, **__: None)  # the scene is not the subject, and takes seconds
     config = tmp_path / "scene.yaml"
     config.write_text("version: 1\n")

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from xdf_file import XdfStream, write_xdf
 
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, ToFFrame
+from cabinpose.signals.recorded import Channels, Facts, JointAngles, Markers, Message, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.convert import RECORDING_EXPORTS, RECORDING_FORMATS, RECORDING_IMPORTS
 from cabinpose.store.convert.bvh import read_bvh_rows
 from cabinpose.store.convert.bvh_write import write_bvh

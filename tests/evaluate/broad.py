@@ -11,7 +11,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from cabinpose.core.errors import MocapError
-from cabinpose.core.optional import optional_module
+from cabinpose.core.imports import optional_module
 from cabinpose.evaluate.mocap.orientation import OrientationErrors, orientation_errors
 
 _NEEDED = ("imu_gyr", "imu_acc", "imu_mag", "opt_quat", "movement", "sampling_rate")

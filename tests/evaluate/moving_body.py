@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Message, SegmentPoses, SensorReadings
+from cabinpose.signals.recorded import Message, Sample, SegmentPoses, SensorReadings
 from cabinpose.store.recording import Participant, RecordingWriter, Take
 
 # Offsets of a segment's origin from its parent's, m; x forward, y left, z up, standing in an N-pose.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -125,7 +126,8 @@ def test_circles_wherever_the_import_stands(tmp_path: Path) -> None:
     (package / "three.py").write_text("from cabinpose.one import f\n")
     (package / "four.py").write_text("from cabinpose.one import f\n")
     code = "import sys; sys.path.insert(0, 'tools'); from check_tree import circles, Path; print(circles(Path(sys.argv[1])))"
-    told = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
+    told = subprocess.run(  # without `site`: an editable installation would put the package itself first
+        [sys.executable, "-S", "-c", code, str(tmp_path)], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
     assert told.strip() == "[['cabinpose.one', 'cabinpose.three', 'cabinpose.two']]"

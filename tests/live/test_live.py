@@ -21,8 +21,7 @@ from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.record.config import Rig, SourcePlan, parse_rig
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Counts, Sample
-from cabinpose.signals.recorded import ToFFrame
+from cabinpose.signals.recorded import Counts, Sample, ToFFrame
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import empty_batch, read_predictions
 from cabinpose.store.recording import Recording, tof_frames

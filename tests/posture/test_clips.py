@@ -13,8 +13,7 @@ from cabinpose.core.errors import MocapError, RecordingError
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, SUBJECTS, BodyModel
 from cabinpose.scene.body.rig import BONE_INDEX
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Markers, SegmentPoses
+from cabinpose.signals.recorded import Markers, Sample, SegmentPoses
 from cabinpose.store.convert.c3d_write import write_c3d
 from cabinpose.store.convert.clip import Clip, read_clip
 from cabinpose.store.convert.mvnx import read_mvnx

@@ -20,7 +20,7 @@ from cabinpose.record.config import parse_rig
 from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Sample
 
 
 def main() -> None:

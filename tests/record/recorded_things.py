@@ -9,13 +9,13 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cabinpose.signals.ports import Sample
 from cabinpose.signals.recorded import (
     Channels,
     Facts,
     JointAngles,
     Markers,
     Message,
+    Sample,
     SegmentKinematics,
     SegmentPoses,
     SensorReadings,

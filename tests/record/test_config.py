@@ -13,7 +13,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.record import config
 from cabinpose.record.config import KINDS, load_rig, load_take, parse_rig
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import FrameSource
+from cabinpose.signals.recorded import FrameSource
 
 NUMBERED = {"kind": "numbered"}
 

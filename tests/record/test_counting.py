@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cabinpose.record.sources.counting import DeviceClock, FrameNumbers, FramePeriod
-from cabinpose.signals.ports import Counts
+from cabinpose.signals.recorded import Counts
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=300), st.integers(0, 2**16 - 1))

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Sample
 from cabinpose.store.recording import Recording, recover
 from cabinpose.store.recording.container import ContainerWriter
 

@@ -16,8 +16,7 @@ from pydantic import ValidationError
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.lsl import LslSettings, LslSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Channels, Facts
+from cabinpose.signals.recorded import Channels, Facts, Sample
 
 PATIENCE_S = 120.0  # of a busy machine
 

@@ -17,8 +17,7 @@ from cabinpose.record.emulate.mvn_motion import generated, recorded
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings, Streamer
 from cabinpose.record.sources import mvn_protocol as mvn
 from cabinpose.record.sources.mvn import MvnSettings, MvnSource
-from cabinpose.signals.ports import FrameSource, Sample
-from cabinpose.signals.recorded import SegmentPoses
+from cabinpose.signals.recorded import FrameSource, Sample, SegmentPoses
 from cabinpose.store.convert.mvnx import read_mvnx
 
 MOTION = generated("seated")

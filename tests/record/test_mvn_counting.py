@@ -14,7 +14,7 @@ from cabinpose.record.emulate.mvn_motion import generated
 from cabinpose.record.emulate.mvn_streamer import Datagram, MvnEmulatorSettings, Streamer
 from cabinpose.record.sources import mvn_protocol as mvn
 from cabinpose.record.sources.mvn import MvnSettings, MvnSource
-from cabinpose.signals.ports import Counts, Sample
+from cabinpose.signals.recorded import Counts, Sample
 
 MOTION = generated("walk", rate_hz=60)
 

@@ -20,8 +20,7 @@ from cabinpose.record.session import begin
 from cabinpose.record.sources.numbered import NumberedSettings, NumberedSource
 from cabinpose.record.split import SplitWriter
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Counts, Sample
-from cabinpose.signals.recorded import Channels
+from cabinpose.signals.recorded import Channels, Counts, Sample
 from cabinpose.store.recording import Recording, RecordingWriter, SourceStatus
 from cabinpose.store.recording.scan import Chunk, Scanner
 

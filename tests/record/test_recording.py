@@ -17,8 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from recorded_things import MESSAGES, SAMPLES, bits, take_samples, tof_frame
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Channels, Facts, Markers, Message, SegmentPoses
+from cabinpose.signals.recorded import Channels, Facts, Markers, Message, Sample, SegmentPoses
 from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, recover
 
 TAKE = Take(action="reach", car="sedan", subjects=(Participant(code="S07", seat="driver", consent="C-12"),))

@@ -19,8 +19,7 @@ from mcap.writer import Writer
 from recorded_things import bits, markers, poses, take_samples, tof_frame
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Channels, Facts
+from cabinpose.signals.recorded import Channels, Facts, Sample
 from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, recover, survey
 from cabinpose.store.recording.scan import Chunk, RawMessage, Scanner, _uncompressed, messages_in
 

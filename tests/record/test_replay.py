@@ -14,7 +14,7 @@ from cabinpose.record.config import parse_rig
 from cabinpose.record.session import begin
 from cabinpose.record.sources.replay import ReplaySettings, ReplaySource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
+from cabinpose.signals.recorded import Sample
 from cabinpose.store.recording import Recording, RecordingWriter
 
 SAMPLES = take_samples(60, rng=np.random.default_rng(2))

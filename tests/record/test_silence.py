@@ -13,8 +13,7 @@ import pytest
 import yaml
 
 from cabinpose.record.config import parse_rig
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Channels, Facts
+from cabinpose.signals.recorded import Channels, Facts, Sample
 from cabinpose.store.recording import RecordingWriter, SourceStatus, survey
 from cabinpose.store.recording.messages import decode_status
 

@@ -24,7 +24,7 @@ from cabinpose.record.session import begin
 from cabinpose.record.sources.replay import ReplaySettings, ReplaySource
 from cabinpose.record.split import Limit, SplitWriter
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Counts, Sample
+from cabinpose.signals.recorded import Counts, Sample
 from cabinpose.store.recording import (
     Participant,
     Recording,

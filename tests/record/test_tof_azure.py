@@ -10,8 +10,7 @@ import pytest
 from cabinpose.core.errors import RecordingError, SourceEndedError
 from cabinpose.record.sources.tof.azure_mkv import AzureMkvSettings, AzureMkvSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import ToFFrame
+from cabinpose.signals.recorded import Sample, ToFFrame
 
 
 @pytest.mark.real_data

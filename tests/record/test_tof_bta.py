@@ -17,8 +17,7 @@ from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.record.sources.tof.bta import BtaSettings, BtaSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Facts, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample, ToFFrame
 
 CAMERA = Camera(40, 30, 38.0, 39.0, 20.5, 14.0, (-0.15, 0.03, 0.0, 0.0, 0.0))
 U8, U16, I16, F32 = 0x11, 0x12, 0x22, 0x34

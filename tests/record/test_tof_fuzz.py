@@ -19,8 +19,7 @@ from test_tof_genicam import rig  # noqa: F401
 from test_tof_royale import roypy  # noqa: F401
 
 from cabinpose.record.sources.tof import bta_library as bta
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import ToFFrame
+from cabinpose.signals.recorded import Sample, ToFFrame
 from cabinpose.store.recording import RecordingWriter
 
 Rng = np.random.Generator

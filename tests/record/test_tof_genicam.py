@@ -15,8 +15,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.tof.genicam import GenicamSettings, GenicamSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Facts, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample, ToFFrame
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.0, 12.5)
 

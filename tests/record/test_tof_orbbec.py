@@ -21,8 +21,7 @@ from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
 from cabinpose.record.config import parse_rig
 from cabinpose.record.sources.tof.orbbec import OrbbecSettings, OrbbecSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Facts, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample, ToFFrame
 
 SHAPE = (48, 64)
 PERIOD_US = 33_333

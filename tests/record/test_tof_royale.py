@@ -14,8 +14,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.tof.royale import RoyaleSettings, RoyaleSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Facts, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample, ToFFrame
 
 LENS = {"fx": 60.0, "fy": 61.0, "cx": 31.5, "cy": 23.0, "k1": -0.2, "k2": 0.05, "p1": 0.001, "p2": -0.001, "k3": 0.01}
 CAMERA = Camera(64, 48, 60.0, 61.0, 31.5, 23.0, (-0.2, 0.05, 0.001, -0.001, 0.01))

@@ -16,8 +16,7 @@ from cabinpose.core.errors import RecordingError, SourceEndedError
 from cabinpose.record.emulate.tof import TofFaults
 from cabinpose.record.sources.tof.simulated import SimulatedSettings, SimulatedSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Sample
-from cabinpose.signals.recorded import Facts, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample, ToFFrame
 from cabinpose.store import open_dataset
 
 

@@ -27,8 +27,7 @@ from cabinpose.record.sources.vicon import ViconSettings, ViconSource
 from cabinpose.record.sources.vicon_messages import FrameAccount, PacketDecoder, quaternion_wxyz
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter, SegmentInfo, SubjectInfo, Type
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.ports import Counts, FrameSource, Sample
-from cabinpose.signals.recorded import Channels, Facts, Markers, SegmentPoses
+from cabinpose.signals.recorded import Channels, Counts, Facts, FrameSource, Markers, Sample, SegmentPoses
 
 PATIENCE_S = 20.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core import rotations as r
+from cabinpose.signals import rotations as r
 
 
 def drawn(count: int, seed: int = 3) -> tuple[Rotation, np.ndarray]:

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.signals.ports import Sample
 from cabinpose.signals.recorded import (
     Channels,
     Facts,
     JointAngles,
     Markers,
     Message,
+    Sample,
     SegmentKinematics,
     SegmentPoses,
     SensorReadings,

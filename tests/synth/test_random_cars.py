@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from synth_scenes import PART, fingerprint, small_config, start
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.store import open_dataset
-from cabinpose.synth import preflight as preflight_module
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import generate
@@ -126,7 +126,7 @@ def test_cars_are_built_beforehand_where_they_differ(
         built.append(arguments)
         return build_cabin(*arguments, **options)
 
-    monkeypatch.setattr(preflight_module, "build_cabin", counting)
+    monkeypatch.setattr(import_module("cabinpose.synth.preflight"), "build_cabin", counting)
     config = small_config(**({"cars": ["hatchback"], "random_cars": 40, "occupancy": DRIVER} | scene))
     camera = config.camera.model_copy(update={"views": Camera(views=views).views})
     preflight(config.model_copy(update={"camera": camera}), frames=1)

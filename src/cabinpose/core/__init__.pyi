@@ -34,11 +34,11 @@ from .frames import look_at as look_at
 from .frames import nearest_rigid as nearest_rigid
 from .frames import rotation_vector as rotation_vector
 from .frames import transform as transform
+from .imports import optional_module as optional_module
 from .intrinsics import RationalLens as RationalLens
 from .intrinsics import fit_camera as fit_camera
 from .intrinsics import fit_lens as fit_lens
 from .intrinsics import pixel_error as pixel_error
-from .optional import optional_module as optional_module
 from .ports import POSE_ARRAYS as POSE_ARRAYS
 from .ports import FrameBatch as FrameBatch
 from .ports import PoseBatch as PoseBatch

@@ -9,7 +9,10 @@ from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.core.imports import moved
 from cabinpose.core.segmentation import Part
+
+__getattr__ = moved(__name__, {name: f"cabinpose.signals.{name}" for name in ("Counts", "FrameSource", "Sample")})
 
 
 class FrameBatch(TypedDict):

@@ -10,7 +10,7 @@ from pathlib import Path
 import xarray as xr
 
 from cabinpose.app.view import draw
-from cabinpose.app.view.complete import completed
+from cabinpose.app.view.draw import completed
 from cabinpose.core import CabinposeError, ConfigError, DatasetError
 from cabinpose.evaluate import check_predictions
 from cabinpose.store import (

@@ -7,11 +7,12 @@ from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
 
-from cabinpose.core import INDEX, LIMBS, Visibility
+from cabinpose.core import FORWARD_FROM_CAMERA, INDEX, LIMBS, DatasetError, Visibility, transform
 
 Image = NDArray[np.uint8]  # (H, W, 3) RGB
 Colour = tuple[int, int, int]
@@ -34,6 +35,25 @@ _VIRIDIS = (
     (70, 192, 111), (101, 203, 94), (137, 213, 72), (176, 221, 47), (216, 226, 25), (253, 231, 37),
 )  # fmt: skip
 _FINER = 4  # lines and dots are drawn so many times larger, then averaged
+
+
+def completed(dataset: xr.Dataset) -> xr.Dataset:
+    """The dataset with all that its pictures show: background and nobody where it has no classes or instances, and a level
+    camera where its extrinsics are not known (the cloud is then seen from beside and above that camera).
+
+    Raises `DatasetError` where there is no depth to show, or no intrinsics to make a cloud of it.
+    """
+    if "depth" not in dataset:
+        raise DatasetError("the dataset has no depth to show", hint="it holds joints only; `cabinpose info` says what of them")
+    if not np.isfinite(dataset["camera_k"].values).all():
+        raise DatasetError("the dataset does not know its camera's intrinsics", hint="import it again with --intrinsics")
+    depth = dataset["depth"]
+    missing = [name for name in ("labels", "instance") if name not in dataset]
+    empty = xr.Variable(depth.dims, np.broadcast_to(np.uint8(0), depth.shape))  # no memory, however many frames
+    poses = dataset["vehicle_from_camera"].values
+    known = np.isfinite(poses).all(axis=(1, 2), keepdims=True)
+    level = xr.Variable(dataset["vehicle_from_camera"].dims, np.where(known, poses, transform(FORWARD_FROM_CAMERA)))
+    return dataset.assign(dict.fromkeys(missing, empty) | {"vehicle_from_camera": level})
 
 
 @lru_cache

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from cabinpose.app.finite import finite
 from cabinpose.app.report.html import style
-from cabinpose.app.view.complete import completed
 from cabinpose.app.view.draw import (
     PERSON_COLOUR,
     VISIBILITY_COLOUR,
     amplitude_image,
     colour_map,
+    completed,
     depth_image,
     infrared_image,
     jpeg,
