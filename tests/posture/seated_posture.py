@@ -13,12 +13,13 @@ from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import Matrix
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
+from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.feet import MISS_M, default_plans, foot_goals
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.gaze import head_rotation
-from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, sitter
+from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, HandGoal, sitter
 from cabinpose.synth.posture.hands import lying, on_rim, on_thigh, rim_grip
-from cabinpose.synth.posture.seat_fit import SeatFit, fit_seat
+from cabinpose.synth.posture.seat_fit import SeatFit
 from cabinpose.synth.posture.solver import solve
 
 Array = NDArray[np.float64]
@@ -55,11 +56,10 @@ def solve_posture(
     seat.check(setting)
     has_wheel = seat.slot == "driver" and cabin.steering_wheel is not None
     hands = hands or ("wheel" if has_wheel else "lap")
-    fit = fit_seat(person, seat, setting.torso_angle)
-    root = seat.vehicle_from_seat(setting) @ fit.seat_from_root
-    q = fit.q.copy()
-    feet = foot_goals(person, root, seat, setting, fit, cabin, default_plans(seat, cabin))
-    skeleton = frames(q, person.rest, root)
+    seated = SeatContext(person, seat, setting, cabin)
+    root, q = seated.vehicle_from_root(0.0), seated.fit.q.copy()
+    feet = foot_goals(seated, root, default_plans(seat, cabin))
+    trunk = Trunk(seated, q, root, frames(q, person.rest, root), wheel_angle)
     palms, holds = [], hands == "wheel"
     for side in (0, 1):
         if holds:
@@ -68,14 +68,14 @@ def solve_posture(
             hold = rim_grip(person, cabin.steering_wheel.rim_section_m)
             q[DOF_INDEX["lr"[side] + "hand.grip"]] = hold.grip
             task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2), hold)
-            palms.append((task, ""))
+            palms.append(HandGoal(task, holds_wheel=True))
         else:
             q[DOF_INDEX["lr"[side] + "hand.grip"]] = REST_GRIP
             lies = lying(person, _FLAT)
-            task = on_thigh(skeleton, fit, person.segment_lengths["thigh"], side, side, _LAP_ALONG, _LAP_INWARD, 0.45, lies)
-            palms.append((task, "lr"[side] + "thigh"))
+            task = on_thigh(trunk, side, _LAP_ALONG, _LAP_INWARD, 0.45, lies)
+            palms.append(HandGoal(task, "lr"[side] + "thigh"))
     head = head_rotation(seat.facing_yaw, _LEVEL_PITCH)
-    who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, (holds, holds))
+    who = sitter(trunk, (palms[0], palms[1]), feet, head)
     (left,) = solve([who], None)
     missed = dict(zip(TASKS, left.missed[:, 0].tolist(), strict=True))
     missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - seat.h_point(setting)))
@@ -85,4 +85,4 @@ def solve_posture(
         foot = TASKS[2 + side]
         if feet[side].must and missed[foot] > MISS_M:
             raise SceneError(f"{foot} misses the pedals by {1e3 * missed[foot]:.0f} mm")
-    return SeatedPosture(who.q, who.root, missed, fit)
+    return SeatedPosture(who.q, who.root, missed, seated.fit)

@@ -14,9 +14,8 @@ from cabinpose.scene.body import SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.posing import rows_of, slimmest_in_the_middle
-from cabinpose.synth.posture.feet import is_opposite, tunnel_m
 from cabinpose.synth.posture.memory import kept_with_person
-from cabinpose.synth.posture.neighbours import half_breadth, neighbours_of
+from cabinpose.synth.posture.neighbours import NOBODY, half_breadth, is_opposite, neighbours_of, tunnel_m
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng
@@ -36,18 +35,16 @@ def test_what_neighbours_mean(people: dict[str, Person]) -> None:
     shuttle, sedan = build_cabin("shuttle"), build_cabin("sedan")
     others = {"rear_left": people["S04"], "rear_right": people["S05"]}
     between = neighbours_of(people["S01"], "rear_center", shuttle, others, rng=np.random.default_rng(0))
-    assert between is not None
     assert between.close == (True, True)
     assert between.aside == 0.0
     assert between.left_out >= {"lean_side", "phone_ear", "phone_ear_outer"}
     beside = neighbours_of(people["S11"], "rear_left", sedan, {"rear_center": people["S04"]}, rng=np.random.default_rng(0))
-    assert beside is not None
     assert beside.close == (False, True)
     assert 0.0 < beside.aside <= 0.04  # to the left, away from the neighbour
     assert beside.lean == 0.0  # who sits in the middle leans
     assert beside.feet[0] == math.inf
     assert beside.feet[1] < 0.12  # the one in the middle has feet on both sides of the tunnel
-    assert neighbours_of(people["S01"], "rear_center", sedan, {}, rng=np.random.default_rng(0)) is None
+    assert neighbours_of(people["S01"], "rear_center", sedan, {}, rng=np.random.default_rng(0)) is NOBODY
 
 
 def test_the_slimmest_sits_between(people: dict[str, Person]) -> None:

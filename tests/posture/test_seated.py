@@ -18,6 +18,8 @@ from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel, Person, P
 from cabinpose.scene.cabin import PRESETS, SeatSetting, build_cabin
 from cabinpose.synth.posture import (
     ACTIONS,
+    Prescribed,
+    SeatContext,
     SeatOffset,
     actions_for,
     choose_setting,
@@ -155,11 +157,11 @@ def test_every_action_in_every_seat_within_limits(preset: str, people: dict[str,
         for k, action in enumerate(names):
             person = people[f"S{1 + (3 * k) % 18:02d}"]
             setting = choose_setting(person, seat, cabin, rng=None)
-            pose = sample_pose(person, seat, setting, cabin, action, rng=np.random.default_rng(k))
+            pose = sample_pose(SeatContext(person, seat, setting, cabin), action, rng=np.random.default_rng(k))
             assert np.all(pose.q >= LOWER)
             assert np.all(pose.q <= UPPER)
             assert (pose.wheel_angle is None) == (slot != "driver" or cabin.steering_wheel is None)
-            again = sample_pose(person, seat, setting, cabin, action, rng=np.random.default_rng(k))
+            again = sample_pose(SeatContext(person, seat, setting, cabin), action, rng=np.random.default_rng(k))
             assert again.q.tobytes() == pose.q.tobytes()
             assert again.vehicle_from_root.tobytes() == pose.vehicle_from_root.tobytes()
 
@@ -172,7 +174,7 @@ def test_hands_stay_on_the_rim_when_a_profile_moves_the_trunk(people: dict[str, 
     profile = GaussianProfile.model_validate({"axes": {"lumbar.flexion": {"sigma_deg": 8}, "thorax.rotation": {"sigma_deg": 8}}})
     flexions = []
     for k in range(12):
-        pose = sample_pose(person, seat, setting, cabin, "drive", profile, rng=np.random.default_rng(k))
+        pose = sample_pose(SeatContext(person, seat, setting, cabin), "drive", Prescribed(profile), rng=np.random.default_rng(k))
         flexions.append(pose.q[DOF_INDEX["lumbar.flexion"]])
         palms = person.pose(pose.q, pose.vehicle_from_root).palms
         for palm in palms.values():
@@ -188,7 +190,8 @@ def test_incremental_combinations_arrive_in_the_pose(people: dict[str, Person]) 
     profile = IncrementalProfile.model_validate({"axes": {"head.rotation": {"min_deg": -30, "max_deg": 30, "step_deg": 20}}})
     setting = choose_setting(person, seat, cabin, rng=None)
     for i in range(profile.count):
-        pose = sample_pose(person, seat, setting, cabin, "rest_lap", profile, index=i, rng=np.random.default_rng(1))
+        prescribed = Prescribed(profile, index=i)
+        pose = sample_pose(SeatContext(person, seat, setting, cabin), "rest_lap", prescribed, rng=np.random.default_rng(1))
         assert pose.q[DOF_INDEX["head.rotation"]] == pytest.approx(np.radians(-30 + 20 * i))
 
 
@@ -197,10 +200,10 @@ def test_bad_input(people: dict[str, Person]) -> None:
     rear, driver, person = cabin.seats["rear_left"], cabin.seats["driver"], people["S01"]
     rng = np.random.default_rng(0)
     with pytest.raises(ConfigError, match="unknown action 'fly'") as caught:
-        sample_pose(person, rear, rear.default, cabin, "fly", rng=rng)
+        sample_pose(SeatContext(person, rear, rear.default, cabin), "fly", rng=rng)
     assert "rest_lap" in (caught.value.hint or "")
     with pytest.raises(ConfigError, match="makes no sense in the rear_left seat"):
-        sample_pose(person, rear, rear.default, cabin, "drive", rng=rng)
+        sample_pose(SeatContext(person, rear, rear.default, cabin), "drive", rng=rng)
     with pytest.raises(ConfigError, match="outside"):
         solve_posture(person, driver, SeatSetting(5.0, 0.0, 0.4), cabin)
     with pytest.raises(SceneError, match="no steering wheel"):
@@ -233,7 +236,8 @@ def test_an_offset_moves_the_pelvis_and_hands_stay_on_the_wheel(people: dict[str
         person = people[name]
         setting = choose_setting(person, seat, cabin, rng=None)
         still, moved = (
-            sample_pose(person, seat, setting, cabin, "drive", offset=o, rng=np.random.default_rng(4)) for o in (CENTRED, offset)
+            sample_pose(SeatContext(person, seat, setting, cabin, at), "drive", rng=np.random.default_rng(4))
+            for at in (CENTRED, offset)
         )
         move = (moved.vehicle_from_root - still.vehicle_from_root)[:3, 3]
         # The driver looks along the vehicle's x. A pelvis gives way to hands and feet, by fractions of a millimetre.

@@ -15,7 +15,7 @@ from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.store.convert.bvh import CMU_UNIT_M
 from cabinpose.store.convert.clip import read_clip
-from cabinpose.synth.posture import choose_setting, sample_pose
+from cabinpose.synth.posture import Prescribed, SeatContext, choose_setting, sample_pose
 from cabinpose.synth.posture.retarget import retarget
 from cabinpose.synth.profiles import GaussianProfile, MocapProfile
 from cabinpose.synth.standing import sample_standing
@@ -132,8 +132,8 @@ def test_mocap_on_a_seat_and_in_a_room(real_data: Callable[[str], Path]) -> None
     seated, standing, free = [], [], []
     for i in range(0, 240, 20):
         pose = sample_pose(
-            person, seat, setting, cabin, "rest_lap", profile, index=i, car=lambda angle: field.at(settings, angle),
-            rng=np.random.default_rng(0),
+            SeatContext(person, seat, setting, cabin), "rest_lap", Prescribed(profile, index=i),
+            car=lambda angle: field.at(settings, angle), rng=np.random.default_rng(0),
         )  # fmt: skip
         assert pose.action == "mocap"
         assert np.all(pose.q >= LOWER)

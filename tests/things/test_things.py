@@ -17,7 +17,17 @@ from cabinpose.scene.contact import ContactField, PlacedField
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, PlacedThing, make_thing
 from cabinpose.scene.things.objects import LAP_OBJECTS, SOFT
 from cabinpose.scene.things.pieces import turned_body
-from cabinpose.scene.things.placing import PRESSED_M, TOUCHING_M, cushion_frame, felt, in_the_way, stand_on_seat, stands_free
+from cabinpose.scene.things.placing import (
+    LEANING,
+    PRESSED_M,
+    TOUCHING_M,
+    Spot,
+    cushion_frame,
+    felt,
+    in_the_way,
+    stand_on_seat,
+    stands_free,
+)
 from cabinpose.scene.things.thing import VARIANTS, Cloud
 
 # Largest extents (m) that designs may have: UN R16 Annex 17's fixtures for child seats, common sense for the rest.
@@ -92,7 +102,7 @@ def test_points_stand_free_as_trimesh_says(kind: str, pressed: float, yields: fl
 def test_a_child_seat_rests_on_cushion_and_backrest(suv: tuple[Cabin, ContactField], slot: str, kind: str) -> None:
     cabin, contact = suv
     seat = cabin.seats[slot]
-    at = stand_on_seat(make_thing(kind, 1), seat, seat.default, contact.at({}), np.eye(3), 0.0, 0.0, PRESSED_M)
+    at = stand_on_seat(make_thing(kind, 1), seat, seat.default, contact.at({}), LEANING, PRESSED_M)
     thing = PlacedThing(make_thing(kind, 1), at, slot, "seat")
     into = {name: depth_in(thing, cabin_mesh(cabin, f"{slot} {name}")) for name in ("cushion", "backrest", "headrest")}
     assert max(into.values()) < PRESSED_M + 0.004  # vertices lie between the points that were measured
@@ -106,7 +116,7 @@ def test_a_child_seat_rests_on_cushion_and_backrest(suv: tuple[Cabin, ContactFie
 def test_a_seat_before_it_stops_a_child_seat(suv: tuple[Cabin, ContactField]) -> None:
     cabin, contact = suv
     seat = cabin.seats["rear_left"]
-    at = stand_on_seat(make_thing("infant", 1), seat, seat.default, contact.at({}), np.eye(3), 0.0, 0.0, PRESSED_M)
+    at = stand_on_seat(make_thing("infant", 1), seat, seat.default, contact.at({}), LEANING, PRESSED_M)
     thing = PlacedThing(make_thing("infant", 1), at, "rear_left", "seat")
     driver = cabin.seats["driver"]
     for back in (0.0, 0.05, 0.10, 0.15):
@@ -126,7 +136,7 @@ def test_a_seat_before_it_stops_a_child_seat(suv: tuple[Cabin, ContactField]) ->
 def test_an_object_lies_on_the_cushion(suv: tuple[Cabin, ContactField], kind: str) -> None:
     cabin, contact = suv
     seat = cabin.seats["rear_right"]
-    at = stand_on_seat(make_thing(kind, 2), seat, seat.default, contact.at({}), np.eye(3), 0.05, 0.0, 0.004)
+    at = stand_on_seat(make_thing(kind, 2), seat, seat.default, contact.at({}), Spot(0.05), 0.004)
     thing = PlacedThing(make_thing(kind, 2), at, "rear_right", "seat")
     deep = depth_in(thing, cabin_mesh(cabin, "rear_right cushion"))
     assert -0.001 < deep < 0.008

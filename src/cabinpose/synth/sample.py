@@ -36,10 +36,11 @@ from cabinpose.synth.plan import Plan, person_slots, room_rng
 from cabinpose.synth.posing import pose_people
 from cabinpose.synth.posture import draw_offset, random_action
 from cabinpose.synth.posture.actions import HOLDING, IN_CHILD_SEAT, TELEPHONING
+from cabinpose.synth.posture.context import SeatContext
 from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.intents import Reach
 from cabinpose.synth.posture.neighbours import neighbours_of
-from cabinpose.synth.posture.sampling import Drawn, OccupantPose, draw_pose
+from cabinpose.synth.posture.sampling import Doing, Drawn, OccupantPose, Prescribed, draw_pose
 from cabinpose.synth.preflight import LENS_M
 from cabinpose.synth.profiles import MocapProfile
 from cabinpose.synth.restraints import belt_guide, fastening, restrained, straps
@@ -287,22 +288,20 @@ class SceneSampler:
         reach: Reach | None = None,
         on: PlacedThing | None = None,
     ) -> Drawn:
-        """Somebody's goals; action, wheel_angle: given, in place of what is drawn; carried, reach, on: see `draw_pose`."""
+        """Somebody's goals; action, wheel_angle, carried, reach: given, see `Doing`; on: their child seat."""
         seat = cabin.seats[slot]
         neighbours = neighbours_of(people[slot], slot, cabin, {s: p for s, p in people.items() if s != slot}, rng=rng)
         occupant = scene.occupants.get(slot, _ANYBODY)
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot, on and IN_CHILD_SEAT)
-        left_out = frozenset[str]() if neighbours is None else neighbours.left_out
         if action is None:
             action = weighted(weights, rng=rng) if weights else random_action(
-                seat, cabin, rng=rng, left_out=left_out, in_hand=scene.in_hand > 0.0
+                seat, cabin, rng=rng, left_out=neighbours.left_out, in_hand=scene.in_hand > 0.0
             )  # fmt: skip
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-        return draw_pose(
-            people[slot], seat, setting, cabin, action, scene.profile_of(slot), initial=occupant.initial, index=index,
-            offset=offset, neighbours=neighbours, wheel_angle=wheel_angle,
-            in_hand=scene.sequence is None and _in_hand(scene, action, rng), carried=carried, reach=reach, on=on, rng=rng,
-        )  # fmt: skip
+        seated = SeatContext(people[slot], seat, setting, cabin, offset, neighbours, on)
+        in_hand = scene.sequence is None and _in_hand(scene, action, rng)
+        prescribed = Prescribed(scene.profile_of(slot), occupant.initial, index)
+        return draw_pose(seated, Doing(action, wheel_angle, in_hand, carried, reach), prescribed, rng=rng)
 
     def _cabin_camera(self, cabin: Cabin, index: int, rng: np.random.Generator) -> tuple[str, Matrix]:
         """The view's name and `vehicle_from_camera`, jittered."""

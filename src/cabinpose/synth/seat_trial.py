@@ -14,8 +14,8 @@ from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBod
 from cabinpose.scene.cabin import BACK_BOX, CUSHION_BOX, WHEEL_GROUP, Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import first_crossings
 from cabinpose.synth.config import CabinScene
-from cabinpose.synth.posture import choose_setting, draw_offset, random_action
-from cabinpose.synth.posture.sampling import draw_pose, settled
+from cabinpose.synth.posture import SeatContext, choose_setting, draw_offset, random_action
+from cabinpose.synth.posture.sampling import Doing, draw_pose, settled
 from cabinpose.synth.streams import frame_rng
 from cabinpose.synth.validate import SITTING, Rejection, Validator
 
@@ -69,7 +69,7 @@ def _try(trial: SeatTrial, person: Person, cabin: Cabin, seat: Seat, validator: 
     settings = {slot: s.default for slot, s in cabin.seats.items()} | {seat.slot: setting}
     offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
     action = random_action(seat, cabin, rng=rng)
-    drawn = draw_pose(person, seat, setting, cabin, action, offset=offset, rng=rng)
+    drawn = draw_pose(SeatContext(person, seat, setting, cabin, offset), Doing(action), rng=rng)
     sits = drawn.sitter.root.copy()
     empty = validator.empty(settings, drawn.wheel_angle or 0.0)
     (pose,) = settled([drawn], (), empty.placed)

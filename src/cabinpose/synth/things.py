@@ -16,6 +16,7 @@ from cabinpose.scene.things import (
     CHILD_SEATS,
     HOLDING_CHILDREN,
     LAP_OBJECTS,
+    LEANING,
     NOTHING_PLACED,
     OBJECTS,
     PRESSED_M,
@@ -26,6 +27,7 @@ from cabinpose.scene.things import (
     Cloud,
     Obstacle,
     PlacedThing,
+    Spot,
     Thing,
     felt,
     in_the_way,
@@ -182,7 +184,7 @@ class SeatThings:
         """seat_from_thing of a child seat that leans on its backrest, wherever the seat is moved to."""
         seat, setting = self._cabin.seats[slot], SeatSetting(torso_angle=torso_angle)
         placed = self._contact.at({slot: setting})
-        at = stand_on_seat(make_thing(kind, variant), seat, setting, placed, np.eye(3), 0.0, 0.0, PRESSED_M)
+        at = stand_on_seat(make_thing(kind, variant), seat, setting, placed, LEANING, PRESSED_M)
         return invert(seat.vehicle_from_seat(setting)) @ at
 
     def place(
@@ -268,9 +270,7 @@ class SeatThings:
         obstacle = Obstacle("", 0.0)
         for _ in range(_PLACES):
             thing = make_thing(kind, int(rng.integers(VARIANTS)))
-            ahead, aside, yaw = _somewhere(kind, float(np.ptp(thing.box, axis=0)[:2].max()), rng)
-            turn = axis_rotation("z", yaw) @ (axis_rotation("x", math.pi / 2.0) if kind in _LYING else np.eye(3))
-            at = stand_on_seat(thing, self._cabin.seats[slot], settings[slot], placed, turn, ahead, aside, RESTING_M)
+            at = stand_on_seat(thing, self._cabin.seats[slot], settings[slot], placed, _somewhere(thing, rng), RESTING_M)
             put = PlacedThing(thing, at, slot, "seat")
             found = in_the_way(put, around, RESTING_M)
             if found is None:
@@ -347,10 +347,12 @@ def stand_on_lap(thing: Thing, vehicle_from_lap: Matrix, body: PosedSolids) -> M
     return None if not free(z) or below is None or below[1] in ("torso", "head") else at(z)
 
 
-def _somewhere(kind: str, length_m: float, rng: np.random.Generator) -> tuple[float, float, float]:
-    """How far ahead of the backrest (0: leaning on it), how far aside (m), and how turned (rad) an object is put down."""
+def _somewhere(thing: Thing, rng: np.random.Generator) -> Spot:
+    """Where an object is put down."""
+    kind, length_m = thing.kind, float(np.ptp(thing.box, axis=0)[:2].max())
     chance, aside, turn = rng.random(), rng.uniform(-0.06, 0.06), rng.normal()
     leans = kind in _LEANING or chance < 0.4
     ahead = 0.0 if leans else max(_CUSHION_M - length_m, 0.02) * rng.uniform(0.3, 1.0)
     spread = math.radians(12.0 if kind in _LEANING else 25.0)
-    return ahead, aside, spread * turn + (0.0 if kind in _LEANING else math.pi / 2.0 * int(rng.integers(4)))
+    yaw = spread * turn + (0.0 if kind in _LEANING else math.pi / 2.0 * int(rng.integers(4)))
+    return Spot(ahead, aside, axis_rotation("z", yaw) @ (axis_rotation("x", math.pi / 2.0) if kind in _LYING else np.eye(3)))

@@ -25,6 +25,7 @@ from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, person_
 from cabinpose.synth import Validator, judged_cabin
 from cabinpose.synth.posture import (
     HEAD_SHARE,
+    SeatContext,
     SeatOffset,
     choose_setting,
     draw_offset,
@@ -327,10 +328,8 @@ def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
     """A valid key pose of an action, as the generator draws it. Raises SceneError where the draw does not hold."""
     contact = stage.validator.contact
     assert contact is not None  # a car's validator has the car's fields
-    pose = sample_pose(
-        stage.person, stage.seat, stage.settings[stage.slot], stage.cabin, action, offset=stage.offset,
-        car=lambda angle: contact.at(stage.settings, angle), rng=rng,
-    )  # fmt: skip
+    seated = SeatContext(stage.person, stage.seat, stage.settings[stage.slot], stage.cabin, stage.offset)
+    pose = sample_pose(seated, action, car=lambda angle: contact.at(stage.settings, angle), rng=rng)
     wheel = pose.wheel_angle or 0.0
     posed = stage.person.pose(pose.q, pose.vehicle_from_root)
     verdict = stage.validator.check([(stage.slot, stage.person, posed)], stage.settings, wheel)

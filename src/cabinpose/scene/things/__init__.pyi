@@ -11,10 +11,12 @@ from .objects import OBJECTS as OBJECTS
 from .objects import SOFT as SOFT
 from .pieces import Piece as Piece
 from .pieces import of_design as of_design
+from .placing import LEANING as LEANING
 from .placing import NOTHING_PLACED as NOTHING_PLACED
 from .placing import PRESSED_M as PRESSED_M
 from .placing import RESTING_M as RESTING_M
 from .placing import Obstacle as Obstacle
+from .placing import Spot as Spot
 from .placing import cushion_frame as cushion_frame
 from .placing import felt as felt
 from .placing import in_the_way as in_the_way

@@ -105,16 +105,22 @@ def cushion_frame(seat: Seat, setting: SeatSetting) -> Matrix:
     return np.asarray(seat.vehicle_from_seat(setting) @ transform(axis_rotation("y", -tilt), corner))
 
 
-def stand_on_seat(
-    thing: Thing,
-    seat: Seat,
-    setting: SeatSetting,
-    placed: PlacedField,
-    turn: Matrix,
-    ahead_m: float,
-    aside_m: float,
-    pressed_m: float,
-) -> Matrix:
+class Spot(NamedTuple):
+    """Where a thing is let down onto a cushion.
+
+    ahead_m: of its rear from the backrest; at 0 it is then pushed back until it leans on it, and let down again · aside_m: of its
+    origin from the middle · turn: (3, 3) cushion_from_thing.
+    """
+
+    ahead_m: float = 0.0
+    aside_m: float = 0.0
+    turn: Matrix = np.eye(3)
+
+
+LEANING = Spot()  # in the middle, facing forwards
+
+
+def stand_on_seat(thing: Thing, seat: Seat, setting: SeatSetting, placed: PlacedField, spot: Spot, pressed_m: float) -> Matrix:
     """Let a thing down onto a cushion.
 
     Parameters
@@ -123,11 +129,8 @@ def stand_on_seat(
         What, and onto which seat.
     placed
         The car's fields; only those of the seat itself hold the thing up, or everything where it has none of its own.
-    turn
-        (3, 3) cushion_from_thing.
-    ahead_m, aside_m
-        Where it is let down: how far its rear is ahead of the backrest, how far its origin is from the middle. A thing that leans
-        on the backrest (`ahead_m` 0) is then pushed back until it does, and let down again.
+    spot
+        Where it is let down.
     pressed_m
         How far it sinks into the foam.
 
@@ -141,18 +144,18 @@ def stand_on_seat(
     holders = [(felt(group, pressed_m), group_from) for group, _, group_from in own_groups or placed.groups]
 
     def at(x: float, z: float) -> Matrix:
-        return np.asarray(cushion @ transform(turn, (x, aside_m, z)))
+        return np.asarray(cushion @ transform(spot.turn, (x, spot.aside_m, z)))
 
     def free(x: float, z: float) -> bool:
         vehicle_from_thing = at(x, z)
         return all(stands_free(group, thing.cloud, group_from @ vehicle_from_thing) for group, group_from in holders)
 
-    turned = apply(transform(turn), thing.cloud.points)
+    turned = apply(transform(spot.turn), thing.cloud.points)
     low = turned.min(axis=0)
     rear = turned[turned[:, 2] < low[2] + _UNDERSIDE_M, 0].min()
-    x, lowest = (ahead_m if ahead_m > 0.0 else _BEFORE_BACK_M) - low[0], -low[2]
+    x, lowest = (spot.ahead_m if spot.ahead_m > 0.0 else _BEFORE_BACK_M) - low[0], -low[2]
     z = let_down(lambda z: free(x, z), lowest + _FLOWN_M, lowest - _SUNK_M)
-    if ahead_m <= 0.0:
+    if spot.ahead_m <= 0.0:
         for _ in range(2):
             x = let_down(lambda x, z=z: free(x, z + 0.001), x, -_SUNK_M - rear)  # type: ignore[misc]
             z = let_down(lambda z, x=x: free(x, z), z, lowest - _SUNK_M)  # type: ignore[misc]

@@ -1,11 +1,14 @@
 from .actions import ACTIONS as ACTIONS
 from .actions import actions_for as actions_for
+from .context import SeatContext as SeatContext
 from .feet import GROUND_M as GROUND_M
 from .gaze import HEAD_SHARE as HEAD_SHARE
 from .gaze import head_rotation as head_rotation
 from .goals import hand_to as hand_to
 from .goals import turn_head as turn_head
+from .sampling import Doing as Doing
 from .sampling import OccupantPose as OccupantPose
+from .sampling import Prescribed as Prescribed
 from .sampling import random_action as random_action
 from .sampling import sample_pose as sample_pose
 from .seating import SeatOffset as SeatOffset

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from cabinpose.core import INDEX, Floats, Matrix, invert, rotation_vector, transform
 from cabinpose.scene.body import BONE_INDEX, Person
-from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
-from cabinpose.synth.posture.seat_fit import SeatFit
+from cabinpose.scene.cabin import Cabin, Seat
+from cabinpose.synth.posture.context import SeatContext
+from cabinpose.synth.posture.neighbours import is_opposite
 
 GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
 _PEDAL_M = 0.006  # between sole and pad
@@ -35,8 +35,6 @@ _SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front 
 _KNEES_OUT_M = 0.03  # feet from below the hips to the sides
 _SHOE_M, _HALF_SHOE_M = 0.12, 0.055  # with what is between two of them
 _TOE_GAP_M = 0.01  # from the middle between two who face each other
-LOW_TUNNEL_M = 0.04  # which feet stand on
-_TUNNEL_AHEAD_M = 1.0  # of the rearmost seat, where feet stand
 _HANGING_SHIN = math.asin(0.12)  # before the vertical, rad
 _STRETCHED = 0.9  # sine of the angle of a shin over the edge of a cushion, at most
 _SHIN_BEHIND = 0.015  # how far an ankle may stand behind the knee: what the seat's base leaves
@@ -84,16 +82,14 @@ def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, aside: flo
     return FootGoal(tool, target, _ON_PEDAL, _PEDAL_KNEE, True)
 
 
-def _on_floor(
-    person: Person, root: Matrix, side: int, seat: Seat, setting: SeatSetting, fit: SeatFit, plan: FootPlan, ahead: float,
-    room: tuple[float, float],
-) -> FootGoal:  # fmt: skip
+def _on_floor(seated: SeatContext, root: Matrix, side: int, plan: FootPlan) -> FootGoal:
     """A foot flat on the floor before the seat, with the thigh on the cushion where the legs allow it.
 
     Where the shin is longer than the cushion is high the foot goes forward, up to a little past the seat's heel
-    point, and the knee rises; where it is shorter the foot hangs. `ahead` is what toes have before they meet a seat's base (m).
+    point, and the knee rises; where it is shorter the foot hangs.
     """
-    s = 1.0 - 2.0 * side
+    person, seat, setting, fit = seated.person, seated.seat, seated.setting, seated.fit
+    s, ahead = 1.0 - 2.0 * side, _room_ahead(seat, seated.cabin, seated.neighbours.faced)
     vehicle_from_seat = seat.vehicle_from_seat(setting)
     seat_from_vehicle = invert(vehicle_from_seat)
     hip_half = float(person.rest.offsets[BONE_INDEX["lthigh"], 1])
@@ -119,7 +115,7 @@ def _on_floor(
         ankle = np.array([max(ankle_x + plan.forward, knee[0] - _SHIN_BEHIND), 0.0, floor + ankle_height])
         pitch = 0.0
     rotation = rotation_vector((0.0, 0.0, s * plan.toe_out)) @ rotation_vector((0.0, pitch, 0.0))
-    ankle[1] = _between(s * (hip_half + _KNEES_OUT_M + plan.out), side, room)
+    ankle[1] = _between(s * (hip_half + _KNEES_OUT_M + plan.out), side, seated.neighbours.feet)
     target = vehicle_from_seat @ transform(rotation, ankle + rotation @ sole[:3, 3])
     return FootGoal(sole, target, _HANGING if hangs else _STANDING, _FREE_KNEE, False)
 
@@ -131,32 +127,26 @@ def _between(y: float, side: int, room: tuple[float, float]) -> float:
     return max(y, _SHOE_M - right) if side == 0 else min(y, left - _SHOE_M)
 
 
-def foot_goals(
-    person: Person, root: Matrix, seat: Seat, setting: SeatSetting, fit: SeatFit, cabin: Cabin,
-    plans: tuple[FootPlan, FootPlan], *, faced: bool = False, room: tuple[float, float] = (math.inf, math.inf),
-) -> tuple[FootGoal, FootGoal]:  # fmt: skip
+def foot_goals(seated: SeatContext, root: Matrix, plans: tuple[FootPlan, FootPlan]) -> tuple[FootGoal, FootGoal]:
     """Goals of both feet.
 
     Parameters
     ----------
-    person, root
-        Who sits, and `vehicle_from_root` (4, 4).
-    seat, setting, fit, cabin
-        The seat, how it is set, the person's fit in it, and the car.
+    seated
+        Who sits where. Where somebody sits opposite toes stay on the own side of the middle.
+    root
+        `vehicle_from_root`, (4, 4).
     plans
         What the left and the right foot do.
-    faced
-        Whether somebody sits opposite; toes then stay on the own side of the middle.
-    room
-        Space (m) to the left and to the right of the seat's middle before the feet of neighbours.
     """
     result = []
     for side, plan in enumerate(plans):
         if plan.pedal is None:
-            own = plan._replace(forward=min(plan.forward, 0.0)) if faced else plan
-            result.append(_on_floor(person, root, side, seat, setting, fit, own, _room_ahead(seat, cabin, faced), room))
+            own = plan._replace(forward=min(plan.forward, 0.0)) if seated.neighbours.faced else plan
+            result.append(_on_floor(seated, root, side, own))
         else:
-            result.append(_on_pedal(person, side, cabin.pedals[plan.pedal], seat.floor_z, _ASIDE_M.get(plan.pedal, 0.0)))
+            pad, aside = seated.cabin.pedals[plan.pedal], _ASIDE_M.get(plan.pedal, 0.0)
+            result.append(_on_pedal(seated.person, side, pad, seated.seat.floor_z, aside))
     return result[0], result[1]
 
 
@@ -169,25 +159,6 @@ def _room_ahead(seat: Seat, cabin: Cabin, faced: bool) -> float:
         return math.inf
     front = cabin.seats["driver"].design_h_point
     return float(front[0] - seat.design_h_point[0]) - _SEAT_BASE_M[0 if front[2] > _HIGH_SEAT_M else 1]
-
-
-@lru_cache(maxsize=32)
-def tunnel_m(cabin: Cabin) -> float:
-    """Height of the floor's tunnel along the centre line over the floor beside it, m; 0 in a car without a part "floor"."""
-    floor = next((p.surface.vertices for p in cabin.parts if p.name == "floor"), None)
-    if floor is None:
-        return 0.0
-    rear = min(float(s.design_h_point[0]) for s in cabin.seats.values())
-    before = (floor[:, 0] > rear) & (floor[:, 0] < rear + _TUNNEL_AHEAD_M)
-    across = np.abs(floor[:, 1])
-    middle, beside = floor[before & (across < 0.05), 2], floor[before & (across > 0.2) & (across < 0.5), 2]
-    return float(middle.max() - np.median(beside)) if len(middle) and len(beside) else 0.0
-
-
-def is_opposite(seat: Seat, other: Seat) -> bool:
-    """Whether two seats face each other."""
-    ahead = math.cos(seat.facing_yaw) * float(other.design_h_point[0] - seat.design_h_point[0])
-    return math.cos(seat.facing_yaw - other.facing_yaw) < -0.5 and ahead > 0.0
 
 
 def default_plans(seat: Seat, cabin: Cabin) -> tuple[FootPlan, FootPlan]:

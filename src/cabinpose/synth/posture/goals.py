@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from cabinpose.core import Floats, Ints32, Matrix, invert
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, LOWER, UPPER, Person
 from cabinpose.scene.cabin import Seat
+from cabinpose.synth.posture.context import Trunk
 from cabinpose.synth.posture.feet import FootGoal
-from cabinpose.synth.posture.frames import Frames
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.solver import Goals, Sitter, solve
 
@@ -33,42 +35,33 @@ _ARM = tuple(DOF_INDEX[s + "shoulder.flexion"] for s in "lr")
 _LEG = tuple(DOF_INDEX[s + "hip.flexion"] for s in "lr")
 
 
-def sitter(
-    person: Person,
-    seat: Seat,
-    q: Floats,
-    root: Matrix,
-    skeleton: Frames,
-    hands: tuple[tuple[LimbTask, str], tuple[LimbTask, str]],
-    feet: tuple[FootGoal, FootGoal],
-    head: Matrix,
-    holds: tuple[bool, bool],
-) -> Sitter:
+class HandGoal(NamedTuple):
+    """Where a palm goes: its task, the bone that carries the target ("": the vehicle), whether it is closed around the wheel."""
+
+    task: LimbTask
+    carried_by: str = ""
+    holds_wheel: bool = False
+
+
+def sitter(trunk: Trunk, hands: tuple[HandGoal, HandGoal], feet: tuple[FootGoal, FootGoal], head: Matrix) -> Sitter:
     """The solver's input for one person, from the goals of hands, feet and head.
 
     Parameters
     ----------
-    person, seat
-        Who sits where.
-    q
-        (D,) rad, the comfortable trunk; arms and legs are taken from the tasks.
-    root, head
-        `vehicle_from_root` and `vehicle_from_head`, (4, 4).
-    skeleton
-        Of the trunk in q.
-    hands
-        Each palm's task and the bone that carries its target ("": the vehicle).
-    feet
-        Each foot's goal.
-    holds
-        Whether the left and the right hand are closed around the wheel.
+    trunk
+        Who sits where, with a comfortable trunk; arms and legs are taken from the tasks.
+    hands, feet
+        Each one's goal.
+    head
+        `vehicle_from_head`, (4, 4).
     """
-    q, stiffness = q.copy(), _STIFFNESS.copy()
+    person, seat = trunk.seated.person, trunk.seated.seat
+    q, stiffness = trunk.q.copy(), _STIFFNESS.copy()
     rows: list[tuple[str, Matrix, str, Matrix, Floats]] = []
-    for side, (task, base) in enumerate(hands):
+    for side, (task, base, _) in enumerate(hands):
         arm = slice(_ARM[side], _ARM[side] + 7)
         q[arm], stiffness[arm] = task.prior, _ARM_STIFFER * task.stiffness
-        target = invert(skeleton.bone(base)) @ task.target if base else task.target
+        target = invert(trunk.skeleton.bone(base)) @ task.target if base else task.target
         weight = np.concatenate((task.position_weight, task.rotation_weight))
         rows.append(("lr"[side] + "hand", person.rest.palms[side], base, target, weight))
     for side, foot in enumerate(feet):
@@ -77,8 +70,9 @@ def sitter(
         rows.append(("lr"[side] + "foot", foot.tool, "", foot.target, foot.weight))
     rows.append(("head", np.eye(4), "", head, _ON_GAZE))
     q = np.clip(q, LOWER, UPPER)
-    goals = Goals(q, stiffness, LOWER, UPPER, root, _ROOT_WEIGHT, *_arrays(rows))
-    return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, middle=float(seat.design_h_point[1]))
+    goals = Goals(q, stiffness, LOWER, UPPER, trunk.root, _ROOT_WEIGHT, *_arrays(rows))
+    holds = hands[0].holds_wheel, hands[1].holds_wheel
+    return Sitter(person, seat.slot, goals, q.copy(), trunk.root.copy(), holds, middle=float(seat.design_h_point[1]))
 
 
 def given(person: Person, seat: Seat, q: Floats, root: Matrix) -> Sitter:

@@ -15,6 +15,7 @@ import numpy as np
 from cabinpose.core import Floats, Ints, Matrix, apply, axis_rotation, cross, invert, transform
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import SteeringWheel
+from cabinpose.synth.posture.context import Trunk
 from cabinpose.synth.posture.frames import Frames, frames
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import SeatFit
@@ -211,15 +212,13 @@ def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5)
     return LimbTask(target, _GRASP, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
 
 
-def on_thigh(
-    skeleton: Frames, fit: SeatFit, femur: float, side: int, thigh: int, along: float, inward: float, turn: float, lies: Lying
-) -> LimbTask:
-    """A hand that rests on a thigh at the share `along` of its length, `inward` m from its ridge to the middle.
+def on_thigh(trunk: Trunk, side: int, along: float, inward: float, turn: float, lies: Lying) -> LimbTask:
+    """A hand that rests on the thigh of its side at the share `along` of its length, `inward` m from its ridge to the middle.
 
     turn: of the fingers from the leg's direction to the middle, tangent · lies: how the hand lies there.
     """
-    bone = skeleton.bone("lr"[thigh] + "thigh")
-    s = 1.0 - 2.0 * thigh
+    bone = trunk.skeleton.bone("lr"[side] + "thigh")
+    s, fit, femur = 1.0 - 2.0 * side, trunk.seated.fit, trunk.seated.person.segment_lengths["thigh"]
     up, down_leg, left = bone[:3, 0], -bone[:3, 2], bone[:3, 1]
     stations = np.linspace(0.0, 1.0, len(fit.thigh_top))
     heel_top, top, tip_top = (float(np.interp(along + d, stations, fit.thigh_top)) for d in (-0.2, 0.0, 0.15))
@@ -230,8 +229,7 @@ def on_thigh(
     point = origin + (top - drop + lies.above + _CLOTH_M) * up - s * inward * left
     tilt = np.clip(inward / max(top, 0.03), -0.8, 0.8)
     normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
-    mine = 1.0 - 2.0 * side
-    fingers = down_leg - mine * turn * left
+    fingers = down_leg - s * turn * left
     target = palm_frame(point, normal, fingers) @ transform(axis_rotation("y", lies.pitch))
     return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
 

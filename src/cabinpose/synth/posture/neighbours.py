@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import Cabin, Seat
-from cabinpose.synth.posture.feet import LOW_TUNNEL_M, is_opposite, tunnel_m
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.seat_fit import common_fit
 
@@ -25,6 +25,8 @@ _SHIFTED_M = 0.03  # by which neighbours move away from each other
 _FORWARD_SHARE = 0.8  # of the people between two others who lean forward from the start
 _BESIDE_TUNNEL_M = 0.27  # from the middle of a car to what the feet of those who sit beside leave to the one in the middle
 _ASIDE_M = 0.04
+LOW_TUNNEL_M = 0.04  # which feet stand on
+_TUNNEL_AHEAD_M = 1.0  # of the rearmost seat, where feet stand
 _CROWDED_OUT = frozenset(("lean_side", "phone_ear"))  # what needs the neighbour's room
 _IN_THE_MIDDLE_OUT = frozenset(("phone_ear_outer",))
 
@@ -33,8 +35,8 @@ class Neighbours(NamedTuple):
     """What neighbours mean for one person in one seat.
 
     close: whether somebody sits within touch at the left hand and at the right · feet: (m) how far to the left and to the right
-    of the seat's middle the feet have room, inf where nobody is · lean: forward, before anything else, rad · aside: moved
-    to the left (m), away from the only neighbour · faced: somebody sits opposite, feet between the two.
+    of the seat's middle the feet have room, inf where nobody is · lean: forward, before anything else, rad, -inf where nobody is
+    · aside: moved to the left (m), away from the only neighbour · faced: somebody sits opposite, feet between the two.
     """
 
     close: tuple[bool, bool]
@@ -51,10 +53,32 @@ class Neighbours(NamedTuple):
         return _CROWDED_OUT | _IN_THE_MIDDLE_OUT if all(self.close) else _CROWDED_OUT
 
 
+NOBODY = Neighbours((False, False), (math.inf, math.inf), -math.inf, 0.0, False)
+
+
 def beside_each_other(one: Seat, two: Seat) -> bool:
     """Whether two seats belong to one row."""
     same_way = math.cos(one.facing_yaw - two.facing_yaw) > 0.0
     return one.slot != two.slot and same_way and abs(float(one.design_h_point[0] - two.design_h_point[0])) < _ROW_M
+
+
+@lru_cache(maxsize=32)
+def tunnel_m(cabin: Cabin) -> float:
+    """Height of the floor's tunnel along the centre line over the floor beside it, m; 0 in a car without a part "floor"."""
+    floor = next((p.surface.vertices for p in cabin.parts if p.name == "floor"), None)
+    if floor is None:
+        return 0.0
+    rear = min(float(s.design_h_point[0]) for s in cabin.seats.values())
+    before = (floor[:, 0] > rear) & (floor[:, 0] < rear + _TUNNEL_AHEAD_M)
+    across = np.abs(floor[:, 1])
+    middle, beside = floor[before & (across < 0.05), 2], floor[before & (across > 0.2) & (across < 0.5), 2]
+    return float(middle.max() - np.median(beside)) if len(middle) and len(beside) else 0.0
+
+
+def is_opposite(seat: Seat, other: Seat) -> bool:
+    """Whether two seats face each other."""
+    ahead = math.cos(seat.facing_yaw) * float(other.design_h_point[0] - seat.design_h_point[0])
+    return math.cos(seat.facing_yaw - other.facing_yaw) < -0.5 and ahead > 0.0
 
 
 def close_seats(seat: Seat, cabin: Cabin, taken: Sequence[str]) -> list[str]:
@@ -90,7 +114,7 @@ def _between(seat: Seat, cabin: Cabin, taken: Sequence[str]) -> tuple[int, float
 
 def neighbours_of(
     person: Person, slot: str, cabin: Cabin, others: Mapping[str, Person], *, rng: np.random.Generator
-) -> Neighbours | None:
+) -> Neighbours:
     """What the people around a seat mean for the person who is to sit in it.
 
     Parameters
@@ -104,14 +128,14 @@ def neighbours_of(
 
     Returns
     -------
-    Neighbours or None
-        None where nobody sits beside or opposite.
+    Neighbours
+        `NOBODY` where nobody sits beside or opposite.
     """
     seat = cabin.seats[slot]
     row = [s for s in others if beside_each_other(seat, cabin.seats[s])]
     opposite = any(is_opposite(seat, cabin.seats[s]) for s in others)
     if not row and not opposite:
-        return None
+        return NOBODY
     close = close_seats(seat, cabin, row)
     middle = float(seat.design_h_point[1])
     overlap = passing = 0.0

@@ -6,14 +6,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats, Matrix, SceneError, invert, rotation_vector, transform
-from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER, Person
-from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
+from cabinpose.core import Floats, Matrix, SceneError
+from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER
+from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.scene.contact import PlacedField
-from cabinpose.scene.things import PlacedThing, sitting_in
+from cabinpose.scene.things import sitting_in
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import (
     ACTIONS,
@@ -25,16 +26,15 @@ from cabinpose.synth.posture.actions import (
     actions_for,
     inboard_side,
 )
-from cabinpose.synth.posture.feet import LOW_TUNNEL_M, MISS_M, FootPlan, default_plans, foot_goals, tunnel_m
-from cabinpose.synth.posture.frames import Frames, frames
+from cabinpose.synth.posture.context import SeatContext, Trunk
+from cabinpose.synth.posture.feet import MISS_M, FootPlan, default_plans, foot_goals
+from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
-from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, as_recorded, at_goals, sitter
+from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, HandGoal, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import HANDED, Hold, inboard_hand
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.intents import Hand, Reach, carrying, holding, intents
-from cabinpose.synth.posture.neighbours import Neighbours
-from cabinpose.synth.posture.seat_fit import SeatFit, fit_child_seat, fit_seat
-from cabinpose.synth.posture.seating import CENTRED, SeatOffset
+from cabinpose.synth.posture.neighbours import LOW_TUNNEL_M, tunnel_m
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.profiles import Profile
 
@@ -81,31 +81,6 @@ class OccupantPose:
     hold: Hold | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class _Situation:
-    """What stays the same while one pose is made."""
-
-    person: Person
-    seat: Seat
-    setting: SeatSetting
-    cabin: Cabin
-    fit: SeatFit
-    root: Matrix
-    wheel: SteeringWheel | None
-    wheel_angle: float
-    comfort: Floats  # (2, 7) what each arm's prior departs by, rad
-    close: tuple[bool, bool]  # neighbours within touch, at the left hand and at the right
-    carried: Hold | None = None
-
-    @property
-    def up(self) -> Floats:
-        return np.array([0.0, 0.0, 1.0])
-
-    @property
-    def forward(self) -> Floats:
-        return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
-
-
 def random_action(
     seat: Seat, cabin: Cabin, *, rng: np.random.Generator, left_out: frozenset[str] = frozenset(), in_hand: bool = False
 ) -> str:
@@ -141,41 +116,49 @@ class Drawn:
     hold: Hold | None = None
 
 
-def draw_pose(
-    person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: Profile | None = None, *, initial: Profile | None = None, index: int = 0,
-    offset: SeatOffset = CENTRED, neighbours: Neighbours | None = None, wheel_angle: float | None = None, in_hand: bool = False,
-    carried: Hold | None = None, reach: Reach | None = None, on: PlacedThing | None = None, rng: np.random.Generator,
-) -> Drawn:  # fmt: skip
+class Doing(NamedTuple):
+    """What somebody does: an action, and what of it is given in place of a draw.
+
+    action: its name, of `ACTIONS` · wheel_angle: how the wheel is turned, rad, + left · in_hand: whether a hand holds what the
+    action speaks of: a telephone, a drink, a book · carried: what a hand holds whatever is done; the action must leave it that
+    hand (`inboard_hand`) · reach: where hands reach that have no place of the cabin to reach for.
+    """
+
+    action: str
+    wheel_angle: float | None = None
+    in_hand: bool = False
+    carried: Hold | None = None
+    reach: Reach | None = None
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """What motion profiles prescribe of a pose.
+
+    profile: on top of the action: the degrees of freedom that it holds are fixed; hands of arms that it does not name stay on the
+    rim or in the lap · initial: holds an initial pose, in place of the goals of its degrees of freedom · index: combination of
+    an incremental profile, or pose of a recording.
+    """
+
+    profile: Profile | None = None
+    initial: Profile | None = None
+    index: int = 0
+
+
+UNPRESCRIBED = Prescribed()
+
+
+def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRESCRIBED, *, rng: np.random.Generator) -> Drawn:
     """Draw the goals of a person in a seat: places for hands, head and trunk by the action, feet on pedals or floor.
 
     Parameters
     ----------
-    person, seat, setting, cabin
-        Who sits where, and how the seat is set.
-    action
-        Name of the action, of `ACTIONS`.
-    profile
-        Motion profile on top of the action: the degrees of freedom that it holds are fixed; hands of arms that it does not name
-        stay on the rim or in the lap.
-    initial
-        Profile that holds an initial pose, in place of the goals of its degrees of freedom.
-    index
-        Combination of an incremental profile, or pose of a recording.
-    offset
-        Of the pelvis from the seat's place.
-    neighbours
-        What the people beside and opposite mean for this person; None where there is nobody.
-    in_hand
-        Whether a hand holds what the action speaks of: a telephone, a drink, a book.
-    carried
-        What a hand holds whatever is done; the action must leave it that hand (`inboard_hand`).
-    reach
-        Where hands reach that have no place of the cabin to reach for.
-    wheel_angle
-        How the wheel is turned (rad, + left), in place of a drawn angle.
-    on
-        The child seat in which the person sits.
+    seated
+        Who sits where.
+    doing
+        What the person does.
+    prescribed
+        What profiles hold of it.
     rng
         Source of all randomness.
 
@@ -192,18 +175,17 @@ def draw_pose(
     SceneError
         Where a hand is too small for what it is to hold.
     """
-    chosen = action_named(action, seat, cabin)
-    seat.check(setting)
-    fit = fit_seat(person, seat, setting.torso_angle) if on is None else _fit_on(person, seat, setting, on)
-    wheel = cabin.steering_wheel if seat.slot == "driver" else None
+    person, seat, cabin, wheel, carried = seated.person, seated.seat, seated.cabin, seated.wheel, doing.carried
+    chosen = action_named(doing.action, seat, cabin)
+    seat.check(seated.setting)
     inboard = inboard_side(seat)
     if abs(float(seat.design_h_point[1])) < 0.05 and rng.random() < 0.5:
         inboard = 1 - inboard
-    spared = reach and reach.side if carried is None else inboard_hand(chosen, carried, inboard)
+    spared = doing.reach and doing.reach.side if carried is None else inboard_hand(chosen, carried, inboard)
     inboard = inboard if spared is None else spared
-    hands = intents(chosen, seat, cabin, inboard, wheel is not None, reach, rng=rng)
+    hands = intents(chosen, seat, cabin, inboard, wheel is not None, doing.reach, rng=rng)
     hands = hands if carried is None else carrying(hands, carried)
-    hands, holds_it = holding(person, hands, rng=rng) if in_hand and carried is None else (hands, carried)
+    hands, holds_it = holding(person, hands, rng=rng) if doing.in_hand and carried is None else (hands, carried)
     rim = None if wheel is None else at.rim_grip(person, wheel.rim_section_m).grip - _LOOSER
     left, right = (
         hand if hand.palm is not None else hand._replace(fingers=at.fingers_at(hand.place, hand.noise, rim)) for hand in hands
@@ -211,42 +193,26 @@ def draw_pose(
     hands = left, right
     steers = any(hand.place == "wheel" for hand in hands)
     turned = _clip(float(rng.normal(0.0, _WHEEL_SIGMA if steers else 0.3 * _WHEEL_SIGMA)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
-    turned = turned if wheel_angle is None else wheel_angle
-    lean = _draw(chosen.pelvis, rng)
-    if neighbours is not None:
-        lean = max(lean, neighbours.lean)
-        offset = offset._replace(left_m=offset.left_m + neighbours.aside)
-    forwards = transform(rotation_vector((0.0, lean, 0.0)))
-    root = seat.vehicle_from_seat(setting) @ offset.applied(fit.seat_from_root) @ forwards
+    turned = turned if doing.wheel_angle is None else doing.wheel_angle
+    root = seated.vehicle_from_root(_draw(chosen.pelvis, rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(chosen, inboard, rng)  # + left
-    close = (False, False) if neighbours is None else neighbours.close
-    s = _Situation(person, seat, setting, cabin, fit, root, wheel, turned, comfort, close, carried)
     plans = _foot_plans(seat, cabin, rng)
-    if on is not None:
-        rests = not sitting_in(on.thing).harness
+    if seated.on is not None:
+        rests = not sitting_in(seated.on.thing).harness
         plans = _hanging(plans[0], rests), _hanging(plans[1], rests)
-    feet = foot_goals(
-        person,
-        root,
-        seat,
-        setting,
-        fit,
-        cabin,
-        plans,
-        faced=neighbours is not None and neighbours.faced,
-        room=(math.inf, math.inf) if neighbours is None else neighbours.feet,
-    )
-    q = fit.q.copy()
+    feet = foot_goals(seated, root, plans)
+    q = seated.fit.q.copy()
     _move_trunk(q, chosen, side_sign, rng)
-    skeleton = frames(q, person.rest, root)
+    trunk = Trunk(seated, q, root, frames(q, person.rest, root), turned)
     palms, must = [], []
     for side, hand in enumerate(hands):
-        task = _task(s, hand, side, skeleton)
+        task = _task(trunk, hand, side, carried)
         prior = task.prior + comfort[side]
         prior[1] = max(prior[1], at.elbow_room(person) + comfort[side, 1])
-        palms.append((task._replace(prior=prior), _CARRIED_BY.get(hand.place, "").format(side="lr"[side])))
-        must.append(HAND_MISS_M if hand.place == "wheel" else _SOFT_MISS_M)
+        carried_by, on_wheel = _CARRIED_BY.get(hand.place, "").format(side="lr"[side]), hand.place == "wheel"
+        palms.append(HandGoal(task._replace(prior=prior), carried_by, on_wheel))
+        must.append(HAND_MISS_M if on_wheel else _SOFT_MISS_M)
         grip = _GRIP.get(hand.place, 0.0) + _GRIP_SIGMA * min(rng.standard_normal(), 1.0)
         if hand.palm is not None:
             grip = _LEAST_GRIP
@@ -259,22 +225,17 @@ def draw_pose(
     if holds_it is not None:
         fingers[holds_it.side, :5] = holds_it.grasp.curl
     must += [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
-    head = _gaze(s, chosen, hands, side_sign, skeleton, rng)
-    holds = hands[0].place == "wheel", hands[1].place == "wheel"
-    who = sitter(person, seat, q, root, skeleton, (palms[0], palms[1]), feet, head, holds)
-    if initial is not None:
-        who = _with_profile(who, initial, index, rng)
-    if profile is not None:
-        who, action = _with_profile(who, profile, index, rng), profile.kind if profile.followed else action
-    for chosen_profile in (initial, profile):
+    head = _gaze(trunk, chosen, hands, side_sign, rng)
+    who, action = sitter(trunk, (palms[0], palms[1]), feet, head), doing.action
+    if prescribed.initial is not None:
+        who = _with_profile(who, prescribed.initial, prescribed.index, rng)
+    if (profile := prescribed.profile) is not None:
+        who, action = _with_profile(who, profile, prescribed.index, rng), profile.kind if profile.followed else action
+    for chosen_profile in (prescribed.initial, profile):
         if chosen_profile is not None:
             fingers[[_names_grip(chosen_profile, side) for side in (0, 1)]] = np.nan
-    return Drawn(who, action, turned if wheel is not None else None, np.array(must), seat.h_point(setting), fingers, holds_it)
-
-
-def _fit_on(person: Person, seat: Seat, setting: SeatSetting, on: PlacedThing) -> SeatFit:
-    seat_from_thing = invert(seat.vehicle_from_seat(setting)) @ on.vehicle_from_thing
-    return fit_child_seat(person, seat, setting.torso_angle, sitting_in(on.thing), seat_from_thing)
+    angle = turned if wheel is not None else None
+    return Drawn(who, action, angle, np.array(must), seat.h_point(seated.setting), fingers, holds_it)
 
 
 def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: PlacedField | None = None) -> list[OccupantPose]:
@@ -322,21 +283,20 @@ def _with_profile(who: Sitter, profile: Profile, index: int, rng: np.random.Gene
 
 
 def sample_pose(
-    person: Person, seat: Seat, setting: SeatSetting, cabin: Cabin, action: str,
-    profile: Profile | None = None, *, index: int = 0,
-    offset: SeatOffset = CENTRED, car: Callable[[float], PlacedField] | None = None, rng: np.random.Generator,
+    seated: SeatContext, action: str, prescribed: Prescribed = UNPRESCRIBED, *,
+    car: Callable[[float], PlacedField] | None = None, rng: np.random.Generator,
 ) -> OccupantPose:  # fmt: skip
-    """A pose of `person` alone in `seat`: `draw_pose`, then `settled`.
+    """A pose of somebody alone in a car: `draw_pose`, then `settled`.
 
     car: its fields at a wheel angle (rad), such as `ContactField.at` gives; left out, hands and feet may go through it.
     Raises what `draw_pose` does, and SceneError where hands or feet do not reach their places.
     """
-    drawn = draw_pose(person, seat, setting, cabin, action, profile, index=index, offset=offset, rng=rng)
+    drawn = draw_pose(seated, Doing(action), prescribed, rng=rng)
     (pose,) = settled([drawn], placed=None if car is None else car(drawn.wheel_angle or 0.0))
     if pose.refused:
         raise SceneError(
             f"{pose.refused} misses its place by {1e3 * pose.residuals_m[pose.refused]:.0f} mm:"
-            f" a person of {person.stature_m:.2f} m, '{action}' in the {seat.slot} seat of the {cabin.name}",
+            f" a person of {seated.person.stature_m:.2f} m, '{action}' in the {seated.seat.slot} seat of the {seated.cabin.name}",
             hint="choose another action, a taller person or a seat setting further forward",
         )
     return pose
@@ -409,11 +369,9 @@ def _hanging(plan: FootPlan, rests: bool) -> FootPlan:
     return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M if rests else plan.out)
 
 
-def _gaze(
-    s: _Situation, action: Action, hands: tuple[Hand, Hand], side_sign: float, skeleton: Frames, rng: np.random.Generator
-) -> Matrix:
+def _gaze(trunk: Trunk, action: Action, hands: tuple[Hand, Hand], side_sign: float, rng: np.random.Generator) -> Matrix:
     """vehicle_from_head (4, 4), its rotation, of somebody who looks where the action says."""
-    gaze = action.gaze
+    gaze, heading = action.gaze, trunk.seated.seat.facing_yaw
     yaw, pitch, tilt = _draw(gaze.yaw, rng), _draw(gaze.pitch, rng), _draw((0.0, gaze.tilt), rng)
     if gaze.either_side:
         yaw *= side_sign
@@ -421,50 +379,51 @@ def _gaze(
         busy = [side for side in (0, 1) if hands[side].place in ("reach", "give", "chest", "book", "belt")]
         point = hands[busy[0]].point
         if point is None:
-            point = _task(s, hands[busy[0]], busy[0], skeleton).target[:3, 3]
-        head = skeleton.bone("head")
+            point = _task(trunk, hands[busy[0]], busy[0], None).target[:3, 3]
+        head = trunk.skeleton.bone("head")
         eye = head[:3, 3] + head[:3, :3] @ np.array([0.09, 0.0, 0.06])
-        towards_yaw, towards_pitch = look_angles(eye, point, s.seat.facing_yaw)
+        towards_yaw, towards_pitch = look_angles(eye, point, heading)
         # Eyes do not always stay on the hand; downwards the head lags most.
         yaw, pitch = towards_yaw + 0.5 * yaw, max(towards_pitch, -0.9) + 0.5 * pitch
-    return head_rotation(s.seat.facing_yaw + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
+    return head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
 
 
-def _task(s: _Situation, hand: Hand, side: int, skeleton: Frames) -> LimbTask:
+def _task(trunk: Trunk, hand: Hand, side: int, carried: Hold | None) -> LimbTask:
     """The palm's target for the trunk as it is now."""
-    (a, b, c), femur = hand.noise, s.person.segment_lengths["thigh"]
+    s, skeleton = trunk.seated, trunk.skeleton
+    (a, b, c), up = hand.noise, np.array([0.0, 0.0, 1.0])
     shoulder = skeleton.bone("lr"[side] + "upperarm")[:3, 3]
     if hand.place == "wheel" and s.wheel is not None:
-        return at.on_rim(s.wheel, hand.clock + s.wheel_angle, at.rim_grip(s.person, s.wheel.rim_section_m), 0.5 + 0.1 * b)
+        return at.on_rim(s.wheel, hand.clock + trunk.wheel_angle, at.rim_grip(s.person, s.wheel.rim_section_m), 0.5 + 0.1 * b)
     if hand.place == "armrest" and hand.point is not None:
         inward = s.seat.design_h_point - hand.point
         beside = _BESIDE_DOOR_M * np.array([0.0, math.copysign(1.0, inward[1]), 0.0])
         lies = at.lying(s.person, hand.fingers)
-        return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, s.up, lies)
+        return at.on_surface(hand.point + (0.10 + 0.02 * a) * s.forward + beside, s.forward, up, lies)
     if hand.place == "ear":
         return at.at_ear(s.person, skeleton, side, gap=0.048)
     if hand.place == "mouth":
         return at.before_mouth(s.person, skeleton, side, 0.07 + 0.01 * a, 0.03)
     if hand.place == "shin":
         left = np.array([-s.forward[1], s.forward[0], 0.0])
-        below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * s.up + (0.10 - 0.2 * side) * left
-        return at.at_point(below + 0.04 * a * s.forward, shoulder, s.up)
+        below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * up + (0.10 - 0.2 * side) * left
+        return at.at_point(below + 0.04 * a * s.forward, shoulder, up)
     if hand.place == "chest":
         return at.before_chest(skeleton, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.07 + 0.03 * c)
     if hand.place == "book":
         return at.before_chest(skeleton, side, 0.38 + 0.02 * a, 0.04 + 0.02 * b, 0.02 * c)
     if hand.place == "drink":
         return at.before_mouth(s.person, skeleton, side, 0.085 + 0.02 * a, 0.13 + 0.02 * c)
-    if hand.place == "carry" and s.carried is not None:
-        below_m = -float(s.carried.grasp.palm_from_thing[1, 3])
-        return at.over_thigh(skeleton, s.fit, femur, side, upright=s.carried.kind in HANDED["drink"], below_m=below_m)
+    if hand.place == "carry" and carried is not None:
+        below_m, upright = -float(carried.grasp.palm_from_thing[1, 3]), carried.kind in HANDED["drink"]
+        return at.over_thigh(skeleton, s.fit, s.person.segment_lengths["thigh"], side, upright=upright, below_m=below_m)
     if hand.place == "belt" and s.seat.belt is not None:
         return at.at_belt(s.person, skeleton, side, s.seat.belt.upper)
     if hand.palm is not None:
         return at.at_palm(hand.palm)
     if hand.place in ("reach", "give") and hand.point is not None:
         high = hand.point[2] > shoulder[2]
-        return at.at_point(hand.point, shoulder, s.up, at.UP_ARM if high else at.REACH_ARM)
-    along, inward = (_ARM_BEFORE if s.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
+        return at.at_point(hand.point, shoulder, up, at.UP_ARM if high else at.REACH_ARM)
+    along, inward = (_ARM_BEFORE if s.neighbours.close[side] else 0.0) + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
     turn, lies = 0.45 + 0.15 * c, at.lying(s.person, hand.fingers)
-    return at.on_thigh(skeleton, s.fit, femur, side, side, float(along), float(inward), turn, lies)
+    return at.on_thigh(trunk, side, float(along), float(inward), turn, lies)
