@@ -13,6 +13,7 @@ from .exact import without_defaults as without_defaults
 from .generate import Progress as Progress
 from .generate import generate as generate
 from .plan import person_slots as person_slots
+from .plan import subject_body as subject_body
 from .preflight import preflight as preflight
 from .profiles import dof_scale as dof_scale
 from .profiles import limits_deg as limits_deg

@@ -11,6 +11,8 @@ from .dfe import DfeRun as DfeRun
 from .dfe import dfe as dfe
 from .dfe import dfe_run as dfe_run
 from .dfe import pelvis_frames as pelvis_frames
+from .dse import DIFFERENCE as DIFFERENCE
+from .dse import GEODESIC as GEODESIC
 from .dse import DseRun as DseRun
 from .dse import dse as dse
 from .dse import dse_run as dse_run
