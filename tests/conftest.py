@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import invalidate_caches
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from cabinpose.app.cli import main
+from cabinpose.core import registry
 
 REAL_DATA = "CABINPOSE_REAL_DATA"
 
@@ -28,6 +31,42 @@ def real_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture
+def extension(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Installs, for one test, a package that offers things: `extension("acme", {"sources": {"a": "A"}}, "class A: ...")`.
+
+    Its module has the package's name; `requires` are lines of its metadata.
+    """
+    folder = tmp_path / "extensions"
+    folder.mkdir()
+    modules = []
+
+    def install(package: str, offers: Mapping[str, Mapping[str, str]], code: str, requires: Sequence[str] = ()) -> None:
+        modules.append(package)
+        (folder / f"{package}.py").write_text(code, encoding="utf-8")
+        info = folder / f"{package}-1.0.dist-info"
+        info.mkdir()
+        needs = "".join(f"Requires-Dist: {each}\n" for each in requires)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n{needs}", encoding="utf-8")
+        groups = (
+            f"[cabinpose.{kind}]\n" + "".join(f"{name} = {package}:{thing}\n" for name, thing in things.items())
+            for kind, things in offers.items()
+        )
+        (info / "entry_points.txt").write_text("".join(groups), encoding="utf-8")
+        forget()
+
+    def forget() -> None:
+        invalidate_caches()
+        registry._offers.cache_clear()
+
+    monkeypatch.syspath_prepend(folder)
+    yield install
+    monkeypatch.undo()
+    forget()
+    for module in modules:
+        sys.modules.pop(module, None)
 
 
 class Outcome(NamedTuple):

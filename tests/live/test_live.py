@@ -225,6 +225,7 @@ def test_failing_detector_ends_the_run_or_is_counted(dataset_folder: Path) -> No
     ("arguments", "message"),
     [
         (("--source", "nix"), "unknown source 'nix'"),
+        (("--source", "mvn"), "unknown source 'mvn'"),
         (("--source", "nix.mcap"), "there is no file nix.mcap"),
         (("--source", "."), "no dataset"),
         (("--source", "{dataset}", "--record", "x.mcap"), "is recorded already"),
@@ -255,6 +256,34 @@ def test_camera_of_a_rig_and_settings_over_it(dataset_folder: Path, tmp_path: Pa
     assert 1 <= len(seen_by(live, lambda: False)) <= FRAMES
     with pytest.raises(ConfigError, match="unknown source 'other'"):
         open_feed(f"{rig}:other")
+
+
+EXTENSION = """
+from pathlib import Path
+from typing import ClassVar
+from cabinpose.record.sources.tof import SimulatedSettings, SimulatedSource
+class Settings(SimulatedSettings):
+    path: Path | None = None
+class Source(SimulatedSource):
+    Settings: ClassVar = Settings
+class Player(Source):
+    plays = ".acme"
+"""
+
+
+def test_cameras_and_files_of_other_packages(extension: Callable[..., None], dataset_folder: Path, tmp_path: Path) -> None:
+    extension("acme", {"sources": {"acme": "Source", "acme-file": "Player"}}, EXTENSION)
+    extension("broken", {"sources": {"lidar": "Source"}}, "import no_such_module")
+    settings = {"dataset": str(dataset_folder), "faults": {"rate_hz": 100}, "loop": False}
+    assert open_feed("acme", settings).name == "acme"
+    (tmp_path / "a.acme").touch()
+    feed = open_feed(str(tmp_path / "a.acme"), settings)
+    assert feed.name == "acme-file"
+    assert 1 <= len(seen_by(Live(feed, [Model()]), lambda: False)) <= FRAMES
+    with pytest.warns(UserWarning, match="of broken .* it is left out"), pytest.raises(ConfigError) as caught:
+        open_feed("nix")
+    assert "acme, bta" in str(caught.value.hint)
+    assert "acme-file" not in str(caught.value.hint)
 
 
 @pytest.mark.parametrize("words", [["a=1", "a.b=2"], ["=1"], ["a=[1"]])

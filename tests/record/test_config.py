@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.metadata import EntryPoint
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cabinpose.core.errors import ConfigError
-from cabinpose.record import config
-from cabinpose.record.config import KINDS, load_rig, load_take, parse_rig
+from cabinpose.core.errors import ConfigError, ExtensionError
+from cabinpose.record.config import kinds, load_rig, load_take, parse_rig
+from cabinpose.record.sources.base import SOURCES, cameras, player_of
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import FrameSource
 
@@ -62,30 +61,63 @@ def test_paths_are_taken_from_the_rigs_folder(tmp_path: Path) -> None:
     assert plan.settings.model_dump()["path"] == absolute
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SOURCES.names(own=True))
 def test_each_kind_is_a_source_with_described_settings(kind: str) -> None:
     """Also: nothing of a vendor's is needed to build one, and none is opened by being built."""
-    module, _, name = KINDS[kind].partition(":")
-    source_class = getattr(import_module(module), name)
+    source_class = SOURCES[kind]
     assert source_class.Settings.model_config["extra"] == "forbid"
     assert source_class.Settings.model_config["frozen"]
     paths = {"azure_mkv": {"path": "a.mkv"}, "replay": {"path": "a.mcap"}, "stepper": {"port": "a.tty"}}
-    needed = {**paths, "lsl": {"stream": "eeg"}, "genicam": {"producer": "a.cti"}}
+    needed = {**paths, "lsl": {"stream": "eeg"}, "genicam": {"producer": "a.cti"}, "synth": {"scenes": "a.yaml"}}
     (plan,) = parse_rig({"sources": {"a": {"kind": kind, **needed.get(kind, {})}}}).sources
     source: FrameSource = plan.build(HostClock())
     assert source.name == "a"
     assert source.counts.received == 0
 
 
-def test_other_packages_add_kinds_and_replace_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    added = [
-        EntryPoint("counting", "cabinpose.record.sources.numbered:NumberedSource", config.ENTRY_POINTS),
-        EntryPoint("replay", "cabinpose.record.sources.numbered:NumberedSource", config.ENTRY_POINTS),
-        EntryPoint("broken", "no_such_module:Source", config.ENTRY_POINTS),
-    ]
-    monkeypatch.setattr(config, "entry_points", lambda group: added if group == "cabinpose.sources" else [])
-    (plan,) = parse_rig({"sources": {"a": {"kind": "counting", "rate_hz": 5}}}).sources
+# A source that has the methods, and derives from nothing of ours.
+OTHER = """
+from pydantic import BaseModel
+from cabinpose.signals import Counts
+class Settings(BaseModel):
+    rate_hz: float = 1
+class Source:
+    Settings = Settings
+    def __init__(self, name, settings, clock):
+        self.name, self.settings, self.counts = name, settings, Counts()
+    def check(self): return ()
+    def open(self): pass
+    def read(self, timeout_s): return ()
+    def close(self): pass
+"""
+
+
+def test_other_packages_add_kinds_and_replace_none(extension: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SOURCES, "_loaded", {})
+    extension("counting", {"sources": {"counted": "Source", "numbered": "Source"}}, OTHER)
+    extension("broken", {"sources": {"lidar": "Source"}}, "import no_such_module")
+    extension("no_source", {"sources": {"table": "Table"}}, "class Table: ...")
+    (plan,) = parse_rig({"sources": {"a": {"kind": "counted", "rate_hz": 5}}}).sources
     assert plan.build(HostClock()).name == "a"
-    assert config.kinds()["replay"] == KINDS["replay"]
-    with pytest.raises(ConfigError, match="no_such_module"):
-        parse_rig({"sources": {"a": {"kind": "broken"}}})
+    with pytest.warns(UserWarning, match="'numbered' of counting is left out"):
+        parse_rig({"sources": {"a": NUMBERED}})
+    for kind, words in (("lidar", "of broken cannot be loaded"), ("table", "of no_source is not a DeviceSource")):
+        with pytest.raises(ExtensionError, match=f"sources.a: .*{words}"):
+            parse_rig({"sources": {"a": {"kind": kind}}})
+
+
+def test_what_is_a_camera_and_who_plays_which_files(extension: Callable[..., None]) -> None:
+    extension("playing", {"sources": {"played": "Played"}}, OTHER + "class Played(Source): plays = '.acme'\n")
+    extension("broken", {"sources": {"lidar": "Source"}}, "import no_such_module")
+    with pytest.warns(UserWarning, match="of broken .*; it is left out"):
+        assert cameras() == ["simulated", "synth", "royale", "bta", "genicam", "orbbec"]
+    assert player_of(".mkv") == "azure_mkv"
+    assert player_of(".acme") == "played"
+    with pytest.warns(UserWarning, match="of broken"):
+        assert player_of(".nix") is None
+    assert player_of("") is None
+
+
+def test_the_old_list_of_kinds_warns() -> None:
+    with pytest.warns(DeprecationWarning, match=r"SOURCES.names\(\)"):
+        assert kinds()["replay"] == "cabinpose.record.sources.replay:ReplaySource"

@@ -12,6 +12,7 @@ from .errors import CabinposeError as CabinposeError
 from .errors import ConfigError as ConfigError
 from .errors import DatasetError as DatasetError
 from .errors import DependencyError as DependencyError
+from .errors import ExtensionError as ExtensionError
 from .errors import MeshError as MeshError
 from .errors import MocapError as MocapError
 from .errors import ModelError as ModelError
@@ -48,6 +49,8 @@ from .ports import joined as joined
 from .pose import OCCUPANT_SLOTS as OCCUPANT_SLOTS
 from .pose import STANDING_SLOT as STANDING_SLOT
 from .pose import Visibility as Visibility
+from .registry import Registry as Registry
+from .registry import one_of as one_of
 from .segmentation import Part as Part
 from .segmentation import class_table as class_table
 from .segmentation import confusion as confusion

@@ -6,9 +6,10 @@ are listed from the metadata of installed packages; a thing is imported when it 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from cabinpose.core.errors import CabinposeError, ConfigError, ExtensionError, unknown_name
 
@@ -36,10 +37,10 @@ class Registry(Generic[T]):
     -----
     An entry point names the thing itself, or a table (a mapping) that has it under the entry point's name. The order is that of
     our metadata, then other packages' by name. Where another package uses a name of ours, ours stays; where two others use the
-    same name, neither is taken. `conflicts` says so.
+    same name, neither is taken. `conflicts` says so, and who asks for such a name is told.
     """
 
-    def __init__(self, group: str, kind: str, expected: type[T], *, subclass: bool = False) -> None:
+    def __init__(self, group: str, kind: str, expected: type[Any], *, subclass: bool = False) -> None:
         self.group, self.kind = group, kind
         self._expected, self._subclass = expected, subclass
         self._loaded: dict[str, T] = {}
@@ -69,8 +70,20 @@ class Registry(Generic[T]):
             entry, *others = _offers(self.group)[name]
             if others and _package(entry) != OURS:
                 raise ExtensionError(self._taken(name), hint="uninstall one of them")
+            if others:
+                warnings.warn(self._taken(name), stacklevel=2)
             self._loaded[name] = self._load(entry)
         return self._loaded[name]
+
+    def items(self) -> Iterator[tuple[str, T]]:
+        """Names and things, one after another; what cannot be loaded is left out, with a warning."""
+        for name in self.names():
+            try:
+                found = self[name]
+            except CabinposeError as error:
+                warnings.warn(f"{error.in_one_line()}; it is left out", stacklevel=2)
+            else:
+                yield name, found
 
     def package(self, name: str) -> str:
         """The distribution that offers the thing of this name; ConfigError for a name that does not exist."""

@@ -1,5 +1,6 @@
 from .check import check as check
 from .config import Rig as Rig
+from .config import SourcePlan as SourcePlan
 from .config import Storage as Storage
 from .config import kinds as kinds
 from .config import load_rig as load_rig

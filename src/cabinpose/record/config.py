@@ -1,45 +1,24 @@
 """A rig: which devices are recorded, and how. A YAML file, checked before anything connects or listens.
 
-Sources are chosen by kind. Those of `KINDS` come with the package; the entry point group `cabinpose.sources` adds others
-(name = kind, value = "module:Class"). A class is imported only when a rig names its kind.
+Sources are chosen by kind, see `sources.SOURCES`. A class is imported only when a rig names its kind.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import warnings
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from cabinpose.core import ConfigError, read_yaml, unknown_name
+from cabinpose.core import ConfigError, ExtensionError, read_yaml
+from cabinpose.record.sources.base import SOURCES
 from cabinpose.record.split import Limit
 from cabinpose.signals import FrameSource, HostClock
 from cabinpose.store.recording import Compression, Take
 
-ENTRY_POINTS = "cabinpose.sources"
-_HERE = "cabinpose.record.sources"
-KINDS: Mapping[str, str] = MappingProxyType(
-    {
-        "mvn": f"{_HERE}.mvn:MvnSource",
-        "vicon": f"{_HERE}.vicon:ViconSource",
-        "royale": f"{_HERE}.tof.royale:RoyaleSource",
-        "bta": f"{_HERE}.tof.bta:BtaSource",
-        "genicam": f"{_HERE}.tof.genicam:GenicamSource",
-        "orbbec": f"{_HERE}.tof.orbbec:OrbbecSource",
-        "azure_mkv": f"{_HERE}.tof.azure_mkv:AzureMkvSource",
-        "simulated": f"{_HERE}.tof.simulated:SimulatedSource",
-        "lsl": f"{_HERE}.lsl:LslSource",
-        "stepper": f"{_HERE}.stepper:StepperSource",
-        "replay": f"{_HERE}.replay:ReplaySource",
-        "numbered": f"{_HERE}.numbered:NumberedSource",
-    }
-)
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 _RESERVED = ("take",)
 
@@ -117,8 +96,9 @@ class Rig:
 
 
 def kinds() -> dict[str, str]:
-    """Where the class of each kind is; those of other packages add to ours and cannot replace them."""
-    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)} | dict(KINDS)
+    """Where the class of each kind is. Deprecated: `record.sources.SOURCES` has names and classes."""
+    warnings.warn("record.kinds() will go: use record.sources.SOURCES.names()", DeprecationWarning, stacklevel=2)
+    return {kind: f"{source.__module__}:{source.__qualname__}" for kind, source in SOURCES.items()}
 
 
 def load_rig(path: Path) -> Rig:
@@ -153,25 +133,19 @@ def load_take(path: Path) -> Take:
 
 
 def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
-    kind, known = settings.pop("kind", None), kinds()
-    if not isinstance(kind, str) or kind not in known:
-        error = unknown_name("kind of source", str(kind), tuple(known))
-        raise ConfigError(f"sources.{name}: {error}", hint=error.hint)
+    kind = settings.pop("kind", None)
+    try:
+        make = SOURCES[str(kind)]
+    except (ConfigError, ExtensionError) as error:
+        raise type(error)(f"sources.{name}: {error}", hint=error.hint) from error
     required = settings.pop("required", True)
     if not isinstance(required, bool):
         raise ConfigError(
             f"sources.{name}.required: {required!r} is neither true nor false", hint="false: the take may end well without it"
         )
-    module, _, class_name = known[kind].partition(":")
-    try:
-        make = getattr(import_module(module), class_name)
-    except (ImportError, AttributeError) as problem:
-        raise ConfigError(
-            f"sources.{name}: kind '{kind}' cannot be loaded: {problem}", hint=f"install what {module} needs"
-        ) from problem
     checked = _checked(make.Settings, settings, "sources", name)
     paths = {key: base / value for key, value in checked if isinstance(value, Path) and not value.is_absolute()}
-    return SourcePlan(name, kind, make, checked.model_copy(update=paths), required)
+    return SourcePlan(name, str(kind), make, checked.model_copy(update=paths), required)
 
 
 def _checked(model: type[Any], data: Any, *where: str) -> Any:

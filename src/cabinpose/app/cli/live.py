@@ -37,8 +37,8 @@ class LiveCommand(PrintsJson):
     """
 
     source: str
-    """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), Azure file (.mkv), or kind of
-    camera: simulated, synth, royale, bta, genicam, orbbec."""
+    """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), file of a camera (such as .mkv),
+    or kind of camera, as a rig has it: simulated, or that of a vendor. A word that is none of these lists all kinds."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
     """Models to run, one after the other on each frame: names of packaged models, ONNX or .npz files, or models on
     servers (grpc://HOST:PORT/MODEL)."""

@@ -1,4 +1,4 @@
-"""A source of live frames from what was typed: a dataset, a recording, a rig, an Azure file, or a kind of camera."""
+"""A source of live frames from what was typed: a dataset, a recording, a rig, a file of a camera, or a kind of camera."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import yaml
 
 from cabinpose.app.live.feed import DatasetFeed, EveryFrame, Feed, LatestFrame
 from cabinpose.core import ConfigError, read_yaml, unknown_name
-from cabinpose.record import Rig, kinds, parse_rig
+from cabinpose.record import Rig, parse_rig
+from cabinpose.record.sources import SOURCES, cameras, is_camera, player_of
 from cabinpose.signals import HostClock
 from cabinpose.store import MANIFEST_NAME
 
-_NOT_CAMERAS = ("mvn", "vicon", "lsl", "numbered", "replay")
-_SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), an Azure file (.mkv), or a kind of camera"
+_SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), a file of a camera (such as .mkv), or a kind of camera"
 
 
 def open_feed(
@@ -31,8 +31,8 @@ def open_feed(
     Parameters
     ----------
     source
-        Folder of a dataset · recording, as FILE.mcap or FILE.mcap:NAME · rig, as RIG.yaml or RIG.yaml:NAME · FILE.mkv ·
-        kind of camera.
+        Folder of a dataset · recording, as FILE.mcap or FILE.mcap:NAME · rig, as RIG.yaml or RIG.yaml:NAME · file of a kind
+        that `plays` it, as FILE.mkv · kind of camera.
     settings
         Settings of the source, beside or in place of the rig's; keys as a rig has them.
     realtime
@@ -60,10 +60,9 @@ def open_feed(
         return LatestFrame(rig, out)
 
     if path is None:
-        known = {kind: place for kind, place in kinds().items() if kind not in _NOT_CAMERAS}
-        if source not in known:
-            error = unknown_name("source", source, tuple(known))
-            raise ConfigError(f"{error}", hint=f"{_SOURCES}: {', '.join(sorted(known))}")
+        if source not in SOURCES or not is_camera(SOURCES[source]):
+            error = unknown_name("source", source, ())
+            raise ConfigError(f"{error}", hint=f"{_SOURCES}: {', '.join(sorted(cameras()))}")
         return latest(_rig(source, source, given), out)
     if path.is_dir():
         if not realtime:
@@ -77,8 +76,8 @@ def open_feed(
             return latest(rig)
         clock = HostClock()
         return EveryFrame(rig.sources[0].build(clock), clock)
-    if path.suffix == ".mkv":
-        return latest(_rig("azure", "azure_mkv", {"path": str(path.absolute())} | given))
+    if path.suffix not in (".yaml", ".yml") and (kind := player_of(path.suffix)):
+        return latest(_rig(kind, kind, {"path": str(path.absolute())} | given))
     return latest(_one_of(path, name, given), out)
 
 
@@ -112,7 +111,7 @@ def _split(source: str) -> tuple[Path | None, str | None]:
     front, colon, name = source.rpartition(":")
     if colon and Path(front).is_file():
         return Path(front), name
-    if path.suffix in (".mcap", ".yaml", ".yml", ".mkv") or "/" in source:
+    if path.suffix or "/" in source:
         raise ConfigError(f"there is no file {source}", hint=_SOURCES)
     return None, None
 
@@ -130,15 +129,20 @@ def _one_of(path: Path, name: str | None, settings: Mapping[str, Any]) -> Rig:
     if not isinstance(sources, dict) or not sources:
         raise ConfigError(f"{path} names no sources", hint="docs/recording.md has a rig to start from")
     if name is None:
-        cameras = [n for n, s in sources.items() if not (isinstance(s, dict) and s.get("kind") in _NOT_CAMERAS)]
-        if len(cameras) != 1:
-            raise ConfigError(f"{path} has {len(cameras)} cameras", hint=f"name one: {path}:NAME of {', '.join(sources)}")
-        name = str(cameras[0])
+        there = [n for n, s in sources.items() if not isinstance(s, dict) or _may_be_camera(s.get("kind"))]
+        if len(there) != 1:
+            raise ConfigError(f"{path} has {len(there)} cameras", hint=f"name one: {path}:NAME of {', '.join(sources)}")
+        name = str(there[0])
     if name not in sources:
         error = unknown_name("source", name, [str(n) for n in sources])
         raise ConfigError(f"{path}: {error}", hint=error.hint)
     kept = data | {"sources": {name: dict(sources[name]) | dict(settings)}}
     return parse_rig(kept, yaml.safe_dump(kept, sort_keys=False), base=path.parent)
+
+
+def _may_be_camera(kind: object) -> bool:
+    """Whether a kind is that of a camera, or none at all, which is told when the rig is checked."""
+    return not isinstance(kind, str) or kind not in SOURCES or is_camera(SOURCES[kind])
 
 
 def _check_within(path: Path, folder: Path | None) -> None:

@@ -19,9 +19,9 @@ from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError, Predictor, index_pairs
 from cabinpose.estimate.remote import open_predictor
+from cabinpose.record.sources import cameras
 
 _PERIOD_S = 0.1  # between looks for a new frame
-_KINDS = ("simulated", "synth", "royale", "bta", "genicam", "orbbec")
 
 
 def live_tab(workspace: Workspace, room: LiveRoom, label: Callable[[], None]) -> None:
@@ -53,7 +53,7 @@ class LiveTab:
 
     def _build_side(self) -> None:
         opened = self._workspace.recording or self._workspace.folder
-        sources = [*([str(opened)] if opened is not None else []), *_KINDS]
+        sources = [*([str(opened)] if opened is not None else []), *cameras()]
         self._source = ui.select(sources, value=sources[0], label="source").props("dense outlined").classes("w-full")
         self._settings = ui.textarea("settings, KEY=VALUE a line", placeholder="use_case=MODE_9_5FPS_2000").props(
             "dense outlined autogrow"

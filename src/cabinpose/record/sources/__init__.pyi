@@ -1,5 +1,12 @@
+from .base import SOURCES as SOURCES
 from .base import DeviceSource as DeviceSource
 from .base import PlayedSettings as PlayedSettings
 from .base import PlayedSource as PlayedSource
+from .base import cameras as cameras
+from .base import is_camera as is_camera
+from .base import player_of as player_of
+from .counting import DeviceClock as DeviceClock
+from .counting import FrameNumbers as FrameNumbers
+from .counting import FramePeriod as FramePeriod
 from .mvn import MvnSettings as MvnSettings
 from .mvn import MvnSource as MvnSource

@@ -7,20 +7,35 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import CabinposeError, DependencyError, RecordingError, SourceEndedError
+from cabinpose.core import CabinposeError, DependencyError, RecordingError, Registry, SourceEndedError
 from cabinpose.signals import Counts, HostClock, Sample
 
 SettingsT = TypeVar("SettingsT", bound=BaseModel)
 
 
 class DeviceSource(ABC, Generic[SettingsT]):
-    """A `signals.FrameSource`: opened, read again and again, closed. A subclass connects, reads and disconnects."""
+    """A `signals.FrameSource`: opened, read again and again, closed. A subclass connects, reads and disconnects.
+
+    Settings: what a rig may say of it · is_camera: whether it gives a `ToFFrame` at a time, which `live` can show · plays: the
+    suffix of the files that it plays, ".mkv", whose path is its setting `path` · leads_take: whether the take begins and
+    ends with it, as with a motor.
+    """
 
     Settings: ClassVar[type[BaseModel]]
+    is_camera: ClassVar[bool] = False
+    plays: ClassVar[str] = ""
+    leads_take: ClassVar[bool] = False
+
+    @classmethod
+    def __subclasshook__(cls, other: type) -> bool:
+        """A class that has `Settings` and the methods of `signals.FrameSource` is a source too."""
+        if cls is not DeviceSource:
+            return NotImplemented
+        return all(hasattr(other, name) for name in ("Settings", "check", "open", "read", "close")) or NotImplemented
 
     def __init__(self, name: str, settings: SettingsT | None = None, clock: HostClock | None = None) -> None:
         self.name = name
@@ -147,3 +162,21 @@ class PlayedSource(DeviceSource[PlayedT]):
     def _due_ns(self, sample: Sample) -> int:
         speed = self.settings.speed
         return 0 if speed == 0 else self._began_ns + int((sample.host_ns - self._first_ns) / speed)
+
+
+SOURCES: Registry[type[DeviceSource[Any]]] = Registry("cabinpose.sources", "kind of source", DeviceSource, subclass=True)
+
+
+def is_camera(source: type) -> bool:
+    """Whether `live` can show what a source gives; of a class that is no `DeviceSource` and does not say, it is assumed."""
+    return getattr(source, "is_camera", True)
+
+
+def cameras() -> list[str]:
+    """Kinds of cameras that need no file. All sources are imported; one that cannot be is left out, with a warning."""
+    return [kind for kind, source in SOURCES.items() if is_camera(source) and not getattr(source, "plays", "")]
+
+
+def player_of(suffix: str) -> str | None:
+    """The kind of source that plays files of a suffix (".mkv"), None where none does. Imports sources up to that one."""
+    return next((kind for kind, source in SOURCES.items() if suffix and getattr(source, "plays", "") == suffix), None)

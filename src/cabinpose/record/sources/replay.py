@@ -31,6 +31,7 @@ class ReplaySource(PlayedSource[ReplaySettings]):
     """
 
     Settings: ClassVar = ReplaySettings
+    plays = ".mcap"
 
     def __init__(self, name: str, settings: ReplaySettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)

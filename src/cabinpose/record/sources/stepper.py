@@ -81,6 +81,7 @@ class StepperSource:
     """A `FrameSource` of `MOTOR_CHANNELS`: the angle that the controller reports, and the number of the standstill, else -1."""
 
     Settings: ClassVar = StepperSettings
+    is_camera: ClassVar = False
     leads_take: ClassVar = True
 
     def __init__(self, name: str, settings: StepperSettings, clock: HostClock) -> None:

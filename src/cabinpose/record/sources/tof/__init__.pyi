@@ -1,3 +1,10 @@
+from .camera import CameraSettings as CameraSettings
+from .camera import CameraSource as CameraSource
+from .camera import MalformedFrameError as MalformedFrameError
+from .camera import depth_image as depth_image
+from .camera import frame_of as frame_of
+from .camera import rays_of_points as rays_of_points
+from .camera import shaped as shaped
 from .simulated import SimulatedSettings as SimulatedSettings
 from .simulated import SimulatedSource as SimulatedSource
 from .simulated import tof_frame as tof_frame

@@ -20,6 +20,8 @@ class AzureMkvSource(PlayedSource[AzureMkvSettings]):
     """A `FrameSource` that plays a recording once; frames that the camera dropped are counted from their time stamps."""
 
     Settings: ClassVar = AzureMkvSettings
+    is_camera = True
+    plays = ".mkv"
     _at_once = 1  # images are large
 
     def __init__(self, name: str, settings: AzureMkvSettings, clock: HostClock) -> None:

@@ -68,6 +68,8 @@ class CameraSource(DeviceSource[CameraT]):
     that find the queue full are lost.
     """
 
+    is_camera = True
+
     def __init__(self, name: str, settings: CameraT, clock: HostClock | None = None) -> None:
         super().__init__(name, settings, clock)
         self._arrivals: deque[Arrival] = deque()
