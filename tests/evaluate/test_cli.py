@@ -6,7 +6,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from cabinpose.app.cli import main
+from cabinpose.evaluate import EvaluationOptions
 from cabinpose.store import read_manifest
 from cabinpose.store.predictions import Predictions, write_predictions
 from cabinpose.store.schema import dataset_id
@@ -67,7 +68,7 @@ def test_table(run: Callable[..., Outcome], files: list[Path]) -> None:
 
 
 def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
-    code, out, err = run(*files, "--out", tmp_path / "out", "--json", "--hit-cm", 8, "--hit-px", 13)
+    code, out, err = run(*files, "--out", tmp_path / "out", "--json", "--hit-m", 0.08, "--hit-px", 13)
     assert code == 0, err
     assert out.count("\n") == 1
     record = json.loads(out)
@@ -137,13 +138,32 @@ def test_selection(run: Callable[..., Outcome], files: list[Path], tmp_path: Pat
 def test_options_reach_the_numbers(run: Callable[..., Outcome], files: list[Path]) -> None:
     changed = run(
         files[0], "--json", "--min-visibility", "visible", "--head", "true", "--match", "distance", "--presence", "0.7",
-        "--pckh", "0.3", "--pck-px", "5", "--pck-cm", "8", "--seed", "3",
+        "--pckh", "0.3", "--pck-px", "5", "--pck-m", "0.08", "--seed", "3",
     )  # fmt: skip
     settings = json.loads(changed.out)["models"][0]["settings"]
     assert settings == {
         "min_visibility": "visible", "presence": 0.7, "head": "true", "pck_px": [5.0], "pck_m": [0.08], "pckh": [0.3],
         "hit_px": 26.0, "hit_m": 0.1, "match": "distance", "resamples": 5, "seed": 3,
     }  # fmt: skip
+
+
+def test_flags_are_the_fields_of_the_options(capsys: pytest.CaptureFixture[str]) -> None:
+    """The verb has no list of its own: a field more is a flag more."""
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    for each in fields(EvaluationOptions):
+        assert f"--{each.name.replace('_', '-')} " in told
+
+
+def test_the_flags_of_the_last_release_warn_and_work(run: Callable[..., Outcome], files: list[Path]) -> None:
+    old, new = (
+        run(files[0], "--json", "--pck-cm", "8", "12", "--hit-cm=7"),
+        run(files[0], "--json", "--pck-m", "0.08", "0.12", "--hit-m", "0.07"),
+    )
+    assert old.out == new.out
+    assert old.err == "warning: --pck-cm is called --pck-m now\nwarning: --hit-cm is called --hit-m now\n"
+    assert "--pck-m is given twice" in run(files[0], "--pck-cm", "8", "--pck-m", "0.1").err
 
 
 def test_models_of_one_name_are_told_apart(run: Callable[..., Outcome], files: list[Path]) -> None:
@@ -174,7 +194,7 @@ def test_the_dataset_may_be_named(
         (("--select", "car=coupe", "pov=driver"), "no frame has all"),
         (("--split", "test"), "a split needs its file"),
         (("--presence", "2"), "presence is a probability"),
-        (("--pck-cm", "0"), "a threshold is a positive number"),
+        (("--pck-m", "0"), "a threshold is a positive number"),
         (("absent.jsonl",), "there is no predictions file"),
     ],
 )

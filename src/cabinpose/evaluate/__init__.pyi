@@ -2,6 +2,9 @@ from .boxes import FOUND as FOUND
 from .boxes import Box as Box
 from .itop import evaluate_itop as evaluate_itop
 from .itop import itop_summary as itop_summary
+from .metrics import METRICS as METRICS
+from .metrics import Metric as Metric
+from .metrics import Value as Value
 from .offline import BATCH as BATCH
 from .offline import check_predictions as check_predictions
 from .offline import common_joints as common_joints
@@ -17,11 +20,13 @@ from .parts import PartsReport as PartsReport
 from .parts import PartsValue as PartsValue
 from .parts import evaluate_parts as evaluate_parts
 from .parts import pairs as pairs
-from .report import ALL as ALL
-from .report import PEOPLE as PEOPLE
 from .report import Report as Report
-from .report import Value as Value
 from .report import make_report as make_report
+from .sample_view import ALL as ALL
+from .sample_view import PEOPLE as PEOPLE
+from .sample_view import Number as Number
+from .sample_view import SampleView as SampleView
+from .sample_view import Threshold as Threshold
 from .samples import Samples as Samples
 from .skeletons import EvaluatedSkeleton as EvaluatedSkeleton
 from .skeletons import evaluated_skeleton as evaluated_skeleton

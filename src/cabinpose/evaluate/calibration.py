@@ -85,18 +85,18 @@ class Confidence(NamedTuple):
         return reliability(said, was, edges if len(edges) > 1 else np.repeat(edges, 2))
 
 
-def confidence(samples: Samples, error: Array, unit: float, members: tuple[int, ...]) -> Confidence:
+def confidence(samples: Samples, error: NDArray[np.floating], unit: float, members: tuple[int, ...]) -> Confidence:
     """How a model ranks its joints: by the expected error where it gives one, else by its score.
 
     error: (S, J) in the unit of reports, NaN where a joint does not count or was not found · unit: of it in a metre.
     """
     chosen = np.isfinite(error[:, members])
-    error, expected, score = (
+    far, expected, score = (
         values[:, members][chosen].astype(np.float64) for values in (error, samples.expected * unit, samples.score)
     )
     doubt = np.nan_to_num(expected, nan=np.inf) if np.isfinite(expected).any() else -score
     order = np.argsort(doubt, kind="stable")
-    return Confidence(error[order], expected[order], _rank_correlation(doubt, error))
+    return Confidence(far[order], expected[order], _rank_correlation(doubt, far))
 
 
 def _rank_correlation(a: Array, b: Array) -> float:

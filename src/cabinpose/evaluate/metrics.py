@@ -1,151 +1,288 @@
-"""The metrics, each as sums over samples: a numerator and a denominator per sample and joint, pooled before they are divided.
+"""The metrics, a row of `TABLE` each; reports, JSON and pages have what each of `METRICS` yields, in the order of that registry.
 
-Formulas, units, denominators and sources are in docs/evaluation.md. Only the thesis' numbers are averages over joints.
+A metric is pooled: sums or quantiles over all samples. Only the thesis' numbers are averages over joints. Formulas, units,
+denominators and sources are in docs/evaluation.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Visibility
-from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.samples import Samples, Space
+from cabinpose.core import Registry
+from cabinpose.evaluate.bootstrap import interval
+from cabinpose.evaluate.oks import THRESHOLDS, average_precision
+from cabinpose.evaluate.sample_view import ANY, IMAGE, NO_THRESHOLD, PEOPLE, Number, SampleView, Threshold
 
 TRUE = "true joints that count; one that was not found is wrong"
 FOUND = "true joints that count and were found"
 HITS = "true joints that count, found within d"
-UNIT = MappingProxyType({"2d": ("px", 1.0), "3d": ("cm", 100.0)})  # of reports, and how many of it a px or m has
-_STATES = (Visibility.VISIBLE, Visibility.SELF_OCCLUDED, Visibility.OCCLUDED, Visibility.OUTSIDE_IMAGE)
+_ANSWERED = "joints with a position, however improbable, but those too hidden to count"
+_PEOPLE = "true people with a joint that counts"
 
 
 @dataclass(frozen=True)
-class Ratio:
-    """One metric over all samples: scale x sum(numerator) / sum(denominator), both (S, J), numbers or booleans.
-
-    space: "2d", "3d" or "image" · threshold: in `threshold_unit` · visibility: which true joints, "any" = all that count ·
-    per_joint: the mean of the joints' ratios in place of the ratio of sums (the thesis' way) · people: (S, 1) arrays about whole
-    people.
-    """
+class Value:
+    """One number. `joints`: "All", a group, a joint, or "Person"; `low`, `high`: its 95 % interval, NaN without one."""
 
     metric: str
-    unit: str
-    scale: float
-    numerator: NDArray[Any]
-    denominator: NDArray[Any]
-    denominator_is: str
     space: str
-    threshold: float | None = None
-    threshold_unit: str = ""
+    joints: str
+    value: float
+    unit: str
+    threshold: float | None
+    threshold_unit: str
+    denominator: str
+    samples: int
+    low: float
+    high: float
     visibility: str = "any"
-    per_joint: bool = False
-    people: bool = False
+    average: str = "pooled"
 
 
-def ratios(samples: Samples, options: EvaluationOptions) -> Iterator[Ratio]:
-    """All metrics that are ratios of sums."""
-    for name, space in samples.spaces().items():
-        yield from _accuracy(space, name, options, samples.counts, "any")
-        yield from _thesis(samples, space, name, options)
-        yield from _structure(space, name)
-        for state in _STATES:
-            if state >= options.min_visibility:
-                chosen = samples.counts & (samples.visibility == state)
-                yield from _accuracy(space, name, options, chosen, state.name.lower())
-    yield from _presence(samples)
+@dataclass(frozen=True)
+class Metric:
+    """One metric.
 
-
-def _accuracy(space: Space, name: str, options: EvaluationOptions, counts: NDArray[np.bool_], visibility: str) -> Iterator[Ratio]:
-    """PCK, PCKh, AUC, mean errors, over the joints with `counts` (S, J)."""
-    unit, per_unit = UNIT[name]
-    error = np.nan_to_num(space.error.astype(np.float64), nan=np.inf)
-    found = counts & space.found
-    head = space.head.astype(np.float64)[:, None]
-    sized = counts & np.isfinite(head)
-    head_is = "26 px" if name == "2d" else "200 mm"
-    head_unit = f"head size ({head_is})" if options.head == "thesis" else "true head-neck length"
-    hit = options.hit_px if name == "2d" else options.hit_m
-    ratio = partial(Ratio, space=name, visibility=visibility)
-    for t in options.pck_px if name == "2d" else options.pck_m:
-        near = found & (error <= np.float32(t))
-        yield ratio("PCK", "%", 100, near, counts, TRUE, threshold=t * per_unit, threshold_unit=unit)
-    with np.errstate(invalid="ignore"):
-        for alpha in options.pckh:
-            near = sized & found & (error <= alpha * head)
-            yield ratio("PCKh", "%", 100, near, sized, TRUE, threshold=alpha, threshold_unit=head_unit)
-        area = np.where(sized & found, np.clip(1 - error / (0.5 * head), 0, None), 0)
-    yield ratio("AUC of PCKh", "%", 100, area, sized, TRUE, threshold=0.5, threshold_unit=head_unit)
-    metric = "mean error" if name == "2d" else "MPJPE"
-    yield ratio(metric, unit, per_unit, np.where(found, error, 0), found, FOUND)
-    near = found & (error <= np.float32(hit))
-    at_hit = partial(ratio, threshold=hit * per_unit, threshold_unit=unit)
-    yield at_hit("mean error of hits", unit, per_unit, np.where(near, error, 0), near, HITS)
-    yield ratio("found", "%", 100, found, counts, TRUE)
-
-
-def _thesis(samples: Samples, space: Space, name: str, options: EvaluationOptions) -> Iterator[Ratio]:
-    """mAD, mAD@d, and mAP@d and mAR in both readings: per joint, then averaged over the joints.
-
-    TP: a true joint, found within d. FN: a true joint that is not found, or found farther than d. FP: found where no true joint
-    is. By that formula, mAR = TP / (TP + FN) has all true joints below the line; "detected" asks only that a joint is found.
+    name: in reports · unit: of its numbers; `{length}` in it stands for px in 2D and cm in 3D · better: whether more or less of
+    it is · numbers: what it measures in a view · spaces: the views that it is for, "2d", "3d", "image" · by_visibility: also for
+    the joints of each state of visibility · listed_by: by what the numbers of neighbours that have the same are in order before
+    they are by metric: fields of `Value` among "space", "visibility", "joints".
     """
-    unit, per_unit = UNIT[name]
-    hit = options.hit_px if name == "2d" else options.hit_m
-    error = np.nan_to_num(space.error.astype(np.float64), nan=np.inf)
-    true = samples.counts
-    found = true & space.found
-    near = found & (error <= np.float32(hit))
-    false = samples.absent & space.found
-    ratio = partial(Ratio, space=name, per_joint=True)
-    at_d = partial(ratio, threshold=hit * per_unit, threshold_unit=unit)
-    yield ratio("mAD", unit, per_unit, np.where(found, error, 0), found, FOUND)
-    yield at_d("mAD@d", unit, per_unit, np.where(near, error, 0), near, HITS)
-    yield at_d("mAP@d (literal)", "%", 100, near, near | false, "TP + FP: found within d, or found where there is none")
-    yield at_d("mAP@d (among detected)", "%", 100, near, found, FOUND)
-    yield at_d("mAR@d (literal)", "%", 100, near, true, "TP + FN: true joints, found within d or not")
-    yield ratio("mAR (detected)", "%", 100, found, true, TRUE)
+
+    name: str
+    unit: str
+    better: Literal["more", "less"]
+    numbers: Callable[[SampleView], Iterable[Number]]
+    spaces: tuple[str, ...] = ("2d", "3d")
+    by_visibility: bool = False
+    listed_by: tuple[str, ...] = ()
+
+    def values(self, view: SampleView) -> Iterator[Value]:
+        """What it measures in a view, with its name and unit; nothing where the view is none that it is for."""
+        if view.space not in self.spaces or (view.visibility != ANY and not self.by_visibility):
+            return
+        unit = self.unit.format(length=view.unit)
+        for n in self.numbers(view):
+            yield Value(
+                n.name or self.name, view.space, n.joints, n.value, unit, *n.threshold, n.denominator, n.samples, n.low, n.high,
+                view.visibility, n.average,
+            )  # fmt: skip
 
 
-def _structure(space: Space, name: str) -> Iterator[Ratio]:
-    """What single joints do not show: the pose as a whole, its sides, its bones, its steadiness."""
-    unit, per_unit = UNIT[name]
-    measured: list[tuple[str, str, float, NDArray[np.float32], str]] = [
-        ("left-right swaps", "%", 100, space.swap, "symmetric pairs that count and were found"),
-        ("jitter", f"{unit}/frame²", per_unit, space.jitter, "joints that count and were found in three frames in a row"),
-    ]
-    if name == "3d":
-        measured += [
-            ("P-MPJPE", unit, per_unit, space.aligned, "found joints of people with three or more of them"),
-            ("bone length error", unit, per_unit, space.bone, "bones of which both ends count and were found"),
-        ]
-    for metric, shown, scale, values, what in measured:
-        known = np.isfinite(values)
-        yield Ratio(metric, shown, scale, np.where(known, values, 0), known, what, name)
+METRICS: Registry[Metric] = Registry("cabinpose.metrics", "metric", Metric)
 
 
-def _presence(samples: Samples) -> Iterator[Ratio]:
-    """Whether joints, and people, were predicted to be there; and the mean OKS of people."""
-    right = samples.found & samples.counts
+def _pck(view: SampleView) -> Iterator[Number]:
+    for t in view.options.pck_px if view.space == "2d" else view.options.pck_m:
+        yield from view.share(view.found & (view.error <= np.float32(t)), view.counts, TRUE, threshold=view.length(t))
+
+
+def _pckh(view: SampleView) -> Iterator[Number]:
+    sized = view.counts & np.isfinite(view.head)
+    for alpha in view.options.pckh:
+        with np.errstate(invalid="ignore"):
+            near = sized & view.found & (view.error <= alpha * view.head)
+        yield from view.share(near, sized, TRUE, threshold=Threshold(alpha, _head_size(view)))
+
+
+def _auc(view: SampleView) -> Iterator[Number]:
+    sized = view.counts & np.isfinite(view.head)
+    with np.errstate(invalid="ignore"):
+        area = np.where(sized & view.found, np.clip(1 - view.error / (0.5 * view.head), 0, None), 0)
+    return view.share(area, sized, TRUE, threshold=Threshold(0.5, _head_size(view)))
+
+
+def _head_size(view: SampleView) -> str:
+    size = "26 px" if view.space == "2d" else "200 mm"
+    return f"head size ({size})" if view.options.head == "thesis" else "true head-neck length"
+
+
+def _mean_error(view: SampleView) -> Iterator[Number]:
+    return view.mean(view.error, view.found, FOUND)
+
+
+def _mean_error_of_hits(view: SampleView) -> Iterator[Number]:
+    return view.mean(view.error, view.near, HITS, threshold=view.length(view.hit))
+
+
+def _found(view: SampleView) -> Iterator[Number]:
+    return view.share(view.found, view.counts, TRUE)
+
+
+# The thesis' numbers: per joint, then averaged over the joints. TP: a true joint, found within d. FN: a true joint that is not
+# found, or found farther than d. FP: found where no true joint is. By that formula, mAR = TP / (TP + FN) has all true joints
+# below the line; "detected" asks only that a joint is found.
+
+
+def _mad(view: SampleView) -> Iterator[Number]:
+    return view.mean(view.error, view.found, FOUND, per_joint=True)
+
+
+def _mad_at_d(view: SampleView) -> Iterator[Number]:
+    return view.mean(view.error, view.near, HITS, threshold=view.length(view.hit), per_joint=True)
+
+
+def _map_literal(view: SampleView) -> Iterator[Number]:
+    false = view.samples.absent & view.errors.found
+    of_what = "TP + FP: found within d, or found where there is none"
+    return view.share(view.near, view.near | false, of_what, threshold=view.length(view.hit), per_joint=True)
+
+
+def _map_among_detected(view: SampleView) -> Iterator[Number]:
+    return view.share(view.near, view.found, FOUND, threshold=view.length(view.hit), per_joint=True)
+
+
+def _mar_literal(view: SampleView) -> Iterator[Number]:
+    of_what = "TP + FN: true joints, found within d or not"
+    return view.share(view.near, view.counts, of_what, threshold=view.length(view.hit), per_joint=True)
+
+
+def _mar_detected(view: SampleView) -> Iterator[Number]:
+    return view.share(view.found, view.counts, TRUE, per_joint=True)
+
+
+# What single joints do not show: the pose as a whole, its sides, its bones, its steadiness.
+
+
+def _swaps(view: SampleView) -> Iterator[Number]:
+    swap = view.errors.swap
+    return view.share(np.nan_to_num(swap), np.isfinite(swap), "symmetric pairs that count and were found")
+
+
+def _known(view: SampleView, values: NDArray[np.float32], denominator: str) -> Iterator[Number]:
+    return view.mean(values, np.isfinite(values), denominator)
+
+
+def _jitter(view: SampleView) -> Iterator[Number]:
+    return _known(view, view.errors.jitter, "joints that count and were found in three frames in a row")
+
+
+def _p_mpjpe(view: SampleView) -> Iterator[Number]:
+    return _known(view, view.errors.aligned, "found joints of people with three or more of them")
+
+
+def _bone_length(view: SampleView) -> Iterator[Number]:
+    return _known(view, view.errors.bone, "bones of which both ends count and were found")
+
+
+# Whether joints, and people, were predicted to be there.
+
+
+def _presence_precision(view: SampleView) -> Iterator[Number]:
+    samples = view.samples
     answered = samples.found & (samples.counts | samples.absent)
-    of_joints = partial(Ratio, unit="%", scale=100, space="image")
-    of_people = partial(of_joints, people=True)
-    precision, recall = "presence precision", "presence recall"
-    yield of_joints(
-        precision, numerator=right, denominator=answered, denominator_is="joints found, but those too hidden to count"
-    )
-    yield of_joints(recall, numerator=right, denominator=samples.counts, denominator_is="true joints that count")
-    counting = np.asarray(samples.counts.any(axis=1))
-    both = (counting & samples.predicted)[:, None]
-    claimed = (samples.predicted & (counting | ~samples.true))[:, None]
-    people = counting[:, None]
-    yield of_people(precision, numerator=both, denominator=claimed, denominator_is="people found")
-    yield of_people(recall, numerator=both, denominator=people, denominator_is="true people with a joint that counts")
-    if samples.px.found.any():
-        similar = np.where(people, samples.oks[:, None], 0.0)
-        yield Ratio("OKS", "", 1, similar, people, "true people with a joint that counts; one not found has 0", "2d", people=True)
+    return view.share(samples.found & samples.counts, answered, "joints found, but those too hidden to count")
+
+
+def _presence_recall(view: SampleView) -> Iterator[Number]:
+    samples = view.samples
+    return view.share(samples.found & samples.counts, samples.counts, "true joints that count")
+
+
+def _people_precision(view: SampleView) -> Iterator[Number]:
+    samples, counting = view.samples, np.asarray(view.samples.counts.any(axis=1))
+    claimed = samples.predicted & (counting | ~samples.true)
+    return view.share((counting & samples.predicted)[:, None], claimed[:, None], "people found", people=True)
+
+
+def _people_recall(view: SampleView) -> Iterator[Number]:
+    counting = np.asarray(view.samples.counts.any(axis=1))
+    return view.share((counting & view.samples.predicted)[:, None], counting[:, None], _PEOPLE, people=True)
+
+
+def _oks(view: SampleView) -> Iterator[Number]:
+    if view.errors.found.any():
+        counting = np.asarray(view.samples.counts.any(axis=1))[:, None]
+        yield from view.mean(view.samples.oks[:, None], counting, f"{_PEOPLE}; one not found has 0", people=True)
+
+
+def _average_precision(view: SampleView) -> Iterator[Number]:
+    if not view.errors.found.any():
+        return
+    detections = view.samples.detections
+    now = average_precision(detections)
+    resampled = np.array([average_precision(detections, w.astype(np.int64)) for w in view.weights]).reshape(-1, len(THRESHOLDS))
+    people = int(detections.true.sum())
+    denominator = f"{_PEOPLE}; precision at 101 recalls"
+    for threshold, columns in ((None, slice(None)), (0.5, slice(0, 1)), (0.75, slice(5, 6))):
+        (low,), (high,) = interval(100 * resampled[:, columns].mean(axis=1, keepdims=True))
+        at = NO_THRESHOLD if threshold is None else Threshold(threshold, "OKS")
+        yield Number(PEOPLE, float(100 * now[columns].mean()), denominator, people, float(low), float(high), at)
+
+
+def _median_and_p95(view: SampleView) -> Iterator[Number]:
+    return view.quantiles(view.found_errors, {"median error": 0.5, "P95 of the error": 0.95}, FOUND)
+
+
+# How far a model's confidence can be trusted, by set of joints; see `calibration`. Without intervals.
+
+
+def _ece_of_presence(view: SampleView) -> Iterator[Number]:
+    for joints, (in_image, _) in view.presence.items():
+        yield Number(joints, 100 * in_image.error, _ANSWERED, int(in_image.samples.sum()))
+
+
+def _ece_of_presence_at_d(view: SampleView) -> Iterator[Number]:
+    judged = replace(view, space="3d" if "3d" in view.samples.spaces() else "2d")
+    at = Threshold(judged.hit_shown, judged.unit)
+    for joints, (_, within) in view.presence.items():
+        yield Number(joints, 100 * within.error, _ANSWERED, int(within.samples.sum()), threshold=at)
+
+
+def _rank_correlation(view: SampleView) -> Iterator[Number]:
+    for joints, sure in view.confidence.items():
+        yield Number(joints, sure.rank_correlation, FOUND, len(sure.error))
+
+
+def _error_of_expected(view: SampleView) -> Iterator[Number]:
+    for joints, sure in view.confidence.items():
+        if (expected := sure.of_expected()).samples.any():
+            yield Number(joints, expected.error, FOUND, int(expected.samples.sum()))
+
+
+_BY_SPACE = ("space", "visibility")
+_accuracy, _pose = partial(Metric, listed_by=_BY_SPACE, by_visibility=True), partial(Metric, listed_by=_BY_SPACE)
+_of_image = partial(Metric, spaces=(IMAGE,))
+_confidence = partial(Metric, listed_by=("joints",))
+
+TABLE: Mapping[str, Metric] = MappingProxyType(
+    {
+        "pck": _accuracy("PCK", "%", "more", _pck),
+        "pckh": _accuracy("PCKh", "%", "more", _pckh),
+        "auc_of_pckh": _accuracy("AUC of PCKh", "%", "more", _auc),
+        "mean_error": _accuracy("mean error", "px", "less", _mean_error, spaces=("2d",)),
+        "mpjpe": _accuracy("MPJPE", "cm", "less", _mean_error, spaces=("3d",)),
+        "mean_error_of_hits": _accuracy("mean error of hits", "{length}", "less", _mean_error_of_hits),
+        "found": _accuracy("found", "%", "more", _found),
+        "mad": _pose("mAD", "{length}", "less", _mad),
+        "mad_at_d": _pose("mAD@d", "{length}", "less", _mad_at_d),
+        "map_literal": _pose("mAP@d (literal)", "%", "more", _map_literal),
+        "map_among_detected": _pose("mAP@d (among detected)", "%", "more", _map_among_detected),
+        "mar_literal": _pose("mAR@d (literal)", "%", "more", _mar_literal),
+        "mar_detected": _pose("mAR (detected)", "%", "more", _mar_detected),
+        "left_right_swaps": _pose("left-right swaps", "%", "less", _swaps),
+        "jitter": _pose("jitter", "{length}/frame²", "less", _jitter),
+        "p_mpjpe": _pose("P-MPJPE", "cm", "less", _p_mpjpe, spaces=("3d",)),
+        "bone_length_error": _pose("bone length error", "cm", "less", _bone_length, spaces=("3d",)),
+        "presence_precision": _of_image("presence precision", "%", "more", _presence_precision),
+        "presence_recall": _of_image("presence recall", "%", "more", _presence_recall),
+        "presence_precision_of_people": _of_image("presence precision", "%", "more", _people_precision),
+        "presence_recall_of_people": _of_image("presence recall", "%", "more", _people_recall),
+        "oks": Metric("OKS", "", "more", _oks, spaces=("2d",)),
+        "median_error": Metric("median error", "{length}", "less", _median_and_p95),  # and the 95th percentile, in one go
+        "average_precision": Metric("AP", "%", "more", _average_precision, spaces=("2d",)),
+        "ece_of_presence": _confidence("ECE of presence", "%", "less", _ece_of_presence, spaces=(IMAGE,)),
+        "ece_of_presence_at_d": _confidence("ECE of presence@d", "%", "less", _ece_of_presence_at_d, spaces=(IMAGE,)),
+        "rank_correlation": _confidence("rank correlation of doubt and error", "", "more", _rank_correlation),
+        "error_of_expected_error": _confidence(
+            "calibration error of the expected error", "cm", "less", _error_of_expected, spaces=("3d",)
+        ),
+    }
+)

@@ -13,28 +13,33 @@ Matching = Literal["slot", "oks", "distance"]
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """Settings of one evaluation; raises `ConfigError` for what makes no sense.
-
-    min_visibility: joints that are at least so visible count; the others are neither right nor wrong.
-    presence: from this probability on a predicted joint counts as found.
-    head: "thesis" is 26 px in 2D and 200 mm in 3D, "true" each person's own length from head to neck joint.
-    pck_px, pck_m: thresholds of PCK in 2D and 3D · pckh: shares of the head size · hit_px, hit_m: the d of mAD@d, mAP@d, mAR@d.
-    match: how predictions are matched to people · resamples: of the bootstrap, 0 = no intervals.
-    """
+    """What counts, when it is right, and how people are matched."""
 
     min_visibility: Visibility = Visibility.OCCLUDED
+    """Least visibility of the joints that count; the others are neither right nor wrong."""
     presence: float = 0.5
+    """Least probability at which a joint counts as found."""
     head: HeadSize = "thesis"
+    """Head size of PCKh: 26 px and 200 mm, or each person's own length from head to neck."""
     pck_px: tuple[float, ...] = (26.0,)
+    """Thresholds of PCK in 2D, px."""
     pck_m: tuple[float, ...] = (0.05, 0.10, 0.15, 0.20)
+    """Thresholds of PCK in 3D, m."""
     pckh: tuple[float, ...] = (0.5, 1.0)
+    """Thresholds of PCKh, in head sizes."""
     hit_px: float = 26.0
+    """Threshold d of mAD@d, mAP@d and mAR@d in 2D, px; box plots show all errors, those below it and below half of it."""
     hit_m: float = 0.10
+    """The same in 3D, m."""
     match: Matching = "slot"
+    """How predictions are matched to people: by seat, or by the assignment with the best OKS or the least distance."""
     resamples: int = 1000
+    """Resamples of the bootstrap for the intervals; 0: no intervals."""
     seed: int = 0
+    """Seed of the bootstrap."""
 
     def __post_init__(self) -> None:
+        """Raise ConfigError for what makes no sense."""
         if self.min_visibility == Visibility.ABSENT:
             raise ConfigError("absent joints cannot count", hint="give min_visibility outside_image or higher")
         if not 0 <= self.presence <= 1:

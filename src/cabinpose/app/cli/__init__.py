@@ -53,7 +53,8 @@ def verb_module(verb: str) -> ModuleType:
     """The module of a verb.
 
     Its first line is "`cabinpose VERB`: what it does." `COMMAND` is the type that tyro makes from the words behind the verb: a
-    dataclass, or several from `one_of`. `run(command)` does the work and returns the exit code, None for 0.
+    dataclass, or several from `one_of`. `run(command)` does the work and returns the exit code, None for 0. `OLD_FLAGS`,
+    where there is one, is what `renamed` needs.
     """
     return import_module(f"{__name__}.{_module_name(verb)}")
 
@@ -102,22 +103,26 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
         if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
             raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
-        flags = [word.partition("=")[0] for word in rest if word.startswith("--")]
-        if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
-            raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
         import tyro
         from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
+        from cabinpose.app.cli.arguments import READS, renamed
+
         module = verb_module(verb)
-        command = tyro.cli(
-            module.COMMAND,
-            prog=f"cabinpose {verb}",
-            description=None if isclass(module.COMMAND) else _summary(verb),
-            args=rest,
-            config=(DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes),
-        )
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
+            rest = renamed(rest, getattr(module, "OLD_FLAGS", {}))
+            flags = [word.partition("=")[0] for word in rest if word.startswith("--")]
+            if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
+                raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
+            command = tyro.cli(
+                module.COMMAND,
+                prog=f"cabinpose {verb}",
+                description=None if isclass(module.COMMAND) else _summary(verb),
+                args=rest,
+                config=(DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes),
+                registry=READS,
+            )
             code: int | None = module.run(command)
             return code or 0
     except CabinposeError as error:

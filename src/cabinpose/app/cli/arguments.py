@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Optional, TypeVar, Union
 
 from tyro.conf import Positional, arg, subcommand
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from cabinpose.core import ConfigError, DatasetError
+from cabinpose.core import ConfigError, DatasetError, Visibility
 
 
 def several(metavar: str) -> Any:
@@ -27,6 +29,21 @@ T = TypeVar("T")
 Maybe = Annotated[Optional[T], arg(help_behavior_hint="")]  # a flag without a value as default; its help states what happens
 ThingArgument = Annotated[Positional[Path], arg(metavar="DATASET|RECORDING")]
 DatasetArgument = Annotated[Positional[Path], arg(metavar="DATASET", help="Folder of the dataset.")]
+
+
+READS = ConstructorRegistry()  # how words of the command line become types of ours
+
+
+@READS.primitive_rule
+def _visibility(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Visibility] | None:
+    """A state of a joint that is there, by its name in small letters."""
+    if info.type is not Visibility:
+        return None
+    states = {state.name.lower(): state for state in Visibility if state != Visibility.ABSENT}
+    return PrimitiveConstructorSpec(
+        nargs=1, metavar=f"{{{','.join(states)}}}", choices=tuple(states), instance_from_str=lambda words: states[words[0]],
+        is_instance=lambda value: isinstance(value, Visibility), str_from_instance=lambda state: [state.name.lower()],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +64,33 @@ class SelectsFrames(PrintsJson):
     """Only the frames of this split."""
     select: Annotated[tuple[str, ...], several("NAME=VALUE[,VALUE] ...")] = ()
     """Only frames with these values of subject, action, car, pov or sequence."""
+
+
+def renamed(words: Sequence[str], old: Mapping[str, tuple[str, Callable[[str], str]]]) -> list[str]:
+    """The words behind a verb with flags of the last release by their new names, each with a warning.
+
+    old: by an old flag its new name, and what makes a value for it of an old one.
+    """
+    result: list[str] = []
+    turn: Callable[[str], str] = str  # what the values of the last flag become
+    for word in words:
+        flag, given, value = word.partition("=")
+        if flag.startswith("--"):
+            new, turn = old.get(flag, (flag, str))
+            if new != flag:
+                warnings.warn(f"{flag} is called {new} now", stacklevel=2)
+            result.append(f"{new}={turn(value)}" if given else new)
+        else:
+            result.append(turn(word))
+    return result
+
+
+def metres(centimetres: str) -> str:
+    """A number of cm in m; what is no number as it is."""
+    try:
+        return repr(float(centimetres) / 100)
+    except ValueError:
+        return centimetres
 
 
 def refuse(flags: Mapping[str, object], message: str) -> None:

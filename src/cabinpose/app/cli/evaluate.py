@@ -5,22 +5,24 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, SelectsFrames, refuse_existing, several
+from cabinpose.app.cli.arguments import Maybe, SelectsFrames, metres, refuse_existing, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
 from cabinpose.core import ConfigError, DatasetError
+from cabinpose.evaluate import EvaluationOptions
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from cabinpose.core import Predictor, Segmenter
-    from cabinpose.evaluate import EvaluationOptions, Report
+    from cabinpose.evaluate import Report
     from cabinpose.store import ClassImages, Predictions
 
 _USUAL = (
@@ -55,28 +57,7 @@ class Evaluate(SelectsFrames):
     """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
     out: Maybe[Path] = None
     """Folder for index.html, report.json and a picture: boxes.png, for body parts parts.png."""
-    min_visibility: Literal["outside_image", "occluded", "self_occluded", "visible"] = "occluded"
-    """Least visibility of the joints that count."""
-    head: Literal["thesis", "true"] = "thesis"
-    """Head size of PCKh: 26 px and 200 mm, or each person's own length from head to neck."""
-    match: Literal["slot", "oks", "distance"] = "slot"
-    """How predictions are matched to people: by seat, or by the assignment with the best OKS or the least distance."""
-    presence: float = 0.5
-    """Least probability at which a joint counts as found."""
-    pckh: tuple[float, ...] = (0.5, 1.0)
-    """Thresholds of PCKh, in head sizes."""
-    pck_px: tuple[float, ...] = (26.0,)
-    """Thresholds of PCK in 2D, px."""
-    pck_cm: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0)
-    """Thresholds of PCK in 3D, cm."""
-    hit_px: float = 26.0
-    """Threshold of mAD@d, mAP@d and mAR@d in 2D, px; box plots show all errors, those below it and below half of it."""
-    hit_cm: float = 10.0
-    """The same in 3D, cm."""
-    resamples: int = 1000
-    """Resamples of the bootstrap for the intervals; 0: no intervals."""
-    seed: int = 0
-    """Seed of the bootstrap."""
+    evaluation: OmitArgPrefixes[EvaluationOptions] = field(default_factory=EvaluationOptions)
     everything: Annotated[bool, arg(name="all")] = False
     """Print every number, not only the usual eight; the page and the JSON always hold all."""
     overwrite: bool = False
@@ -84,18 +65,12 @@ class Evaluate(SelectsFrames):
 
 
 COMMAND = Evaluate
+OLD_FLAGS = MappingProxyType({"--pck-cm": ("--pck-m", metres), "--hit-cm": ("--hit-m", metres)})
 
 
 def run(command: Evaluate) -> None:
     """Evaluate all files and models; the tables go to stdout, the page to `out`."""
-    from cabinpose.core import Visibility
-    from cabinpose.evaluate import EvaluationOptions
-
-    options = EvaluationOptions(
-        min_visibility=Visibility[command.min_visibility.upper()], presence=command.presence, head=command.head,
-        pck_px=command.pck_px, pck_m=tuple(cm / 100 for cm in command.pck_cm), pckh=command.pckh,
-        hit_px=command.hit_px, hit_m=command.hit_cm / 100, match=command.match, resamples=command.resamples, seed=command.seed,
-    )  # fmt: skip
+    options = command.evaluation
     if command.itop_npz is not None:
         _run_itop(command, command.itop_npz, options)
     elif command.dataset is None or not (command.predictions or command.model):
@@ -171,9 +146,8 @@ def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmente
     reports = []
     for model in models:
         with progress(dataset.sizes["frame"], "frames") as shown:
-            reports.append(
-                evaluate_parts(dataset, model, name=name, resamples=command.resamples, seed=command.seed, progress=shown)
-            )
+            told = command.evaluation
+            reports.append(evaluate_parts(dataset, model, name=name, resamples=told.resamples, seed=told.seed, progress=shown))
     record = {"data": str(command.dataset), "frames": dataset.sizes["frame"], "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         typical, worst = (
@@ -269,8 +243,9 @@ def write_boxes(folder: Path, reports: Sequence[Report]) -> None:
 
 
 def print_report(report: Report, *, everything: bool) -> None:
-    """Print the table by joint group, the numbers over all joints (the usual eight, or every one), and the notes."""
+    """Print the table by joint group, the numbers over all joints (the usual eight and extensions', or all), and notes."""
     from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
+    from cabinpose.evaluate import METRICS
 
     columns = group_columns([report])
     print(f"{printable(report.model)} on {printable(report.dataset)}: {report.frames} frames, {report.people} people")
@@ -281,7 +256,8 @@ def print_report(report: Report, *, everything: bool) -> None:
     print_table(rows)
     print()
     numbers = list(people_rows(report))
-    shown = [(name, v) for name, v in numbers if everything or name in _USUAL]
+    added = {metric.name for name, metric in METRICS.items() if name not in METRICS.names(own=True)}
+    shown = [(name, v) for name, v in numbers if everything or name in _USUAL or v.metric in added]
     rows = [["", "value", "95 % interval", "samples", "of what; how averaged"]]
     rows += [
         [name, f"{number(v)} {v.unit}".rstrip(), interval(v), str(v.samples), f"{v.denominator}; {v.average}"]

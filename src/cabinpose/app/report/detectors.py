@@ -15,7 +15,7 @@ _Row = tuple[object, Report, Sequence[object]]  # the first cell, the report tha
 _UNIT = MappingProxyType({"2d": "px", "3d": "cm"})
 _BOX_NOTE = (
     "Joints found. Box: quartiles and median; whiskers: to the farthest error within 1.5 times the box's height; dots: outliers, "
-    "of more than a hundred every so many. The threshold is --hit-px, --hit-cm."
+    "of more than a hundred every so many. The threshold is --hit-px, --hit-m."
 )
 _CONFIDENCE_NOTE = (
     "Presence: by tenths of what the model said, the share of joints that are in the image, and of those found within the "

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from cabinpose.evaluate import ALL, PEOPLE, Report, Value
+from cabinpose.evaluate import ALL, METRICS, PEOPLE, Report, Value
 
 
 class Column(NamedTuple):
@@ -21,19 +21,23 @@ class Column(NamedTuple):
 
 def group_columns(reports: Sequence[Report]) -> list[Column]:
     """The metrics of the table by joint group, for the spaces that any model answers in."""
+
+    def column(metric: str, space: str, title: str, threshold: float | None = None) -> Column:
+        return Column(METRICS[metric].name, space, threshold, title, METRICS[metric].better == "more")
+
     both = []
-    for space, mean, unit in (("2d", "mean error", "px"), ("3d", "MPJPE", "cm")):
+    for space, mean, unit in (("2d", "mean_error", "px"), ("3d", "mpjpe", "cm")):
         name = space.upper()
         alphas = sorted(
             {v.threshold for r in reports for v in r.values if v.metric == "PCKh" and v.space == space and v.threshold}
         )
-        both += [Column("PCKh", space, alpha, f"PCKh@{alpha:g} {name} %", True) for alpha in alphas[:1]]
+        both += [column("pckh", space, f"PCKh@{alpha:g} {name} %", alpha) for alpha in alphas[:1]]
         both += [
-            Column("AUC of PCKh", space, None, f"AUC {name} %", True),
-            Column(mean, space, None, f"mean {name} {unit}", False),
-            Column("median error", space, None, f"median {name} {unit}", False),
+            column("auc_of_pckh", space, f"AUC {name} %"),
+            column(mean, space, f"mean {name} {unit}"),
+            column("median_error", space, f"median {name} {unit}"),
         ]
-    both.append(Column("found", "2d", None, "found %", True))
+    both.append(column("found", "2d", "found %"))
     return [c for c in both if any(r.value(c.metric, c.space) for r in reports)]
 
 
