@@ -43,12 +43,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     (folder / "hand_metrics.py").write_text(HANDS)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ours-not\nVersion: 1.0\n")
     monkeypatch.syspath_prepend(str(folder))
-    monkeypatch.setattr(METRICS, "_loaded", {})
 
     def add(**names: str) -> None:
         rows = "".join(f"{name} = hand_metrics:{what}\n" for name, what in names.items())
         (info / "entry_points.txt").write_text(f"[cabinpose.metrics]\n{rows}")
         registry._offers.cache_clear()
+        monkeypatch.setattr(METRICS, "_loaded", {})
 
     yield add
     registry._offers.cache_clear()
