@@ -19,7 +19,7 @@ from playwright.sync_api import Browser, Playwright, sync_playwright
 from playwright.sync_api import TimeoutError as NotInTime
 
 from benchmarks import Say
-from cabinpose.app.studio.labelling import PRESENT
+from cabinpose.app.label.labelling import PRESENT
 from cabinpose.core.skeleton import UPPER_BODY
 from cabinpose.estimate.predictor import load_model
 from cabinpose.evaluate.offline import frame_batch

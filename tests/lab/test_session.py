@@ -17,7 +17,7 @@ from cabinpose.app.lab.laboratory import PAIR, RIG, SESSION, Plan, drive_take, l
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.app.lab.takes import dress_up, write_action_take, write_head_take, write_pose_take
-from cabinpose.app.studio.labelling import Labelling
+from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.workspace import open_workspace
 from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import invert
@@ -170,7 +170,7 @@ def test_the_suits_wrists_and_hips_are_labelled(folder: Path, calibrated: Calibr
     made = align_takes([folder / drive_take("S01")], calibrated.calibration)
     dataset = import_source(made.source, tmp_path / "dataset")
     workspace = open_workspace(dataset)
-    labelling = Labelling(workspace)
+    labelling = Labelling(workspace.dataset, workspace.labels, workspace.role)
     labelling.joints = labelling.sets["wrists and hips"]
     shown = {each.joint: each.label for each in labelling.shown(3, "driver")}
     assert set(shown) == {"rwrist", "lwrist", "hip", "rpelvis", "lpelvis"}

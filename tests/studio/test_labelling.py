@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabinpose.app.studio.labelling import Labelling
+from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
@@ -29,7 +29,7 @@ def workspace(dataset_folder: Path) -> Iterator[Workspace]:
 
 @pytest.fixture
 def labelling(workspace: Workspace) -> Labelling:
-    return Labelling(workspace)
+    return Labelling(workspace.dataset, workspace.labels, workspace.role)
 
 
 def truth_as_predictions(workspace: Workspace, shift: float = 0.0, presence: float = 0.9) -> Predictions:
@@ -176,16 +176,16 @@ def test_usual_lengths_follow_every_change(labelling: Labelling, workspace: Work
     """After placing, undoing and another tab's labels, the doubts are those of somebody who has just opened the journal."""
     for row in range(5):
         labelling.accept(row, DRIVER)
-        assert labelling.doubts(row, DRIVER) == Labelling(workspace).doubts(row, DRIVER)
+        assert labelling.doubts(row, DRIVER) == Labelling(workspace.dataset, workspace.labels, workspace.role).doubts(row, DRIVER)
     labelling.place(0, DRIVER, "neck", 200.0, 20.0)
     doubts = labelling.doubts(0, DRIVER)
     assert "neck" in doubts
-    assert doubts == Labelling(workspace).doubts(0, DRIVER)
+    assert doubts == Labelling(workspace.dataset, workspace.labels, workspace.role).doubts(0, DRIVER)
     labelling.undo()
     assert labelling.doubts(0, DRIVER) == {}
-    Labelling(workspace).mark(1, DRIVER, "neck", Visibility.ABSENT)
-    Labelling(workspace).place(0, DRIVER, "neck", 200.0, 20.0)
-    assert labelling.doubts(0, DRIVER) == Labelling(workspace).doubts(0, DRIVER)
+    Labelling(workspace.dataset, workspace.labels, workspace.role).mark(1, DRIVER, "neck", Visibility.ABSENT)
+    Labelling(workspace.dataset, workspace.labels, workspace.role).place(0, DRIVER, "neck", 200.0, 20.0)
+    assert labelling.doubts(0, DRIVER) == Labelling(workspace.dataset, workspace.labels, workspace.role).doubts(0, DRIVER)
     for row in (2, 3, 4):
         labelling.mark(row, DRIVER, "neck", Visibility.ABSENT)
     assert labelling.doubts(0, DRIVER) == {}  # no other frame tells how long it should be
@@ -194,4 +194,4 @@ def test_usual_lengths_follow_every_change(labelling: Labelling, workspace: Work
 def test_second_studio_on_the_same_labels_is_told(dataset_folder: Path, labelling: Labelling) -> None:
     other = open_workspace(dataset_folder)
     with pytest.raises(DatasetError, match="open in another studio"):
-        Labelling(other)
+        Labelling(other.dataset, other.labels, other.role)

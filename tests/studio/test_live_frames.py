@@ -15,11 +15,11 @@ import pytest
 from fastapi import FastAPI
 from starlette.testclient import TestClient
 
+from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.live.feed import DatasetFeed
 from cabinpose.app.live.run import Found
 from cabinpose.app.studio import live_keep
 from cabinpose.app.studio.clouds import MOST_LIVE, live_cloud
-from cabinpose.app.studio.labelling import Labelling
 from cabinpose.app.studio.live_cloud import skeletons
 from cabinpose.app.studio.live_keep import keep, write_kept
 from cabinpose.app.studio.live_session import Shown
@@ -138,7 +138,7 @@ def test_kept_frames_are_opened_to_be_labelled(workspace: Workspace, kept: list[
     another.close()
     assert workspace.of_key(key) is None
     assert workspace.of_key(workspace.key) is workspace.dataset
-    labelling = Labelling(workspace)
+    labelling = Labelling(workspace.dataset, workspace.labels, workspace.role)
     model = load_choice(workspace, first_choice(workspace))
     assert isinstance(model, Predictions)
     labelling.use(model)

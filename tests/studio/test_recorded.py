@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.exchange import zipped
-from cabinpose.app.studio.labelling import Labelling
 from cabinpose.app.studio.workspace import open_workspace
 from cabinpose.core.pose import Visibility
 from cabinpose.store import open_dataset, read_manifest
@@ -47,7 +47,7 @@ def recorded(generated: Path, tmp_path: Path) -> Path:
 def test_wrists_and_hips_of_the_suit_are_corrected(recorded: Path) -> None:
     """Those five alone are asked for, accepted and interpolated; a frame is done with them."""
     workspace = open_workspace(recorded)
-    labelling = Labelling(workspace)
+    labelling = Labelling(workspace.dataset, workspace.labels, workspace.role)
     labelling.joints = labelling.sets["wrists and hips"]
     assert labelling.joints == SUIT
     assert labelling.people(0)[0] == "driver"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from nicegui import ui
 from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import User, user_simulation
@@ -19,10 +19,10 @@ from nicegui.testing.user_download import UserDownload
 from starlette.testclient import TestClient
 
 from cabinpose.app.studio.exchange import MOST_BYTES
-from cabinpose.app.studio.live_session import LiveRoom
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
-from cabinpose.app.studio.page import studio_page
+from cabinpose.app.studio.page import TABS, rooms_of, studio_page
 from cabinpose.app.studio.pictures import image_routes
+from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
@@ -61,7 +61,7 @@ def used(workspace: Workspace, steps: Callable[[User], Awaitable[None]]) -> None
     """Open the page and take the steps of a user."""
 
     async def simulate() -> None:
-        async with user_simulation(lambda: studio_page(workspace, LiveRoom(), lambda: pytest.fail("no scene"))) as user:
+        async with user_simulation(lambda: studio_page(workspace, rooms_of(workspace))) as user:
             await user.open("/")
             await steps(user)
 
@@ -318,3 +318,56 @@ def test_part_that_goes_and_another_dataset_in_its_place_are_told(workspace: Wor
     (dataset_folder / MANIFEST_NAME).write_text(with_checksum_line(manifest_yaml(manifest)))
     with pytest.raises(DatasetError, match="is another dataset now"):
         workspace.new_frames()
+
+
+class Notes:
+    """What the browsers of a studio share of a tab that is added."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.opened = str(workspace.folder)
+
+    def routes(self) -> APIRouter:
+        router = APIRouter()
+        router.get("/notes")(lambda: self.opened)
+        return router
+
+    def stop(self) -> None:
+        """Nothing runs."""
+
+
+def test_a_tab_is_a_row_of_the_table(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    built = []
+
+    def build(page: Page) -> None:
+        built.append(page.room(Notes).opened)
+        ui.button(f"Look {len(built)}", on_click=lambda: page.label(1))
+
+    monkeypatch.setattr("cabinpose.app.studio.page.TABS", (*TABS, Tab("Notes", build, of_dataset=True, room=Notes)))
+
+    async def steps(user: User) -> None:
+        user.find("Notes", kind=ui.tab).click()
+        user.find("Look 1").click()
+        await user.should_see("frame 1, 2 of 6")
+        workspace.key = "another"  # another dataset was opened
+        await user.should_see("Look 2", retries=40)
+        assert built == [str(workspace.folder)] * 2
+
+    used(workspace, steps)
+
+
+def test_a_scene_is_opened_by_who_looks_at_it(tmp_path: Path) -> None:
+    """Where one is named at once, with what is wrong with it told in its tab; where none is, when somebody asks."""
+    (tmp_path / "scene.yaml").write_text("[")
+
+    async def broken(user: User) -> None:
+        await user.should_see("The scene cannot be opened")
+
+    async def begun(user: User) -> None:
+        user.find("Scene", kind=ui.tab).click()
+        await user.should_see("No scene is open")
+        await user.should_not_see("Generate")
+        user.find("Begin a new one here").click()
+        await user.should_see("Generate")
+
+    used(open_workspace(tmp_path / "scene.yaml"), broken)
+    used(Workspace(), begun)

@@ -121,21 +121,22 @@ def run(command: Import) -> None:
 def _correct(command: Import, folder: Path) -> None:
     """Add what a corrected export says otherwise to the labels of its dataset, and say how much that is."""
     from cabinpose.app.cli.arguments import refuse
-    from cabinpose.app.studio.corrections import corrections
-    from cabinpose.app.studio.labelling import Labelling
-    from cabinpose.app.studio.workspace import open_workspace
-    from cabinpose.store import read_manifest
+    from cabinpose.app.label.corrections import corrections
+    from cabinpose.app.label.labelling import Labelling, open_labels
+    from cabinpose.app.view.draw import completed
+    from cabinpose.store import open_dataset, read_manifest
 
     not_here = {
         "--images": command.images, "--intrinsics": command.intrinsics, "--licence": command.licence,
         "--overwrite": command.overwrite,
     }  # fmt: skip
     refuse(not_here, "--corrects adds to the labels of a dataset, without {}")
-    read_manifest(folder)  # of a recording or a scene there are no labels
+    manifest = read_manifest(folder)  # of a recording or a scene there are no labels
     new = not command.out.exists()
-    workspace = open_workspace(folder, labels=command.out, role=command.role or "annotator")
+    dataset = completed(open_dataset(folder))
+    labels = open_labels(command.out, dataset, manifest)
     try:
-        labelling = Labelling(workspace)
+        labelling = Labelling(dataset, labels, command.role or "annotator")
         found = corrections(labelling, command.source)
         labelling.take_in(found.changes)
     except BaseException:
@@ -143,7 +144,7 @@ def _correct(command: Import, folder: Path) -> None:
             command.out.unlink(missing_ok=True)
         raise
     finally:
-        workspace.close()
+        labels.close()
     for note in found.notes():
         print(note, file=sys.stderr)
     count = len(found.changes)

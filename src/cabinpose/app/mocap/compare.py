@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.cli.evaluate_mocap import AgainstOptical, EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap.inputs import PointTracks, pairs_of, read_motion, read_sensors, windows
+from cabinpose.app.mocap.settings import OpticalSettings, RotationSettings
 from cabinpose.core import AlignmentError, RecordingError
 from cabinpose.evaluate.mocap import (
     JOINT_PAIRS,
@@ -84,28 +84,28 @@ class _Both:
         return [(window.name, window.frames(self.time_s)) for window in windows]
 
 
-def dse_runs(take: Path, label: str, command: EvaluateDse) -> tuple[list[DseRun], list[str]]:
+def dse_runs(take: Path, label: str, settings: RotationSettings) -> tuple[list[DseRun], list[str]]:
     """The runs of a take, one a window (without windows: one), and what is to be said about them.
 
     take: a recording, or the files of both systems with a comma between them.
     """
-    both = _both(take, command, "orientation")
-    heading_rad = None if command.heading_deg is None else float(np.radians(command.heading_deg))
+    both = _both(take, settings, "orientation")
+    heading_rad = None if settings.heading_deg is None else float(np.radians(settings.heading_deg))
     suit, optical = both.orientations()
     runs = [
         dse_run(both.time_s[rows], suit[rows], optical[rows], both.names, condition=plane, heading_rad=heading_rad)
-        for plane, rows in both.runs(label, windows(command.windows))
+        for plane, rows in both.runs(label, windows(settings.windows))
     ]
     return runs, both.notes
 
 
-def dfe_runs(take: Path, label: str, command: EvaluateDfe) -> tuple[list[DfeRun], list[str]]:
+def dfe_runs(take: Path, label: str, settings: OpticalSettings) -> tuple[list[DfeRun], list[str]]:
     """As `dse_runs`, of joints."""
-    both = _both(take, command, "position")
+    both = _both(take, settings, "position")
     suit, optical = both.positions()
     pelvises = _turned_pelvises(both, suit, optical) if any(m.points for m in both.motions) else {}
     runs = []
-    for plane, rows in both.runs(label, windows(command.windows)):
+    for plane, rows in both.runs(label, windows(settings.windows)):
         given = {system: frames[rows] for system, frames in pelvises.items()}
         runs.append(dfe_run(both.time_s[rows], suit[rows], optical[rows], both.names, condition=plane, **given))
     return runs, both.notes
@@ -139,45 +139,45 @@ def _turned_pelvises(both: _Both, suit: F64, optical: F64) -> dict[str, F64]:
     return frames
 
 
-def _both(take: Path, command: AgainstOptical, what: What) -> _Both:
-    suit, optical, note = _streams(take, command)
-    table, pairs = _TABLES[what], _pairs(what, suit, optical, command)
-    rate = command.rate if command.rate is not None else round(min(suit.rate_hz, optical.rate_hz), 3)
+def _both(take: Path, settings: OpticalSettings, what: What) -> _Both:
+    suit, optical, note = _streams(take, settings)
+    table, pairs = _TABLES[what], _pairs(what, suit, optical, settings)
+    rate = settings.rate if settings.rate is not None else round(min(suit.rate_hz, optical.rate_hz), 3)
     time = common_clock([suit.time_s, optical.time_s], rate)
     notes = [note, missing(table, pairs)]
-    return _Both((suit, optical), pairs, time, command.max_gap_s, [note for note in notes if note])
+    return _Both((suit, optical), pairs, time, settings.max_gap_s, [note for note in notes if note])
 
 
-def _streams(take: Path, command: AgainstOptical) -> tuple[PointTracks, PointTracks, str]:
+def _streams(take: Path, settings: OpticalSettings) -> tuple[PointTracks, PointTracks, str]:
     """Suit and optical system, the suit's times brought onto the optical system's, and what is to be said of that."""
     first, comma, second = str(take).partition(",")
-    read_suit = read_sensors if isinstance(command, EvaluateDse) and command.sensors else read_motion
-    given_s = None if command.delay_ms is None else command.delay_ms / 1e3
+    read_suit = read_sensors if isinstance(settings, RotationSettings) and settings.sensors else read_motion
+    given_s = None if settings.delay_ms is None else settings.delay_ms / 1e3
     if comma and not take.exists():  # two files, whose times begin at one trigger
-        suit = read_suit(Path(first), source=None, subject=command.subject, origin_ns=0)
-        optical = read_motion(Path(second), subject=command.optical_subject, origin_ns=0)
+        suit = read_suit(Path(first), source=None, subject=settings.subject, origin_ns=0)
+        optical = read_motion(Path(second), subject=settings.optical_subject, origin_ns=0)
         delay_s = given_s or 0.0
         note = f"{suit.path.name}, {optical.path.name}: suit {1e3 * delay_s:+.1f} ms after the optical system, as given"
         with suppress(AlignmentError):  # the trigger's check, without which the evaluation does as well
-            note += "; measured: " + _delay(suit, optical, command)[1]
+            note += "; measured: " + _delay(suit, optical, settings)[1]
     else:
-        suit = read_suit(take, source=command.suit, subject=command.subject)
-        wanted = command.optical_subject
+        suit = read_suit(take, source=settings.suit, subject=settings.subject)
+        wanted = settings.optical_subject
         try:
-            optical = read_motion(take, source=command.optical, subject=wanted or suit.subject, origin_ns=suit.origin_ns)
+            optical = read_motion(take, source=settings.optical, subject=wanted or suit.subject, origin_ns=suit.origin_ns)
         except RecordingError:
-            optical = read_motion(take, source=command.optical, subject=wanted, origin_ns=suit.origin_ns)
+            optical = read_motion(take, source=settings.optical, subject=wanted, origin_ns=suit.origin_ns)
         if given_s is None:
-            delay_s, note = _delay(suit, optical, command)
+            delay_s, note = _delay(suit, optical, settings)
         else:
             delay_s, note = given_s, f"suit {1e3 * given_s:+.1f} ms after the optical system, as given"
         note = f"{take.name}: {note}"
     return replace(suit, time_s=suit.time_s - delay_s), optical, note
 
 
-def _delay(suit: PointTracks, optical: PointTracks, command: AgainstOptical) -> tuple[float, str]:
+def _delay(suit: PointTracks, optical: PointTracks, settings: OpticalSettings) -> tuple[float, str]:
     """By how much the suit's stamps are late: from the angular speeds of all segments that both systems see, together."""
-    pairs = _pairs("orientation", suit, optical, command)
+    pairs = _pairs("orientation", suit, optical, settings)
     turned = [
         [motion.orientations()[:, motion.names.index(name)] for name in names]
         for motion, names in ((optical, [p.optical for p in pairs]), (suit, [p.suit for p in pairs]))
@@ -204,9 +204,9 @@ def _delay(suit: PointTracks, optical: PointTracks, command: AgainstOptical) -> 
     )
 
 
-def _pairs(what: What, suit: PointTracks, optical: PointTracks, command: AgainstOptical) -> tuple[Pair, ...]:
+def _pairs(what: What, suit: PointTracks, optical: PointTracks, settings: OpticalSettings) -> tuple[Pair, ...]:
     table = _TABLES[what]
-    named = {k: v for k, v in pairs_of(command.pairs).items() if any(k in (p.name, p.suit) for p in table)}
+    named = {k: v for k, v in pairs_of(settings.pairs).items() if any(k in (p.name, p.suit) for p in table)}
     least = 1 if what == "orientation" else _JOINTS_NEEDED
     if suit.points or optical.points:
         least = max(least, 2)  # one is the head, which has one name in both models: two files of one system have it too

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
-from cabinpose.app.studio.empty import empty_state, no_dataset
 from cabinpose.app.studio.models import Judged, detectors, error_words, joint_distances, judged, load_choice, worst_first
+from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core import CabinposeError, PoseBatch, index_pairs
 from cabinpose.evaluate import EvaluationOptions, common_joints, predict_dataset, shared_places
@@ -23,17 +23,6 @@ from cabinpose.store import Predictions, dataset_id
 COLOURS = ("#ff9f1c", "#35a7ff", "#ff5964", "#9bde7e", "#c792ea", "#f6f740")
 _NEAR_CM = 5.0  # of the thesis' three boxes a joint: all found, those nearer than this, those nearer than Γt
 _METRICS = ("mAD", "mAD@d", "mAP@d (literal)", "mAR@d (literal)")
-
-
-def compare_tab(workspace: Workspace, label: Callable[[int], None]) -> None:
-    """Build the tab. label: opens a frame, by its number, to be labelled."""
-    if workspace.dataset is None:
-        no_dataset(
-            workspace.recording, "Open a dataset with its truth, and predictions to hold against it:",
-            "cabinpose studio DATASET --predictions FILE",
-        )  # fmt: skip
-        return
-    CompareTab(workspace, label)
 
 
 class CompareTab:
@@ -328,3 +317,16 @@ def _outliers(values: NDArray[np.floating]) -> list[float]:
         return []
     low, high = np.quantile(values, (0.25, 0.75))
     return [float(x) for x in values[(values < low - 1.5 * (high - low)) | (values > high + 1.5 * (high - low))]]
+
+
+def _build(page: Page) -> None:
+    if page.workspace.dataset is None:
+        no_dataset(
+            page.workspace.recording, "Open a dataset with its truth, and predictions to hold against it:",
+            "cabinpose studio DATASET --predictions FILE",
+        )  # fmt: skip
+    else:
+        CompareTab(page.workspace, page.label)
+
+
+TAB = Tab("Compare", _build, of_dataset=True)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.empty import no_dataset
 from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
+from cabinpose.app.studio.tab import Page, Tab, no_dataset
 from cabinpose.app.studio.view3d import view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
@@ -24,14 +24,6 @@ from cabinpose.store import label_colours
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
 _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
-
-
-def dataset_tab(workspace: Workspace, label: Callable[[int], None]) -> None:
-    """Build the tab. label: opens a frame, by its number, to be labelled."""
-    if workspace.dataset is None:
-        no_dataset(workspace.recording, "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
-        return
-    DatasetTab(workspace, label)
 
 
 class DatasetTab:
@@ -310,3 +302,13 @@ def _bars(title: str, names: list[str], values: list[Any]) -> None:
             "series": [{"type": "bar", "data": values, "color": "#3b82c4"}],
         }
     ).style("width: 400px; height: 260px")
+
+
+def _build(page: Page) -> None:
+    if page.workspace.dataset is None:
+        no_dataset(page.workspace.recording, "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
+    else:
+        DatasetTab(page.workspace, page.label)
+
+
+TAB = Tab("Dataset", _build, of_dataset=True)

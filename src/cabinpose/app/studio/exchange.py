@@ -11,8 +11,8 @@ import xarray as xr
 from nicegui import run, ui
 from nicegui.events import UploadEventArguments
 
-from cabinpose.app.studio.corrections import corrections
-from cabinpose.app.studio.labelling import Labelling
+from cabinpose.app.label.corrections import corrections
+from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError
 from cabinpose.store.convert import export_dataset

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
+from cabinpose.app.label.labelling import Labelling, Shown
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.empty import empty_state, no_dataset
 from cabinpose.app.studio.exchange import Exchange
-from cabinpose.app.studio.labelling import Labelling, Shown
 from cabinpose.app.studio.models import choices, first_choice, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
+from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
 from cabinpose.core import CabinposeError, Visibility, index_pairs
@@ -35,19 +35,6 @@ _HELP = (
 )  # fmt: skip
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
 _WORST = "worst:"  # and the name of predictions
-
-
-def label_tab(workspace: Workspace) -> LabelTab | None:
-    """Build the tab; None where there is nothing to label."""
-    if workspace.dataset is None:
-        no_dataset(workspace.recording, "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
-        return None
-    try:
-        labelling = Labelling(workspace)
-    except CabinposeError as error:
-        empty_state("The labels cannot be opened", str(error), error.hint or "")
-        return None
-    return LabelTab(workspace, labelling)
 
 
 class LabelTab:
@@ -341,3 +328,19 @@ def _drawn(shown: Shown) -> dict[str, Any]:
         "colour": _COLOUR.get(label.visibility, "#808080") if label is not None else "#808080",
         "doubt": bool(shown.doubt),
     }
+
+
+def _build(page: Page) -> None:
+    workspace, page.show_frame = page.workspace, None
+    if workspace.dataset is None:
+        no_dataset(workspace.recording, "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
+        return
+    try:
+        labelling = Labelling(workspace.dataset, workspace.labels, workspace.role)
+    except CabinposeError as error:
+        empty_state("The labels cannot be opened", str(error), error.hint or "")
+        return
+    page.show_frame = LabelTab(workspace, labelling).show_frame
+
+
+TAB = Tab("Label", _build, of_dataset=True)

@@ -16,17 +16,13 @@ from cabinpose.app.studio.live_cloud import LiveCloud
 from cabinpose.app.studio.live_keep import keep, write_kept
 from cabinpose.app.studio.live_session import PRESENT, LiveRoom, LiveSession, Shown, image_of
 from cabinpose.app.studio.models import detectors
+from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError, Predictor, index_pairs
 from cabinpose.estimate.remote import open_predictor
 from cabinpose.record.sources import cameras
 
 _PERIOD_S = 0.1  # between looks for a new frame
-
-
-def live_tab(workspace: Workspace, room: LiveRoom, label: Callable[[], None]) -> None:
-    """Build the tab. label: shows the dataset that was opened in the tab Label."""
-    LiveTab(workspace, room, label)
 
 
 class LiveTab:
@@ -209,3 +205,10 @@ def _people(shown: Shown) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], 
             ]
             people.append({"colour": person_colour(p + 2 * number), "joints": joints, "limbs": limbs, "fixed": True})
     return people, limbs
+
+
+def _build(page: Page) -> None:
+    LiveTab(page.workspace, page.room(LiveRoom), lambda: page.renew("Label"))
+
+
+TAB = Tab("Live", _build, room=lambda _: LiveRoom())

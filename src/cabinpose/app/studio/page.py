@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 from nicegui import ui
 
-from cabinpose.app.studio.compare_tab import compare_tab
-from cabinpose.app.studio.dataset_tab import dataset_tab
-from cabinpose.app.studio.empty import empty_state
-from cabinpose.app.studio.label_tab import LabelTab, label_tab
-from cabinpose.app.studio.live_session import LiveRoom
-from cabinpose.app.studio.live_tab import live_tab
-from cabinpose.app.studio.scene_session import SceneRoom
-from cabinpose.app.studio.scene_tab import scene_tab
+from cabinpose.app.studio import compare_tab, dataset_tab, label_tab, live_tab, scene_tab
+from cabinpose.app.studio.tab import Page, Room, Tab, empty_state
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError
 
@@ -35,43 +29,28 @@ body { font-family: system-ui, sans-serif; }
 """
 
 
-_OF_DATASET = ("Dataset", "Label", "Compare")
+TABS = (scene_tab.TAB, dataset_tab.TAB, label_tab.TAB, compare_tab.TAB, live_tab.TAB)  # in the order of the bar
 
 
-def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneRoom]) -> None:
+def rooms_of(workspace: Workspace) -> list[Room]:
+    """What the browsers of a studio share."""
+    return [tab.room(workspace) for tab in TABS if tab.room is not None]
+
+
+def studio_page(workspace: Workspace, rooms: Sequence[Room]) -> None:
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
-    labels: list[LabelTab] = []  # the tab, if there is something to label
-
-    def label(number: int) -> None:
-        """Open a frame, by its number, to be labelled."""
-        bar.set_value("Label")
-        for each in labels:
-            each.show_frame(number)
-
-    def build_label() -> None:
-        labels.clear()
-        if made := label_tab(workspace):
-            labels.append(made)
-
-    tabs: dict[str, Callable[[], None]] = {
-        "Scene": lambda: scene_tab(scene, opened=workspace.scene is not None),
-        "Dataset": lambda: dataset_tab(workspace, label),
-        "Label": build_label,
-        "Compare": lambda: compare_tab(workspace, label),
-        "Live": lambda: live_tab(workspace, live, lambda: renew("Label")),
-    }
     shown = workspace.key
     panels: dict[str, ui.tab_panel] = {}
 
-    def fill(name: str) -> None:
+    def fill(tab: Tab) -> None:
         """Build a tab, or tell why it cannot be."""
-        with panels[name]:
+        with panels[tab.name]:
             try:
-                tabs[name]()
+                tab.build(page)
             except CabinposeError as error:
-                panels[name].clear()
+                panels[tab.name].clear()
                 cause = workspace.trouble() or error
                 empty_state("What was opened cannot be read", str(cause), cause.hint or "")
 
@@ -81,9 +60,10 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
         if shown != workspace.key:
             shown = workspace.key
             opened.text = _opened(workspace)
-            for name in _OF_DATASET:
-                panels[name].clear()
-                fill(name)
+            for each in TABS:
+                if each.of_dataset:
+                    panels[each.name].clear()
+                    fill(each)
         if tab:
             bar.value = tab
 
@@ -91,16 +71,17 @@ def studio_page(workspace: Workspace, live: LiveRoom, scene: Callable[[], SceneR
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
         with ui.tabs().props("dense align=left no-caps inline-label") as bar:
-            for name in tabs:
-                ui.tab(name)
+            for tab in TABS:
+                ui.tab(tab.name)
         opened = ui.label(_opened(workspace)).classes("studio-opened")
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
+    page = Page(workspace, rooms, bar.set_value, renew)
     with ui.tab_panels(bar, value=_first(workspace), keep_alive=True, animated=False).classes("w-full"):
-        for name in tabs:
-            panels[name] = ui.tab_panel(name)
-            fill(name)
+        for tab in TABS:
+            panels[tab.name] = ui.tab_panel(tab.name)
+            fill(tab)
     ui.timer(1.0, renew)  # another browser may have opened a dataset
 
 

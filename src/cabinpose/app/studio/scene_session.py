@@ -180,25 +180,42 @@ class SceneRoom:
         return Response(make(), media_type="model/gltf-binary", headers={"cache-control": KEEP})
 
 
-def scene_routes(room: Callable[[], SceneRoom | None]) -> APIRouter:
-    """`/scene/meshes/{name}.glb`, `/scene/{number}/{image}` of the scene that is open."""
-    router = APIRouter()
+class OpenedScene:
+    """The scene of a studio, which is opened when somebody looks at it first; None: a new one."""
 
-    def opened() -> SceneRoom:
-        there = room()
-        if there is None:
-            raise HTTPException(404, "no scene is open")
-        return there
+    def __init__(self, scene: Path | None) -> None:
+        self._scene = scene
+        self._room: SceneRoom | None = None
 
-    @router.get("/scene/meshes/{name}.glb")
-    def mesh(name: str) -> Response:
-        return opened().mesh(name)
+    def room(self) -> SceneRoom:
+        """The scene. Raises ConfigError for a file that is no configuration."""
+        if self._room is None:
+            self._room = SceneRoom(self._scene)
+        return self._room
 
-    @router.get("/scene/{number}/{name}")
-    async def image(number: int, name: str) -> Response:
-        return opened().image(number, name)
+    def routes(self) -> APIRouter:
+        """`/scene/meshes/{name}.glb`, `/scene/{number}/{image}` of the scene that is open."""
+        router = APIRouter()
 
-    return router
+        def opened() -> SceneRoom:
+            if self._room is None:
+                raise HTTPException(404, "no scene is open")
+            return self._room
+
+        @router.get("/scene/meshes/{name}.glb")
+        def mesh(name: str) -> Response:
+            return opened().mesh(name)
+
+        @router.get("/scene/{number}/{name}")
+        async def image(number: int, name: str) -> Response:
+            return opened().image(number, name)
+
+        return router
+
+    def stop(self) -> None:
+        """End what runs."""
+        if self._room is not None:
+            self._room.stop()
 
 
 def _cloud(shown: Shown) -> bytes:

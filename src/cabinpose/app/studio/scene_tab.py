@@ -11,10 +11,10 @@ import numpy as np
 from nicegui import ui
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
-from cabinpose.app.studio.empty import empty_state
 from cabinpose.app.studio.scene_edit import Shown, camera_of
 from cabinpose.app.studio.scene_fields import SceneFields
-from cabinpose.app.studio.scene_session import SceneRoom
+from cabinpose.app.studio.scene_session import OpenedScene, SceneRoom
+from cabinpose.app.studio.tab import Page, Tab, empty_state
 from cabinpose.app.studio.view3d import view_3d
 from cabinpose.core import CabinposeError
 from cabinpose.scene import RGB
@@ -25,32 +25,6 @@ _LABELS = [[RGB.get(i, 0) >> 16 & 255, RGB.get(i, 0) >> 8 & 255, RGB.get(i, 0) &
 _FADE_S = 0.5  # that an old shape stays until the browser has the new one
 _LOOK_S = 0.4
 _BUTTON = "dense no-caps outline size=sm"
-
-
-def scene_tab(rooms: Callable[[], SceneRoom], *, opened: bool) -> None:
-    """Build the tab; opened: whether a scene was named. Where none was, one is begun when somebody asks for it."""
-    if opened:
-        _build(rooms)
-        return
-    begin = ui.column().classes("w-full items-center")
-    with begin:
-        empty_state("No scene is open", "Open a configuration of `cabinpose synth`:", "cabinpose studio SCENE.yaml")
-        ui.button("Begin a new one here", icon="add", on_click=lambda: _begin(begin, rooms)).props("no-caps outline")
-
-
-def _begin(place: ui.column, rooms: Callable[[], SceneRoom]) -> None:
-    place.clear()
-    with place:
-        _build(rooms)
-
-
-def _build(rooms: Callable[[], SceneRoom]) -> None:
-    try:
-        room = rooms()
-    except CabinposeError as error:
-        empty_state("The scene cannot be opened", str(error), error.hint or "")
-        return
-    SceneTab(room)
 
 
 class SceneTab:
@@ -442,3 +416,33 @@ def _corners(shown: Shown) -> list[list[float]]:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     ends: list[list[float]] = (pose[:3, 3] + 0.5 * rays @ pose[:3, :3].T).tolist()
     return ends
+
+
+def _build(page: Page) -> None:
+    """The scene that was named; where none was, one is begun when somebody asks for it."""
+    scene = page.room(OpenedScene)
+    if page.workspace.scene is not None:
+        _open(scene)
+        return
+    begin = ui.column().classes("w-full items-center")
+    with begin:
+        empty_state("No scene is open", "Open a configuration of `cabinpose synth`:", "cabinpose studio SCENE.yaml")
+        ui.button("Begin a new one here", icon="add", on_click=lambda: _begin(begin, scene)).props("no-caps outline")
+
+
+def _begin(place: ui.column, scene: OpenedScene) -> None:
+    place.clear()
+    with place:
+        _open(scene)
+
+
+def _open(scene: OpenedScene) -> None:
+    try:
+        room = scene.room()
+    except CabinposeError as error:
+        empty_state("The scene cannot be opened", str(error), error.hint or "")
+        return
+    SceneTab(room)
+
+
+TAB = Tab("Scene", _build, room=lambda workspace: OpenedScene(workspace.scene))

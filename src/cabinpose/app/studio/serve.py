@@ -14,10 +14,8 @@ from nicegui import ui
 
 from cabinpose.app.studio.access import Guard
 from cabinpose.app.studio.clouds import cloud_routes
-from cabinpose.app.studio.live_session import LiveRoom
-from cabinpose.app.studio.page import studio_page
+from cabinpose.app.studio.page import rooms_of, studio_page
 from cabinpose.app.studio.pictures import image_routes
-from cabinpose.app.studio.scene_session import SceneRoom, scene_routes
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import ConfigError
 
@@ -56,20 +54,12 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     app = FastAPI(openapi_url=None)
     app.include_router(image_routes(workspace.of_key))
     app.include_router(cloud_routes(workspace.of_key))
-    live = LiveRoom()
-    app.include_router(live.routes())
-    nicegui_app.on_shutdown(live.stop)
-    rooms: list[SceneRoom] = []
-
-    def scene() -> SceneRoom:
-        if not rooms:
-            rooms.append(SceneRoom(workspace.scene))
-        return rooms[0]
-
-    app.include_router(scene_routes(lambda: rooms[0] if rooms else None))
-    nicegui_app.on_shutdown(lambda: rooms[0].stop() if rooms else None)
+    rooms = rooms_of(workspace)
+    for room in rooms:
+        app.include_router(room.routes())
+        nicegui_app.on_shutdown(room.stop)
     ui.run_with(
-        app, root=lambda: studio_page(workspace, live, scene), title="cabinpose studio", dark=None, tailwind=False,
+        app, root=lambda: studio_page(workspace, rooms), title="cabinpose studio", dark=None, tailwind=False,
         show_welcome_message=False, reconnect_timeout=10.0, storage_secret=secrets.token_hex(),
     )  # fmt: skip
     app.add_middleware(Guard, token=token)

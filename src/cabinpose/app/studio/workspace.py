@@ -9,6 +9,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from cabinpose.app.label.labelling import open_labels
 from cabinpose.app.view import draw
 from cabinpose.app.view.draw import completed
 from cabinpose.core import CabinposeError, ConfigError, DatasetError
@@ -81,8 +82,7 @@ class Workspace:
         assert self.manifest is not None
         if self._labels is None:
             path = self.labels_path or self.folder.with_name(self.folder.name + ".labels.jsonl")
-            persons, joints = ([str(n) for n in self.dataset[name].values] for name in ("person", "joint"))
-            self._labels = Labels(path, dataset_id(self.manifest), persons, joints)
+            self._labels = open_labels(path, self.dataset, self.manifest)
         return self._labels
 
     def new_frames(self) -> int:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cabinpose.app.studio.labelling import Labelling, nowhere
+from cabinpose.app.label.labelling import Labelling, nowhere
 from cabinpose.core import DatasetError, Visibility
 from cabinpose.store import JointLabel, Key
 from cabinpose.store.convert import FLAG, Keypoints, read_keypoints

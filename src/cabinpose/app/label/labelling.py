@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -13,10 +14,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.align import surface_depth, visibility
-from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import JOINTS, LIMBS, REACH_M, UPPER_BODY, Camera, Predictor, Visibility
 from cabinpose.evaluate import frame_batch
-from cabinpose.store import JointLabel, Key, Predictions, camera_of
+from cabinpose.store import JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
 
 Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed
@@ -45,14 +45,20 @@ def _joint_sets(known: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {name: joints for name, joints in sets.items() if joints}
 
 
-class Labelling:
-    """Labels of one dataset in work. Rows are positions in the dataset; frames are told by their numbers."""
+def open_labels(path: Path, dataset: xr.Dataset, manifest: Manifest) -> Labels:
+    """The journal of a dataset's labels; DatasetError where another process has it, or it is of another dataset."""
+    persons, joints = ([str(n) for n in dataset[name].values] for name in ("person", "joint"))
+    return Labels(path, dataset_id(manifest), persons, joints)
 
-    def __init__(self, workspace: Workspace) -> None:
-        assert workspace.dataset is not None
-        self.dataset = workspace.dataset
-        self.labels = workspace.labels
-        self.role = workspace.role
+
+class Labelling:
+    """Labels of one dataset in work. Rows are positions in the dataset; frames are told by their numbers.
+
+    labels: the dataset's journal · role: who labels, as the journal shall say.
+    """
+
+    def __init__(self, dataset: xr.Dataset, labels: Labels, role: str = "annotator") -> None:
+        self.dataset, self.labels, self.role = dataset, labels, role
         known = [str(name) for name in self.dataset["joint"].values]
         self.sets = _joint_sets(known)
         self.joints = next(iter(self.sets.values()))

@@ -1,0 +1,85 @@
+"""What a tab of the page is, what it shares with the others, and what it says where it has nothing to show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from fastapi import APIRouter
+from nicegui import ui
+
+from cabinpose.app.studio.workspace import Workspace
+
+
+class Room(Protocol):
+    """What all browsers share of a tab, and where their images of it come from."""
+
+    def routes(self) -> APIRouter:
+        """Addresses of the web application."""
+
+    def stop(self) -> None:
+        """The studio ends."""
+
+
+R = TypeVar("R")
+
+
+@dataclass
+class Page:
+    """The page of one browser, as its tabs see it.
+
+    show: brings a tab to the front · renew: the same, after the tabs of the dataset are built anew where another one was opened ·
+    show_frame: shows a frame, by its number, in the tab Label; None while there is nothing to label.
+    """
+
+    workspace: Workspace
+    rooms: Sequence[Room]
+    show: Callable[[str], object]
+    renew: Callable[[str], None]
+    show_frame: Callable[[int], None] | None = None
+
+    def room(self, kind: type[R]) -> R:
+        """The room of this type."""
+        return next(room for room in self.rooms if isinstance(room, kind))
+
+    def label(self, number: int) -> None:
+        """Open a frame, by its number, to be labelled."""
+        self.show("Label")
+        if self.show_frame is not None:
+            self.show_frame(number)
+
+
+@dataclass(frozen=True)
+class Tab:
+    """A tab: its name in the bar, and what builds it on a page.
+
+    of_dataset: it is built anew when another dataset is opened · room: what its browsers share, made once a studio.
+    """
+
+    name: str
+    build: Callable[[Page], None]
+    of_dataset: bool = False
+    room: Callable[[Workspace], Room] | None = None
+
+
+def empty_state(title: str, words: str, command: str = "") -> None:
+    """A title, what to do, and the command that does it."""
+    with ui.column().classes("studio-empty items-center"):
+        ui.label(title).style("font-size: 20px")
+        ui.label(words)
+        if command:
+            ui.label(command).classes("studio-key").style("font-family: monospace")
+
+
+def no_dataset(recording: Path | None, words: str, command: str) -> None:
+    """What to do in a tab that shows a dataset while none is open; of a recording, how it becomes one."""
+    if recording is None:
+        empty_state("No dataset is open", words, command)
+        return
+    empty_state(
+        f"{recording.name} is a recording",
+        "The tab Live plays it, and opens frames that you keep as a dataset. With a suit and a calibration it becomes one whole:",
+        f"cabinpose align {recording.name} --calibration CALIBRATION.yaml --out DATASET",
+    )
