@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cabinpose.record.host import host_facts
+from cabinpose.record.session import host_facts
 from cabinpose.store.recording import Recording, RecordingWriter, recover
 
 

@@ -20,7 +20,7 @@ from starlette.testclient import TestClient
 
 from cabinpose.app.studio.exchange import MOST_BYTES
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
-from cabinpose.app.studio.page import TABS, rooms_of, studio_page
+from cabinpose.app.studio.page import TABS, shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace, open_workspace
@@ -61,7 +61,7 @@ def used(workspace: Workspace, steps: Callable[[User], Awaitable[None]]) -> None
     """Open the page and take the steps of a user."""
 
     async def simulate() -> None:
-        async with user_simulation(lambda: studio_page(workspace, rooms_of(workspace))) as user:
+        async with user_simulation(lambda: studio_page(workspace, shared_by(workspace))) as user:
             await user.open("/")
             await steps(user)
 
@@ -339,10 +339,10 @@ def test_a_tab_is_a_row_of_the_table(workspace: Workspace, monkeypatch: pytest.M
     built = []
 
     def build(page: Page) -> None:
-        built.append(page.room(Notes).opened)
+        built.append(page.of_studio(Notes).opened)
         ui.button(f"Look {len(built)}", on_click=lambda: page.label(1))
 
-    monkeypatch.setattr("cabinpose.app.studio.page.TABS", (*TABS, Tab("Notes", build, of_dataset=True, room=Notes)))
+    monkeypatch.setattr("cabinpose.app.studio.page.TABS", (*TABS, Tab("Notes", build, of_dataset=True, shared=Notes)))
 
     async def steps(user: User) -> None:
         user.find("Notes", kind=ui.tab).click()

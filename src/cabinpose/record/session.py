@@ -1,19 +1,23 @@
-"""A take from its rig: the sources, the file and the recorder that joins them."""
+"""A take from its rig: the sources, the file and the recorder that joins them, and what the computer is meanwhile."""
 
 from __future__ import annotations
 
+import hashlib
+import platform
 import threading
 from collections.abc import Sequence
 from pathlib import Path
 
 from cabinpose.core import CabinposeError
 from cabinpose.record.config import Rig
-from cabinpose.record.host import host_facts
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
 from cabinpose.record.split import Limit, SplitWriter
 from cabinpose.signals import HostClock
 from cabinpose.store.recording import RecordingWriter
+
+_CLOCK = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_INTERFACES = Path("/sys/class/net")
 
 
 def begin(rig: Rig, out: Path, clock: HostClock) -> Recorder:
@@ -73,3 +77,31 @@ def start_recorder(rig: Rig, lanes: Sequence[Lane], out: Path, clock: HostClock,
         out.unlink()
         raise
     return recorder
+
+
+def host_facts(clock: Path = _CLOCK, interfaces: Path = _INTERFACES) -> dict[str, str]:
+    """The computer (a hash of its name), its kernel, its clock source, and each network interface that is up: the delays of a
+    calibration hold as long as these stay.
+
+    clock, interfaces: where Linux states them. Where another system does not, they are left out.
+    """
+    facts = {
+        "computer": hashlib.sha256(platform.node().encode()).hexdigest()[:12],
+        "kernel": f"{platform.system()} {platform.release()}",
+    }
+    if found := _read(clock):
+        facts["clock source"] = found
+    for interface in sorted(interfaces.glob("*")):
+        if _read(interface / "operstate") == "up":
+            speed = _read(interface / "speed")  # -1 where the interface has none, as a wireless one
+            rate = f", {speed} Mb/s" if speed and int(speed) > 0 else ""
+            facts[f"network {interface.name}"] = f"MTU {_read(interface / 'mtu')}{rate}"
+    return facts
+
+
+def _read(path: Path) -> str:
+    """The one line of a file of the kernel, "" where it has none."""
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""

@@ -10,8 +10,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import PrintsJson
-from cabinpose.app.cli.output import print_json
-from cabinpose.app.cli.takes import print_takes, print_unknown
+from cabinpose.app.cli.output import print_json, print_takes, print_unknown
 from cabinpose.app.extras import require
 from cabinpose.core import RecordingError
 

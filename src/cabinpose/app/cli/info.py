@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cabinpose.app.cli.arguments import Maybe, SelectsFrames, ThingArgument, is_recording, refuse_selection
-from cabinpose.app.cli.output import listed, print_json, print_rows, print_table, progress
-from cabinpose.app.cli.takes import print_takes, print_unknown, when
+from cabinpose.app.cli.output import listed, print_json, print_rows, print_table, print_takes, print_unknown, progress, when
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
 

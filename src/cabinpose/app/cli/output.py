@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from cabinpose.app.finite import finite
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+
+    from cabinpose.store.recording import TakeFile
 
 QUIET_S = 2.0  # shorter work shows no progress
 LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
@@ -47,6 +50,28 @@ def print_table(rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> N
     for row in rows:
         cells = (c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
         print("  ".join(cells).rstrip())
+
+
+def print_takes(files: Sequence[TakeFile]) -> None:
+    """Print a line for each file: name, time, subjects and seats, action, car, MB."""
+    table = [["file", "recorded", "subjects", "action", "car", "MB"]]
+    for file in files:
+        if file.take is not None:
+            who = ", ".join(f"{s.code} ({s.seat})" if s.seat else s.code for s in file.take.subjects)
+            size = f"{file.bytes / 1e6:.1f}"
+            table.append([str(file.path), when(file.started_ns), who, file.take.action, file.take.car, size])
+    print_table(table, words=(0, 1, 2, 3, 4))
+
+
+def when(host_ns: int) -> str:
+    """A host time as text, in UTC; empty for 0."""
+    return datetime.fromtimestamp(host_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if host_ns else ""
+
+
+def print_unknown(files: Sequence[TakeFile]) -> None:
+    """Print on stderr the files whose subjects cannot be read."""
+    for file in files:
+        print(f"look at this by hand: {printable(file.problem)}", file=sys.stderr)
 
 
 def tell_failed(model: object) -> None:

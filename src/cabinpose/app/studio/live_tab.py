@@ -208,7 +208,7 @@ def _people(shown: Shown) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], 
 
 
 def _build(page: Page) -> None:
-    LiveTab(page.workspace, page.room(LiveRoom), lambda: page.renew("Label"))
+    LiveTab(page.workspace, page.of_studio(LiveRoom), lambda: page.renew("Label"))
 
 
-TAB = Tab("Live", _build, room=lambda _: LiveRoom())
+TAB = Tab("Live", _build, shared=lambda _: LiveRoom())

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from nicegui import ui
 
 from cabinpose.app.studio import compare_tab, dataset_tab, label_tab, live_tab, scene_tab
-from cabinpose.app.studio.tab import Page, Room, Tab, empty_state
+from cabinpose.app.studio.tab import Page, Shared, Tab, empty_state
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError
 
@@ -32,12 +32,12 @@ body { font-family: system-ui, sans-serif; }
 TABS = (scene_tab.TAB, dataset_tab.TAB, label_tab.TAB, compare_tab.TAB, live_tab.TAB)  # in the order of the bar
 
 
-def rooms_of(workspace: Workspace) -> list[Room]:
+def shared_by(workspace: Workspace) -> list[Shared]:
     """What the browsers of a studio share."""
-    return [tab.room(workspace) for tab in TABS if tab.room is not None]
+    return [tab.shared(workspace) for tab in TABS if tab.shared is not None]
 
 
-def studio_page(workspace: Workspace, rooms: Sequence[Room]) -> None:
+def studio_page(workspace: Workspace, shared: Sequence[Shared]) -> None:
     """Build the page for one browser."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
@@ -77,7 +77,7 @@ def studio_page(workspace: Workspace, rooms: Sequence[Room]) -> None:
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
-    page = Page(workspace, rooms, bar.set_value, renew)
+    page = Page(workspace, shared, bar.set_value, renew)
     with ui.tab_panels(bar, value=_first(workspace), keep_alive=True, animated=False).classes("w-full"):
         for tab in TABS:
             panels[tab.name] = ui.tab_panel(tab.name)

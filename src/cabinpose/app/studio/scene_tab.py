@@ -420,7 +420,7 @@ def _corners(shown: Shown) -> list[list[float]]:
 
 def _build(page: Page) -> None:
     """The scene that was named; where none was, one is begun when somebody asks for it."""
-    scene = page.room(OpenedScene)
+    scene = page.of_studio(OpenedScene)
     if page.workspace.scene is not None:
         _open(scene)
         return
@@ -445,4 +445,4 @@ def _open(scene: OpenedScene) -> None:
     SceneTab(room)
 
 
-TAB = Tab("Scene", _build, room=lambda workspace: OpenedScene(workspace.scene))
+TAB = Tab("Scene", _build, shared=lambda workspace: OpenedScene(workspace.scene))

@@ -14,7 +14,7 @@ from nicegui import ui
 
 from cabinpose.app.studio.access import Guard
 from cabinpose.app.studio.clouds import cloud_routes
-from cabinpose.app.studio.page import rooms_of, studio_page
+from cabinpose.app.studio.page import shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import ConfigError
@@ -54,12 +54,12 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     app = FastAPI(openapi_url=None)
     app.include_router(image_routes(workspace.of_key))
     app.include_router(cloud_routes(workspace.of_key))
-    rooms = rooms_of(workspace)
-    for room in rooms:
-        app.include_router(room.routes())
-        nicegui_app.on_shutdown(room.stop)
+    shared = shared_by(workspace)
+    for each in shared:
+        app.include_router(each.routes())
+        nicegui_app.on_shutdown(each.stop)
     ui.run_with(
-        app, root=lambda: studio_page(workspace, rooms), title="cabinpose studio", dark=None, tailwind=False,
+        app, root=lambda: studio_page(workspace, shared), title="cabinpose studio", dark=None, tailwind=False,
         show_welcome_message=False, reconnect_timeout=10.0, storage_secret=secrets.token_hex(),
     )  # fmt: skip
     app.add_middleware(Guard, token=token)

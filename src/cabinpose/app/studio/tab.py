@@ -13,7 +13,7 @@ from nicegui import ui
 from cabinpose.app.studio.workspace import Workspace
 
 
-class Room(Protocol):
+class Shared(Protocol):
     """What all browsers share of a tab, and where their images of it come from."""
 
     def routes(self) -> APIRouter:
@@ -23,7 +23,7 @@ class Room(Protocol):
         """The studio ends."""
 
 
-R = TypeVar("R")
+T = TypeVar("T")
 
 
 @dataclass
@@ -35,14 +35,14 @@ class Page:
     """
 
     workspace: Workspace
-    rooms: Sequence[Room]
+    shared: Sequence[Shared]
     show: Callable[[str], object]
     renew: Callable[[str], None]
     show_frame: Callable[[int], None] | None = None
 
-    def room(self, kind: type[R]) -> R:
-        """The room of this type."""
-        return next(room for room in self.rooms if isinstance(room, kind))
+    def of_studio(self, kind: type[T]) -> T:
+        """What the browsers share of this type."""
+        return next(each for each in self.shared if isinstance(each, kind))
 
     def label(self, number: int) -> None:
         """Open a frame, by its number, to be labelled."""
@@ -55,13 +55,13 @@ class Page:
 class Tab:
     """A tab: its name in the bar, and what builds it on a page.
 
-    of_dataset: it is built anew when another dataset is opened · room: what its browsers share, made once a studio.
+    of_dataset: it is built anew when another dataset is opened · shared: makes what its browsers share, once a studio.
     """
 
     name: str
     build: Callable[[Page], None]
     of_dataset: bool = False
-    room: Callable[[Workspace], Room] | None = None
+    shared: Callable[[Workspace], Shared] | None = None
 
 
 def empty_state(title: str, words: str, command: str = "") -> None:
