@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cabinpose.app.report.charts import Plot, nice_step, series_chart
+from cabinpose.app.report.charts import Axis, Margins, Plot, nice_step, series_chart
 from cabinpose.app.report.html import Html, document, el, join, section, table, tiles, with_small
 
 TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=30)
@@ -44,7 +44,7 @@ def test_nothing_is_drawn_of_nothing() -> None:
 
 @pytest.mark.parametrize("log", [False, True])
 def test_a_value_is_at_its_place(log: bool) -> None:
-    plot = Plot("", (200, 100), (0, 10), (1, 100), left=20, right=10, bottom=15, log=log)
+    plot = Plot("", (200, 100), Axis(0, 10), Axis(1, 100, log), Margins(left=20, right=10, bottom=15))
     assert plot.at(0, 1) == pytest.approx((20, 85))
     assert plot.at(10, 100) == pytest.approx((190, 4))
     across, down = plot.at(5, 10 if log else 50.5)

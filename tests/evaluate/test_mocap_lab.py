@@ -54,13 +54,13 @@ def test_sfe_finds_where_the_suit_left_the_joints(take: tuple[Path, Truth]) -> N
     path, truth = take
     suit = read_motion(path, source="suit")
     first, last = find_poses(suit.time_s, suit.position_m, suit.names)
-    run = sfe_run(suit.time_s, suit.position_m, suit.orientation_wxyz, suit.names, first=first, last=last)
+    run = sfe_run(suit.time_s, suit.position_m, suit.orientation_wxyz, suit.names, (first, last))
     spans = (truth.window_ns - truth.suit_ns[0]) / 1e9
     assert first.end_s == pytest.approx(spans[0, 1], abs=0.5)
     assert last.start_s == pytest.approx(spans[-1, 0], abs=0.5)
     true_s = (truth.suit_ns - truth.suit_ns[0]) / 1e9
     position, turned = truth.suit_position, truth.suit_orientation_wxyz
-    true = sfe_run(true_s, position, turned, MVN_SEGMENTS, first=first, last=last)
+    true = sfe_run(true_s, position, turned, MVN_SEGMENTS, (first, last))
     assert np.median(true.error_m) < 0.002  # the person repeats the pose
     assert 0.001 < np.median(run.error_m) < 0.02
 

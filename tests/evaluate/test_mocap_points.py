@@ -167,7 +167,7 @@ def test_a_given_delay_is_taken(pair: Path) -> None:
 def test_a_landmark_has_a_pelvis_for_sfe(motions: dict[Path, PointTracks], files: tuple[Path, Path]) -> None:
     suit = motions[files[0]]
     first, last = Window("first", 0, 0.05), Window("last", 5, 5.1)
-    run = sfe_run(suit.time_s, suit.position_m, suit.orientations(), suit.names, first=first, last=last)
+    run = sfe_run(suit.time_s, suit.position_m, suit.orientations(), suit.names, (first, last))
     assert np.isfinite(run.error_m[:, run.names.index("LeftHand")]).all()
 
 

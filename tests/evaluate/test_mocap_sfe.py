@@ -35,18 +35,26 @@ def drive() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_where_and_how_the_person_stands_again_is_no_error() -> None:
     time, position, orientation = drive()
-    run = sfe_run(time, position, orientation, MVN_SEGMENTS, first=FIRST, last=LAST)
+    run = sfe_run(time, position, orientation, MVN_SEGMENTS, (FIRST, LAST))
     assert run.error_m.max() < 1e-12
     assert run.drive_s == 14.0
     assert "Pelvis" not in run.names
     np.testing.assert_allclose(run.last_m, run.first_m, atol=1e-12)
 
 
+def test_the_keywords_of_the_last_release_warn_and_work() -> None:
+    time, position, orientation = drive()
+    new = sfe_run(time, position, orientation, MVN_SEGMENTS, (FIRST, LAST))
+    with pytest.warns(DeprecationWarning, match=r"poses=\(first, last\)"):
+        old = sfe_run(time, position, orientation, MVN_SEGMENTS, first=FIRST, last=LAST, fit="pelvis", pelvis="Pelvis")
+    np.testing.assert_array_equal(old.error_m, new.error_m)
+
+
 def test_a_shift_of_one_joint_is_recovered_in_millimetres_and_by_second() -> None:
     time, position, orientation = drive()
     index = MVN_SEGMENTS.index("RightHand")
     position[time >= 17, index] += (0.012, 0.004, -0.003)  # 13 mm
-    result = sfe([sfe_run(time, position, orientation, MVN_SEGMENTS, first=FIRST, last=LAST)], rng=np.random.default_rng(0))
+    result = sfe([sfe_run(time, position, orientation, MVN_SEGMENTS, (FIRST, LAST))], rng=np.random.default_rng(0))
     assert result.summary(ERROR, name="RightHand").mean == pytest.approx(13.0)
     assert result.summary(ERROR, name="LeftHand").maximum < 1e-9
     assert result.summary(RATE, name="RightHand").mean == pytest.approx(13e3 / 14.0)
@@ -61,14 +69,14 @@ def test_a_drifted_pelvis_turns_the_whole_body_about_it() -> None:
     pelvis = MVN_SEGMENTS.index("Pelvis")
     turned = Rotation.from_quat(orientation[after, pelvis], scalar_first=True)
     orientation[after, pelvis] = (turned * off).as_quat(scalar_first=True)
-    run = sfe_run(time, position, orientation, MVN_SEGMENTS, first=FIRST, last=LAST)
+    run = sfe_run(time, position, orientation, MVN_SEGMENTS, (FIRST, LAST))
     distance = np.hypot(*run.first_m[:, :2].T)
     np.testing.assert_allclose(run.error_m, np.broadcast_to(2 * distance * np.sin(np.radians(1)), run.error_m.shape), atol=1e-12)
 
 
 def test_the_whole_body_is_fitted_where_there_is_no_pelvis() -> None:
     time, position, _ = drive()
-    run = sfe_run(time, position, None, MVN_SEGMENTS, first=FIRST, last=LAST, fit="body")
+    run = sfe_run(time, position, None, MVN_SEGMENTS, (FIRST, LAST), root=None)
     assert run.error_m.max() < 1e-12
     assert len(run.names) == 23
 
@@ -91,16 +99,16 @@ def test_poses_are_found_and_sitting_still_is_none() -> None:
 def test_what_cannot_be_told_is_an_error() -> None:
     time, position, orientation = drive()
     with pytest.raises(AlignmentError, match="holds no frame"):
-        sfe_run(time, position, orientation, MVN_SEGMENTS, first=FIRST, last=Window("last", 30, 31))
+        sfe_run(time, position, orientation, MVN_SEGMENTS, (FIRST, Window("last", 30, 31)))
     with pytest.raises(AlignmentError, match="no pose of the segment 'Pelvis'"):
-        sfe_run(time, position[:, 1:], orientation[:, 1:], MVN_SEGMENTS[1:], first=FIRST, last=LAST)
+        sfe_run(time, position[:, 1:], orientation[:, 1:], MVN_SEGMENTS[1:], (FIRST, LAST))
     with pytest.raises(AlignmentError, match="not after the first"):
-        sfe_run(time, position, orientation, MVN_SEGMENTS, first=LAST, last=FIRST)
+        sfe_run(time, position, orientation, MVN_SEGMENTS, (LAST, FIRST))
     with pytest.raises(AlignmentError, match="no N-pose can be told without"):
         find_poses(time, position[:, :5], MVN_SEGMENTS[:5])
     position[time >= 17, 2:] = np.nan
     with pytest.raises(AlignmentError, match="1 joints are known in both"):
-        sfe_run(time, position, orientation, MVN_SEGMENTS, first=FIRST, last=LAST)
+        sfe_run(time, position, orientation, MVN_SEGMENTS, (FIRST, LAST))
 
 
 def test_lengths_are_constant_until_one_is_not() -> None:
@@ -144,7 +152,7 @@ def test_a_real_mvnx_recording_keeps_its_bones(real_data: Callable[[str], Path])
     assert max(b.range_m for b in bones) < 3e-4  # 0.2 mm, between T8 and the left shoulder
     time = np.arange(len(rows)) / 60
     turns = np.stack([m.orientation_wxyz for m in rows])
-    run = sfe_run(time, position, turns, names, first=Window("first", 0, 0.01), last=Window("last", time[-1], time[-1]))
+    run = sfe_run(time, position, turns, names, (Window("first", 0, 0.01), Window("last", time[-1], time[-1])))
     legs = [i for i, n in enumerate(run.names) if "Leg" in n or "Foot" in n]
     arms = [i for i, n in enumerate(run.names) if "Hand" in n]
     assert np.isfinite(run.error_m).all()
@@ -162,6 +170,6 @@ def test_real_optical_markers_of_one_person_hold_together(real_data: Callable[[s
     assert len(bones) == len(names) - 1
     assert np.median([b.sd_m for b in bones]) < 0.01
     time = np.arange(len(mine)) / 100
-    ends = {"first": Window("first", 0, 0.5), "last": Window("last", time[-1] - 0.5, time[-1])}
-    run = sfe_run(time, position, None, names, fit="body", **ends)
+    ends = Window("first", 0, 0.5), Window("last", time[-1] - 0.5, time[-1])
+    run = sfe_run(time, position, None, names, ends, root=None)
     assert np.nanmedian(run.error_m) < 0.5

@@ -194,18 +194,16 @@ def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRu
     if (command.first is None) != (command.last is None):
         raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
     if command.first is not None and command.last is not None:
-        first, last = Window("first", *command.first), Window("last", *command.last)
+        poses = Window("first", *command.first), Window("last", *command.last)
     else:
-        first, last = find_poses(
-            motion.time_s, motion.position_m, motion.names, limit_m_s=command.still_m_s, any_pose=command.any_pose
-        )
+        poses = find_poses(motion.time_s, motion.position_m, motion.names, limit_m_s=command.still_m_s, any_pose=command.any_pose)
     if command.fit == "pelvis" and motion.orientation_wxyz is None:
         raise AlignmentError(
             f"{motion.path.name} holds markers, which have no pelvis", hint="--fit body lays whole bodies on each other"
         )
     return sfe_run(
-        motion.time_s, motion.position_m, motion.orientation_wxyz, motion.names, first=first, last=last, condition=condition,
-        fit=command.fit, pelvis=command.pelvis,
+        motion.time_s, motion.position_m, motion.orientation_wxyz, motion.names, poses, condition=condition,
+        root=command.pelvis if command.fit == "pelvis" else None,
     )  # fmt: skip
 
 

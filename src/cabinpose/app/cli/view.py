@@ -36,6 +36,7 @@ COMMAND = View
 def run(command: View) -> None:
     """Draw, and print the names of the files."""
     from cabinpose.app.cli.selection import selected
+    from cabinpose.app.view.sheet import VIEW_FILES
     from cabinpose.store import disk_errors, open_dataset, read_manifest
 
     folder, out, frames, rows = command.dataset, command.out, command.frames, command.rows
@@ -44,15 +45,14 @@ def run(command: View) -> None:
     recording = is_recording(folder)
     if not recording and out.resolve().is_relative_to(folder.resolve()):
         raise ConfigError("the pictures would lie in the dataset", hint="give another folder with --out")
-    refuse_existing(out, "contact_sheet.png", "index.html", overwrite=command.overwrite)
-    sheet, page = out / "contact_sheet.png", out / "index.html"
+    refuse_existing(out, *VIEW_FILES, overwrite=command.overwrite)
     if recording:
         refuse_selection(command, "{} is of datasets, and this is a recording")
         require("record")
         from cabinpose.app.report.recordings import write_recording_view
 
         with disk_errors(out), progress(frames, "moments") as report:
-            write_recording_view(folder, sheet, page, frames=frames, rows=rows, report=report)
+            write_recording_view(folder, out, frames=frames, rows=rows, report=report)
     else:
         from cabinpose.app.view.page import write_view
 
@@ -60,7 +60,8 @@ def run(command: View) -> None:
         dataset = selected(open_dataset(folder), command)
         with disk_errors(out), progress(frames + rows, "frames") as report:
             out.mkdir(parents=True, exist_ok=True)
-            write_view(dataset, manifest, folder, sheet, page, frames=frames, rows=rows, report=report)
+            write_view(dataset, manifest, folder, out, frames=frames, rows=rows, report=report)
+    sheet, page = (out / name for name in VIEW_FILES)
     if command.as_json:
         print_json({"contact_sheet": str(sheet), "page": str(page)})
     else:

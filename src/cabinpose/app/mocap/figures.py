@@ -72,7 +72,7 @@ def sse_sections(judgement: Judgement, runs: Sequence[SseRun], measures: Sequenc
             name = run.axis if run.axis not in turns[what] else f"{run.axis} {len(turns[what]) + 1}"
             turns[what][name] = (angle, mean)
     titles = {"error": "Sensor − motor, °", "tilt": "Tilt off the axis, °"}
-    drawn = charts((series_chart(titles[what], "angle of the motor, °", turns[what], width=620) for what in titles), "two")
+    drawn = charts((series_chart(titles[what], "angle of the motor, °", turns[what], size=(620, 220)) for what in titles), "two")
     return [
         ("Error by angle", legend(turns["error"]) + drawn, "The mean at each step."),
         ("Error by axis", boxes(judgement, measures), _BOX_NOTE),
@@ -108,7 +108,7 @@ def dse_sections(judgement: Judgement, runs: Sequence[DseRun], measures: Sequenc
             if np.isfinite(run.difference_rad[:, i]).any():
                 both = {"suit": run.suit_rad, "optical": run.optical_rad, "error": run.difference_rad}
                 drawn = {k: (run.time_s[thin].tolist(), np.degrees(v[thin, i]).tolist()) for k, v in both.items()}
-                lines.append(series_chart(f"{name}, °", "s", drawn, height=180))
+                lines.append(series_chart(f"{name}, °", "s", drawn, size=(420, 180)))
         body = Html(body + (el("h3", run.condition) if len(runs) > 1 else "") + charts(lines))
     return [
         ("Error by segment", boxes(judgement, measures), _BOX_NOTE),
@@ -130,7 +130,7 @@ def dfe_sections(judgement: Judgement, runs: Sequence[DfeRun], measures: Sequenc
             known = np.isfinite(error)
             mean = np.where(known, error, 0).sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
             drawn[stage] = (run.time_s[thin].tolist(), (1e3 * mean).tolist())
-        lines.append(series_chart(f"{run.condition}: mean over the joints, mm", "s", drawn, width=620))
+        lines.append(series_chart(f"{run.condition}: mean over the joints, mm", "s", drawn, size=(620, 220)))
         figures += _dfe_figures(run)
     stages, over_time = legend([PELVIS_STAGE, ICP, KABSCH]), charts(lines, "two")
     bodies = legend(["suit", "optical"]) + charts(figures, "two")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,24 +15,51 @@ from cabinpose.evaluate import Box
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c7a00", "#6b6f76", "currentColor")
 
 
+class Axis(NamedTuple):
+    """Values from the least to the greatest, on a linear or a logarithmic scale."""
+
+    low: float
+    high: float
+    log: bool = False
+
+    def share(self, value: float) -> float:
+        """Where a value is between the ends, 0 to 1."""
+        low, at, high = (np.log10(v) if self.log else float(v) for v in (self.low, value, self.high))
+        return float((at - low) / (high - low))
+
+
+class Margins(NamedTuple):
+    """Room for the numbers beside a chart, px."""
+
+    left: int = 46
+    right: int = 14
+    bottom: int = 40
+
+
+class ValueScale(NamedTuple):
+    """How values are drawn upwards: up to `top` (default: that of the lines); on a logarithmic scale, which has no 0."""
+
+    top: float | None = None
+    log: bool = False
+
+
+_MARGINS, _LINEAR = Margins(), ValueScale()
+
+
 class Plot:
     """A chart in the making: `at` gives the place of a value, `body` holds what was drawn."""
 
-    def __init__(
-        self, title: str, size: tuple[int, int], x: tuple[float, float], y: tuple[float, float], *, left: int = 46,
-        right: int = 14, bottom: int = 40, log: bool = False,
-    ) -> None:  # fmt: skip
-        """size: width and height · x, y: least and greatest values · left, right, bottom: margins · log: y is logarithmic."""
+    def __init__(self, title: str, size: tuple[int, int], x: Axis, y: Axis, margins: Margins = _MARGINS) -> None:
+        """size: width and height."""
         self.size, self.x, self.y = size, x, y
-        self._scale: Callable[[float], float] = np.log10 if log else float
-        self.left, self.right, self.top, self.bottom = left, size[0] - right, 30 if title else 4, size[1] - bottom
-        self.body = [text(left, 18, title, "title")] if title else []
+        self.left, self.right = margins.left, size[0] - margins.right
+        self.top, self.bottom = 30 if title else 4, size[1] - margins.bottom
+        self.body = [text(margins.left, 18, title, "title")] if title else []
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """The pixel (from left, from top) of a value."""
-        low, value, high = map(self._scale, (self.y[0], y, self.y[1]))
-        across, up = (x - self.x[0]) / (self.x[1] - self.x[0]), (value - low) / (high - low)
-        return self.left + across * (self.right - self.left), self.bottom - up * (self.bottom - self.top)
+        wide, high = self.right - self.left, self.bottom - self.top
+        return self.left + self.x.share(x) * wide, self.bottom - self.y.share(y) * high
 
     def rows(self, values: Iterable[float]) -> None:
         """Lines of the grid at values of y, with numbers."""
@@ -65,29 +93,29 @@ class Plot:
 
 
 def series_chart(
-    title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], *, top: float | None = None,
-    width: int = 420, height: int = 220, diagonal: bool = False, log: bool = False, marks: Mapping[str, float] | None = None,
+    title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], *, scale: ValueScale = _LINEAR,
+    size: tuple[int, int] = (420, 220), diagonal: bool = False, marks: Mapping[str, float] | None = None,
 ) -> Html:  # fmt: skip
     """Lines over x, for each its xs and ys, with 0 in view; one without points keeps its colour.
 
-    A line breaks where a value is not finite. top: the greatest y shown; default: that of the lines · diagonal: with the line on
-    which y is x · log: the axis is logarithmic, and has no 0 · marks: upright lines at values of x, by the words beside them.
+    A line breaks where a value is not finite. size: width and height · diagonal: with the line on which y is x · marks: upright
+    lines at values of x, by the words beside them.
     """
     known = [(x, y) for xs, ys in lines.values() for x, y in zip(xs, ys, strict=False) if np.isfinite(y)]
     xs, ys = zip(*known, strict=True) if known else ((0.0, 1.0), (0.0, 1.0))
-    low, high = min(*ys, 0.0), top or max(ys)
-    if log:
+    low, high = min(*ys, 0.0), scale.top or max(ys)
+    if scale.log:
         rows = _powers(min(ys), high)
     else:
         step = nice_step(max(high - low, 1e-9) / 5)
         rows = (np.arange(np.floor(low / step), max(np.ceil(high / step - 1e-9), 1) + 0.5) * step).tolist()
-    y = rows[0], rows[-1]
-    plot = Plot(title, (width, height), (min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0), y, log=log)
+    y = Axis(rows[0], rows[-1], scale.log)
+    plot = Plot(title, size, Axis(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0), y)
     plot.rows(rows)
     plot.columns()
     for i, (words, x) in enumerate((marks or {}).items()):
         u = plot.at(x, y[0])[0]
-        right = u > width / 2
+        right = u > size[0] / 2
         plot.body += [
             line(u, plot.top, u, plot.bottom, "axis"),
             text(u - 4 if right else u + 4, plot.top + 14 * (i + 1), words, "end" if right else "soft"),
@@ -112,7 +140,7 @@ def box_chart(
     else:
         step = nice_step(top / 5)
         rows = np.arange(0, step * (max(int(np.ceil(top / step)), 1) + 0.5), step).tolist()
-    plot = Plot(title, (width, height), (0, max(len(joints), 1)), (rows[0], rows[-1]), bottom=64, log=log)
+    plot = Plot(title, (width, height), Axis(0, max(len(joints), 1)), Axis(rows[0], rows[-1], log), Margins(bottom=64))
     plot.rows(rows)
     wide = min((plot.right - plot.left) / max(len(joints), 1) * 0.7 / len(boxes), 26)
     for i, joint in enumerate(joints):

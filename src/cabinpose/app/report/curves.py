@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cabinpose.app.report.charts import series_chart
+from cabinpose.app.report.charts import ValueScale, series_chart
 from cabinpose.app.report.html import Html
 from cabinpose.app.report.raster import write_png
 
@@ -26,7 +26,7 @@ def curves_chart(rows: Sequence[Mapping[str, float]], best: int | None, monitor:
     marks = {} if best is None else {f"best: {monitor} {rows[best][monitor]:.4g}": float(best + 1)}
     if stops:
         marks["stop"] = float(len(rows))
-    return series_chart("", "epoch", lines, width=480, height=260, log=log, marks=marks)
+    return series_chart("", "epoch", lines, scale=ValueScale(log=log), size=(480, 260), marks=marks)
 
 
 def write_curves(path: Path, rows: Sequence[Mapping[str, float]], best: int | None, monitor: str, stops: bool) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
+from cabinpose.app.report.charts import ValueScale, box_chart, charts, legend, series_chart
 from cabinpose.app.report.frames import ERROR, PREDICTION, TRUTH
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, tiles, with_small
 from cabinpose.app.report.numbers import Column, group_columns, interval, label, number, people_rows
 from cabinpose.evaluate import ALL, FOUND, PEOPLE, Report, Value
 
 _Row = tuple[object, Report, Sequence[object]]  # the first cell, the report that the row is of, the other cells
+_SIZE, _PER_CENT = (420, 260), ValueScale(top=100.0)
 _UNIT = MappingProxyType({"2d": "px", "3d": "cm"})
 _BOX_NOTE = (
     "Joints found. Box: quartiles and median; whiskers: to the farthest error within 1.5 times the box's height; dots: outliers, "
@@ -99,7 +100,7 @@ def _curves(reports: Sequence[Report]) -> str:
             plots = {title: lines[models[0]]}
         else:
             plots = {f"{g}: {title}": {m: lines[m][g] if m in lines else ((), ()) for m in models} for g in groups}
-        drawn += [series_chart(t, label_of_x, plot, top=100.0, height=260) for t, plot in plots.items()]
+        drawn += [series_chart(t, label_of_x, plot, scale=_PER_CENT, size=_SIZE) for t, plot in plots.items()]
     return legend(groups if len(reports) == 1 else models) + charts(drawn, "two" if len(reports) == 1 else "")
 
 
@@ -135,18 +136,18 @@ def _confidence(reports: Sequence[Report]) -> str:
     for kind, what in (("in_image", "in the image"), ("within", "found within the threshold")):
         bins = {r.model: r.calibration["presence"][ALL][kind] for r in reports}
         lines = {m: ([100 * x for x in b["said"]], [100 * y for y in b["was"]]) for m, b in bins.items()}
-        drawn.append(series_chart(f"Joints {what}, %", "presence, %", lines, top=100.0, height=260, diagonal=True))
+        drawn.append(series_chart(f"Joints {what}, %", "presence, %", lines, scale=_PER_CENT, size=_SIZE, diagonal=True))
     expected = {r.model: r.calibration["expected_error"].get(ALL, {"said": (), "was": ()}) for r in reports}
     if any(len(bins["said"]) for bins in expected.values()):
         lines = {m: (b["said"], b["was"]) for m, b in expected.items()}
-        drawn.append(series_chart("Mean error, cm", "expected error, cm", lines, height=260, diagonal=True))
+        drawn.append(series_chart("Mean error, cm", "expected error, cm", lines, size=_SIZE, diagonal=True))
     surest = []
     for space, unit in _UNIT.items():
         sets = {r.model: r.calibration["surest"].get(space, {}) for r in reports}
         if any(sets.values()):
             groups = {m: {g: (c["kept"], c["median"]) for g, c in by_group.items()} for m, by_group in sets.items()}
             lines = {m: by_group.get(ALL, ((), ())) for m, by_group in groups.items()} if several else groups[reports[0].model]
-            surest.append(series_chart(f"Median error, {space.upper()}, {unit}", "surest joints, %", lines, height=260))
+            surest.append(series_chart(f"Median error, {space.upper()}, {unit}", "surest joints, %", lines, size=_SIZE))
     names = [r.model for r in reports] if several else list(reports[0].joint_sets)
     return (legend(names) if several else "") + charts(drawn) + ("" if several else legend(names)) + charts(surest, "two")
 

@@ -43,7 +43,7 @@ def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], ou
             for k in some:
                 frame, title = dataset.isel(frame=int(frames[k])).load(), f"{name}: {what}, {apart[k]:.2f} deg"
                 pictures.append(overlay(frame, evaluated_skeleton(JOINTS), _NONE, (), False, title))
-    chart = series_chart("angle between the two systems' heads, deg", "s", lines, width=1240, height=300)
+    chart = series_chart("angle between the two systems' heads, deg", "s", lines, size=(1240, 300))
     note = "One rotation for the whole take aligns the worlds of suit and optical system: a drift of the heading shows."
     count = len({sequence for sequence, *_ in takes})
     summary = f"{count} {'take' if count == 1 else 'takes'}, {dataset.sizes['frame']} frames"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cabinpose.app.report.charts import COLOURS, Plot, charts, legend, nice_step
+from cabinpose.app.report.charts import COLOURS, Axis, Plot, charts, legend, nice_step
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table
 from cabinpose.app.view.draw import amplitude_image, resized
 from cabinpose.scene.sensor import F64, EmpiricalFit, Estimate, PhysicalFit, Wall
@@ -60,9 +60,8 @@ def _chart(title: str, x_label: str, lines: _Lines, dots: Sequence[str]) -> Html
     step = nice_step(float(max(np.ptp(np.append(ys, 0.0)), 1e-3)) / 4)
     low, high = (float(step * f(v / step)) for f, v in ((np.floor, min(ys.min(), 0.0)), (np.ceil, max(ys.max(), 0.0))))
     margin = 0.03 * max(float(np.ptp(xs)), 1e-3)
-    plot = Plot(
-        title, (420, 220), (float(xs.min()) - margin, float(xs.max()) + margin), (low, high if high > low else low + step)
-    )
+    x_axis = Axis(float(xs.min()) - margin, float(xs.max()) + margin)
+    plot = Plot(title, (420, 220), x_axis, Axis(low, high if high > low else low + step))
     plot.rows(np.round(np.arange(low, high + step / 2, step), 9).tolist())
     plot.columns()
     for (name, (x, y)), colour in zip(lines.items(), COLOURS, strict=False):

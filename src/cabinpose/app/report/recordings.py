@@ -13,6 +13,7 @@ from cabinpose.app.report.charts import charts
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles
 from cabinpose.app.report.timeline import interval_chart, timeline
 from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, depth_range, resized, text
+from cabinpose.app.view.sheet import VIEW_FILES
 from cabinpose.signals import Markers, Sample, SegmentPoses, ToFFrame
 from cabinpose.store import write_png
 from cabinpose.store.recording import Recording, SourceSurvey, Survey, survey
@@ -32,8 +33,8 @@ class _Shot:
     picture: Image
 
 
-def write_recording_view(path: Path, sheet: Path, page: Path, *, frames: int, rows: int, report: Callable[[int], None]) -> None:
-    """Write the contact sheet (PNG) of `rows` moments and the page (HTML) of `frames`, evenly spread over the take.
+def write_recording_view(path: Path, out: Path, *, frames: int, rows: int, report: Callable[[int], None]) -> None:
+    """Write the contact sheet of `rows` moments and the page of `frames`, evenly spread over the take: `VIEW_FILES` in `out`.
 
     `report` is called with the number of moments drawn, up to `frames`. Raises RecordingError where the file is no recording.
     """
@@ -46,7 +47,8 @@ def write_recording_view(path: Path, sheet: Path, page: Path, *, frames: int, ro
                     shots[source.name].append(shot)
             report(done)
     shots = {name: series for name, series in shots.items() if series}
-    sheet.parent.mkdir(parents=True, exist_ok=True)  # not before the recording was read: a mistake leaves no folder
+    sheet, page = (out / name for name in VIEW_FILES)
+    out.mkdir(parents=True, exist_ok=True)  # not before the recording was read: a mistake leaves no folder
     write_png(sheet, contact_sheet(shots, rows))
     page.write_text(page_html(found, shots), encoding="utf-8")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.app.report.charts import COLOURS, Plot, text
+from cabinpose.app.report.charts import COLOURS, Axis, Margins, Plot, text
 from cabinpose.app.report.html import Html, el
 from cabinpose.store.recording import SourceSurvey, Survey
 
@@ -16,7 +16,8 @@ _GAP_PX = 1.5  # least width of the mark of a silence
 def timeline(found: Survey) -> Html:
     """A row for each source: samples in each stretch of time relative to the usual number, and its silences."""
     rows = len(found.sources)
-    plot = Plot("", (1240, _ROW * rows + 38), (0, max(found.seconds, 1e-9)), (0, max(rows, 1)), left=120, right=16, bottom=34)
+    across, up = Axis(0, max(found.seconds, 1e-9)), Axis(0, max(rows, 1))
+    plot = Plot("", (1240, _ROW * rows + 38), across, up, Margins(left=120, right=16, bottom=34))
     plot.columns(" s")
     for i, source in enumerate(found.sources):
         base = plot.at(0, rows - i)[1] + _ROW - 5
@@ -55,8 +56,8 @@ def interval_chart(source: SourceSurvey, started_ns: int, seconds: float) -> Htm
     stretches = [(k, intervals[which == k]) for k in np.unique(which)]
     low = int(np.floor(np.log10(intervals.min())))
     powers = range(low, max(int(np.ceil(np.log10(intervals.max()))), low + 1) + 1)
-    y = 10.0 ** powers[0], 10.0 ** powers[-1]
-    plot = Plot(f"{source.name}, ms", (610, 190), (0, span), y, left=52, right=10, bottom=30, log=True)
+    y = Axis(10.0 ** powers[0], 10.0 ** powers[-1], log=True)
+    plot = Plot(f"{source.name}, ms", (610, 190), Axis(0, span), y, Margins(left=52, right=10, bottom=30))
     plot.rows(10.0**power for power in powers)
     plot.columns(" s")
     xs = [(k + 0.5) / bins * span for k, _ in stretches]

@@ -65,7 +65,8 @@ def draw_car(
     surface = cabin.surface()
     corners = surface.vertices.astype(np.float64)[surface.faces]
     bounds = _bounds(cabin)
-    panels = [_panel(cabin, camera, corners, surface.label, bounds, axes, verdicts, wrong) for axes in _SIDES.values()]
+    plans = [_Plan(axes, bounds) for axes in _SIDES.values()]
+    panels = [_panel(plan, cabin, camera, corners, surface.label, verdicts, wrong) for plan in plans]
     pictures = _frame_pictures(frame)
     height = _HEAD + sum(len(p) + _GAP for p in panels) + (len(pictures) + _GAP if pictures is not None else 0) + 40
     sheet = np.full((height, _WIDTH + 2 * _MARGIN, 3), _PAPER, np.uint8)
@@ -108,16 +109,14 @@ class _Plan:
 
 
 def _panel(
+    plan: _Plan,
     cabin: Cabin,
     camera: Camera,
     corners: Floats,
     labels: NDArray[np.uint8],
-    bounds: tuple[Floats, Floats],
-    axes: Floats,
     verdicts: Mapping[str, str],
     wrong: Sequence[Floats],
 ) -> Image:
-    plan = _Plan(axes, bounds)
     image = np.full((plan.size[1], plan.size[0], 3), _PAPER, np.uint8)
     _grid(image, plan)
     _mesh(image, plan, corners, labels)

@@ -32,7 +32,7 @@ from cabinpose.app.view.draw import (
     jpeg,
     resized,
 )
-from cabinpose.app.view.sheet import contact_sheet, ranges
+from cabinpose.app.view.sheet import VIEW_FILES, contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
 from cabinpose.core import LIMBS, Visibility
 from cabinpose.store import Manifest, camera_of, depth_mm, label_table, people, write_png
@@ -44,20 +44,20 @@ def write_view(
     dataset: xr.Dataset,
     manifest: Manifest,
     folder: Path,
-    sheet: Path,
-    page: Path,
+    out: Path,
     *,
     frames: int,
     rows: int,
     report: Callable[[int], None],
 ) -> None:
-    """Write the contact sheet (PNG) of `rows` frames and the page (HTML) of `frames` frames, evenly spread.
+    """Write the contact sheet of `rows` frames and the page of `frames` frames, evenly spread: `VIEW_FILES` in the folder `out`.
 
     `report` is called with the number of frames drawn, up to `frames + rows`. Raises `DatasetError` without depth to show.
     """
     dataset = completed(dataset)
     count = dataset.sizes["frame"]
     title = f"{folder.resolve().name}: {count} frames, {manifest.generator} {manifest.generator_version}, seed {manifest.seed}"
+    sheet, page = (out / name for name in VIEW_FILES)
     write_png(sheet, contact_sheet(dataset, spread(count, rows), title, report))
     data = page_data(dataset, manifest, folder, spread(count, frames), lambda done: report(rows + done))
     page.write_text(page_html(data), encoding="utf-8")

@@ -29,6 +29,7 @@ from cabinpose.store import label_colours, people, points_m
 
 _PAPER, _INK, _GREY = (247, 248, 250), (32, 36, 44), (104, 112, 124)
 _PANEL_WIDTH = 240  # smaller frames are enlarged by a whole factor
+VIEW_FILES = "contact_sheet.png", "index.html"  # of a dataset or a recording
 _GAP, _MARGIN, _HEAD, _FOOT, _CAPTION = 10, 24, 96, 72, 24
 # right, up, towards the eye, in the vehicle frame (x forward, y left, z up)
 _AXES = MappingProxyType(

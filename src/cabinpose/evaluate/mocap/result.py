@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,17 +175,23 @@ def _summaries(
         start, blocks = rows.stop, blocks + -(-len(run.time_s) // frames)
         lengths.append(length)
     enough = resamples and blocks >= _FEWEST_BLOCKS
-    weights = frame_weights(blocks, resamples if enough else 0, rng=rng)
     told = float(np.median(lengths)) if enough else float("nan")
+    drawn = _Blocks(block, frame_weights(blocks, resamples if enough else 0, rng=rng), told)
     for name, column in [(ALL, slice(None)), *((name, slice(i, i + 1)) for i, name in enumerate(names) if several)]:
-        yield _summary(runs[0].measure, label, condition, name, values[:, column], block, weights, told)
+        yield _summary(runs[0].measure, label, condition, name, values[:, column], drawn)
 
 
-def _summary(
-    measure: str, unit: str, condition: str, name: str, values: F64, block: NDArray[np.int64], weights: Weights, block_s: float
-) -> Summary:
+class _Blocks(NamedTuple):
+    """What the bootstrap draws: the block of each frame (T,), draws of each (B, blocks), and their length (NaN without draws)."""
+
+    of_frame: NDArray[np.int64]
+    weights: Weights
+    length_s: float
+
+
+def _summary(measure: str, unit: str, condition: str, name: str, values: F64, blocks: _Blocks) -> Summary:
     rows, _ = known = np.nonzero(np.isfinite(values))
-    flat, at = values[known], block[rows]
+    flat, at, weights = values[known], blocks.of_frame[rows], blocks.weights
     if not flat.size:
         no = float("nan")
         return Summary(measure, unit, condition, name, 0, no, no, no, no, no, no, no, no, no, no, (no,) * 5)
@@ -201,7 +207,7 @@ def _summary(
     return Summary(
         measure, unit, condition, name, len(flat), float(flat.mean()), float(flat.std(ddof=1)) if len(flat) > 1 else float("nan"),
         float(box[2]), float(box[4]), float(flat.max()), float(low[0]), float(high[0]), float(low[1]), float(high[1]),
-        block_s, tuple(float(b) for b in box),
+        blocks.length_s, tuple(float(b) for b in box),
     )  # fmt: skip
 
 

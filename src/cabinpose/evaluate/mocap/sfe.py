@@ -7,9 +7,10 @@ person repeats the pose. Where there is no pelvis (optical markers), the whole b
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,6 @@ from cabinpose.evaluate.mocap.stillness import Window, moving_speed, still_windo
 from cabinpose.signals import conjugate, kabsch, product
 
 F64 = NDArray[np.float64]
-Fit = Literal["pelvis", "body"]
 ERROR, RATE = "joint error", "joint error per second of drive"
 _UPRIGHT = np.cos(np.radians(35.0))  # how far from the vertical a limb of an N-pose may hang
 # Of an N-pose: upper end, lower end of what is vertical, in MVN's names.
@@ -104,30 +104,34 @@ def sfe_run(
     position_m: ArrayLike,
     orientation_wxyz: ArrayLike | None,
     names: Sequence[str],
+    poses: tuple[Window, Window] | None = None,
     *,
-    first: Window,
-    last: Window,
     condition: str = "drive",
-    fit: Fit = "pelvis",
-    pelvis: str = "Pelvis",
+    root: str | None = "Pelvis",
+    **old: Any,
 ) -> SfeRun:
     """One drive: positions (T, N, 3) m and orientations (T, N, 4) of the named segments, and when the two poses are held.
 
-    The first pose is the mean over its window; every frame of the last is held against it. fit "pelvis": by the pose of the
-    segment `pelvis`, whose own error is none and is left out · "body": by the rigid fit of all joints that both poses have.
-    Raises AlignmentError where the pelvis is missing, where fewer than three joints are in both poses, and where the last pose
+    The first pose is the mean over its window; every frame of the last is held against it. root: the segment whose pose both are
+    taken relative to, and whose own error is none and left out; None: the rigid fit of all joints that both poses have. old: the
+    keywords of 0.2, first, last, fit and pelvis.
+
+    Raises AlignmentError where the root is missing, where fewer than three joints are in both poses, and where the last pose
     is not after the first.
     """
+    if old or poses is None:
+        poses, root = _as_in_0_2(**old)
+    first, last = poses
     time, position = np.asarray(time_s, np.float64), np.asarray(position_m, np.float64)
     if last.start_s <= first.end_s:
         raise AlignmentError("the last pose is not after the first", hint="give them in their order, apart from each other")
     rows, after = first.frames(time), last.frames(time)
-    if fit == "pelvis":
-        if pelvis not in names or orientation_wxyz is None:
+    if root is not None:
+        if root not in names or orientation_wxyz is None:
             raise AlignmentError(
-                f"there is no pose of the segment '{pelvis}'", hint=f"there are: {', '.join(names)}; or fit the whole body"
+                f"there is no pose of the segment '{root}'", hint=f"there are: {', '.join(names)}; or fit the whole body"
             )
-        index = tuple(names).index(pelvis)
+        index = tuple(names).index(root)
         kept = [i for i in range(len(names)) if i != index]
         turn = np.asarray(orientation_wxyz, np.float64)[:, index]
         before_p = _relative(position[rows], position[rows, index], turn[rows])[:, kept]
@@ -146,6 +150,14 @@ def sfe_run(
     joints = tuple(names[i] for i in kept)
     drive_s = last.start_s - first.end_s
     return SfeRun(condition, joints, time[after], error, drive_s, start, _mean(last_p), first, last)
+
+
+def _as_in_0_2(
+    *, first: Window, last: Window, fit: Literal["pelvis", "body"] = "pelvis", pelvis: str = "Pelvis"
+) -> tuple[tuple[Window, Window], str | None]:
+    """poses and root of what `sfe_run` took before."""
+    warnings.warn("sfe_run takes poses=(first, last), and root= in place of fit= and pelvis=", DeprecationWarning, stacklevel=3)
+    return (first, last), pelvis if fit == "pelvis" else None
 
 
 def sfe(runs: Sequence[SfeRun], *, rng: np.random.Generator, resamples: int = 1000, block_s: float | None = None) -> Judgement:
