@@ -6,6 +6,7 @@ from .arrays import Ints as Ints
 from .arrays import Ints32 as Ints32
 from .arrays import distinct_rows as distinct_rows
 from .camera import Camera as Camera
+from .camera import Distortion as Distortion
 from .errors import AlignmentError as AlignmentError
 from .errors import AssetError as AssetError
 from .errors import CabinposeError as CabinposeError

@@ -1,3 +1,4 @@
+from .augment import AugmentConfig as AugmentConfig
 from .data import Frames as Frames
 from .data import FrameSpec as FrameSpec
 from .data import GeneratedFrames as GeneratedFrames
@@ -24,3 +25,4 @@ from .predictor import packaged_models as packaged_models
 from .training import TrainConfig as TrainConfig
 from .training import fit as fit
 from .training import frame_spec as frame_spec
+from .training import load_detector as load_detector

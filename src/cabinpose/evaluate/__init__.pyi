@@ -1,5 +1,7 @@
 from .boxes import FOUND as FOUND
 from .boxes import Box as Box
+from .boxes import box_of as box_of
+from .boxes import boxes_by_range as boxes_by_range
 from .itop import evaluate_itop as evaluate_itop
 from .itop import itop_summary as itop_summary
 from .metrics import METRICS as METRICS

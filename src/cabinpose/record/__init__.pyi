@@ -1,3 +1,4 @@
+from .check import Finding as Finding
 from .check import check as check
 from .config import Rig as Rig
 from .config import SourcePlan as SourcePlan

@@ -48,7 +48,10 @@ from .split import Selection as Selection
 from .split import Splits as Splits
 from .split import frame_mask as frame_mask
 from .split import held_out as held_out
+from .split import parse_splits as parse_splits
+from .split import people_of as people_of
 from .split import read_splits as read_splits
+from .split import split_dataset as split_dataset
 from .split import split_datasets as split_datasets
 from .yaml_file import read_mapping as read_mapping
 from .yaml_file import validated as validated

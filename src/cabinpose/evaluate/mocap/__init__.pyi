@@ -17,6 +17,8 @@ from .dse import DseRun as DseRun
 from .dse import dse as dse
 from .dse import dse_run as dse_run
 from .landmarks import segment_poses as segment_poses
+from .orientation import OrientationErrors as OrientationErrors
+from .orientation import orientation_errors as orientation_errors
 from .pairs import HAND_ENDS as HAND_ENDS
 from .pairs import JOINT_PAIRS as JOINT_PAIRS
 from .pairs import PELVIS as PELVIS
@@ -27,6 +29,7 @@ from .pairs import missing as missing
 from .pairs import present as present
 from .pairs import replaced as replaced
 from .result import ALL as ALL
+from .result import Errors as Errors
 from .result import Judgement as Judgement
 from .result import Summary as Summary
 from .sfe import SfeRun as SfeRun

@@ -23,4 +23,5 @@ from .simulate import simulate as simulate
 from .structured_light import StructuredLightNoise as StructuredLightNoise
 from .walls import F64 as F64
 from .walls import Wall as Wall
+from .walls import spread as spread
 from .walls import walls_of_frames as walls_of_frames
