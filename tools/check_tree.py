@@ -28,7 +28,7 @@ MAX_PARAMETERS = 7
 FEW_LINES = 25
 # What each figure of the structure may be at most. One that has come down is written down here, so that it stays there.
 STRUCTURE = {
-    "functions with more than 7 parameters": 22,
+    "functions with more than 7 parameters": 14,
     "Python modules under 25 lines of code": 46,
     "modules under 25 lines of code, with C++": 71,
     "import circles": 2,

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.align.board import Board
-from cabinpose.align.bundle import refine_camera_from_world
+from cabinpose.align.bundle import BoardSightings, refine_camera_from_world
 from cabinpose.align.extrinsics import (
     ExtrinsicsResult,
     _outline_middle,
@@ -112,14 +112,14 @@ def test_exact_markers_give_the_camera_back():
     assert np.abs(fit.camera_from_world - TRUTH).max() < 1e-6
     assert fit.used.shape == (10, 4)
     assert fit.used.all()
-    better = refine_camera_from_world(CAMERA, BOARD, *EXACT, P_WORLD, fit)
+    better = refine_camera_from_world(CAMERA, BoardSightings(BOARD, *EXACT, P_WORLD), fit)
     assert np.abs(better.camera_from_world - TRUTH).max() < 1e-9
 
 
 def test_camera_and_lens_come_back_together():
     off = Camera(352, 287, 174.2, 173.9, 175.0, 143.6, (-0.13, 0.015, 0.001, 0.0, 0.0))
     start = camera_from_world(_points(*EXACT, camera=off), P_WORLD, board=BOARD)
-    fit = refine_camera_from_world(off, BOARD, *EXACT, P_WORLD, start, lens=True)
+    fit = refine_camera_from_world(off, BoardSightings(BOARD, *EXACT, P_WORLD), start, lens=True)
     assert np.abs(fit.camera_from_world - TRUTH).max() < 1e-6
     assert fit.camera is not None
     assert np.abs(np.subtract(fit.camera.dist, CAMERA.dist)).max() < 1e-5
@@ -132,7 +132,7 @@ def test_camera_comes_back_from_images(noise, limit_mm, limit_deg):
     world = P_WORLD + noise * np.random.default_rng(2).normal(size=P_WORLD.shape) * 3e-4
     start = camera_from_world(_points(corners, markers), world, board=BOARD)
     assert _away(start)[0] < 2 * limit_mm
-    fit = refine_camera_from_world(CAMERA, BOARD, corners, markers, world, start)
+    fit = refine_camera_from_world(CAMERA, BoardSightings(BOARD, corners, markers, world), start)
     mm, deg = _away(fit)
     assert mm < limit_mm
     assert deg < limit_deg
@@ -146,7 +146,7 @@ def test_camera_and_lens_come_back_from_images(noise, limit_mm, limit_deg):
     world = P_WORLD + noise * np.random.default_rng(2).normal(size=P_WORLD.shape) * 3e-4
     camera = calibrate_from_corners(list(corners), (CAMERA.width, CAMERA.height), BOARD).camera
     start = camera_from_world(_points(corners, markers, camera), world, board=BOARD)
-    mm, deg = _away(refine_camera_from_world(camera, BOARD, corners, markers, world, start, lens=True))
+    mm, deg = _away(refine_camera_from_world(camera, BoardSightings(BOARD, corners, markers, world), start, lens=True))
     assert mm < limit_mm
     assert deg < limit_deg
 
@@ -160,7 +160,7 @@ def test_all_corners_do_better_than_markers_on_average():
         markers = EXACT[1] + rng.normal(size=EXACT[1].shape) * 0.1
         world = P_WORLD + rng.normal(size=P_WORLD.shape) * 3e-4
         start = camera_from_world(_points(corners, markers), world, board=BOARD)
-        fit = refine_camera_from_world(CAMERA, BOARD, corners, markers, world, start, rounds=1)
+        fit = refine_camera_from_world(CAMERA, BoardSightings(BOARD, corners, markers, world), start, rounds=1)
         by_markers.append(_away(start))
         by_corners.append(_away(fit))
         said.append((np.trace(start.covariance[:3, :3]), np.trace(fit.covariance[:3, :3])))
@@ -244,4 +244,4 @@ def test_too_few_whole_views_are_refused():
     corners = EXACT[0].copy()
     corners[2:] = np.nan
     with pytest.raises(AlignmentError, match="2 views have all corners"):
-        refine_camera_from_world(CAMERA, BOARD, corners, EXACT[1], P_WORLD, fit)
+        refine_camera_from_world(CAMERA, BoardSightings(BOARD, corners, EXACT[1], P_WORLD), fit)

@@ -11,17 +11,11 @@ import pytest
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation, Slerp
 
-from cabinpose.align.time import (
-    angular_speed,
-    angular_velocity,
-    estimate_delay,
-    rotation_angle,
-    suit_to_optical,
-    tof_to_optical,
-)
+from cabinpose.align.time import suit_to_optical, tof_to_optical
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import apply, invert, look_at
+from cabinpose.signals import DelaySearch, angular_speed, angular_velocity, estimate_delay, rotation_angle
 from cabinpose.signals.correlation import correlogram
 from cabinpose.signals.register import kabsch
 
@@ -69,7 +63,7 @@ def test_exact_signals_give_delay_and_drift(swapped: bool):
     series = [CAMERA_S, _motion(CAMERA_S), OPTICAL_S, _motion(_to_a(OPTICAL_S))]
     if swapped:
         series = series[2:] + series[:2]
-    delay = estimate_delay(*series, max_lag_s=1.0, drift=True)
+    delay = estimate_delay(*series, DelaySearch(max_lag_s=1.0, drift=True))
     found = delay.to_a if swapped else delay.to_b
     assert np.abs(found(CAMERA_S) - _to_b(CAMERA_S)).max() < 1e-7
     truth = -DRIFT / (1 + DRIFT) if swapped else DRIFT
@@ -82,7 +76,11 @@ def test_exact_signals_give_delay_and_drift(swapped: bool):
 def test_one_channel_of_a_constant_delay_far_from_zero():
     shift = 7123.0001
     delay = estimate_delay(
-        CAMERA_S, _motion(CAMERA_S)[:, 0], OPTICAL_S + shift, 3 + 0.1 * _motion(OPTICAL_S)[:, 0], max_lag_s=1, around_s=7123.2
+        CAMERA_S,
+        _motion(CAMERA_S)[:, 0],
+        OPTICAL_S + shift,
+        3 + 0.1 * _motion(OPTICAL_S)[:, 0],
+        DelaySearch(max_lag_s=1, around_s=7123.2),
     )
     assert delay.offset_s == pytest.approx(shift, abs=1e-7)
     assert delay.drift == 0.0
@@ -98,7 +96,7 @@ def test_gaps_irregular_times_and_outliers_do_not_move_it():
     wild = rng.random(len(time)) < 0.03
     uv[wild] = rng.uniform(-150, 150, (np.count_nonzero(wild), 2))
     uv[rng.random(len(time)) < 0.05] = np.nan
-    delay = estimate_delay(time[keep], uv[keep], OPTICAL_S, _motion(_to_a(OPTICAL_S)), max_lag_s=1.0, drift=True)
+    delay = estimate_delay(time[keep], uv[keep], OPTICAL_S, _motion(_to_a(OPTICAL_S)), DelaySearch(max_lag_s=1.0, drift=True))
     assert np.abs(delay.to_b(CAMERA_S) - _to_b(CAMERA_S)).max() < 1e-3
     assert delay.correlation < 0.97  # of all, the wild ones with them
 
@@ -115,7 +113,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
             _motion(time_a)[:, 0] + noise,
             time_b,
             _motion(time_b - OFFSET)[:, 0] + rng.normal(size=len(time_b)),
-            max_lag_s=0.6,
+            DelaySearch(max_lag_s=0.6),
         )
         held += delay.interval_s[0] <= OFFSET <= delay.interval_s[1]
         halves.append(0.5 * (delay.interval_s[1] - delay.interval_s[0]))
@@ -185,7 +183,7 @@ def test_suit_and_optical_system_by_the_head(signal: str, exact: float):
     optical_s = np.arange(-1.5, 63, 0.01)
     optical = _wxyz(_head(_to_a(optical_s)))
     optical[2000:2200] = np.nan
-    delay = suit_to_optical(time, suit, optical_s, optical, max_lag_s=1.0, signal=signal)
+    delay = suit_to_optical(time, suit, optical_s, optical, DelaySearch(max_lag_s=1.0, drift=True), signal=signal)
     assert np.abs(delay.to_b(time) - _to_b(time)).max() < exact
 
 
@@ -195,9 +193,9 @@ def test_velocity_withstands_heading_drift_and_noise():
     drifting = Rotation.from_euler("z", (2e-3 * time)[:, None])
     noise = Rotation.from_rotvec(rng.normal(scale=np.radians(0.3), size=(len(time), 3)))
     suit, optical = _wxyz(drifting * _head(time) * noise), _wxyz(_head(_to_a(optical_s)))
-    delay = suit_to_optical(time, suit, optical_s, optical, max_lag_s=1.0)
+    delay = suit_to_optical(time, suit, optical_s, optical, DelaySearch(max_lag_s=1.0, drift=True))
     assert np.abs(delay.to_b(time) - _to_b(time)).max() < 2e-3
-    thesis = suit_to_optical(time, suit, optical_s, optical, max_lag_s=1.0, signal="angle")
+    thesis = suit_to_optical(time, suit, optical_s, optical, DelaySearch(max_lag_s=1.0, drift=True), signal="angle")
     assert abs(thesis.offset_s - _to_b(np.array(thesis.reference_s)) + thesis.reference_s) > 2e-3
 
 
@@ -205,7 +203,7 @@ def test_a_head_that_turns_about_one_axis_is_aligned_by_its_speed():
     time, optical_s = np.arange(0, 40, 1 / 60), OPTICAL_S
     yaw = 0.02 * _motion(time)[:, :1], 0.02 * _motion(_to_a(optical_s))[:, :1]
     suit, optical = (_wxyz(Rotation.from_euler("z", angle)) for angle in yaw)
-    delay = suit_to_optical(time, suit, optical_s, optical, max_lag_s=1.0)
+    delay = suit_to_optical(time, suit, optical_s, optical, DelaySearch(max_lag_s=1.0, drift=True))
     assert np.abs(delay.to_b(time) - _to_b(time)).max() < 5e-4
 
 
@@ -214,20 +212,20 @@ def test_camera_and_optical_system_by_the_pendulum():
     camera_from_world = invert(look_at((0, 0, 1.5), (2, 0, 1.4)))
     uv = camera.project(apply(camera_from_world, _pendulum(CAMERA_S)))
     marker = _pendulum(_to_a(OPTICAL_S))
-    delay = tof_to_optical(CAMERA_S, uv, OPTICAL_S, marker, camera, camera_from_world, max_lag_s=0.8, drift=True)
+    delay = tof_to_optical(CAMERA_S, uv, OPTICAL_S, marker, camera, camera_from_world, DelaySearch(max_lag_s=0.8, drift=True))
     assert np.abs(delay.to_b(CAMERA_S) - _to_b(CAMERA_S)).max() < 1e-6
     rng = np.random.default_rng(10)
     uv += rng.normal(scale=0.1, size=uv.shape)
     uv[rng.random(len(uv)) < 0.02] = np.nan
     marker += rng.normal(scale=3e-4, size=marker.shape)
     marker[500:560] = np.nan
-    delay = tof_to_optical(CAMERA_S, uv, OPTICAL_S, marker, camera, camera_from_world, max_lag_s=0.8)
+    delay = tof_to_optical(CAMERA_S, uv, OPTICAL_S, marker, camera, camera_from_world, DelaySearch(max_lag_s=0.8))
     assert abs(delay.offset_s - OFFSET - DRIFT * delay.reference_s) < 5e-4
     with pytest.raises(AlignmentError, match=r"ambiguous: .* \(r = 1.000\) or .* s \(r = 1.000\)") as error:
-        tof_to_optical(CAMERA_S, uv, OPTICAL_S, marker, camera, camera_from_world, max_lag_s=3.0)
+        tof_to_optical(CAMERA_S, uv, OPTICAL_S, marker, camera, camera_from_world, DelaySearch(max_lag_s=3.0))
     assert "half a period" in str(error.value.hint)
     with pytest.raises(AlignmentError, match="pixels"):
-        tof_to_optical(CAMERA_S, uv[:, 0], OPTICAL_S, marker, camera, camera_from_world, max_lag_s=0.8)
+        tof_to_optical(CAMERA_S, uv[:, 0], OPTICAL_S, marker, camera, camera_from_world, DelaySearch(max_lag_s=0.8))
 
 
 # ------------------------------------------------------------------------------------------------------------ bad input
@@ -248,13 +246,17 @@ def test_a_clock_that_jumps_is_refused_with_the_time(by: float, drift: bool):
     stamps = _jumped(OPTICAL_S, 22.0, by)
     keep = np.r_[True, np.diff(np.maximum.accumulate(stamps)) > 0]
     with pytest.raises(AlignmentError, match=r"a clock jumps by -?[0-9.]+ ms between (1[5-9]|2[0-2])\.\d s and 2[2-9]\.\d s"):
-        estimate_delay(CAMERA_S, _motion(CAMERA_S), stamps[keep], _motion(OPTICAL_S)[keep], max_lag_s=1.0, drift=drift)
+        estimate_delay(
+            CAMERA_S, _motion(CAMERA_S), stamps[keep], _motion(OPTICAL_S)[keep], DelaySearch(max_lag_s=1.0, drift=drift)
+        )
 
 
 def test_unrelated_signals_are_refused():
     for seed in range(5):
         with pytest.raises(AlignmentError, match=r"weak|ambiguous"):
-            estimate_delay(CAMERA_S, _noise(seed, len(CAMERA_S)), OPTICAL_S, _noise(seed + 100, len(OPTICAL_S)), max_lag_s=2.0)
+            estimate_delay(
+                CAMERA_S, _noise(seed, len(CAMERA_S)), OPTICAL_S, _noise(seed + 100, len(OPTICAL_S)), DelaySearch(max_lag_s=2.0)
+            )
 
 
 def _series() -> dict[str, np.ndarray]:
@@ -281,13 +283,13 @@ def _series() -> dict[str, np.ndarray]:
 def test_bad_signals_are_refused(change: dict[str, np.ndarray], options: dict[str, float], says: str):
     s = _series() | change
     with pytest.raises(AlignmentError, match=says) as error:
-        estimate_delay(s["ta"], s["a"], s["tb"], s["b"], **({"max_lag_s": 1.0} | options))
+        estimate_delay(s["ta"], s["a"], s["tb"], s["b"], DelaySearch(**({"max_lag_s": 1.0} | options)))
     assert error.value.hint
 
 
 def test_a_signal_has_a_known_name():
     with pytest.raises(ConfigError, match="signal 'gyro'"):
-        suit_to_optical([0.0], np.ones((1, 4)), [0.0], np.ones((1, 4)), max_lag_s=1, signal="gyro")
+        suit_to_optical([0.0], np.ones((1, 4)), [0.0], np.ones((1, 4)), DelaySearch(max_lag_s=1, drift=True), signal="gyro")
 
 
 # ------------------------------------------------------------------------------------------------------------ real data
@@ -304,7 +306,7 @@ def test_gaitmap_markers_and_gyroscope_are_in_step(real_data: Callable[[str], Pa
     foot = _wxyz(Rotation.from_matrix(np.stack([kabsch(p, points[0])[:3, :3] for p in points])))
     time_imu, time_markers = np.arange(len(gyroscope)) / 204.8, np.arange(len(points)) / 100
     speed = angular_speed(time_markers, foot)
-    delay = estimate_delay(time_markers, speed, time_imu, np.linalg.norm(gyroscope, axis=1), max_lag_s=0.5)
+    delay = estimate_delay(time_markers, speed, time_imu, np.linalg.norm(gyroscope, axis=1), DelaySearch(max_lag_s=0.5))
     assert abs(delay.offset_s) <= 0.005
     assert delay.correlation > 0.956
 
@@ -335,7 +337,7 @@ def test_broad_with_injected_offset_and_drift(real_data: Callable[[str], Path]):
         speed = angular_speed(time, q)
         for sign in (1, -1):
             offset, drift = 2.0 * sign, 1e-4 * sign * (-1) ** n
-            delay = estimate_delay(time, gyroscope, time + offset + drift * time, speed, max_lag_s=3.0, drift=True)
+            delay = estimate_delay(time, gyroscope, time + offset + drift * time, speed, DelaySearch(max_lag_s=3.0, drift=True))
             offsets.append(delay.offset_s - BROAD_LAG - offset - drift * delay.reference_s)
             drifts.append(delay.drift - drift)
     assert np.median(np.abs(offsets)) <= 1e-3

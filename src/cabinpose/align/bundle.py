@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cabinpose.align.board import Board
 from cabinpose.align.extrinsics import ExtrinsicsResult, skew, world_from_boards
@@ -26,53 +26,71 @@ _STEP_M = 1e-6  # of the numeric derivative of the projection
 _LEAST_PX, _LEAST_M = 1e-4, 1e-6  # noise that is assumed at least: exact data have none
 
 
-def refine_camera_from_world(
-    camera: Camera,
-    board: Board,
-    corners: ArrayLike,
-    marker_uv: ArrayLike,
-    p_world: ArrayLike,
-    start: ExtrinsicsResult,
-    *,
-    lens: bool = False,
-    rounds: int = 3,
-) -> ExtrinsicsResult:
-    """camera_from_world that fits corners (V, N, 2) px, markers in the image (V, M, 2) px and in the world (V, M, 3) m best.
+@dataclass(frozen=True)
+class BoardSightings:
+    """V views of a board by both systems: corners (V, N, 2) and markers (V, M, 2) px in the image, markers (V, M, 3) m in the
+    optical world; NaN = not seen.
+    """
 
-    NaN = not seen; a view counts where its corners and at least three markers in the world are known; pairs that `start` left
+    board: Board
+    corners: F64
+    marker_uv: F64
+    p_world: F64
+
+    def taken(self, views: NDArray[np.intp] | NDArray[np.bool_]) -> BoardSightings:
+        """Some of the views."""
+        return BoardSightings(self.board, self.corners[views], self.marker_uv[views], self.p_world[views])
+
+    @property
+    def points(self) -> F64:
+        """(N + M, 3) corners and markers in the board frame."""
+        return np.concatenate((self.board.corners, self.board.marker_centres))
+
+    @property
+    def pixels(self) -> F64:
+        """(V, N + M, 2)."""
+        return np.concatenate((self.corners, self.marker_uv), axis=1)
+
+
+def refine_camera_from_world(
+    camera: Camera, sightings: BoardSightings, start: ExtrinsicsResult, *, lens: bool = False, rounds: int = 3
+) -> ExtrinsicsResult:
+    """camera_from_world that fits corners, markers in the image and markers in the world best.
+
+    A view counts where its corners and at least three markers in the world are known; pairs that `start` left
     out stay out. Minimised: Huber's loss of the distances of corners and of markers in the image, and of the optical markers from
     the board, each over its own noise, over camera_from_world and a pose of the board per view. The three noises are found from
     the residuals, `rounds` times. lens: fit the camera's intrinsics along with it, starting from `camera`; the optical
     system's lengths decide on focal length and principal point what the boards' own perspective leaves open, but its errors of
     scale go into them as well. Raises AlignmentError where fewer than three views are left.
     """
-    uv, mark, world = (np.asarray(x, np.float64) for x in (corners, marker_uv, p_world))
-    world = np.where((start.used | ~np.isfinite(start.residual_m))[..., None], world, np.nan)
-    boards = world_from_boards(world, board)
-    good = np.isfinite(boards).all(axis=(1, 2)) & np.isfinite(uv).all(axis=(1, 2))
+    left_out = ~start.used & np.isfinite(start.residual_m)
+    world = np.where(left_out[..., None], np.nan, sightings.p_world)
+    boards = world_from_boards(world, sightings.board)
+    good = np.asarray(np.isfinite(boards).all(axis=(1, 2)) & np.isfinite(sightings.corners).all(axis=(1, 2)))
     if good.sum() < 3:
         raise AlignmentError(
             f"{good.sum()} views have all corners and three markers, 3 needed", hint="record more views of the board"
         )
-    problem = _Problem(board, uv[good], mark[good], world[good])
+    kept = replace(sightings, p_world=world).taken(good)
     state = _State(start.camera_from_world, boards[good], camera, lens)
     noise = _Noise(0.1, 0.2, 0.0005)
     for _ in range(rounds):
-        state, normal, cost = _solve(problem, state, noise)
-        noise = _noise(problem, state, noise)
-    state, normal, cost = _solve(problem, state, noise)
+        state, normal, cost = _solve(kept, state, noise)
+        noise = _noise(kept, state, noise)
+    state, normal, cost = _solve(kept, state, noise)
     residual = np.full(start.residual_m.shape, np.nan)
-    pixel, place = _residuals(problem, state)
+    pixel, place = _residuals(kept, state)
     residual[good] = np.linalg.norm(place, axis=-1)
     # Held out: every view once, its board placed by the optical system alone.
     out_px = []
-    for group in np.array_split(np.arange(len(problem.world)), min(len(problem.world), 10)):
-        rest = np.setdiff1d(np.arange(len(problem.world)), group)
+    for group in np.array_split(np.arange(len(kept.p_world)), min(len(kept.p_world), 10)):
+        rest = np.setdiff1d(np.arange(len(kept.p_world)), group)
         if len(rest) < 3:
             continue
-        other, _, _ = _solve(problem.taken(rest), replace(state, boards=state.boards[rest]), noise)
+        other, _, _ = _solve(kept.taken(rest), replace(state, boards=state.boards[rest]), noise)
         blind = replace(other, boards=boards[good][group])
-        out_px.append(_residuals(problem.taken(group), blind)[0][:, : uv.shape[1]])
+        out_px.append(_residuals(kept.taken(group), blind)[0][:, : len(kept.board.corners)])
     rms = np.sqrt(np.nanmean(np.sum(place**2, axis=-1)))
     return replace(
         start,
@@ -83,7 +101,7 @@ def refine_camera_from_world(
         held_out_rms_m=float("nan"),
         covariance=np.asarray(np.linalg.inv(normal)[:6, :6] * cost, np.float64),
         method="corners",
-        rms_px=float(np.sqrt(np.mean(np.sum(pixel[:, : uv.shape[1]] ** 2, axis=-1)))),
+        rms_px=float(np.sqrt(np.mean(np.sum(pixel[:, : len(kept.board.corners)] ** 2, axis=-1)))),
         held_out_rms_px=float(np.sqrt(np.mean(np.sum(np.concatenate(out_px) ** 2, axis=-1)))) if out_px else float("nan"),
         sigma_px=noise.corner_px,
         sigma_m=noise.place_m,
@@ -98,30 +116,9 @@ class _Noise(NamedTuple):
     mark_px: float  # a saturated disc of few pixels, several times less certain than a corner
     place_m: float  # of the optical system's markers, with how well they sit on the board
 
-    def pixels(self, problem: _Problem) -> F64:
+    def pixels(self, sightings: BoardSightings) -> F64:
         """(N + M,) for corners and markers in the image."""
-        return np.repeat((self.corner_px, self.mark_px), (problem.uv.shape[1], problem.mark.shape[1]))
-
-
-@dataclass(frozen=True)
-class _Problem:
-    board: Board
-    uv: F64  # (V, N, 2) corners
-    mark: F64  # (V, M, 2) markers in the image
-    world: F64  # (V, M, 3) markers in the world
-
-    def taken(self, views: NDArray[np.intp]) -> _Problem:
-        return replace(self, uv=self.uv[views], mark=self.mark[views], world=self.world[views])
-
-    @property
-    def points(self) -> F64:
-        """(N + M, 3) corners and markers in the board frame."""
-        return np.concatenate((self.board.corners, self.board.marker_centres))
-
-    @property
-    def pixels(self) -> F64:
-        """(V, N + M, 2)."""
-        return np.concatenate((self.uv, self.mark), axis=1)
+        return np.repeat((self.corner_px, self.mark_px), (sightings.corners.shape[1], sightings.marker_uv.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -132,17 +129,17 @@ class _State:
     lens: bool  # whether the camera is free
 
 
-def _places(problem: _Problem, state: _State) -> F64:
+def _places(sightings: BoardSightings, state: _State) -> F64:
     """(V, N + M, 3) all points of the board in the world."""
-    points = problem.points
+    points = sightings.points
     return np.asarray(np.einsum("vij,nj->vni", state.boards[:, :3, :3], points) + state.boards[:, None, :3, 3])
 
 
-def _residuals(problem: _Problem, state: _State) -> tuple[F64, F64]:
+def _residuals(sightings: BoardSightings, state: _State) -> tuple[F64, F64]:
     """Pixels seen less predicted (V, N + M, 2), and markers in the world less those of the board (V, M, 3)."""
-    places = _places(problem, state)
+    places = _places(sightings, state)
     predicted = state.camera.project(apply(state.camera_from_world, places))
-    return problem.pixels - predicted, problem.world - places[:, len(problem.board.corners) :]
+    return sightings.pixels - predicted, sightings.p_world - places[:, len(sightings.board.corners) :]
 
 
 def _huber(length: F64, sigma: F64 | float) -> F64:
@@ -151,28 +148,28 @@ def _huber(length: F64, sigma: F64 | float) -> F64:
     return np.where(scaled <= _HUBER, 1.0, _HUBER / np.maximum(scaled, _HUBER))
 
 
-def _cost(problem: _Problem, state: _State, noise: _Noise) -> float:
-    pixel, place = _residuals(problem, state)
+def _cost(sightings: BoardSightings, state: _State, noise: _Noise) -> float:
+    pixel, place = _residuals(sightings, state)
     total = 0.0
-    for residual, sigma in ((pixel, noise.pixels(problem)), (place, noise.place_m)):
+    for residual, sigma in ((pixel, noise.pixels(sightings)), (place, noise.place_m)):
         scaled = np.linalg.norm(residual, axis=-1) / sigma
         loss = np.where(scaled <= _HUBER, 0.5 * scaled**2, _HUBER * (scaled - 0.5 * _HUBER))
         total += float(np.nansum(loss))
     return total
 
 
-def _solve(problem: _Problem, state: _State, noise: _Noise) -> tuple[_State, F64, float]:
+def _solve(sightings: BoardSightings, state: _State, noise: _Noise) -> tuple[_State, F64, float]:
     """Levenberg-Marquardt; the state, the information on camera_from_world (and the lens), and the cost per degree of freedom."""
-    damping, cost = 1e-6, _cost(problem, state, noise)
+    damping, cost = 1e-6, _cost(sightings, state, noise)
     size = 15 if state.lens else 6
     reduced = np.eye(size)
     for _ in range(_ROUNDS):
-        head, rest, both, pull_head, pull_rest = _normal(problem, state, noise)
+        head, rest, both, pull_head, pull_rest = _normal(sightings, state, noise)
         reduced, _ = _schur(head, rest, both, pull_head, pull_rest)
         damp = 1 + damping
         step, per_view = _step(head * _damped(size, damp), rest * _damped(6, damp), both, pull_head, pull_rest)
         tried = _moved(state, step, per_view)
-        after = _cost(problem, tried, noise)
+        after = _cost(sightings, tried, noise)
         if after <= cost:
             small = max(np.abs(step[:6]).max(), np.abs(per_view).max()) < 1e-10 or cost - after < 1e-9 * cost
             state, cost, damping = tried, after, max(damping / 10, 1e-12)
@@ -182,7 +179,7 @@ def _solve(problem: _Problem, state: _State, noise: _Noise) -> tuple[_State, F64
             damping = max(damping * 10, 1e-9)
             if damping > 1e6:
                 break
-    pixel, place = _residuals(problem, state)
+    pixel, place = _residuals(sightings, state)
     numbers = np.isfinite(pixel).sum() + np.isfinite(place).sum() - size - 6 * len(state.boards)
     return state, reduced, 2 * cost / max(float(numbers), 1.0)
 
@@ -191,13 +188,13 @@ def _damped(size: int, factor: float) -> F64:
     return np.ones((size, size)) + (factor - 1) * np.eye(size)
 
 
-def _normal(problem: _Problem, state: _State, noise: _Noise) -> tuple[F64, F64, F64, F64, F64]:
+def _normal(sightings: BoardSightings, state: _State, noise: _Noise) -> tuple[F64, F64, F64, F64, F64]:
     """Normal equations of small motions: exp(x) camera_from_world, exp(y) world_from_board per view."""
-    places = _places(problem, state)
+    places = _places(sightings, state)
     p_camera = apply(state.camera_from_world, places)
     by_point = _derivative(state.camera, p_camera)  # (V, K, 2, 3)
-    pixel, place = _residuals(problem, state)
-    sigma = noise.pixels(problem)
+    pixel, place = _residuals(sightings, state)
+    sigma = noise.pixels(sightings)
     weight = _huber(np.linalg.norm(pixel, axis=-1), sigma) / sigma**2
     pixel = np.where(weight[..., None] > 0, np.nan_to_num(pixel), 0.0)
     head_j = np.concatenate((-by_point @ skew(p_camera), by_point), axis=-1)  # (V, K, 2, 6)
@@ -210,7 +207,7 @@ def _normal(problem: _Problem, state: _State, noise: _Noise) -> tuple[F64, F64, 
     rest = np.einsum("vkia,vk,vkib->vab", view_j, weight, view_j)
     pull_head = np.einsum("vkia,vk,vki->a", head_j, weight, pixel)
     pull_rest = np.einsum("vkia,vk,vki->va", view_j, weight, pixel)
-    marks = places[:, len(problem.board.corners) :]
+    marks = places[:, len(sightings.board.corners) :]
     weight = _huber(np.linalg.norm(place, axis=-1), noise.place_m) / noise.place_m**2
     place = np.where(weight[..., None] > 0, np.nan_to_num(place), 0.0)
     mark_j = np.concatenate((-skew(marks), np.broadcast_to(np.eye(3), (*marks.shape, 3))), axis=-1)
@@ -271,16 +268,16 @@ def _nudge(x: F64) -> Matrix:
     return result
 
 
-def _noise(problem: _Problem, state: _State, before: _Noise) -> _Noise:
+def _noise(sightings: BoardSightings, state: _State, before: _Noise) -> _Noise:
     """The noise that the residuals show: Huber's sums over what the fit left free.
 
     Each view's six numbers are shared out between corners and optical markers by how much each says of them; the markers in the
     image, few and less certain than corners, take next to none.
     """
-    pixel, place = _residuals(problem, state)
-    _, rest, _, _, _ = _normal(problem, state, before)
-    count = len(problem.board.corners)
-    marks = _places(problem, state)[:, count:]
+    pixel, place = _residuals(sightings, state)
+    _, rest, _, _, _ = _normal(sightings, state, before)
+    count = len(sightings.board.corners)
+    marks = _places(sightings, state)[:, count:]
     jacobian = np.concatenate((-skew(marks), np.broadcast_to(np.eye(3), (*marks.shape, 3))), axis=-1)
     seen = np.isfinite(place).all(axis=-1)
     mine = np.einsum("vkia,vk,vkib->vab", jacobian, seen / before.place_m**2, jacobian)

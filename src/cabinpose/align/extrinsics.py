@@ -7,7 +7,6 @@ optical system also tells where every corner of the board is, and fits all pixel
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -27,6 +26,12 @@ Mask = NDArray[np.bool_]
 _MEDIAN_OF_NORM = 1.538  # median length of a vector of three standard normals
 _CANDIDATES = 400  # starts of the robust fit
 _MOST_MARKERS = 8  # above it, permutations are too many to try
+_OUTLIER_SIGMA, _OUTLIER_FLOOR_M = 4.0, 0.003  # a pair farther from the fit than both is left out
+_FEWEST_VIEWS = 3
+_LEAST_SPREAD_M = (
+    0.02  # rms of the points across their best plane, below which a mirrored world could not be told from a right one
+)
+_GREATEST_RMS_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -174,34 +179,22 @@ def check_labels(p_world: ArrayLike, board: Board, *, tolerance_m: float = 0.008
     return tuple(orders[best])
 
 
-def camera_from_world(
-    p_camera: ArrayLike,
-    p_world: ArrayLike,
-    *,
-    names: Sequence[str] = (),
-    board: Board | None = None,
-    outlier_sigma: float = 4.0,
-    outlier_floor_m: float = 0.003,
-    min_views: int = 3,
-    min_spread_m: float = 0.02,
-    max_rms_m: float = 0.02,
-) -> ExtrinsicsResult:
+def camera_from_world(p_camera: ArrayLike, p_world: ArrayLike, board: Board | None = None) -> ExtrinsicsResult:
     """camera_from_world from markers in the camera (V, M, 3) and in the optical world (V, M, 3), m, NaN where not seen.
 
     Kabsch over all pairs, robust: the start with the least median residual, among those of single views and of pairs of views,
-    and then pairs beyond max(outlier_sigma * sigma, outlier_floor_m) are left out until nothing changes (sigma from the median
-    residual). board: where given, swapped labels are looked for first. min_spread_m: rms extent of the points across their best
-    plane; below it a mirrored world could not be told from a right one.
+    and then pairs beyond `_OUTLIER_SIGMA` times sigma are left out until nothing changes (sigma from the median residual).
+    board: where given, swapped labels are looked for first, and its markers give their names.
 
-    Raises AlignmentError for: swapped labels; fewer than min_views views with three markers; points on a line or in one plane;
-    mirrored (left-handed) axes; more than a third of the pairs being outliers; an rms above max_rms_m.
+    Raises AlignmentError for: swapped labels; fewer than three views with three markers; points on a line or in one plane;
+    mirrored (left-handed) axes; more than a third of the pairs being outliers; an rms above 2 cm.
     """
     camera, world = np.asarray(p_camera, np.float64), np.asarray(p_world, np.float64)
     if camera.shape != world.shape or camera.ndim != 3 or camera.shape[2] != 3:
         raise AlignmentError(
             f"markers (views, markers, 3) of both systems are needed, not {camera.shape} and {world.shape}", hint="pair the views"
         )
-    labels = tuple(names) or (board.marker_names if board else tuple(f"marker{m + 1}" for m in range(camera.shape[1])))
+    labels = board.marker_names if board else tuple(f"marker{m + 1}" for m in range(camera.shape[1]))
     if board is not None:
         order = check_labels(world, board)
         if order != tuple(range(len(order))):
@@ -212,15 +205,15 @@ def camera_from_world(
             )
     both = np.isfinite(camera).all(axis=-1) & np.isfinite(world).all(axis=-1)
     enough = both.sum(axis=1) >= 3
-    if enough.sum() < min_views:
+    if enough.sum() < _FEWEST_VIEWS:
         raise AlignmentError(
-            f"{enough.sum()} views have three markers seen by both systems, {min_views} needed",
+            f"{enough.sum()} views have three markers seen by both systems, {_FEWEST_VIEWS} needed",
             hint="record more views of the board",
         )
     spread = np.linalg.svd(world[both] - world[both].mean(axis=0), compute_uv=False) / np.sqrt(both.sum())
-    if spread[1] < min_spread_m:
+    if spread[1] < _LEAST_SPREAD_M:
         raise AlignmentError("the markers lie on a line", hint="markers that span a plane are needed, else a turn is left open")
-    if spread[2] < min_spread_m:
+    if spread[2] < _LEAST_SPREAD_M:
         raise AlignmentError(
             f"all markers of all views lie in a plane to {spread[2] * 1e3:.0f} mm: mirrored axes could not be noticed",
             hint="tilt the board and hold it nearer and further between views",
@@ -229,9 +222,9 @@ def camera_from_world(
     view = np.nonzero(both)[0]
     start = _best_start(a, b, view)
     _refuse_mirrored(a, b, view, start)
-    fit, kept = _trimmed(a, b, start, outlier_sigma, outlier_floor_m)
+    fit, kept = _trimmed(a, b, start)
     rms = float(np.sqrt(np.mean(np.sum((apply(fit, b[kept]) - a[kept]) ** 2, axis=1))))
-    if kept.mean() < 2 / 3 or rms > max_rms_m:
+    if kept.mean() < 2 / 3 or rms > _GREATEST_RMS_M:
         raise AlignmentError(
             f"the markers of both systems do not fit: {np.mean(~kept):.0%} outliers, {rms * 1e3:.1f} mm for the rest",
             hint="check that images and optical frames are of the same moments, the units, and the board's dimensions",
@@ -329,13 +322,13 @@ def _refuse_mirrored(a: F64, b: F64, view: NDArray[np.intp], start: Matrix) -> N
         )
 
 
-def _trimmed(a: F64, b: F64, start: Matrix, sigmas: float, floor_m: float) -> tuple[Matrix, Mask]:
-    """Kabsch over the pairs within max(sigmas * sigma, floor) of the fit before, until the set stays."""
+def _trimmed(a: F64, b: F64, start: Matrix) -> tuple[Matrix, Mask]:
+    """Kabsch over the pairs within some sigma of the fit before, or `_OUTLIER_FLOOR_M`, until the set stays."""
     fit, kept = start, np.zeros(len(a), bool)
     for _ in range(50):
         away = np.linalg.norm(apply(fit, b) - a, axis=1)
         sigma = float(np.median(away)) / _MEDIAN_OF_NORM
-        now = away <= max(sigmas * sigma, floor_m)
+        now = away <= max(_OUTLIER_SIGMA * sigma, _OUTLIER_FLOOR_M)
         if (now == kept).all():
             break
         kept = now

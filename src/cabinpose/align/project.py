@@ -16,7 +16,7 @@ from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
 from cabinpose.align.time import suit_to_optical
 from cabinpose.core import RIGS, AlignmentError, UndeterminedError
-from cabinpose.signals import Delay, WindowDelays, resample_positions, resample_rotations
+from cabinpose.signals import Delay, DelaySearch, WindowDelays, resample_positions, resample_rotations
 from cabinpose.store.recording import Recording, segment_series
 
 F64 = NDArray[np.float64]
@@ -98,7 +98,8 @@ def align_take(
     long = since[-1] - since[0] > _DRIFT_FROM_S
     with naming(recording, f"the head of {subject} in the suit (a) against the optical one (b)"):
         try:
-            delay = suit_to_optical(since, suit_orientation, at, object_orientation, max_lag_s=max_lag_s, drift=long)
+            search = DelaySearch(max_lag_s=max_lag_s, drift=long)
+            delay = suit_to_optical(since, suit_orientation, at, object_orientation, search)
             delay = with_known(delay, head.suit_to_optical)
         except UndeterminedError:  # a few seconds, or a head that hardly turns: the head take may know
             if head.suit_to_optical is None or head.suit_to_optical.interval_s is None:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.align.board import Board
 from cabinpose.align.boardtake import BoardViews, board_views
-from cabinpose.align.bundle import refine_camera_from_world
+from cabinpose.align.bundle import BoardSightings, refine_camera_from_world
 from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, Names, PoseCorrection, Rigid, rows
 from cabinpose.align.chain import rigid
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
@@ -24,7 +24,7 @@ from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical
 from cabinpose.core import INDEX, JOINTS, RIGS, AlignmentError, Camera, Matrix, apply, transform
-from cabinpose.signals import Delay, resample_positions, resample_rotations
+from cabinpose.signals import Delay, DelaySearch, resample_positions, resample_rotations
 from cabinpose.store import read_mapping, validated
 from cabinpose.store.recording import Recording, marker_series, segment_series, tof_frames
 
@@ -183,9 +183,10 @@ def _extrinsics(session: Session, views: BoardViews, camera: Camera) -> tuple[Ex
         [marker_pixels(image, camera, pose, session.board) for image, pose in zip(posed.images, posed.poses, strict=True)]
     )
     points = np.stack([marker_points(camera, each, pose, session.board) for each, pose in zip(uv, posed.poses, strict=True)])
-    start = camera_from_world(points, posed.p_world, names=session.board.marker_names, board=session.board)
+    start = camera_from_world(points, posed.p_world, session.board)
     free = session.intrinsics == "checkerboard"
-    return start, refine_camera_from_world(camera, session.board, posed.corners, uv, posed.p_world, start, lens=free)
+    sightings = BoardSightings(session.board, posed.corners, uv, posed.p_world)
+    return start, refine_camera_from_world(camera, sightings, start, lens=free)
 
 
 def _told(by_markers: ExtrinsicsResult, by_corners: ExtrinsicsResult) -> Extrinsics:
@@ -218,7 +219,7 @@ def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_wo
         marker.marker(names.pendulum),
         camera,
         camera_from_world,
-        max_lag_s=_GREATEST_LAG_S,
+        DelaySearch(max_lag_s=_GREATEST_LAG_S),
     )
 
 
@@ -232,7 +233,7 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     at = seconds(on_host(optical), origin)
     since = seconds(on_host(suit), origin)
     _, suit_head = suit.segment(rig["head"])
-    delay = suit_to_optical(since, suit_head, at, orientation, max_lag_s=_GREATEST_LAG_S, drift=False)
+    delay = suit_to_optical(since, suit_head, at, orientation, DelaySearch(max_lag_s=_GREATEST_LAG_S))
     moments = delay.to_a(at)
     turned = resample_rotations(since, suit_head, moments, max_gap_s=_GAP_S)
     period = float(np.median(np.diff(at)))

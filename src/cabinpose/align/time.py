@@ -6,33 +6,14 @@ counts with those of the clocks: a gyroscope's filter, an exposure stamped at it
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cabinpose.core import AlignmentError, Camera, Matrix, apply, unknown_name
-from cabinpose.signals import (
-    Delay,
-    WindowDelays,
-    angular_speed,
-    angular_velocity,
-    estimate_delay,
-    kabsch,
-    resample_positions,
-    rotation_angle,
-)
-
-__all__ = [
-    "Delay",
-    "WindowDelays",
-    "angular_speed",
-    "angular_velocity",
-    "estimate_delay",
-    "rotation_angle",
-    "suit_to_optical",
-    "tof_to_optical",
-]
+from cabinpose.signals import Delay, DelaySearch, angular_velocity, estimate_delay, kabsch, resample_positions, rotation_angle
 
 F64 = NDArray[np.float64]
 RotationSignal = Literal["velocity", "speed", "angle"]
@@ -43,12 +24,10 @@ def suit_to_optical(
     suit_wxyz: ArrayLike,
     time_optical_s: ArrayLike,
     optical_wxyz: ArrayLike,
+    search: DelaySearch,
     *,
-    max_lag_s: float,
     signal: RotationSignal = "velocity",
-    drift: bool = True,
     baseline_s: float = 0.1,
-    **options: Any,
 ) -> Delay:
     """From the suit's clock to the optical system's, from the orientations (T, 4), (U, 4) wxyz of one segment (the head) in both.
 
@@ -56,8 +35,7 @@ def suit_to_optical(
     motion) · "speed", the angular speed, which needs no common start · "velocity": the speed first, then the angular velocity as
     three channels, the constant rotation between the two bodies' frames found on the way (Kabsch): a speed has a kink wherever
     the head turns back, components have none. baseline_s: over which turns are taken, see `angular_velocity`. The frames of the
-    two worlds, their headings and the drift of these do not matter to the latter two. `options` are `estimate_delay`'s, which see
-    for errors.
+    two worlds, their headings and the drift of these do not matter to the latter two. Errors are those of `estimate_delay`.
     """
     if signal not in ("velocity", "speed", "angle"):
         raise unknown_name("signal", signal, ("velocity", "speed", "angle"))
@@ -65,12 +43,12 @@ def suit_to_optical(
     both = np.asarray(suit_wxyz, np.float64), np.asarray(optical_wxyz, np.float64)
     if signal == "angle":
         suit, optical = (rotation_angle(q) for q in both)
-        return estimate_delay(times[0], suit, times[1], optical, max_lag_s=max_lag_s, drift=drift, **options)
+        return estimate_delay(times[0], suit, times[1], optical, search)
     suit, optical = (
         angular_velocity(t, q, max_gap_s=_longest_pause(t), baseline_s=baseline_s) for t, q in zip(times, both, strict=True)
     )
     speeds = np.linalg.norm(suit, axis=1), np.linalg.norm(optical, axis=1)
-    rough = estimate_delay(times[0], speeds[0], times[1], speeds[1], max_lag_s=max_lag_s, drift=drift, **options)
+    rough = estimate_delay(times[0], speeds[0], times[1], speeds[1], search)
     if signal == "speed":
         return rough
     partner = resample_positions(times[1], optical, rough.to_b(times[0]), max_gap_s=_longest_pause(times[1]))
@@ -80,9 +58,9 @@ def suit_to_optical(
     except AlignmentError:
         return rough  # turned about one axis only: the frames stay open, and the speed has said all there is
     # The speed knows the delay to some milliseconds; what is allowed about it has only to leave room for a peak and its feet.
-    narrow = options | {"around_s": rough.offset_s}
     reach = 0.5 + abs(rough.drift) * float(np.ptp(times[0]))
-    return estimate_delay(times[0], suit @ optical_from_suit.T, times[1], optical, max_lag_s=reach, drift=drift, **narrow)
+    narrow = replace(search, around_s=rough.offset_s, max_lag_s=reach)
+    return estimate_delay(times[0], suit @ optical_from_suit.T, times[1], optical, narrow)
 
 
 def tof_to_optical(
@@ -92,10 +70,7 @@ def tof_to_optical(
     p_world: ArrayLike,
     camera: Camera,
     camera_from_world: Matrix,
-    *,
-    max_lag_s: float,
-    drift: bool = False,
-    **options: Any,
+    search: DelaySearch,
 ) -> Delay:
     """From the ToF camera's clock to the optical system's, from a marker that swings before both as a pendulum.
 
@@ -103,7 +78,7 @@ def tof_to_optical(
     camera: with the distortion of the image that uv is from. The marker is projected into the image and both coordinates are
     correlated. Space comes first: a swing that is a little elliptic has another phase from every side, so that no axis of it may
     be taken for the image's; and the board that calibrates space stands still, and needs no time. A pendulum repeats: keep
-    max_lag_s below half its period. `options` are `estimate_delay`'s, which see for errors.
+    search.max_lag_s below half its period. Errors are those of `estimate_delay`.
     """
     seen, marker = np.asarray(uv, np.float64), np.asarray(p_world, np.float64)
     if seen.ndim != 2 or seen.shape[1] != 2 or marker.ndim != 2 or marker.shape[1] != 3:
@@ -114,7 +89,7 @@ def tof_to_optical(
     # Far outside the image a distortion model means nothing; a little outside, it keeps the filter's kernels whole.
     size = np.array((camera.width, camera.height))
     expected[~((expected > -0.1 * size) & (expected < 1.1 * size)).all(axis=1)] = np.nan
-    return estimate_delay(time_tof_s, seen, time_optical_s, expected, max_lag_s=max_lag_s, drift=drift, **options)
+    return estimate_delay(time_tof_s, seen, time_optical_s, expected, search)
 
 
 def _longest_pause(time_s: F64) -> float:

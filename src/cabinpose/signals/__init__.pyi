@@ -5,6 +5,7 @@ from .clock import ClockMap as ClockMap
 from .clock import HostClock as HostClock
 from .clock import Unwrapper as Unwrapper
 from .delay import Delay as Delay
+from .delay import DelaySearch as DelaySearch
 from .delay import estimate_delay as estimate_delay
 from .lags import WindowDelays as WindowDelays
 from .recorded import ARRAYS as ARRAYS

@@ -1,10 +1,10 @@
 """The delay and the drift between two clocks from a signal that both saw, and when it cannot be told.
 
-1. Both signals pass the same filter without phase and are put on an even grid each (`core.correlation`).
-2. Their normalised cross-correlation over all lags allowed gives the peak to a sample, and its rivals (`core.lags`).
+1. Both signals pass the same filter without phase and are put on an even grid each (`signals.correlation`).
+2. Their normalised cross-correlation over all lags allowed gives the peak to a sample, and its rivals (`signals.lags`).
 3. The correlation of each of a dozen windows gives the delay over time; a robust line through these (Theil-Sen) the drift; a
    step in them is a clock that jumps.
-4. Newton steps on the curve between samples fit one signal to the other as a whole (`core.fitting`): delay, drift, intervals.
+4. Newton steps on the curve between samples fit one signal to the other as a whole (`signals.fitting`): delay, drift, intervals.
 """
 
 from __future__ import annotations
@@ -57,20 +57,33 @@ class Delay:
         return self.reference_s + (b - self.reference_s - self.offset_s) / (1 + self.drift)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DelaySearch:
+    """Where a delay is sought, and what is taken for one.
+
+    max_lag_s, around_s: the offset is sought in around_s ± max_lag_s; for signals that repeat (a pendulum) less than half a
+    period · drift: whether the clocks run at different rates · min_overlap: part of the shorter signal's known samples that has
+    to overlap · min_correlation: below it, the signals are not taken for the same motion · smoothing_s: sigma of the filter;
+    None: one sample of the slower signal · max_gap_s: of a and of b, the longest pause between samples that is bridged; None: 2.5
+    samples · window_s: length of the windows that tell drift and jumps; None: a twelfth of the take, at least 5 s.
+    """
+
+    max_lag_s: float
+    around_s: float = 0.0
+    drift: bool = False
+    min_overlap: float = 0.5
+    min_correlation: float = 0.7
+    smoothing_s: float | None = None
+    max_gap_s: tuple[float, float] | None = None
+    window_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.max_lag_s) and self.max_lag_s > 0 and np.isfinite(self.around_s)):
+            raise AlignmentError(f"lags {self.around_s} ± {self.max_lag_s} s", hint="max_lag_s is a number above 0")
+
+
 def estimate_delay(
-    time_a_s: ArrayLike,
-    signal_a: ArrayLike,
-    time_b_s: ArrayLike,
-    signal_b: ArrayLike,
-    *,
-    max_lag_s: float,
-    around_s: float = 0.0,
-    drift: bool = False,
-    min_overlap: float = 0.5,
-    min_correlation: float = 0.7,
-    smoothing_s: float | None = None,
-    max_gap_s: tuple[float, float] | None = None,
-    window_s: float | None = None,
+    time_a_s: ArrayLike, signal_a: ArrayLike, time_b_s: ArrayLike, signal_b: ArrayLike, search: DelaySearch
 ) -> Delay:
     """The delay of clock b against clock a, from signals that both saw.
 
@@ -82,20 +95,8 @@ def estimate_delay(
         (T,) s, rising strictly.
     signal_a, signal_b
         (T,) or (T, C), the same channels of both, NaN = not known.
-    max_lag_s, around_s
-        The offset is sought in around_s ± max_lag_s; for signals that repeat (a pendulum) less than half a period.
-    drift
-        Whether the clocks run at different rates.
-    min_overlap
-        Part of the shorter signal's known samples that has to overlap.
-    min_correlation
-        Below it, the signals are not taken for the same motion.
-    smoothing_s
-        Sigma of the filter; None: one sample of the slower signal.
-    max_gap_s
-        Of a and of b, the longest pause between samples that is bridged; None: 2.5 samples.
-    window_s
-        Length of the windows that tell drift and jumps; None: a twelfth of the take, at least 5 s.
+    search
+        Where it is sought, and what is taken for it.
 
     Returns
     -------
@@ -109,39 +110,38 @@ def estimate_delay(
         is weak, where another lag explains nearly as much, where the correlation still rises at the edge of what is allowed, and
         where a clock jumps.
     """
-    if not (np.isfinite(max_lag_s) and max_lag_s > 0 and np.isfinite(around_s)):
-        raise AlignmentError(f"lags {around_s} ± {max_lag_s} s", hint="max_lag_s is a number above 0")
     raw_a, raw_b = known_samples(time_a_s, signal_a, "a"), known_samples(time_b_s, signal_b, "b")
     if raw_a.values.shape[1] != raw_b.values.shape[1]:
         raise AlignmentError(
             f"signal a has {raw_a.values.shape[1]} channels, b {raw_b.values.shape[1]}", hint="give the same channels of both"
         )
-    sigma = max(raw_a.period_s, raw_b.period_s) if smoothing_s is None else smoothing_s
-    gaps = (_GAP_PERIODS * raw_a.period_s, _GAP_PERIODS * raw_b.period_s) if max_gap_s is None else max_gap_s
+    sigma = max(raw_a.period_s, raw_b.period_s) if search.smoothing_s is None else search.smoothing_s
+    gaps = search.max_gap_s or (_GAP_PERIODS * raw_a.period_s, _GAP_PERIODS * raw_b.period_s)
     a, b = smoothed(raw_a, sigma, gaps[0]), smoothed(raw_b, sigma, gaps[1])
-    search = LagSearch(a, b, (around_s - max_lag_s, around_s + max_lag_s), min_overlap, min_correlation)
-    peaks = search.peaks()
-    found = [c for peak in peaks if (c := _candidate(search, peak, window_s, drift=drift))]
-    if not found and peaks[0].correlation >= min_correlation:
+    bounds, least = (search.around_s - search.max_lag_s, search.around_s + search.max_lag_s), search.min_correlation
+    lags = LagSearch(a, b, bounds, search.min_overlap, least)
+    peaks = lags.peaks()
+    found = [c for peak in peaks if (c := _candidate(lags, peak, search.window_s, drift=search.drift))]
+    if not found and peaks[0].correlation >= least:
         raise UndeterminedError(
             f"the signals are alike (r = {peaks[0].correlation:.3f}), but too short or too still to tell the delay's interval",
             hint="record at least 6 s with motion in all of them",
         )
     if not found:
-        raise weak_error(peaks[0].correlation, peaks[0].lag_s, min_correlation)
+        raise weak_error(peaks[0].correlation, peaks[0].lag_s, least)
     found.sort(key=lambda c: -c[0].correlation)
     fit, windows = found[0]
-    rivals = [other for other, _ in found[1:] if abs(other.offset_s - fit.offset_s) > 2 * search.step_s]
-    strong = fit.correlation >= min_correlation
+    rivals = [other for other, _ in found[1:] if abs(other.offset_s - fit.offset_s) > 2 * lags.step_s]
+    strong = fit.correlation >= least
     if strong and rivals and rivals[0].correlation > 0 and _unexplained(rivals[0]) < _CLEAR * _unexplained(fit):
         raise AlignmentError(
             f"the delay is ambiguous: {fit.offset_s:.3f} s (r = {fit.correlation:.3f}) or {rivals[0].offset_s:.3f} s "
             f"(r = {rivals[0].correlation:.3f})",
             hint="a motion that repeats fits itself a period later: give max_lag_s below half a period, or move irregularly",
         )
-    _refuse_jumps(windows, search.step_s)  # before the weakness, whose cause a jump can be
+    _refuse_jumps(windows, lags.step_s)  # before the weakness, whose cause a jump can be
     if not strong:
-        raise weak_error(fit.correlation, fit.offset_s, min_correlation)
+        raise weak_error(fit.correlation, fit.offset_s, least)
     return Delay(
         fit.offset_s,
         (fit.offset_s - fit.offset_half_s, fit.offset_s + fit.offset_half_s),
@@ -154,16 +154,16 @@ def estimate_delay(
     )
 
 
-def _candidate(search: LagSearch, peak: Peak, window_s: float | None, *, drift: bool) -> tuple[Fit, WindowDelays] | None:
+def _candidate(lags: LagSearch, peak: Peak, window_s: float | None, *, drift: bool) -> tuple[Fit, WindowDelays] | None:
     """What a peak becomes when it is refined, with the delays of its windows."""
-    low, high = search.overlap(peak.lag_s)
-    windows = search.windows(peak.lag_s, window_s)
+    low, high = lags.overlap(peak.lag_s)
+    windows = lags.windows(peak.lag_s, window_s)
     reference = 0.5 * (low + high)
     start, slope = peak.lag_s, 0.0
     if drift and len(windows.time_s) >= 2:
         slope = robust_slope(windows.time_s, windows.offset_s)
         start = float(np.median(windows.offset_s - slope * (windows.time_s - reference)))
-    fit = fit_delay(search.a, search.b, start, slope, reference_s=reference, free_drift=drift)
+    fit = fit_delay(lags.a, lags.b, start, slope, reference_s=reference, free_drift=drift)
     return None if fit is None else (fit, windows)
 
 

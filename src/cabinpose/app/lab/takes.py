@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,14 @@ def dress_up(
     return Actor(in_seat(car, subject, rng=rng), wear, cap_of(named_person(subject)), subject, suit, head)
 
 
+class Performance(NamedTuple):
+    """What a take is of: who moves how, in one car or one in a room, what it is called, and how long it takes."""
+
+    people: Sequence[tuple[Actor, KeyedMotion]]
+    action: str
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
 class Truth:
     """What is true of a take. World: the optical system's. Times are true (host) nanoseconds; empty arrays where nothing was.
@@ -127,7 +135,7 @@ def truth_path(take: Path, code: str = "") -> Path:
 def write_head_take(path: Path, rig: VirtualRig, actor: Actor, *, rng: np.random.Generator) -> Truth:
     """The head turned about each axis, twice, on a still trunk in the car: suit and cap. Windows: flexion, lateral, rotation."""
     motion = calibrate_head(actor.stage, rng=rng)
-    return _write(path, rig, [(actor, motion)], "head calibration", motion.duration_s, rng=rng)[0]
+    return _write(path, rig, Performance([(actor, motion)], "head calibration", motion.duration_s), rng=rng)[0]
 
 
 def write_action_take(
@@ -136,7 +144,8 @@ def write_action_take(
 ) -> Truth:  # fmt: skip
     """A driver's actions: suit, cap and camera. rate_hz: of the camera, where not the rig's · sensor: in place of the rig's."""
     motion = act(actor.stage, seconds, rng=rng)
-    return _write(path, rig, [(actor, motion)], "drive", seconds, rate_hz=rate_hz or rig.tof.rate_hz, sensor=sensor, rng=rng)[0]
+    played = Performance([(actor, motion)], "drive", seconds)
+    return _write(path, rig, played, rate_hz=rate_hz or rig.tof.rate_hz, sensor=sensor, rng=rng)[0]
 
 
 def write_pair_take(
@@ -151,8 +160,8 @@ def write_pair_take(
     for _ in range(_TRIES):
         second = act(actors[1].stage, seconds, rng=rng)
         if keep_apart(first, second):
-            people = list(zip(actors, (first, second), strict=True))
-            return _write(path, rig, people, "drive", seconds, rate_hz=rate_hz or rig.tof.rate_hz, sensor=sensor, rng=rng)
+            played = Performance(list(zip(actors, (first, second), strict=True)), "drive", seconds)
+            return _write(path, rig, played, rate_hz=rate_hz or rig.tof.rate_hz, sensor=sensor, rng=rng)
     raise SceneError(f"two people touch in each of {_TRIES} draws", hint="try another seed, other people or a wider car")
 
 
@@ -165,25 +174,25 @@ def write_motion_take(
     Windows: neutral_first, coronal, sagittal, transversal, neutral_last.
     """
     motion = exercises(actor.person, at_m=(2.6, 0.0), heading=np.pi, rng=rng)
-    return _write(
-        path, rig, [(actor, motion)], "planes of motion", motion.duration_s, rate_hz=rate_hz, sensor=sensor, rng=rng
-    )[0]  # fmt: skip
+    played = Performance([(actor, motion)], "planes of motion", motion.duration_s)
+    return _write(path, rig, played, rate_hz=rate_hz, sensor=sensor, rng=rng)[0]
 
 
 def write_pose_take(path: Path, rig: VirtualRig, actor: Actor, *, rng: np.random.Generator) -> Truth:
     """The N-pose outside the car, held for some seconds: suit, cap and full-body optical model."""
     motion = stand(actor.person, POSE_S, at_m=(2.6, 0.0), heading=np.pi)
-    return _write(path, rig, [(actor, motion)], "initial pose", POSE_S, rng=rng)[0]
+    return _write(path, rig, Performance([(actor, motion)], "initial pose", POSE_S), rng=rng)[0]
 
 
 def _write(
-    path: Path, rig: VirtualRig, people: Sequence[tuple[Actor, KeyedMotion]], action: str, seconds: float, *,
-    rate_hz: float = 0.0, sensor: Sensor | None = None, rng: np.random.Generator,
+    path: Path, rig: VirtualRig, played: Performance, *, rate_hz: float = 0.0, sensor: Sensor | None = None,
+    rng: np.random.Generator,
 ) -> list[Truth]:  # fmt: skip
-    """Write a take of people in one car, or of one in a room, and the truth of each beside it.
+    """Write a take, and the truth of each of its people beside it.
 
     rate_hz: of the camera; 0 = none sees it. In a room the optical system gives a model of the whole body too.
     """
+    people, seconds = played.people, played.seconds
     motion = people[0][1]
     room = motion.cabin is None
     world = world_from_room(rig) if room else world_from_vehicle(rig, motion)
@@ -197,7 +206,7 @@ def _write(
         streams["tof"] = _tof(rig, camera, people, rate_hz, seconds, truths, rng=rng)
     car = "" if room else people[0][0].stage.car
     subjects = tuple(Participant(code=actor.code, seat=None if room else moves.slot) for actor, moves in people)
-    write_recording(path, rig, Take(action=action, car=car, subjects=subjects), streams)
+    write_recording(path, rig, Take(action=played.action, car=car, subjects=subjects), streams)
     result = []
     for (actor, moves), values in zip(people, truths, strict=True):
         result.append(_truth(rig, actor, moves, world, values))

@@ -30,7 +30,7 @@ from cabinpose.evaluate.mocap import (
     present,
     replaced,
 )
-from cabinpose.signals import angular_speed, common_clock, estimate_delay, resample_positions, resample_rotations
+from cabinpose.signals import DelaySearch, angular_speed, common_clock, estimate_delay, resample_positions, resample_rotations
 
 F64 = NDArray[np.float64]
 MAX_LAG_S = 2.0
@@ -192,7 +192,8 @@ def _delay(suit: PointTracks, optical: PointTracks, settings: OpticalSettings) -
         for motion, q in zip((optical, suit), turned, strict=True)
     ]
     try:
-        found = estimate_delay(optical.time_s, speeds[0], suit.time_s, speeds[1], max_lag_s=MAX_LAG_S, smoothing_s=_SMOOTHING_S)
+        search = DelaySearch(max_lag_s=MAX_LAG_S, smoothing_s=_SMOOTHING_S)
+        found = estimate_delay(optical.time_s, speeds[0], suit.time_s, speeds[1], search)
     except AlignmentError as error:
         raise AlignmentError(
             f"{suit.path.name}: {error}", hint=f"{error.hint or 'both must see it turn'}; or give --delay-ms"

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +112,7 @@ def read_sensors(
     time_ns, messages = of_one_subject(path, rows, subject, "orientations of sensors")
     turned = np.stack([m.orientation_wxyz for m in messages])
     position = np.full((*turned.shape[:2], 3), np.nan)
-    return _motion(path, messages[0].subject, messages[0].names, time_ns, origin_ns, position, turned)
+    return _motion(path, messages[0], time_ns, origin_ns, position, turned)
 
 
 def read_channels(path: Path, channels: Sequence[str], *, source: str | None = None) -> tuple[NDArray[np.int64], F64] | None:
@@ -133,21 +133,29 @@ def _recorded(recording: Recording, source: str | None, subject: str | None, ori
     source = _only_source(recording) if source is None else source
     if source in recording.sources and "segments" not in _kinds(recording, source):
         markers = marker_series(recording, source, subject)
-        named, position = markers.names, markers.position_m
-        return _motion(recording.path, markers.subject, named, on_host(markers), origin_ns, position, None, action)
+        return _motion(recording.path, markers, on_host(markers), origin_ns, markers.position_m, None, action)
     series = segment_series(recording, source, subject)
-    turned = series.orientation_wxyz
-    motion = _motion(recording.path, series.subject, series.names, on_host(series), origin_ns, series.position_m, turned, action)
+    position, turned = series.position_m, series.orientation_wxyz
+    motion = _motion(recording.path, series, on_host(series), origin_ns, position, turned, action)
     until_ns = int(series.host_ns[0]) + _FACTS_NS
     return _with_hand_ends(motion, (m for _, s in recording.samples([source], end_ns=until_ns) for m in s.messages))
 
 
+class _OfSubject(Protocol):
+    """Whose points, or segments, these are, and what they are called: a message, or a series of a recording."""
+
+    @property
+    def subject(self) -> str: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+
 def _motion(
-    path: Path, subject: str, names: tuple[str, ...], time_ns: NDArray[np.int64], origin_ns: int | None, position: F64,
-    orientation: F64 | None, action: str = "",
+    path: Path, of: _OfSubject, time_ns: NDArray[np.int64], origin_ns: int | None, position: F64, orientation: F64 | None,
+    action: str = "",
 ) -> PointTracks:  # fmt: skip
     """The host's times of a device rise as the device's do, but for rounding: equal ones are left out."""
-    points = 0
+    points, names = 0, of.names
     if orientation is None:
         segments, placed, turned = segment_poses(position, names)
         if segments:
@@ -158,7 +166,7 @@ def _motion(
     origin = int(time_ns[0]) if origin_ns is None else origin_ns
     orientation = None if orientation is None else orientation[rising]
     time_s = (time_ns - origin) / 1e9
-    return PointTracks(path, subject, names, time_s, origin, position[rising], orientation, action, points)
+    return PointTracks(path, of.subject, names, time_s, origin, position[rising], orientation, action, points)
 
 
 def _with_hand_ends(motion: PointTracks, messages: Iterable[Message]) -> PointTracks:
@@ -213,7 +221,7 @@ def _from_rows(path: Path, subject: str | None, origin_ns: int | None) -> PointT
     else:
         time_ns, points = of_one_subject(path, markers, subject, "motion")
         named, position, turned = points[0], np.stack([m.position_m for m in points]), None
-    motion = _motion(path, named.subject, named.names, time_ns, origin_ns, position, turned)
+    motion = _motion(path, named, time_ns, origin_ns, position, turned)
     return _with_hand_ends(motion, (m for _, m in rows))
 
 

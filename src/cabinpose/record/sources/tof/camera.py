@@ -172,9 +172,8 @@ def frame_of(
     confidence: NDArray[Any] | None = None,
     noise_m: NDArray[Any] | None = None,
     balance: NDArray[Any] | None = None,
-    straight: bool = False,
 ) -> ToFFrame:
-    """A frame (H, W) of a camera, without the images that are None; straight: its depth is free of the lens' distortion.
+    """A frame (H, W) of a camera, without the images that are None; depth and amplitude have the lens' distortion.
 
     amplitude, balance: any numbers · noise_m: metres · confidence: floats in 0..1 or unsigned integers, of which 8 bits are kept.
     """
@@ -182,7 +181,7 @@ def frame_of(
     grey, balanced = _word_image(amplitude), _word_image(balance)
     noise = _word_image(None if noise_m is None else np.rint(noise_m * 1e6))
     sure = np.zeros((0, 0), np.uint8) if confidence is None else _byte_image(confidence)
-    return ToFFrame(depth, unit_m, grey, sure, camera.k, np.zeros(5) if straight else dist, dist, noise, balanced)
+    return ToFFrame(depth, unit_m, grey, sure, camera.k, dist, dist, noise, balanced)
 
 
 def _word_image(values: ArrayLike | None) -> NDArray[np.uint16]:

@@ -169,12 +169,13 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
         dist = (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"])
         stated = Camera(width, height, lens["fx"], lens["fy"], lens["cx"], lens["cy"], dist)
         camera = self._lens(width, height, lambda: None, stated)
-        straight = not self._lies_on_lens(camera, points, valid)
+        bent = self._lies_on_lens(camera, points, valid)
         unit = self.settings.depth_unit_m
         amplitude = shaped(payload.amplitude, width, height)
         depth = depth_image(points[..., 2], valid, unit)
         noise = None if payload.noise is None else shaped(payload.noise, width, height)
-        return frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence, noise_m=noise, straight=straight)
+        frame = frame_of(camera, depth, unit, amplitude=amplitude, confidence=confidence, noise_m=noise)
+        return frame if bent else replace(frame, camera_dist=np.zeros(5))
 
     def _lies_on_lens(self, camera: Camera, points: NDArray[np.floating], valid: NDArray[np.bool_]) -> bool:
         """Whether a pixel's depth belongs to its ray through the lens, measured once on the points themselves.
