@@ -17,8 +17,8 @@ from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.feet import MISS_M, default_plans, foot_goals
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.gaze import head_rotation
-from cabinpose.synth.posture.goals import HAND_MISS_M, TASKS, HandGoal, sitter
-from cabinpose.synth.posture.hands import lying, on_rim, on_thigh, rim_grip
+from cabinpose.synth.posture.goals import TASKS, HandGoal, sitter
+from cabinpose.synth.posture.hands import RIM_MISS_M, lying, on_rim, on_thigh, rim_grip
 from cabinpose.synth.posture.seat_fit import SeatFit
 from cabinpose.synth.posture.solver import solve
 
@@ -80,7 +80,7 @@ def solve_posture(
     missed = dict(zip(TASKS, left.missed[:, 0].tolist(), strict=True))
     missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - seat.h_point(setting)))
     for side, name in enumerate(("lhand", "rhand")):
-        if holds and missed[name] > HAND_MISS_M:
+        if holds and missed[name] > RIM_MISS_M:
             raise SceneError(f"{name} misses the steering wheel by {1e3 * missed[name]:.0f} mm")
         foot = TASKS[2 + side]
         if feet[side].must and missed[foot] > MISS_M:

@@ -12,7 +12,8 @@ from cabinpose.scene import labels
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, SUBJECTS, BodyModel, Person
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import build_cabin
-from cabinpose.synth.posture.hands import BY_GRIP, fingers_at, lying
+from cabinpose.synth.posture.hands import BY_GRIP, lying
+from cabinpose.synth.posture.places import PLACES
 
 THIGH_RADIUS_M = 0.09
 
@@ -30,7 +31,7 @@ def posed(person: Person, grip: float, fingers: np.ndarray | None):
 
 def drawn(place: str, count: int, rim: float | None = None) -> np.ndarray:
     noise = np.random.default_rng(4).standard_normal((count, 3)).tolist()
-    return np.array([fingers_at(place, tuple(n), rim) for n in noise])
+    return np.array([PLACES[place].fingers(tuple(n), rim) for n in noise])
 
 
 def test_fingers_that_follow_the_grip_say_so(somebody: Person) -> None:

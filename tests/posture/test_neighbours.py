@@ -14,6 +14,7 @@ from cabinpose.scene.body import SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.posing import rows_of, slimmest_in_the_middle
+from cabinpose.synth.posture import random_action
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.neighbours import NOBODY, half_breadth, is_opposite, neighbours_of, tunnel_m
 from cabinpose.synth.posture.seat_fit import fit_seat
@@ -37,7 +38,6 @@ def test_what_neighbours_mean(people: dict[str, Person]) -> None:
     between = neighbours_of(people["S01"], "rear_center", shuttle, others, rng=np.random.default_rng(0))
     assert between.close == (True, True)
     assert between.aside == 0.0
-    assert between.left_out >= {"lean_side", "phone_ear", "phone_ear_outer"}
     beside = neighbours_of(people["S11"], "rear_left", sedan, {"rear_center": people["S04"]}, rng=np.random.default_rng(0))
     assert beside.close == (False, True)
     assert 0.0 < beside.aside <= 0.04  # to the left, away from the neighbour
@@ -45,6 +45,19 @@ def test_what_neighbours_mean(people: dict[str, Person]) -> None:
     assert beside.feet[0] == math.inf
     assert beside.feet[1] < 0.12  # the one in the middle has feet on both sides of the tunnel
     assert neighbours_of(people["S01"], "rear_center", sedan, {}, rng=np.random.default_rng(0)) is NOBODY
+
+
+def test_nobody_does_by_chance_what_neighbours_leave_no_room_for() -> None:
+    sedan, rng = build_cabin("sedan"), np.random.default_rng(0)
+    seat = sedan.seats["rear_center"]
+    for close, left_out in (
+        ((False, False), set()),
+        ((True, False), {"lean_side", "phone_ear"}),
+        ((True, True), {"lean_side", "phone_ear", "phone_ear_outer"}),
+    ):
+        beside = NOBODY._replace(close=close)
+        drawn = {random_action(seat, sedan, rng=rng, neighbours=beside) for _ in range(1000)}
+        assert {"lean_side", "phone_ear", "phone_ear_outer"} - drawn == left_out
 
 
 def test_the_slimmest_sits_between(people: dict[str, Person]) -> None:

@@ -17,7 +17,6 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel, Person, Phenotype
 from cabinpose.scene.cabin import PRESETS, SeatSetting, build_cabin
 from cabinpose.synth.posture import (
-    ACTIONS,
     Prescribed,
     SeatContext,
     SeatOffset,
@@ -27,7 +26,7 @@ from cabinpose.synth.posture import (
     random_action,
     sample_pose,
 )
-from cabinpose.synth.posture.actions import HOLDING
+from cabinpose.synth.posture.actions import OWN_ACTIONS
 from cabinpose.synth.posture.seat_fit import fit_seat
 from cabinpose.synth.posture.seating import CENTRED
 from cabinpose.synth.profiles import GaussianProfile, IncrementalProfile
@@ -220,11 +219,11 @@ def test_random_actions_follow_their_weights(in_hand: bool) -> None:
     seat = cabin.seats["driver"]
     rng = np.random.default_rng(2)
     drawn = [random_action(seat, cabin, rng=rng, in_hand=in_hand) for _ in range(4000)]
-    known = [name for name in actions_for(seat, cabin) if in_hand or name not in HOLDING]
-    assert set(drawn) == {name for name in known if ACTIONS[name].weight > 0.0}
-    total = sum(ACTIONS[n].weight for n in known)
+    known = [name for name in actions_for(seat, cabin) if in_hand or OWN_ACTIONS[name].in_hand != "always"]
+    assert set(drawn) == {name for name in known if OWN_ACTIONS[name].weight > 0.0}
+    total = sum(OWN_ACTIONS[n].weight for n in known)
     for name in known:
-        assert drawn.count(name) / 4000 == pytest.approx(ACTIONS[name].weight / total, abs=0.025)
+        assert drawn.count(name) / 4000 == pytest.approx(OWN_ACTIONS[name].weight / total, abs=0.025)
 
 
 def test_an_offset_moves_the_pelvis_and_hands_stay_on_the_wheel(people: dict[str, Person]) -> None:

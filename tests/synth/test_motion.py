@@ -19,6 +19,7 @@ from cabinpose.core.frames import invert
 from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOFS, SEGMENTS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
+from cabinpose.scene.things import THINGS
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
@@ -28,7 +29,8 @@ from cabinpose.synth.motion.handover import giving_palm, meeting_place, taking_p
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
 from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
 from cabinpose.synth.motion.track import CLOSING_S, WIDTH, Held, duration, way_through
-from cabinpose.synth.posture.grasps import HANDED, OPEN_HAND, Grasp, Hold, hold
+from cabinpose.synth.posture.grasps import OPEN_HAND, Grasp, Hold, hold
+from cabinpose.synth.posture.places import GIVE, TAKE
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.validate import Rejection, Validator, Verdict
 from cabinpose.synth.write import FrameMaker
@@ -175,7 +177,7 @@ def test_depth_is_the_median_over_the_frames_before(film) -> None:
 def test_what_is_held_moves_with_the_hand_and_is_pressed_by_it(film) -> None:
     """Rigidly with its holder's palm, up and down; touched by trimesh, and not pierced; what stands on a seat stands still."""
     hold, raised = film.tracks["front_passenger"].hold, []
-    assert hold.kind in HANDED["drink"]
+    assert "drink" in THINGS[hold.kind].held_at
     assert film.tracks["driver"].hold is None
     for t in (0.0, 1.3, 2.6):
         people = film.people(t)
@@ -235,7 +237,7 @@ def _free(film, time_s: float) -> Verdict:
 
 def test_fingers_open_before_they_close_and_follow_the_grip_otherwise() -> None:
     grasp = Grasp(np.array((0.1, 0.5, 0.5, 0.6, 0.6)), np.eye(4))
-    held = Held(Hold("bottle", 0, 1, grasp, "take"), 2.0, 5.0)
+    held = Held(Hold("bottle", 0, 1, grasp, TAKE), 2.0, 5.0)
     assert held.curl(0.6, 0.3) is None
     assert held.curl(6.4, 0.3) is None
     for time_s in (2.0, 3.0, 5.0):
@@ -251,7 +253,7 @@ def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
     people = {p.slot: p for p in film.people(0.0)}
     one, two = people["driver"], people["front_passenger"]
     side = 1 if one.posed.joints[INDEX["hip"], 1] > two.posed.joints[INDEX["hip"], 1] else 0
-    held = hold(one.person, "give", "bottle", 0, side)
+    held = hold(one.person, GIVE, "bottle", 0, side)
     rng = np.random.default_rng(0)
     place = meeting_place((one.person, two.person), (one.posed, two.posed), side, np.array((1.0, 0.0, 0.0)), rng=rng)
     palms = [giving_palm(held, one.posed, place)]

@@ -14,7 +14,6 @@ from cabinpose.core.skeleton import INDEX
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, BodyModel, Phenotype
 from cabinpose.scene.body.phenotype import age_of, usual_stature_m
 from cabinpose.scene.labels import LABEL_ID
-from cabinpose.scene.things.thing import sitting_in
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
 from cabinpose.synth.sample import SceneSampler
@@ -59,14 +58,14 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
     scene, child = drawn(kind, slot)
     (seat,) = scene.things
     assert child.child
-    low, high = sitting_in(seat.thing).stature_m
+    low, high = seat.thing.sitting.stature_m
     assert low <= child.person.stature_m <= high
     found = thing_penetrations([(child.slot, child.person, child.posed)], scene.things)
     assert found
     assert max(p.excess_m for p in found) < 1e-6
     local = apply(invert(seat.vehicle_from_thing), child.posed.skin.astype(np.float64))
     sits = local[np.isin(child.person.skin_segment, [SEGMENTS.index(name) for name in ("pelvis", "lthigh", "rthigh")])]
-    height, slope = sitting_in(seat.thing).cushion
+    height, slope = seat.thing.sitting.cushion
     under = sits[:, 2] - height - slope * sits[:, 0]
     assert -0.028 < under.min() < 0.0  # on the padding, or pressed into it
 

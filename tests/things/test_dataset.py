@@ -10,7 +10,7 @@ import yaml
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.labels import LABEL_ID, THINGS
+from cabinpose.scene.labels import LABEL_ID, THING_LABELS
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
@@ -49,7 +49,7 @@ def test_frames_say_what_is_in_them(tmp_path: Path) -> None:
 
 def test_datasets_without_things_do_not_know_of_them() -> None:
     plain = build_manifest(config(child_seats={}, objects={}), 1, 0)
-    assert not {label.id for label in THINGS} & {row.id for row in plain.labels}
+    assert not {label.id for label in THING_LABELS} & {row.id for row in plain.labels}
     assert not {"blanket", "jacket"} & {row.name for row in build_manifest(config(), 1, 0).labels}
     assert not {"belt", "child"} & set(build_manifest(config(), 1, 0).variables)
     assert "things" not in plain.variables

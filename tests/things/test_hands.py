@@ -11,21 +11,22 @@ from cabinpose.core.errors import SceneError
 from cabinpose.core.frames import apply, invert
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, SUBJECTS, BodyModel, Person
 from cabinpose.scene.contact import solid_topology
-from cabinpose.scene.things import make_thing
+from cabinpose.scene.things import OBJECTS, make_thing
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.posture.grasps import HANDED, PRESSED_M, can_hold, hold
+from cabinpose.synth.posture.grasps import PRESSED_M, can_hold, hold
+from cabinpose.synth.posture.places import DRINK, PLACES, HandPlace
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng
 
-HELD = [(place, kind) for place, kinds in HANDED.items() for kind in kinds]
+HELD = [(PLACES[place], name) for name, kind in OBJECTS.items() for place in kind.held_at]
 
 
 def somebody(name: str) -> Person:
     return BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
 
 
-def depths(person: Person, place: str, kind: str, side: int) -> np.ndarray:
+def depths(person: Person, place: HandPlace, kind: str, side: int) -> np.ndarray:
     """(N,) m that the vertices of a hand are in what it holds, negative outside."""
     held = hold(person, place, kind, 1, side)
     q = np.zeros(len(DOFS))
@@ -39,7 +40,7 @@ def depths(person: Person, place: str, kind: str, side: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("place", "kind"), HELD)
 @pytest.mark.parametrize("name", ["S03", "S04"])
-def test_a_hand_closes_around_what_it_holds(name: str, place: str, kind: str) -> None:
+def test_a_hand_closes_around_what_it_holds(name: str, place: HandPlace, kind: str) -> None:
     into = depths(somebody(name), place, kind, 0)
     assert into.max() < PRESSED_M + 0.002  # every other vertex is measured while the hand closes
     assert (into > -0.006).sum() > 20
@@ -47,7 +48,7 @@ def test_a_hand_closes_around_what_it_holds(name: str, place: str, kind: str) ->
 
 
 def test_fingers_lie_around_the_bottle() -> None:
-    person, held = somebody("S01"), hold(somebody("S01"), "drink", "bottle", 0, 0)
+    person, held = somebody("S01"), hold(somebody("S01"), DRINK, "bottle", 0, 0)
     q = np.zeros(len(DOFS))
     q[DOF_INDEX["lhand.grip"]] = 0.5
     body = person.pose(q, np.eye(4), held.fingers)
@@ -62,9 +63,9 @@ def test_fingers_lie_around_the_bottle() -> None:
 
 def test_what_fits_into_no_hand_is_named() -> None:
     person = somebody("S05")
-    assert not can_hold(person, "drink", "box", 0)
+    assert not can_hold(person, DRINK, "box", 0)
     with pytest.raises(SceneError, match=r"no hand of a person of 1.40 m closes around a box of \d+ x \d+ x \d+ mm") as caught:
-        hold(person, "drink", "box", 0, 0)
+        hold(person, DRINK, "box", 0, 0)
     assert caught.value.hint
 
 

@@ -4,7 +4,7 @@ from .labels import LABEL_ID as LABEL_ID
 from .labels import LABELS as LABELS
 from .labels import LAST_BODY_ID as LAST_BODY_ID
 from .labels import RGB as RGB
-from .labels import THINGS as THINGS
+from .labels import THING_LABELS as THING_LABELS
 from .labels import ticam_class as ticam_class
 from .materials import MATERIAL_ID as MATERIAL_ID
 from .materials import MATERIALS as MATERIALS

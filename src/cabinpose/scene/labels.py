@@ -51,8 +51,8 @@ _TICAM = MappingProxyType(
 )  # fmt: skip
 
 BODY_PARTS: tuple[Label, ...] = tuple(Label(*row) for row in _BODY)
-THINGS: tuple[Label, ...] = tuple(Label(*row) for row in _THINGS)
-LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD) + THINGS))
+THING_LABELS: tuple[Label, ...] = tuple(Label(*row) for row in _THINGS)
+LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD) + THING_LABELS))
 LABEL_ID = MappingProxyType({label.name: label.id for label in LABELS})
 RGB = MappingProxyType({label.id: label.rgb for label in LABELS})
 FIRST_BODY_ID, LAST_BODY_ID = 1, 63  # ids 1..63 belong to people, 64.. to the world

@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import OCCUPANT_SLOTS
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting
-from cabinpose.scene.things import SITTING, SOFT, VARIANTS
+from cabinpose.scene.things import VARIANTS
 from cabinpose.synth.cars import ChangedPreset, is_random_car
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.occupant import ExactPose
@@ -23,7 +23,7 @@ from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.preflight import open_cabin
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.streams import weighted
-from cabinpose.synth.things import Brought, check_size, draw_child_seats, draw_objects
+from cabinpose.synth.things import Brought, check_size, draw_child_seats, draw_objects, is_cloth, stature_range
 from cabinpose.synth.validate import Validator
 
 _FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
@@ -87,8 +87,8 @@ class Casting:
             settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in exact})
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
-        soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if kind in SOFT}
-        soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if thing.kind in SOFT}
+        soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if is_cloth(kind)}
+        soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if is_cloth(thing.kind)}
         hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
         return Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft)
 
@@ -97,13 +97,14 @@ class Casting:
         result: dict[str, str] = {}
         for slot, kind in child_seats.items():
             occupant = scene.occupants.get(slot)
-            if kind not in SITTING or (occupant is None and not (scene.children and rng.random() < scene.children)):
+            statures = stature_range(kind)
+            if statures is None or (occupant is None and not (scene.children and rng.random() < scene.children)):
                 continue
             if occupant is not None and occupant.subject is not None:
                 result[slot] = occupant.subject
                 check_size(occupant.subject, self.person(occupant.subject).stature_m, kind)
             else:
-                able = [name for name in self._plan.children(SITTING[kind](0).stature_m) if name not in result.values()]
+                able = [name for name in self._plan.children(statures) if name not in result.values()]
                 result[slot] = able[int(rng.integers(len(able)))]
         return result
 

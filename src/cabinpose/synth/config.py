@@ -20,7 +20,7 @@ from cabinpose.core import OCCUPANT_SLOTS, ConfigError, parse_yaml, read_yaml, u
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
-from cabinpose.scene.things import SOFT, Attachment
+from cabinpose.scene.things import THINGS, Attachment
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
@@ -28,10 +28,9 @@ from cabinpose.synth.occupant import ExactThing, Occupant
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
-from cabinpose.synth.posture.actions import HOLDING
 from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
-from cabinpose.synth.things import Choice, check_child_seats, check_shares, weights_of
+from cabinpose.synth.things import Choice, check_child_seats, check_shares, is_cloth, weights_of
 
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
 
@@ -129,16 +128,18 @@ class CabinScene(Model):
         return bool(self.children or self.belt_misuse or self.attachments or any(o.belt for o in self.occupants.values()))
 
     @property
-    def soft_things(self) -> frozenset[str]:
-        """Which of `SOFT` frames may show."""
+    def cloth_labels(self) -> frozenset[str]:
+        """The classes of what may be draped over seats and laps."""
         named = {kind for choice in self.objects.values() for kind in weights_of(choice, ())}
-        return frozenset(SOFT) & (named | {thing.kind for thing in self.things})
+        named |= {thing.kind for thing in self.things}
+        return frozenset(THINGS[kind].label for kind in named if is_cloth(kind))
 
     @property
     def brings_things(self) -> bool:
         """Whether there may be child seats or objects."""
         named = {action for weights in self.motion.values() for action in weights} | {o.action for o in self.occupants.values()}
-        by_action = self.sequence is None and named & HOLDING  # in sequences hands are empty without `in_hand`
+        # In sequences hands are empty without `in_hand`.
+        by_action = self.sequence is None and any(name and ACTIONS[name].in_hand == "always" for name in named)
         return bool(self.child_seats or self.objects or self.things or self.in_hand or by_action)
 
     @model_validator(mode="before")
@@ -203,8 +204,7 @@ class CabinScene(Model):
             raise ConfigError("nobody has anything in the hand to hand over", hint="give scene.in_hand, such as 1.0")
         for weights in self.motion.values():
             for action in weights:
-                if action not in ACTIONS:
-                    raise unknown_name("action", action, list(ACTIONS))
+                _ = ACTIONS[action]  # ConfigError for one that does not exist, ExtensionError for one that cannot be loaded
             if not any(weights.values()):
                 raise ConfigError("no action has a weight above 0", hint="give at least one action a weight")
         return self

@@ -14,7 +14,7 @@ from cabinpose.core import Camera, Floats, Matrix, invert, transform
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting, Solid, slab
-from cabinpose.scene.things import CLOTH_M, Piece, PlacedThing, Thing, cushion_frame, of_design
+from cabinpose.scene.things import CLOTH_M, THINGS, Cloth, Piece, PlacedThing, Thing, cushion_frame, of_design
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.things import lap_frame
 
@@ -51,7 +51,7 @@ def envelope(heights: Floats) -> Floats:
 def draped(
     kind: str, variant: int, slot: str, cabin: Cabin, setting: SeatSetting, body: PosedBody | None, worn: Sequence[Surface]
 ) -> PlacedThing | None:
-    """A blanket or a jacket over a lap, or over a seat.
+    """Cloth over a lap, or over a seat.
 
     Parameters
     ----------
@@ -75,7 +75,9 @@ def draped(
         frame, length = lap_frame(body)
         start, end = 0.08, length + of_design(0.06, 0.14, variant, 2)
     raw = seen_from_above(merge([*below, *worn]), frame)
-    half = of_design(0.20, 0.30, variant, 3) if kind == "blanket" else of_design(0.17, 0.22, variant, 3)
+    row = THINGS[kind]
+    assert isinstance(row, Cloth)
+    half = of_design(*row.half_m, variant, 3)
     x, y = (CELL_M * (np.arange(CELLS) - 0.5 * (CELLS - 1)) + middle for middle in (_MIDDLE_M, 0.0))
     high = (raw > HIGHEST_M)[:, np.abs(y) < half + 2.0 * CELL_M].any(axis=1) & (x < end)
     start = max(start, float(x[high].max()) + 2.0 * CELL_M if high.any() else start)
@@ -83,7 +85,7 @@ def draped(
         return None
     covered = envelope(np.where((x > start - CELL_M)[:, None], raw, -np.inf)) + LIFT_M
     phase = 2.0 * np.pi * of_design(0.0, 1.0, variant, 5)
-    thick = of_design(0.006, 0.012, variant, 4) if kind == "blanket" else 0.016
+    thick = of_design(*row.thick_m, variant, 4)
 
     def cloth(x0: float, x1: float, left: float, right: float, slant: float = 0.0, above: float = 0.0) -> Solid:
         """A piece from x0 to x1 between two sides (y, m); slant: how far it is moved to the left at its end; above: another."""
@@ -102,10 +104,9 @@ def draped(
         return slab(*(np.stack((px, py, low + up), axis=-1) for up in (0.0, thick))).outward()
 
     pieces = [cloth(start, end, -half, half)]
-    if kind == "jacket":  # its sleeves lie folded over it
+    if row.sleeves:
         wide, ends = 0.09, (end - 0.22, end - 0.04)
         edges = ((-half, wide - half, 1.2 * half), (half - wide, half, -0.7 * half))
         pieces += [cloth(start + 0.03, x1, *edge, above=thick) for x1, edge in zip(ends, edges, strict=True)]
-    material = "wool" if kind == "blanket" else "synthetic_fabric"
-    made = tuple(Piece(f"cloth {n}", solid, material, CLOTH_M) for n, solid in enumerate(pieces))
-    return PlacedThing(Thing(kind, variant, kind, made), frame, slot, "seat" if body is None else "lap")
+    made = tuple(Piece(f"cloth {n}", solid, row.material, CLOTH_M) for n, solid in enumerate(pieces))
+    return PlacedThing(Thing(kind, variant, row.label, made), frame, slot, "seat" if body is None else "lap")

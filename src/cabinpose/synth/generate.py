@@ -15,8 +15,7 @@ from typing import Literal, get_args
 
 import cabinpose
 from cabinpose.core import ConfigError, optional_module
-from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THINGS, ticam_class
-from cabinpose.scene.things import SOFT
+from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
 from cabinpose.store import Manifest, PartPlan, create_dataset
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import GAZE_VARIABLES
@@ -24,6 +23,7 @@ from cabinpose.synth.plan import brings_things, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
 from cabinpose.synth.style.settings import STYLE_VARIABLES
+from cabinpose.synth.things import CLOTH_LABELS
 from cabinpose.synth.validate import Rejection, by_cause
 from cabinpose.synth.write import RESTRAINTS, Content, FrameReport, make_frames
 
@@ -135,7 +135,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     camera = config.camera.sensor_model.camera
     standing = config.scene.kind == "room"
     things = brings_things(config)
-    absent = frozenset(SOFT) - (config.scene.soft_things if isinstance(config.scene, CabinScene) else frozenset())
+    absent = CLOTH_LABELS - (config.scene.cloth_labels if isinstance(config.scene, CabinScene) else frozenset())
     images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
     if config.images is not None:
         images += (*config.images.variables, "light", "renderer")
@@ -154,7 +154,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         licence=config.output.licence,
         labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS if label.name not in absent]
         if things
-        else [label._asdict() for label in LABELS if label not in THINGS],
+        else [label._asdict() for label in LABELS if label not in THING_LABELS],
         materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
         variables=(
             *images,

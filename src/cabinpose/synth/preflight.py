@@ -15,7 +15,8 @@ from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.pictures.path_tracing import mitsuba
 from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, subject_body
-from cabinpose.synth.posture import actions_for
+from cabinpose.synth.posture import ACTIONS, actions_for
+from cabinpose.synth.posture.actions import suits
 from cabinpose.synth.things import check_size, weights_of
 
 LENS_M = 0.01  # free space a lens needs around it
@@ -106,12 +107,10 @@ def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, s
     actions |= {slot: [o.action] for slot, o in scene.occupants.items() if o.action is not None and o.pose is None}
     for slot, names in actions.items():
         if slot in cabin.seats:
-            known = actions_for(cabin.seats[slot], cabin)
-            wrong = [name for name in names if name not in known]
+            wrong = [name for name in names if not suits(ACTIONS[name], cabin.seats[slot], cabin)]
             if wrong:
-                raise ConfigError(
-                    f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {', '.join(known)}"
-                )
+                known = ", ".join(actions_for(cabin.seats[slot], cabin))
+                raise ConfigError(f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {known}")
     _check_views(config, car, cabin, ours=ours)
 
 

@@ -10,16 +10,11 @@ from cabinpose.core import INDEX, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting, fastening_surface
-from cabinpose.scene.things import IN_USE, Attachment, PlacedThing, make_thing, sitting_in
+from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.things import drawn
 
 _GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it
 _SLOT_M, _HIP_M = (0.010, 0.055, 0.010), (0.100, 0.125, 0.035)  # likewise; the hips' above the cushion
-# Where belts run, by what they hold (m, in its frame): lap part and shoulder part, over the shell or through the base.
-_PATHS = {
-    "infant": (((0.330, 0.0, 0.28), (0.610, 0.0, 0.36)), True),
-    "toddler": (((0.120, 0.0, 0.13), (0.000, 0.0, 0.40)), False),
-}
 
 
 def restrained(
@@ -27,30 +22,41 @@ def restrained(
 ) -> PlacedThing:
     """A child seat as it is with a child in it, and with what fastens it."""
     kind, variant = thing.thing.kind, thing.thing.variant
-    if attachments and kind in _PATHS:
+    if attachments and _belt_path(thing) is not None:
         thing = thing._replace(attachment=drawn(attachments, rng=rng))
     used = f"{kind}_in_use"
-    return thing._replace(thing=make_thing(used, variant)) if taken and used in IN_USE else thing
+    return thing._replace(thing=make_thing(used, variant)) if taken and used in THINGS else thing
+
+
+def _belt_path(thing: PlacedThing) -> BeltPath | None:
+    kind = THINGS[thing.thing.kind]
+    return kind.belt_path if isinstance(kind, ChildSeat) else None
 
 
 def fastening(thing: PlacedThing, cabin: Cabin, setting: SeatSetting) -> Surface:
     """The belt that holds a child seat, vehicle frame."""
-    path, over = _PATHS[thing.thing.kind.removesuffix("_in_use")]
+    path = _belt_path(thing)
+    assert path is not None
     shell = merge([part.surface for part in thing.thing.parts if part.name.endswith((" shell", " padding"))])
-    points = apply(thing.vehicle_from_thing, np.array(path))
-    return fastening_surface(shell.moved(thing.vehicle_from_thing), cabin.seats[thing.slot], setting, cabin, points, over=over)
+    points, shell = apply(thing.vehicle_from_thing, np.array(path.points)), shell.moved(thing.vehicle_from_thing)
+    return fastening_surface(shell, cabin.seats[thing.slot], setting, cabin, points, over=path.over)
+
+
+def _sitting(on: PlacedThing) -> Sitting:
+    assert on.thing.sitting is not None  # of those in which somebody sits
+    return on.thing.sitting
 
 
 def _beside_back(on: PlacedThing, height: float, ahead: float, aside: float) -> Floats:
     """(3,) m, vehicle frame: a point before the back of a child seat, at a height of its frame."""
-    back = sitting_in(on.thing).back
+    back = _sitting(on).back
     assert back is not None
     return np.asarray(apply(on.vehicle_from_thing, np.array([back[0] + back[1] * height + ahead, aside, height])))
 
 
 def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | None:
     """Where a booster leads the belt to the shoulder, (3,) m, vehicle frame; None for one without a back."""
-    if sitting_in(on.thing).back is None:
+    if _sitting(on).back is None:
         return None
     joints = [body.joints[INDEX[name]] for name in ("lshoulder", "rshoulder", "neck")]
     local = apply(invert(on.vehicle_from_thing), np.stack((anchor, *joints)))
@@ -63,6 +69,6 @@ def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | Non
 def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
     """Where a harness comes out of its shell, (2, 3) m each, vehicle frame: behind the shoulders and beside the hips."""
     height = apply(invert(on.vehicle_from_thing), body.joints[[INDEX["lshoulder"], INDEX["rshoulder"]]])[:, 2].mean()
-    places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (sitting_in(on.thing).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
+    places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (_sitting(on).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
     slots, hips = (np.stack([_beside_back(on, z, ahead, s * aside) for s in (1.0, -1.0)]) for z, ahead, aside in places)
     return slots, hips

@@ -21,7 +21,7 @@ from cabinpose.scene import ROOM_VIEWS, Room, furnish_room, place_room_camera
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, belt_surface, harness_surface
 from cabinpose.scene.sensor import jittered, place_camera
-from cabinpose.scene.things import SITTING, SOFT, PlacedThing, sitting_in
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.camera import CameraPose, ExactCameraPose
 from cabinpose.synth.cars import is_car_file, place_name
 from cabinpose.synth.casting import Cast, Casting
@@ -35,11 +35,11 @@ from cabinpose.synth.once import cached_once
 from cabinpose.synth.plan import Plan, person_slots, room_rng
 from cabinpose.synth.posing import pose_people
 from cabinpose.synth.posture import draw_offset, random_action
-from cabinpose.synth.posture.actions import HOLDING, IN_CHILD_SEAT, TELEPHONING
+from cabinpose.synth.posture.actions import ACTIONS, IN_CHILD_SEAT
 from cabinpose.synth.posture.context import SeatContext
 from cabinpose.synth.posture.grasps import Hold
-from cabinpose.synth.posture.intents import Reach
 from cabinpose.synth.posture.neighbours import neighbours_of
+from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Doing, Drawn, OccupantPose, Prescribed, draw_pose
 from cabinpose.synth.preflight import LENS_M
 from cabinpose.synth.profiles import MocapProfile
@@ -47,7 +47,7 @@ from cabinpose.synth.restraints import belt_guide, fastening, restrained, straps
 from cabinpose.synth.scene import ImpossibleSceneError, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
 from cabinpose.synth.streams import sequence_rng, weighted
-from cabinpose.synth.things import Blocked, SeatThings, bring_along, drawn
+from cabinpose.synth.things import Blocked, SeatThings, bring_along, drawn, is_cloth
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 _CAMERA_DRAWS = 5  # until a scene is given up in which somebody is before the lens
@@ -113,7 +113,7 @@ class SceneSampler:
         if isinstance(things, Blocked):
             causes[things.rejection] += 1
             return None, 1
-        child_seats = {thing.slot: thing for thing in things if thing.thing.kind in SITTING}
+        child_seats = {thing.slot: thing for thing in things if thing.thing.sitting}
         limit = self._config.limits.poses_per_person
         posed, draws = pose_people(
             cast.people, cabin, cast.validator, settings, draw, poses_per_person=limit, causes=causes, given=cast.given,
@@ -238,7 +238,7 @@ class SceneSampler:
     ) -> tuple[PlacedThing, ...] | Blocked:
         """What stands on the seats; may move empty ones, in place of their settings."""
         if scene.things:
-            return tuple(thing.placed for thing in scene.things if thing.kind not in SOFT)
+            return tuple(thing.placed for thing in scene.things if not is_cloth(thing.kind))
         if not any(cast.brought) or cast.validator.contact is None:
             return ()
         found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng=rng)
@@ -258,7 +258,7 @@ class SceneSampler:
         things: tuple[PlacedThing, ...] = (),
     ) -> Scene:
         """The scene of posed people, who are dressed and belted here, with child seats belted to the car."""
-        on = {thing.slot: thing for thing in things if thing.thing.kind in SITTING}
+        on = {thing.slot: thing for thing in things if thing.thing.sitting}
         dressed = tuple(self._dressed(p, scene, cast.cabin, cast.settings, on.get(p.slot), rng) for p in people)
         fastenings = tuple(fastening(t, cast.cabin, cast.settings[t.slot]) for t in things if t.attachment == "belt")
         backdrop = cast.cabin.surface(cast.settings, wheel_angle=wheel_angle)
@@ -295,7 +295,7 @@ class SceneSampler:
         weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot, on and IN_CHILD_SEAT)
         if action is None:
             action = weighted(weights, rng=rng) if weights else random_action(
-                seat, cabin, rng=rng, left_out=neighbours.left_out, in_hand=scene.in_hand > 0.0
+                seat, cabin, rng=rng, neighbours=neighbours, in_hand=scene.in_hand > 0.0
             )  # fmt: skip
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
         seated = SeatContext(people[slot], seat, setting, cabin, offset, neighbours, on)
@@ -339,7 +339,7 @@ class SceneSampler:
         elif how == "worn" and misused is not None:
             how = misused
         body = clothed.vertices, clothed.faces, person.posed.joints
-        if on is not None and sitting_in(on.thing).harness:
+        if on is not None and on.thing.sitting is not None and on.thing.sitting.harness:
             harness = harness_surface(*body, *straps(on, person.posed), labels=clothed.label)
             return replace(person, surfaces=(clothed, harness), belt="harness")
         if seat.belt is None or how == "none":
@@ -376,7 +376,8 @@ class SceneSampler:
 
 def _in_hand(scene: CabinScene, action: str, rng: np.random.Generator) -> bool:
     """Whether somebody who does this has something in the hand."""
-    return action in HOLDING or (scene.in_hand > 0.0 and action in TELEPHONING and rng.random() < scene.in_hand)
+    how = ACTIONS[action].in_hand
+    return how == "always" or (scene.in_hand > 0.0 and how == "sometimes" and rng.random() < scene.in_hand)
 
 
 def _blocked(eye: Floats, people: Iterable[ScenePerson], seated: Seated) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,16 +14,15 @@ from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
 from cabinpose.scene.things import (
     CHILD_SEATS,
-    HOLDING_CHILDREN,
-    LAP_OBJECTS,
     LEANING,
     NOTHING_PLACED,
     OBJECTS,
     PRESSED_M,
     RESTING_M,
-    SITTING,
-    SOFT,
+    THINGS,
     VARIANTS,
+    ChildSeat,
+    Cloth,
     Cloud,
     Obstacle,
     PlacedThing,
@@ -44,9 +43,13 @@ from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by
 Name = TypeVar("Name", bound=str)
 Choice = str | Mapping[str, Probability]  # a kind, "any", or how likely each is
 ANY_CHILD_SEAT = ("infant", "toddler", "booster")  # what `any` stands for
+ON_SEATS = tuple(name for name, kind in OBJECTS.items() if kind.on_seat)  # likewise, on seats and on laps
+ON_LAPS = tuple(name for name, kind in OBJECTS.items() if kind.on_lap)
+_CLOTH = tuple(name for name, kind in OBJECTS.items() if isinstance(kind, Cloth))
+CLOTH_LABELS = frozenset(OBJECTS[name].label for name in _CLOTH)
+_CHILD_SEATS = tuple(name for name in CHILD_SEATS if not name.endswith("_in_use"))
+_HOLDING_CHILDREN = tuple(name for name in _CHILD_SEATS if CHILD_SEATS[name].sitting)
 _PLACES = 6  # tried for an object before the scene is drawn anew
-_LYING = ("bottle", "cup")  # on a seat
-_LEANING = ("bag", "backpack")  # on the backrest
 _CUSHION_M = 0.40  # of a cushion's length is used, from the backrest
 _LAP_PLACES, _FARTHER_M = 8, 0.015  # tried on a lap, each farther from the trunk
 _ABOVE_LAP_M = 0.20  # of the femurs' axes
@@ -60,13 +63,32 @@ def weights_of(choice: Choice, among: Sequence[str]) -> Mapping[str, float]:
     return choice
 
 
-def check_choice(where: str, choice: Choice, known: Sequence[str]) -> None:
-    """Raises ConfigError for kinds that there are not, and for probabilities that are more than one together."""
-    weights = weights_of(choice, known)
-    for kind in weights:
-        if kind not in known:
-            raise unknown_name("child seat" if tuple(known) == tuple(CHILD_SEATS) else "object", kind, ["any", *known])
+def check_choice(where: str, choice: Choice, what: Literal["child seat", "object"], ours: Sequence[str]) -> None:
+    """Raises ConfigError for names of no child seat or object, and for probabilities that are more than one together."""
+    weights = weights_of(choice, ours)
+    for name in weights:
+        if name not in ours and _what(name) != what:
+            raise unknown_name(what, name, ["any", *ours])
     check_shares(where, weights)
+
+
+def _what(name: str) -> Literal["child seat", "object"] | None:
+    """What may be asked for by the name of a thing; None for what is nowhere but in hands, or in use."""
+    if name not in THINGS or name.endswith("_in_use"):
+        return None
+    kind = THINGS[name]
+    return "child seat" if isinstance(kind, ChildSeat) else "object" if kind.on_seat or kind.on_lap or kind.make is None else None
+
+
+def stature_range(kind: str) -> tuple[float, float] | None:
+    """The least and the largest stature (m) of children who sit in a thing of a kind; None where none does."""
+    row = THINGS[kind]
+    return row.sitting(0).stature_m if isinstance(row, ChildSeat) and row.sitting is not None else None
+
+
+def is_cloth(kind: str) -> bool:
+    """Whether a kind is draped over seats and laps."""
+    return isinstance(THINGS[kind], Cloth)
 
 
 def check_shares(where: str, weights: Mapping[Name, float]) -> None:
@@ -84,30 +106,30 @@ def check_child_seats(child_seats: Mapping[str, Choice], occupied: Sequence[str]
         if slot not in OCCUPANT_SLOTS:
             raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
     for slot, choice in child_seats.items():
-        check_choice(f"child_seats.{slot}", choice, tuple(CHILD_SEATS))
+        check_choice(f"child_seats.{slot}", choice, "child seat", _CHILD_SEATS)
         if slot == "driver":
             raise ConfigError("no child seat stands in the driver's seat", hint="give it to another seat")
-        empty = [kind for kind, weight in weights_of(choice, ANY_CHILD_SEAT).items() if weight > 0.0 and kind not in SITTING]
+        empty = [kind for kind, weight in weights_of(choice, ANY_CHILD_SEAT).items() if weight > 0.0 and not stature_range(kind)]
         if slot in occupied and empty:
             raise ConfigError(
                 f"the {slot} seat has an occupant and a child seat in which nobody sits: {', '.join(empty)}",
-                hint=f"leave out one of the two, or give the child {' or '.join(HOLDING_CHILDREN)}",
+                hint=f"leave out one of the two, or give the child {' or '.join(_HOLDING_CHILDREN)}",
             )
     for slot, choice in objects.items():
-        check_choice(f"objects.{slot}", choice, (*OBJECTS, *SOFT))
-        if slot == "driver" and set(SOFT) & set(weights_of(choice, ())):
+        check_choice(f"objects.{slot}", choice, "object", (*ON_SEATS, *_CLOTH))
+        if slot == "driver" and any(is_cloth(kind) for kind in weights_of(choice, ())):
             raise ConfigError("nothing is draped over the driver", hint="give blanket and jacket to another seat")
 
 
 def check_size(name: str, stature_m: float, kind: str) -> None:
     """Raises ConfigError for somebody whom a kind of child seat cannot hold."""
-    low, high = SITTING[kind](0).stature_m
-    if low <= stature_m <= high:
+    holds = stature_range(kind)
+    if holds is None or holds[0] <= stature_m <= holds[1]:
         return
-    ranges = {other: SITTING[other](0).stature_m for other in HOLDING_CHILDREN}
-    others = [other for other, (least, most) in ranges.items() if least <= stature_m <= most]
+    ranges = ((other, stature_range(other)) for other in _HOLDING_CHILDREN)
+    others = [other for other, range_m in ranges if range_m is not None and range_m[0] <= stature_m <= range_m[1]]
     raise ConfigError(
-        f"{name} is {stature_m:.2f} m tall: a {kind} holds children of {low:.2f} to {high:.2f} m",
+        f"{name} is {stature_m:.2f} m tall: a {kind} holds children of {holds[0]:.2f} to {holds[1]:.2f} m",
         hint=f"seat {name} in a {others[0]}" if others else "leave the child seat out, or name a child",
     )
 
@@ -152,9 +174,10 @@ def draw_objects(
     for slot in OCCUPANT_SLOTS:
         if slot not in objects:
             continue
-        kind = drawn(weights_of(objects[slot], LAP_OBJECTS if slot in taken else tuple(OBJECTS)), rng=rng)
-        fits = slot not in taken or kind in (*LAP_OBJECTS, *SOFT)
-        if kind is not None and slot in cabin.seats and slot not in child_seats and fits:
+        kind = drawn(weights_of(objects[slot], ON_LAPS if slot in taken else ON_SEATS), rng=rng)
+        if kind is None or slot not in cabin.seats or slot in child_seats:
+            continue
+        if is_cloth(kind) or (THINGS[kind].on_lap if slot in taken else THINGS[kind].on_seat):
             result[slot] = kind
     return result
 
@@ -349,10 +372,9 @@ def stand_on_lap(thing: Thing, vehicle_from_lap: Matrix, body: PosedSolids) -> M
 
 def _somewhere(thing: Thing, rng: np.random.Generator) -> Spot:
     """Where an object is put down."""
-    kind, length_m = thing.kind, float(np.ptp(thing.box, axis=0)[:2].max())
+    how, length_m = THINGS[thing.kind].on_seat, float(np.ptp(thing.box, axis=0)[:2].max())
     chance, aside, turn = rng.random(), rng.uniform(-0.06, 0.06), rng.normal()
-    leans = kind in _LEANING or chance < 0.4
-    ahead = 0.0 if leans else max(_CUSHION_M - length_m, 0.02) * rng.uniform(0.3, 1.0)
-    spread = math.radians(12.0 if kind in _LEANING else 25.0)
-    yaw = spread * turn + (0.0 if kind in _LEANING else math.pi / 2.0 * int(rng.integers(4)))
-    return Spot(ahead, aside, axis_rotation("z", yaw) @ (axis_rotation("x", math.pi / 2.0) if kind in _LYING else np.eye(3)))
+    ahead = 0.0 if how == "leans" or chance < 0.4 else max(_CUSHION_M - length_m, 0.02) * rng.uniform(0.3, 1.0)
+    spread = math.radians(12.0 if how == "leans" else 25.0)
+    yaw = spread * turn + (0.0 if how == "leans" else math.pi / 2.0 * int(rng.integers(4)))
+    return Spot(ahead, aside, axis_rotation("z", yaw) @ (axis_rotation("x", math.pi / 2.0) if how == "lies" else np.eye(3)))

@@ -215,14 +215,14 @@ class _Builder:
         if last in ("occupants", "occupancy", "motion"):
             return OCCUPANT_SLOTS
         if path[:2] == ("scene", "motion"):
-            return tuple(ACTIONS)
+            return ACTIONS.names()
         return {"views": tuple(VIEWS_OF_ALL), "ranges": tuple(DEFAULT_RANGES)}.get(last, ())
 
     def _values(self, path: Path) -> tuple[str, ...]:
         """Usual values of a text; () for none."""
         known = {
             "cars": self._cars, "preset": PRESETS, "subjects": tuple(SUBJECTS), "subject": self._subjects,
-            "sensor": tuple(SENSORS), "action": tuple(ACTIONS), "seat": OCCUPANT_SLOTS,
+            "sensor": tuple(SENSORS), "action": ACTIONS.names(), "seat": OCCUPANT_SLOTS,
         }  # fmt: skip
         return tuple(known.get(str(path[-1]), ()))
 

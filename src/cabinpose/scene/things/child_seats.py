@@ -8,6 +8,7 @@ and UN R129 hold car seats against: 440 mm wide, a forward-facing seat up to 720
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -20,6 +21,42 @@ from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
 PADDING_M = 0.020  # of a child seat gives way, on which a hand or a neighbour's arm may lie
 ARMREST_M = 0.028  # of a booster, from its cushion to the middle of the rests
 _LINER, _SHELL = (0.0, 0.022), (0.020, 0.040)  # padding over the shell that carries it
+
+
+class Sitting(NamedTuple):
+    """Where a child sits in a child seat, in its frame seen from the side.
+
+    stature_m: of the children that it holds · cushion: height (m) of the padding at x = 0, and its slope · back: x (m) of the
+    padding at z = 0, and how it leans, dx/dz; None where the car's own backrest carries the back · front_m: x of the cushion's
+    front edge · harness: whether it has one; else the car's belt is worn.
+    """
+
+    stature_m: tuple[float, float]
+    cushion: tuple[float, float]
+    back: tuple[float, float] | None
+    front_m: float
+    harness: bool = False
+
+
+class BeltPath(NamedTuple):
+    """Where a belt runs that holds a child seat: points of its lap and its shoulder part, (3,) m of the seat's frame.
+
+    over: whether it runs over the shell, not through the base.
+    """
+
+    points: tuple[tuple[float, float, float], tuple[float, float, float]]
+    over: bool = False
+
+
+@dataclass(frozen=True)
+class ChildSeat(Kind):
+    """A child seat. One called `NAME_in_use` stands in place of NAME once a child sits in it.
+
+    sitting: where a child sits, of a design; None where none does · belt_path: of the car's belt, where that or isofix holds it.
+    """
+
+    sitting: Callable[[int], Sitting] | None = None
+    belt_path: BeltPath | None = None
 
 
 def _scaled(pieces: tuple[Piece, ...], scale: float) -> tuple[Piece, ...]:
@@ -131,36 +168,6 @@ def _booster(variant: int) -> tuple[Piece, ...]:
     return _scaled(pieces, of_design(0.93, 1.0, variant, 1))
 
 
-# Classes by the words of SVIRO: an infant seat looks back, a child seat forward.
-CHILD_SEATS: Mapping[str, Kind] = MappingProxyType(
-    {
-        "infant": Kind("infant_seat", _infant),
-        "toddler": Kind("child_seat", _toddler),
-        "booster": Kind("child_seat", _booster),
-        "booster_cushion": Kind("child_seat", _booster_cushion),
-    }
-)
-
-
-# What stands there in place of one of them once a child sits in it.
-IN_USE: Mapping[str, Kind] = MappingProxyType({"toddler_in_use": Kind("child_seat", _toddler_in_use)})
-
-
-class Sitting(NamedTuple):
-    """Where a child sits in a child seat, in its frame seen from the side.
-
-    stature_m: of the children that it holds · cushion: height (m) of the padding at x = 0, and its slope · back: x (m) of the
-    padding at z = 0, and how it leans, dx/dz; None where the car's own backrest carries the back · front_m: x of the cushion's
-    front edge · harness: whether it has one; else the car's belt is worn.
-    """
-
-    stature_m: tuple[float, float]
-    cushion: tuple[float, float]
-    back: tuple[float, float] | None
-    front_m: float
-    harness: bool = False
-
-
 def _in_booster(variant: int) -> Sitting:
     scale, high = of_design(0.93, 1.0, variant, 1), of_design(0.100, 0.140, variant, 2)
     return Sitting((1.00, 1.25), (scale * high, 0.0), (scale * 0.099, -0.22), scale * 0.430)
@@ -176,14 +183,17 @@ def _in_toddler(variant: int) -> Sitting:
     return Sitting((0.90, 1.05), (scale * 0.130, 0.15), (scale * 0.135, -0.236), scale * 0.41, harness=True)
 
 
-# By kind, of a design; statures after UN R129. Nobody lies in an infant carrier: the bodies begin at three years.
-SITTING: Mapping[str, Callable[[int], Sitting]] = MappingProxyType(
+_IN_CARRIER = BeltPath(((0.330, 0.0, 0.28), (0.610, 0.0, 0.36)), over=True)
+_IN_TODDLER = BeltPath(((0.120, 0.0, 0.13), (0.000, 0.0, 0.40)))
+# Classes by the words of SVIRO: an infant seat looks back, a child seat forward.
+# Nobody lies in an infant carrier: the bodies begin at three years.
+CHILD_SEATS: Mapping[str, ChildSeat] = MappingProxyType(
     {
-        "toddler": _in_toddler,
-        "toddler_in_use": _in_toddler,
-        "booster": _in_booster,
-        "booster_cushion": _on_booster_cushion,
+        "infant": ChildSeat("infant_seat", _infant, belt_path=_IN_CARRIER),
+        "toddler": ChildSeat("child_seat", _toddler, sitting=_in_toddler, belt_path=_IN_TODDLER),
+        "booster": ChildSeat("child_seat", _booster, sitting=_in_booster),
+        "booster_cushion": ChildSeat("child_seat", _booster_cushion, sitting=_on_booster_cushion),
+        "toddler_in_use": ChildSeat("child_seat", _toddler_in_use, sitting=_in_toddler, belt_path=_IN_TODDLER),
     }
 )
-HOLDING_CHILDREN = tuple(kind for kind in SITTING if kind in CHILD_SEATS)
 CHILD_SEAT_LABELS = frozenset(kind.label for kind in CHILD_SEATS.values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -135,19 +136,32 @@ def _phone(variant: int) -> tuple[Piece, ...]:
     return (Piece("body", body, "metal"), Piece("screen", screen, "hard_plastic"))
 
 
+@dataclass(frozen=True)
+class Cloth(Kind):
+    """What is draped over a seat or a lap once everybody sits, and is made where it lies.
+
+    half_m, thick_m: between which half its width and its thickness are, of its designs · material: of `scene.materials` ·
+    sleeves: whether it has some, that lie folded over it.
+    """
+
+    half_m: tuple[float, float] = (0.20, 0.30)
+    thick_m: tuple[float, float] = (0.006, 0.012)
+    material: str = "wool"
+    sleeves: bool = False
+
+
 OBJECTS: Mapping[str, Kind] = MappingProxyType(
     {
-        "box": Kind("box", _box),
-        "bag": Kind("bag", _bag),
-        "backpack": Kind("backpack", _backpack),
-        "bottle": Kind("bottle", _bottle),
-        "cup": Kind("cup", _cup),
-        "book": Kind("book", _book),
-        "laptop": Kind("laptop", _laptop),
-        "phone": Kind("phone", _phone),
+        "box": Kind("box", _box, "stands", on_lap=True),
+        "bag": Kind("bag", _bag, "leans", on_lap=True),
+        "backpack": Kind("backpack", _backpack, "leans", on_lap=True),
+        "bottle": Kind("bottle", _bottle, "lies", held_at=("drink", "give")),
+        "cup": Kind("cup", _cup, "lies", held_at=("drink",)),
+        "book": Kind("book", _book, "stands", on_lap=True),
+        "laptop": Kind("laptop", _laptop, "stands", on_lap=True),
+        "phone": Kind("phone", _phone, "stands", held_at=("ear", "chest")),
+        "open_book": Kind("book", _open_book, held_at=("book",)),  # a book that is read
+        "blanket": Cloth("blanket"),
+        "jacket": Cloth("jacket", half_m=(0.17, 0.22), thick_m=(0.016, 0.016), material="synthetic_fabric", sleeves=True),
     }
 )
-# What hands hold beside them: a book that is read is open.
-HELD: Mapping[str, Kind] = MappingProxyType({"open_book": Kind("book", _open_book)})
-SOFT = ("blanket", "jacket")  # what is draped over a seat or a lap once everybody sits
-LAP_OBJECTS = ("box", "bag", "backpack", "book", "laptop")  # large enough to lie across two thighs

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cabinpose.core import Floats
+from cabinpose.core import Floats, Registry
 from cabinpose.scene.cabin.shapes import Solid, loft, rounded_box, slab, smooth_curve
+from cabinpose.scene.labels import THING_LABELS
 
 # Half of a shell's section, from its middle to the rim of its wall: across and up as shares of its half width and wall.
 _SECTION = np.array(((0.0, 0.0), (0.32, 0.01), (0.60, 0.04), (0.80, 0.14), (0.92, 0.36), (0.98, 0.68), (1.0, 1.0)))
@@ -24,11 +26,30 @@ class Piece(NamedTuple):
     give_m: float = 0.0
 
 
-class Kind(NamedTuple):
-    """A kind of thing: the class of its pixels, and what makes the pieces of a design (0, 1, ...)."""
+@dataclass(frozen=True)
+class Kind:
+    """A kind of thing, and all that is known of it.
+
+    label: the class of its pixels, one of `THING_LABELS`: ids are a standard of datasets, so a kind has one of those that there
+    are · make: the pieces of a design (0, 1, ...), in the frame of `Thing`; None for `Cloth` · on_seat: how it is put on a seat,
+    "stands", "lies" on its side, or "leans" on the backrest; None for what is not · on_lap: whether it lies across two thighs ·
+    held_at: names of the places at which hands hold it, of `synth.posture.PLACES`.
+    """
 
     label: str
-    make: Callable[[int], tuple[Piece, ...]]
+    make: Callable[[int], tuple[Piece, ...]] | None = None
+    on_seat: Literal["stands", "lies", "leans"] | None = None
+    on_lap: bool = False
+    held_at: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = [label.name for label in THING_LABELS]
+        if self.label not in known:
+            raise ValueError(f"no class of things is called '{self.label}': {', '.join(known)}")
+
+
+# Those of other packages are brought where they are asked for by name.
+THINGS: Registry[Kind] = Registry("cabinpose.things", "thing", Kind)
 
 
 def shell(

@@ -15,9 +15,9 @@ from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls_of, group_field
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.scene.things.child_seats import CHILD_SEATS, IN_USE, SITTING, Sitting
-from cabinpose.scene.things.objects import HELD, OBJECTS
-from cabinpose.scene.things.pieces import Piece
+from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS, CHILD_SEATS, ChildSeat, Sitting
+from cabinpose.scene.things.objects import OBJECTS
+from cabinpose.scene.things.pieces import THINGS, Piece
 
 VARIANTS = 4  # designs of each kind, of different sizes
 _POINTS_A_SIDE = 14  # by which a thing feels what is around it, along its longest side
@@ -42,13 +42,15 @@ class Cloud(NamedTuple):
 class Thing:
     """One design of a kind of thing, in its own frame: x forward as it stands on a seat, z up, origin on its underside.
 
-    kind: of `CHILD_SEATS` or `OBJECTS` · variant: the design, 0 to `VARIANTS` - 1 · pieces: closed solids with their materials.
+    kind: its name, of `THINGS` · variant: the design, 0 to `VARIANTS` - 1 · label: the class of its pixels · pieces: closed
+    solids with their materials · sitting: where a child sits in a child seat, else None.
     """
 
     kind: str
     variant: int
     label: str
     pieces: tuple[Piece, ...]
+    sitting: Sitting | None = None
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -87,16 +89,11 @@ class Thing:
 @cache
 def make_thing(kind: str, variant: int) -> Thing:
     """The design of this number of a kind of thing; the same object on every call. Raises ConfigError for an unknown kind."""
-    known = {**CHILD_SEATS, **OBJECTS, **HELD, **IN_USE}
-    if kind not in known:
-        raise unknown_name("thing", kind, tuple(known))
-    label, pieces = known[kind].label, known[kind].make(variant % VARIANTS)
-    return Thing(kind, variant % VARIANTS, label, pieces)
-
-
-def sitting_in(thing: Thing) -> Sitting:
-    """Where a child sits in a child seat. Raises KeyError for other things."""
-    return SITTING[thing.kind](thing.variant)
+    row, design = THINGS[kind], variant % VARIANTS
+    if row.make is None:
+        raise unknown_name("thing", kind, [name for name, each in {**CHILD_SEATS, **OBJECTS}.items() if each.make is not None])
+    sitting = row.sitting(design) if isinstance(row, ChildSeat) and row.sitting is not None else None
+    return Thing(kind, design, row.label, row.make(design), sitting)
 
 
 Attachment = Literal["isofix", "belt"]
@@ -116,7 +113,7 @@ class PlacedThing(NamedTuple):
 
     def group(self) -> tuple[GroupField, Matrix]:
         """The field with its name here, and where it is. What somebody sits on counts as part of the seat."""
-        own = self.thing.kind in CHILD_SEATS or self.thing.kind in IN_USE
+        own = self.thing.label in CHILD_SEAT_LABELS
         name = f"seat:{self.slot}/{self.thing.kind}" if own else f"{self.slot} {self.thing.kind}"
         return replace(self.thing.field, name=name), self.vehicle_from_thing
 

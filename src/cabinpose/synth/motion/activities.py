@@ -7,10 +7,12 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from cabinpose.core import unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
-from cabinpose.synth.posture.actions import ACTIONS, HOLDING, IN_CHILD_SEAT, actions_for, inboard_side
+from cabinpose.synth.posture.actions import ACTIONS, IN_CHILD_SEAT, OWN_ACTIONS, inboard_side, suits
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.neighbours import beside_each_other
+from cabinpose.synth.posture.places import BOOK, CHEST, DRINK, GIVE, HandPlace
 
 
 class Step(NamedTuple):
@@ -26,31 +28,51 @@ class Step(NamedTuple):
     at_neighbour: bool = False
 
 
-# What takes more than one action; every other action is an activity of one step.
-_PROGRAMS: Mapping[str, tuple[Step, ...]] = MappingProxyType(
+class Program(NamedTuple):
+    """An activity: its steps, and the place of the hand that needs something in it, None where none does."""
+
+    steps: tuple[Step, ...]
+    held_at: HandPlace | None = None
+
+
+# What takes more than one action, or needs something in a hand; every other action is an activity of one step.
+_PROGRAMS: Mapping[str, Program] = MappingProxyType(
     {
-        "steer": (Step("drive", 0.3, True), Step("drive", 0.2, True), Step("drive", 0.3, True)),
-        "check_mirror": (Step("look_mirror", 0.5), Step("drive", 0.4)),
-        "operate": (Step("reach_infotainment", 0.6), Step("drive", 0.3)),
-        "phone_call": (Step("phone_text", 0.8), Step("phone_ear_outer", 1.5), Step("phone_text", 0.4)),
-        "drink": (Step("drink", 1.0), Step("rest_lap", 0.3)),
-        "eat": (Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5)),
-        "read": (Step("read", 3.0),),
-        "look_over_shoulder": (Step("look_back", 0.5), Step("rest_lap", 0.3)),
-        "turn_to_back_seat": (Step("turn_back", 1.5), Step("rest_lap", 0.3)),
-        "hand_over": (Step("hand_over", 0.3), Step("rest_lap", 0.3)),
-        "hit": (Step("hit", 0.1, haste=3.0, at_neighbour=True), Step("rest_lap", 0.4)),
-        "buckle_up": (Step("belt", 0.3), Step("rest_lap", 0.3)),
-        "reach_down": (Step("reach_floor", 0.5), Step("rest_lap", 0.3)),
-        "sleep": (Step("sleep", 5.0),),
+        "steer": Program((Step("drive", 0.3, True), Step("drive", 0.2, True), Step("drive", 0.3, True))),
+        "check_mirror": Program((Step("look_mirror", 0.5), Step("drive", 0.4))),
+        "operate": Program((Step("reach_infotainment", 0.6), Step("drive", 0.3))),
+        "phone_call": Program((Step("phone_text", 0.8), Step("phone_ear_outer", 1.5), Step("phone_text", 0.4)), CHEST),
+        "drink": Program((Step("drink", 1.0), Step("rest_lap", 0.3)), DRINK),
+        "eat": Program((Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5))),
+        "read": Program((Step("read", 3.0),), BOOK),
+        "look_over_shoulder": Program((Step("look_back", 0.5), Step("rest_lap", 0.3))),
+        "turn_to_back_seat": Program((Step("turn_back", 1.5), Step("rest_lap", 0.3))),
+        "hand_over": Program((Step("hand_over", 0.3), Step("rest_lap", 0.3)), GIVE),
+        "hit": Program((Step("hit", 0.1, haste=3.0, at_neighbour=True), Step("rest_lap", 0.4))),
+        "buckle_up": Program((Step("belt", 0.3), Step("rest_lap", 0.3))),
+        "reach_down": Program((Step("reach_floor", 0.5), Step("rest_lap", 0.3))),
+        "sleep": Program((Step("sleep", 5.0),)),
     }
 )
-# The place of the hand in activities that need something in it.
-HELD_AT: Mapping[str, str] = MappingProxyType({"phone_call": "chest", "drink": "drink", "read": "book", "hand_over": "give"})
 _SINGLE_HOLD_S = 0.8
 RECORDED = "mocap"  # what people do whom a recording moves: the kind of their profile
 RECEIVE = "receive"  # what the other one does in `hand_over`
-ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(n for n in ACTIONS if n not in HOLDING and n not in _PROGRAMS and n != RECEIVE))
+ACTIVITIES: tuple[str, ...] = (*_PROGRAMS, *(n for n in OWN_ACTIONS if n not in _PROGRAMS and n != RECEIVE))
+
+
+def program_of(activity: str) -> Program:
+    """The steps of an activity: one of ours, or an action by its name.
+
+    Raises ConfigError for a name that does not exist, ExtensionError for an action that cannot be loaded.
+    """
+    known = _PROGRAMS.get(activity)
+    if known is not None:
+        return known
+    if activity not in ACTIONS or activity == RECEIVE:
+        raise unknown_name("activity", activity, list(ACTIVITIES))
+    action = ACTIONS[activity]
+    always = (place for place in (action.inboard, action.outboard) if place.held is not None and action.in_hand == "always")
+    return Program((Step(activity, _SINGLE_HOLD_S),), next(always, None))
 
 
 def resting(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> str:
@@ -60,8 +82,8 @@ def resting(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> str:
 
 
 def steps_of(activity: str, seat: Seat, cabin: Cabin, hold: Hold | None = None) -> tuple[Step, ...]:
-    """The steps of an activity of `ACTIVITIES`; who drives goes back to the wheel."""
-    steps = _PROGRAMS.get(activity) or (Step(activity, _SINGLE_HOLD_S),)
+    """The steps of an activity; who drives goes back to the wheel."""
+    steps = program_of(activity).steps
     if len(steps) == 1:
         return steps
     return tuple(step._replace(action=resting(seat, cabin, hold)) if step.action == "rest_lap" else step for step in steps)
@@ -76,24 +98,25 @@ def inboard_neighbour(seat: Seat, cabin: Cabin, taken: Iterable[str]) -> str | N
 
 
 def activities_for(
-    seat: Seat, cabin: Cabin, hold: Hold | None = None, taken: Iterable[str] = (), *, in_child_seat: bool = False
-) -> tuple[str, ...]:
-    """The activities that make sense in a seat, with what is held and the seats `taken`, in a fixed order."""
+    seat: Seat, cabin: Cabin, hold: Hold | None = None, taken: Iterable[str] = (), *,
+    in_child_seat: bool = False, asked_for: Iterable[str] = (),
+) -> tuple[str, ...]:  # fmt: skip
+    """The activities that make sense in a seat, with what is held and the seats `taken`, in a fixed order.
+
+    asked_for: by name, which may be actions of other packages.
+    """
     inboard = inboard_side(seat)
-    known = {
-        name
-        for name in actions_for(seat, cabin)
-        if (hold is None or inboard_hand(ACTIONS[name], hold, inboard) is not None)
-        and (not in_child_seat or name in IN_CHILD_SEAT or name in HOLDING)
-    }
-    if hold is not None and hold.side != inboard:  # away from the neighbour
-        known -= {"hand_over"}
     alone = inboard_neighbour(seat, cabin, taken) is None
-    return tuple(
-        name
-        for name in ACTIVITIES
-        if all(
-            s.action in known and not (alone and (s.at_neighbour or s.action == "hand_over"))
-            for s in steps_of(name, seat, cabin, hold)
+
+    def possible(step: Step) -> bool:
+        action = ACTIONS[step.action]
+        return (
+            suits(action, seat, cabin)
+            and (hold is None or inboard_hand(action, hold, inboard) is not None)
+            and (not in_child_seat or step.action in IN_CHILD_SEAT or action.in_hand == "always")
+            and not (step.action == "hand_over" and hold is not None and hold.side != inboard)  # away from the neighbour
+            and not (alone and (step.at_neighbour or step.action == "hand_over"))
         )
-    )
+
+    known = dict.fromkeys((*ACTIVITIES, *asked_for))
+    return tuple(name for name in known if all(possible(step) for step in steps_of(name, seat, cabin, hold)))

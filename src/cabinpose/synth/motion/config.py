@@ -6,8 +6,7 @@ import operator
 
 from pydantic import Field, field_validator
 
-from cabinpose.core import unknown_name
-from cabinpose.synth.motion.activities import ACTIVITIES
+from cabinpose.synth.motion.activities import program_of
 from cabinpose.synth.people import Model
 
 
@@ -30,6 +29,5 @@ class SequenceConfig(Model):
     @classmethod
     def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         for name in names or ():
-            if name not in ACTIVITIES:
-                raise unknown_name("activity", name, list(ACTIVITIES))
+            program_of(name)
         return names

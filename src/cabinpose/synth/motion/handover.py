@@ -8,7 +8,7 @@ import numpy as np
 
 from cabinpose.core import INDEX, Floats, Matrix, invert, rotation_vector
 from cabinpose.scene.body import Person, PosedBody
-from cabinpose.synth.posture.grasps import Hold, closed_around, hold
+from cabinpose.synth.posture.grasps import Hold, closed_around, hold, other_place
 from cabinpose.synth.posture.hands import palm_frame
 
 _STRETCHED = 0.8  # from shoulder to palm, of the shorter arm: elbows stay bent
@@ -41,7 +41,7 @@ def taking_palm(person: Person, body: PosedBody, held: Hold, vehicle_from_thing:
 
     Raises SceneError where the hand is too small for it.
     """
-    mine = hold(person, "take" if held.place == "give" else "give", held.kind, held.variant, 1 - held.side)
+    mine = hold(person, other_place(held), held.kind, held.variant, 1 - held.side)
     return mine, _palm(mine, body, vehicle_from_thing[:3, 3], vehicle_from_thing[:3, 2], _ROOM_M)
 
 

@@ -24,7 +24,7 @@ from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, 
 from cabinpose.synth.posture.actions import inboard_side
 from cabinpose.synth.posture.goals import between, given, staying
 from cabinpose.synth.posture.grasps import Hold
-from cabinpose.synth.posture.intents import Reach
+from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.streams import weighted
@@ -236,7 +236,7 @@ class Planner:
         ends = self._track.last, self._track.state_of(goal.pose)
         way = way_through(self._between(self._track, now, goal, interior, time_s))
         lasts_s = duration(way, tempo)
-        passes = self._track.hold is not None and self._track.hold.place in ("give", "take")
+        passes = self._track.hold is not None and self._track.hold.place.passes_on
         limit = _ROUND_HAND if passes or now.via is not None or goal.via is not None else _ROUNDABOUT
         return (way, lasts_s) if lasts_s <= limit * duration(way_through(np.stack(ends)), tempo) + 0.3 else None
 

@@ -11,15 +11,15 @@ import numpy as np
 
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.things import SITTING, PlacedThing
-from cabinpose.synth.motion.activities import HELD_AT, RECORDED, activities_for, inboard_neighbour, resting
+from cabinpose.scene.things import PlacedThing
+from cabinpose.synth.motion.activities import RECORDED, activities_for, inboard_neighbour, program_of, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
 from cabinpose.synth.posing import pose_people
-from cabinpose.synth.posture.actions import ACTIONS, HOLDING, IN_CHILD_SEAT, inboard_side
+from cabinpose.synth.posture.actions import IN_CHILD_SEAT, OWN_ACTIONS, inboard_side
 from cabinpose.synth.posture.grasps import Hold, can_hold, handed, hold
-from cabinpose.synth.posture.intents import Reach
+from cabinpose.synth.posture.places import GIVE, Reach
 from cabinpose.synth.posture.sampling import Drawn, OccupantPose
 from cabinpose.synth.streams import sequence_rng, weighted
 from cabinpose.synth.things import bring_along
@@ -88,7 +88,7 @@ def plan_tracks(
     lasts_s = (sequence.frames - 1) / sequence.rate_hz
     streams = {slot: 1 + _DRAWS * (len(people) * attempt + i) for i, slot in enumerate(people)}
     plans = {slot: sequence_rng(seed, first, stream) for slot, stream in streams.items()}
-    on = {thing.slot: thing for thing in things if thing.thing.kind in SITTING and thing.slot in people}
+    on = {thing.slot: thing for thing in things if thing.thing.sitting and thing.slot in people}
     free = [slot for slot in people if slot not in recorded and slot not in on]  # to give and to take
 
     def choices(slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
@@ -97,7 +97,7 @@ def plan_tracks(
 
     holds: dict[str, Hold | None] = {}
     for slot, person in people.items():
-        waits = [giver for giver, held in holds.items() if held is not None and held.place == "give"]
+        waits = [giver for giver, held in holds.items() if held is not None and held.place is GIVE]
         takes = slot in (inboard_neighbour(cabin.seats[giver], cabin, free) for giver in waits)
         holds[slot] = None
         if slot not in recorded and not takes:
@@ -140,7 +140,7 @@ def plan_tracks(
     around.partners = {slot: planner for slot, planner in planners.items() if slot in free}
     # One after the other: those whose motion is planned are known over time, the others sit still. Where things are handed over
     # all go on together, so that nobody is far ahead of who waits.
-    together = any(hold is not None and hold.place == "give" for hold in holds.values())
+    together = any(hold is not None and hold.place is GIVE for hold in holds.values())
     if followers:
         from cabinpose.synth.motion.replay import replay  # noqa: PLC0415 - scipy's interpolation, for recordings alone
     for who in followers:
@@ -158,10 +158,11 @@ def plan_tracks(
 def _held(person: Person, choices: Mapping[str, float], in_hand: float, inboard: int, *, rng: np.random.Generator) -> Hold | None:
     """What a person has in the hand, for an activity drawn of these; None where it needs nothing, or nothing fits."""
     activity = weighted(choices, rng=rng) if in_hand > 0.0 else ""
-    if activity not in HELD_AT or rng.random() >= in_hand:
+    place = program_of(activity).held_at if activity else None
+    if place is None or rng.random() >= in_hand:
         return None
-    place, side = HELD_AT[activity], int(rng.integers(2))
-    side = inboard if place == "give" else side
+    side = int(rng.integers(2))
+    side = inboard if place is GIVE else side
     for kind, variant in handed(place, rng=rng):
         if can_hold(person, place, kind, variant):
             return hold(person, place, kind, variant, side)
@@ -178,14 +179,16 @@ def _choices(
     nothing else to do · child: whether it is somebody in a child seat.
     """
     seat = cabin.seats[slot]
-    possible = activities_for(seat, cabin, hold, taken, in_child_seat=child)
+    asked_for = [*(sequence.activities or ()), *(weights or ())]
+    possible = activities_for(seat, cabin, hold, taken, in_child_seat=child, asked_for=asked_for)
     if slot not in free or inboard_neighbour(seat, cabin, taken) not in free or not (bare or hold):
         possible = tuple(name for name in possible if name != "hand_over")
     if weights is None and child:
-        weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **dict.fromkeys(HOLDING, 1.0)}
+        held = {name: 1.0 for name, action in OWN_ACTIONS.items() if action.in_hand == "always"}
+        weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **held}
     if weights is None:
-        weights = {name: ACTIONS[name].weight if name in ACTIONS else _PROGRAM_WEIGHT for name in possible}
+        weights = {name: OWN_ACTIONS[name].weight if name in OWN_ACTIONS else _PROGRAM_WEIGHT for name in possible}
     usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
     result = {name: 1.0 for name in possible if name in (sequence.activities or ())} or usual
-    handless = result if bare or hold is not None else {name: w for name, w in result.items() if name not in HELD_AT}
+    handless = result if bare or hold is not None else {name: w for name, w in result.items() if program_of(name).held_at is None}
     return handless or result

@@ -1,4 +1,6 @@
 from .actions import ACTIONS as ACTIONS
+from .actions import Action as Action
+from .actions import Gaze as Gaze
 from .actions import actions_for as actions_for
 from .context import SeatContext as SeatContext
 from .feet import GROUND_M as GROUND_M
@@ -6,6 +8,8 @@ from .gaze import HEAD_SHARE as HEAD_SHARE
 from .gaze import head_rotation as head_rotation
 from .goals import hand_to as hand_to
 from .goals import turn_head as turn_head
+from .places import PLACES as PLACES
+from .places import HandPlace as HandPlace
 from .sampling import Doing as Doing
 from .sampling import OccupantPose as OccupantPose
 from .sampling import Prescribed as Prescribed

@@ -12,7 +12,7 @@ import numpy as np
 from cabinpose.core import Floats, Matrix, invert, rotation_vector, transform
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
-from cabinpose.scene.things import PlacedThing, sitting_in
+from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.posture.frames import Frames
 from cabinpose.synth.posture.neighbours import NOBODY, Neighbours
 from cabinpose.synth.posture.seat_fit import SeatFit, fit_child_seat, fit_seat
@@ -46,10 +46,10 @@ class SeatContext:
     @cached_property
     def fit(self) -> SeatFit:
         """Trunk and thighs of the person in the seat, or in the child seat."""
-        if self.on is None:
+        if self.on is None or self.on.thing.sitting is None:
             return fit_seat(self.person, self.seat, self.setting.torso_angle)
         seat_from_thing = invert(self.seat.vehicle_from_seat(self.setting)) @ self.on.vehicle_from_thing
-        return fit_child_seat(self.person, self.seat, self.setting.torso_angle, sitting_in(self.on.thing), seat_from_thing)
+        return fit_child_seat(self.person, self.seat, self.setting.torso_angle, self.on.thing.sitting, seat_from_thing)
 
     @property
     def wheel(self) -> SteeringWheel | None:

@@ -14,7 +14,6 @@ from cabinpose.synth.posture.feet import FootGoal
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.solver import Goals, Sitter, solve
 
-HAND_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
 # Weights of departing from the comfortable posture, 1/rad, against those of 1 m: a trunk that follows its hands and gives way.
 _OF_JOINT = {"lumbar": 0.2, "thorax": 0.2, "neck": 0.05, "head": 0.04, "head.flexion": 0.09, "lclavicle": 0.08, "rclavicle": 0.08}

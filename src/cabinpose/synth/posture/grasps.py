@@ -7,17 +7,17 @@ the thing is taken. A hand that hardly touches it cannot hold it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, SceneError, apply, axis_rotation, invert, transform
+from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
-from cabinpose.scene.things import VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
+from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
+from cabinpose.synth.posture.places import GIVE, TAKE, Around, HandPlace
 
 PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
 _AT_REST_M = 0.001  # the same while the hand is still open
@@ -29,15 +29,8 @@ _LOOSE = np.array((0.1, 0.35, 0.35, 0.35, 0.35))  # of fingers that meet nothing
 _ALONG_M = (-0.015, -0.005, 0.005, 0.015, 0.03)
 _FARTHEST_M, _NEAREST_M = 0.075, -0.03  # of the thing's middle before the palm's origin
 _ONE_SIDED = 0.85  # length of the mean direction to where a hand touches: 0.64 for half of a cylinder, 1 for one side
-_BOOK_UP_M = 0.055  # its middle beyond the palm's
 _COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
-_SLANT = {"chest": math.radians(35.0), "ear": math.radians(15.0), "book": 0.0}  # of a flat thing's long side from the fingers
-_LEVEL = {"drink": 0.42, "give": 0.22, "take": 0.70}  # of a hand around what stands, as a share of its height
-_SPARED = ("either", "thigh", "armrest")  # places that a hand may leave to hold something
-HANDED: dict[str, tuple[str, ...]] = {
-    "ear": ("phone",), "chest": ("phone",), "drink": ("bottle", "cup"), "book": ("open_book",), "give": ("bottle",),
-}  # fmt: skip
 
 
 class Grasp(NamedTuple):
@@ -50,14 +43,14 @@ class Grasp(NamedTuple):
 class Hold(NamedTuple):
     """What somebody is to hold, and in which hand: kind, design, side (0 left, 1 right).
 
-    place: of `HANDED`, for which it was taken into the hand; "take": of what was taken from another hand.
+    place: for which it was taken into the hand; `TAKE`: of what was taken from another hand.
     """
 
     kind: str
     variant: int
     side: int
     grasp: Grasp
-    place: str
+    place: HandPlace
 
     @property
     def fingers(self) -> Floats:
@@ -82,29 +75,29 @@ def inboard_hand(action: Action, held: Hold, inboard: int) -> int | None:
     None where that hand is needed without it, or another thing is asked for. inboard: the hand that reaches for what is there.
     """
     hands = ((action.inboard, held.side), (action.outboard, 1 - held.side))
-    asked = [(place, s) for place, s in hands if place in HANDED]
-    found = [s for place, s in asked if serves(held, place)] if asked else [s for place, s in hands if place in _SPARED]
+    asked = [(place, s) for place, s in hands if place.held is not None]
+    found = [s for place, s in asked if serves(held, place)] if asked else [s for place, s in hands if place.spared]
     return next((s for s in found if not action.targets or s == inboard), None)
 
 
-def serves(held: Hold, place: str) -> bool:
+def serves(held: Hold, place: HandPlace) -> bool:
     """Whether a thing is what a hand needs at a place; a hand that leaves room for another one's is too high or low to drink."""
-    passed_on = ("give", "take")
-    return held.kind in HANDED.get(place, ()) and (held.place in passed_on) == (place in passed_on)
+    return place.name in THINGS[held.kind].held_at and held.place.passes_on == place.passes_on
 
 
-def handed(place: str, *, rng: np.random.Generator) -> list[tuple[str, int]]:
-    """Every kind and design that hands hold at a place of `HANDED`, in random order."""
-    designs = [(kind, variant) for kind in HANDED[place] for variant in range(VARIANTS)]
+def handed(place: HandPlace, *, rng: np.random.Generator) -> list[tuple[str, int]]:
+    """Every kind and design of ours that hands hold at a place, in random order."""
+    kinds = [name for name, kind in OBJECTS.items() if place.name in kind.held_at]
+    designs = [(kind, variant) for kind in kinds for variant in range(VARIANTS)]
     return [designs[n] for n in rng.permutation(len(designs)).tolist()]
 
 
-def can_hold(person: Person, place: str, kind: str, variant: int) -> bool:
+def can_hold(person: Person, place: HandPlace, kind: str, variant: int) -> bool:
     """Whether a person's hand closes around a thing."""
     return _grasp(person, place, kind, variant) is not None
 
 
-def hold(person: Person, place: str, kind: str, variant: int, side: int) -> Hold:
+def hold(person: Person, place: HandPlace, kind: str, variant: int, side: int) -> Hold:
     """How a person holds a thing; SceneError where the hand cannot."""
     found = _grasp(person, place, kind, variant)
     if found is None:
@@ -115,15 +108,6 @@ def hold(person: Person, place: str, kind: str, variant: int, side: int) -> Hold
             hint="let somebody taller hold it, or choose another action",
         )
     return Hold(kind, variant, side, found, place)
-
-
-def _turned(thing: Thing, place: str) -> Matrix:
-    """palm_from_thing of a left hand, before it is brought near: its middle in the palm's origin."""
-    if place in _LEVEL:  # around the body of what stands, its top to the thumb
-        level = _LEVEL[place] * float(thing.box[1, 2])
-        return transform(np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))), (0.0, -level, 0.0))
-    # Its long side y along the fingers, its face out; a book rests on its lower edge's half.
-    return transform(axis_rotation("z", _SLANT[place] - math.pi / 2.0), (_BOOK_UP_M if place == "book" else 0.0, 0.0, 0.0))
 
 
 class _Hand(NamedTuple):
@@ -157,15 +141,21 @@ def _hand(person: Person) -> _Hand:
 
 
 @kept_with_person
-def _grasp(person: Person, place: str, kind: str, variant: int) -> Grasp | None:
-    thing, hand = make_thing(kind, variant), _hand(person)
-    turned, best, most = _turned(thing, place), None, _LEAST_TOUCHING - 1
+def _grasp(person: Person, place: HandPlace, kind: str, variant: int) -> Grasp | None:
+    assert place.held is not None
+    thing, hand, around = make_thing(kind, variant), _hand(person), isinstance(place.held, Around)
+    turned, best, most = place.held.turned(thing.box), None, _LEAST_TOUCHING - 1
     opened = Cloud.of(hand.at(OPEN_HAND))
     for along in _ALONG_M:
-        grasp, touching = _closed(thing, hand, _brought_near(thing, turned, opened, along), around=place in _LEVEL)
+        grasp, touching = _closed(thing, hand, _brought_near(thing, turned, opened, along), around=around)
         if touching > most:
             most, best = touching, grasp
     return best
+
+
+def other_place(held: Hold) -> HandPlace:
+    """Where another hand holds what one holds that passes it on."""
+    return TAKE if held.place is GIVE else GIVE
 
 
 def closed_around(person: Person, held: Hold, palm_from_thing: Matrix, side: int) -> Hold | None:
@@ -173,8 +163,7 @@ def closed_around(person: Person, held: Hold, palm_from_thing: Matrix, side: int
     mirror = np.diag((1.0, 1.0 - 2.0 * side, 1.0, 1.0))
     at = mirror @ palm_from_thing @ mirror
     grasp, touching = _closed(make_thing(held.kind, held.variant), _hand(person), at, around=True)
-    place = "take" if held.place == "give" else "give"
-    return held._replace(side=side, grasp=grasp, place=place) if touching >= _LEAST_TOUCHING else None
+    return held._replace(side=side, grasp=grasp, place=other_place(held)) if touching >= _LEAST_TOUCHING else None
 
 
 def _closed(thing: Thing, hand: _Hand, palm_from_thing: Matrix, *, around: bool) -> tuple[Grasp, int]:

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Ints, Matrix, apply, axis_rotation, cross, invert, transform
-from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
+from cabinpose.scene.body import DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.context import Trunk
-from cabinpose.synth.posture.frames import Frames, frames
+from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.memory import kept_with_person
-from cabinpose.synth.posture.seat_fit import SeatFit
 
 
 class Fingers(NamedTuple):
@@ -35,19 +34,18 @@ class Fingers(NamedTuple):
 # Of a hand that rests, at a full curl of 90, 100, 70 deg (MCP, PIP, DIP): flat, slack, slack with bent fingers, spread, a fist.
 # Slack fingers are bent more from the index to the little finger (Taylor & Schwarz 1955, Artificial Limbs 2(2)), most at the
 # PIP joint, by 20 to 45 deg (Lee & Jung 2014, Int. J. Occup. Saf. Ergon. 20(1)).
-_RESTING = (
+RESTING: tuple[Fingers, ...] = (
     Fingers((0.05, 0.05, 0.05, 0.06, 0.08), 0.75, 0.22),
     Fingers((0.20, 0.18, 0.24, 0.30, 0.36), 0.95, 0.40),
     Fingers((0.30, 0.36, 0.44, 0.52, 0.58), 1.0, 0.20),
     Fingers((0.00, 0.04, 0.04, 0.05, 0.06), 0.1, 0.10),
     Fingers((0.60, 0.86, 0.90, 0.92, 0.92), 1.0, 0.08),
 )
-_POINTING = (
+POINTING: tuple[Fingers, ...] = (
     Fingers((0.30, 0.06, 0.40, 0.48, 0.52), 0.6, 0.5),
     Fingers((0.15, 0.14, 0.20, 0.26, 0.32), 0.6, 0.5),
 )
-_SHAPES = {"thigh": _RESTING, "armrest": _RESTING, "reach": _POINTING}
-_UNDER_WHEEL = tuple(shape for shape in _RESTING if max(shape.curl) < 0.1)  # a wheel leaves no room for more
+UNDER_WHEEL = tuple(shape for shape in RESTING if max(shape.curl) < 0.1)  # a wheel leaves no room for more
 BY_GRIP = np.full(6, np.nan)
 _HAND_SIGMA, _FINGER_SIGMA, _CLOSED_SIGMA = 0.05, 0.035, 0.2
 
@@ -64,21 +62,18 @@ class LimbTask(NamedTuple):
     stiffness: Floats
 
 
-_HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
-_CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
-_OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
+RIM_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
 _CLOTH_M, _THIGH_RADIUS_M = 0.012, 0.09  # between what is lowest of a hand and the thigh's skin; the thigh's own
-_OVER_ARMREST_M = 0.020
 _SLOPES = np.linspace(-0.2, 0.6, 33)  # of a lying hand
 PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
-_STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.010, 0.012, 0.016])
+STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.010, 0.012, 0.016])
 _RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.010, 0.012, 0.016])  # elbows before the backrest's bolsters
 _STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.006, 0.012, 0.008])
-_FIRM = np.full(3, 5.0)
-_STAYS = np.full(3, 20.0)
+FIRM = np.full(3, 5.0)
+STAYS = np.full(3, 20.0)
 _GRASP = np.full(3, 5.0)  # a hand around the rim moves along it, not into it
 
 # Comfortable arms, deg: shoulder flexion, abduction, rotation; elbow flexion, pronation; wrist flexion, radial.
@@ -115,25 +110,32 @@ def palm_frame(origin: Floats, normal: Floats, fingers: Floats) -> Matrix:
     return palm
 
 
-def fingers_at(place: str, noise: tuple[float, ...], rim: float | None) -> Floats:
-    """(6,) fingers of a hand at a place of `actions`, as `Person.pose` takes them; NaN where they follow the grip.
+def _own_rng(noise: tuple[float, ...]) -> np.random.Generator:
+    """The generator of a hand's fingers: the hand's own noise is its key."""
+    return np.random.Generator(np.random.Philox(key=np.array(noise[:2]).view(np.uint64)))
 
-    noise: the hand's own, of which they are drawn · rim: the curl that holds the wheel before the seat, None where there is none.
-    """
-    rng = np.random.Generator(np.random.Philox(key=np.array(noise[:2]).view(np.uint64)))
-    if place == "wheel" and rim is not None:  # none is tighter, some index fingers lie along the rim
-        loose = np.abs(rng.standard_normal(5)) * (0.03, 0.05, 0.025, 0.025, 0.04)
-        loose[1] += 0.15 * (rng.random() < 0.15)
-        curl, closed = rim - loose, 0.85
-    elif place in _SHAPES:
-        shapes = _UNDER_WHEEL if place == "thigh" and rim is not None else _SHAPES[place]
-        shares = np.array([shape.share for shape in shapes])
-        shape = shapes[int(rng.choice(len(shapes), p=shares / shares.sum()))]
-        curl = np.array(shape.curl) + _HAND_SIGMA * rng.standard_normal() + _FINGER_SIGMA * rng.standard_normal(5)
-        closed = shape.closed
-    else:
-        return BY_GRIP
+
+def _fingers(curl: Floats, closed: float, rng: np.random.Generator) -> Floats:
     return np.append(np.clip(curl, 0.0, 1.0), np.clip(closed + _CLOSED_SIGMA * rng.standard_normal(), 0.0, 1.0))
+
+
+def resting_fingers(noise: tuple[float, ...], shapes: tuple[Fingers, ...]) -> Floats:
+    """(6,) fingers as `Person.pose` takes them, near one of the shapes.
+
+    noise: the hand's own, of which they are drawn.
+    """
+    rng, shares = _own_rng(noise), np.array([shape.share for shape in shapes])
+    shape = shapes[int(rng.choice(len(shapes), p=shares / shares.sum()))]
+    curl = np.array(shape.curl) + _HAND_SIGMA * rng.standard_normal() + _FINGER_SIGMA * rng.standard_normal(5)
+    return _fingers(curl, shape.closed, rng)
+
+
+def fingers_on_rim(noise: tuple[float, ...], rim: float) -> Floats:
+    """The same around a rim, none tighter than the curl `rim` that holds it; some index fingers lie along it."""
+    rng = _own_rng(noise)
+    loose = np.abs(rng.standard_normal(5)) * (0.03, 0.05, 0.025, 0.025, 0.04)
+    loose[1] += 0.15 * (rng.random() < 0.15)
+    return _fingers(rim - loose, 0.85, rng)
 
 
 class Lying(NamedTuple):
@@ -231,92 +233,4 @@ def on_thigh(trunk: Trunk, side: int, along: float, inward: float, turn: float, 
     normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
     fingers = down_leg - s * turn * left
     target = palm_frame(point, normal, fingers) @ transform(axis_rotation("y", lies.pitch))
-    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)
-
-
-def on_surface(point: Floats, fingers: Floats, up: Floats, lies: Lying) -> LimbTask:
-    """A hand that rests on something level at `point` (3,) with the palm down, fingers along `fingers`."""
-    pitched = transform(axis_rotation("y", lies.pitch))
-    target = palm_frame(point + (lies.above + _OVER_ARMREST_M) * up, -up, fingers) @ pitched
-    return LimbTask(target, _FIRM, np.array([0.06, 0.06, 0.02]), SIDE_ARM, _STIFFNESS)
-
-
-def at_point(point: Floats, shoulder: Floats, up: Floats, prior: Floats = REACH_ARM) -> LimbTask:
-    """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
-    direction = point - shoulder
-    direction = direction / np.linalg.norm(direction)
-    target = palm_frame(point - HAND_M * direction, -up, direction)
-    return LimbTask(target, _FIRM, np.array([0.02, 0.04, 0.04]), prior, _STIFFNESS)
-
-
-def at_palm(vehicle_from_palm: Matrix) -> LimbTask:
-    """A hand at a given place and in a given direction, thumb where the target has it."""
-    return LimbTask(vehicle_from_palm, _STAYS, np.full(3, 0.3), REACH_ARM, _STIFFNESS)
-
-
-def at_ear(person: Person, skeleton: Frames, side: int, gap: float = 0.04) -> LimbTask:
-    """A hand that holds a telephone `gap` m thick to its own ear."""
-    head = skeleton.bone("head")
-    s = 1.0 - 2.0 * side
-    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
-    half = float(np.abs(skin[:, 1]).max())
-    height = float(np.ptp(skin[:, 2]))
-    local = np.array([0.02, s * (half + gap - PALM_M), 0.18 * height])
-    point = head[:3, :3] @ local + head[:3, 3]
-    fingers = head[:3, :3] @ np.array([-0.25, 0.0, 1.0])
-    target = palm_frame(point, head[:3, :3] @ np.array([0.15, -s, 0.0]), fingers)
-    return LimbTask(target, _FIRM, np.array([0.04, 0.04, 0.04]), FACE_ARM, _STIFFNESS)
-
-
-def before_chest(skeleton: Frames, side: int, forward: float, out: float, up: float) -> LimbTask:
-    """A hand that holds a telephone before the chest: palm towards the face, at an offset (m) from the upper chest."""
-    thorax = skeleton.bone("spine01")
-    s = 1.0 - 2.0 * side
-    point = thorax[:3, 3] + thorax[:3, :3] @ np.array([forward, s * out, up])
-    to_face = skeleton.bone("head")[:3, 3] - point
-    fingers = thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35])
-    return LimbTask(palm_frame(point, to_face, fingers), _FIRM, np.array([0.04, 0.04, 0.02]), FACE_ARM, _STIFFNESS)
-
-
-def before_mouth(person: Person, skeleton: Frames, side: int, forward: float, level: float) -> LimbTask:
-    """A hand that brings something to its own mouth, its palm `forward` m before and `level` m below it, thumb up."""
-    head = skeleton.bone("head")
-    s = 1.0 - 2.0 * side
-    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("head")].astype(np.float64)
-    nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
-    size = float(np.ptp(skin[:, 2])) / _HEAD_M
-    mouth = np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
-    point = head[:3, :3] @ (mouth + (forward, s * 0.035, -level)) + head[:3, 3]
-    inwards = head[:3, :3] @ np.array((-0.35, -s, 0.0))
-    fingers = head[:3, :3] @ np.array((1.0, -0.35 * s, 0.15))
-    return LimbTask(palm_frame(point, inwards, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), FACE_ARM, _STIFFNESS)
-
-
-def over_thigh(skeleton: Frames, fit: SeatFit, femur: float, side: int, *, upright: bool, below_m: float) -> LimbTask:
-    """A hand that holds something over its own thigh: a thing that stands thumb up, others with the palm to the face.
-
-    below_m: by which an upright thing reaches below the palm.
-    """
-    bone, s = skeleton.bone("lr"[side] + "thigh"), 1.0 - 2.0 * side
-    up, ahead, inwards = bone[:3, 0], -bone[:3, 2], -s * bone[:3, 1]
-    top = float(np.interp(_CARRIED_ALONG, np.linspace(0.0, 1.0, len(fit.thigh_top)), fit.thigh_top))
-    over = max(_CARRIED_M, below_m + _OVER_THIGH_M) if upright else _CARRIED_M
-    point = bone[:3, 3] + _CARRIED_ALONG * femur * ahead + (top + over) * up + 0.02 * inwards
-    normal, fingers = (inwards, ahead) if upright else (0.75 * up - 0.65 * ahead, 0.6 * inwards + 0.65 * ahead + 0.4 * up)
-    return LimbTask(palm_frame(point, normal, fingers), _FIRM, np.array([0.04, 0.02, 0.04]), CARRY_ARM, _STIFFNESS)
-
-
-def at_belt(person: Person, skeleton: Frames, side: int, upper: Floats) -> LimbTask:
-    """A hand at the shoulder belt, in front of the opposite shoulder (towards the anchor `upper` (3,))."""
-    thorax = skeleton.bone("spine01")
-    local = thorax[:3, :3].T @ (upper - thorax[:3, 3])
-    s = 1.0 if local[1] > 0.0 else -1.0
-    skin = person.rest_skin[person.skin_segment == SEGMENTS.index("thorax")].astype(np.float64)
-    depth = float(skin[:, 0].max()) + 0.065
-    point = thorax[:3, 3] + thorax[:3, :3] @ np.array([depth, s * 0.07, 0.03])
-    back = thorax[:3, :3] @ np.array([-1.0, 0.0, 0.15])
-    fingers = thorax[:3, :3] @ np.array([0.15, s * 0.8, 0.6])
-    mine = 1.0 - 2.0 * side
-    if mine == s:  # the hand of the same side comes from below, its fingers to the middle
-        fingers = thorax[:3, :3] @ np.array([0.1, -s * 0.6, 0.8])
-    return LimbTask(palm_frame(point, back, fingers), _FIRM, np.array([0.03, 0.03, 0.02]), CROSS_ARM, _STIFFNESS)
+    return LimbTask(target, FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)

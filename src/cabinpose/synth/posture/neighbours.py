@@ -27,8 +27,6 @@ _BESIDE_TUNNEL_M = 0.27  # from the middle of a car to what the feet of those wh
 _ASIDE_M = 0.04
 LOW_TUNNEL_M = 0.04  # which feet stand on
 _TUNNEL_AHEAD_M = 1.0  # of the rearmost seat, where feet stand
-_CROWDED_OUT = frozenset(("lean_side", "phone_ear"))  # what needs the neighbour's room
-_IN_THE_MIDDLE_OUT = frozenset(("phone_ear_outer",))
 
 
 class Neighbours(NamedTuple):
@@ -44,13 +42,6 @@ class Neighbours(NamedTuple):
     lean: float
     aside: float
     faced: bool
-
-    @property
-    def left_out(self) -> frozenset[str]:
-        """Names of the actions that have no room."""
-        if not any(self.close):
-            return frozenset()
-        return _CROWDED_OUT | _IN_THE_MIDDLE_OUT if all(self.close) else _CROWDED_OUT
 
 
 NOBODY = Neighbours((False, False), (math.inf, math.inf), -math.inf, 0.0, False)

@@ -1,0 +1,411 @@
+"""Places of hands: one class each, with everything that being there means for the hand.
+
+The rows of `actions` name a place for each hand. A new place is a class here, or one of another package that an action of that
+package names.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from cabinpose.core import Floats, Floats32, Matrix, axis_rotation, transform
+from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
+from cabinpose.scene.cabin import Cabin, Seat
+from cabinpose.synth.posture import hands as at
+from cabinpose.synth.posture.context import SeatContext, Trunk
+from cabinpose.synth.posture.hands import Fingers, LimbTask
+
+Noise = tuple[float, float, float]  # standard normal numbers of one hand, cut at 2
+_UP = np.array([0.0, 0.0, 1.0])
+_SOFT_MISS_M = 0.12  # a hand that rests or points may stay this short of its place; one on the wheel may not
+_LOOSER = 0.055  # of a grip around the rim, so that its spread presses no finger into it
+_BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for half a hand's width
+_OVER_ARMREST_M = 0.020
+_ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
+_PHONE_M = 0.048  # from the ear to the palm that holds one to it, with what the hand needs
+_HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
+_CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
+_OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
+_REACHED_SIGMA_M = 0.012
+
+
+class Reach(NamedTuple):
+    """Where a hand goes that reaches, vehicle frame: (3,) m.
+
+    side: the hand that goes there, None for the inboard one · palm: `vehicle_from_palm` (4, 4) sought there, None for one that
+    points.
+    """
+
+    point: Floats
+    side: int | None = None
+    palm: Matrix | None = None
+
+
+class Hand(NamedTuple):
+    """One hand's intent, drawn once: its place, three standard normal numbers, and the angle at which it would hold a wheel that
+    stands straight (rad from the top, + left).
+
+    reach: where it goes, of places that reach · fingers: how they lie, (6,) as `Person.pose` takes them, NaN where they follow
+    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat.
+    """
+
+    place: HandPlace
+    noise: Noise
+    clock: float
+    reach: Reach | None = None
+    fingers: Floats = at.BY_GRIP
+    below_m: float | None = None
+
+    @property
+    def palm(self) -> Matrix | None:
+        """`vehicle_from_palm` (4, 4), where it is given."""
+        return None if self.reach is None else self.reach.palm
+
+
+class Around(NamedTuple):
+    """A hand around what stands, its top to the thumb, at a share `level` of its height."""
+
+    level: float
+
+    def turned(self, box: Floats32) -> Matrix:
+        """palm_from_thing (4, 4) of a left hand, the middle of a thing in `box` (2, 3) m in the palm's origin."""
+        level = self.level * float(box[1, 2])
+        return transform(np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))), (0.0, -level, 0.0))
+
+
+class Flat(NamedTuple):
+    """Something flat in the palm, its face out: its long side y along the fingers, `slant` (rad) from them.
+
+    beyond_m: of its middle beyond the palm's.
+    """
+
+    slant: float
+    beyond_m: float = 0.0
+
+    def turned(self, box: Floats32) -> Matrix:
+        """See `Around.turned`."""
+        return transform(axis_rotation("z", self.slant - math.pi / 2.0), (self.beyond_m, 0.0, 0.0))
+
+
+class HandPlace:
+    """A place that hands seek.
+
+    name: by which things say where hands hold them · carried_by: the bone that takes the place along, {side}: l or r; "" for the
+    vehicle · shapes: how fingers may lie, () where they follow the grip · grip: by which they are closed, 0 to 1 · miss_m: how
+    far a palm may stay from it · held: how a thing lies in a hand there, None where hands hold none · spared: whether a hand may
+    leave it to hold something · reaches: whether the trunk turns to its side · watched: whether a gaze that follows a hand goes
+    there · on_wheel: whether the hand is closed around the wheel · passes_on: whether it leaves room for another hand at what it
+    holds.
+    """
+
+    name: ClassVar[str]
+    carried_by: ClassVar[str] = ""
+    shapes: ClassVar[tuple[Fingers, ...]] = ()
+    grip: ClassVar[float] = 0.0
+    miss_m: ClassVar[float] = _SOFT_MISS_M
+    held: ClassVar[Around | Flat | None] = None
+    spared: ClassVar[bool] = False
+    reaches: ClassVar[bool] = False
+    watched: ClassVar[bool] = False
+    on_wheel: ClassVar[bool] = False
+    passes_on: ClassVar[bool] = False
+
+    def exists(self, seat: Seat, cabin: Cabin) -> bool:
+        """Whether a seat has this place."""
+        return True
+
+    def chosen(self, seated: SeatContext, other: HandPlace, inboard: bool, chance: float) -> HandPlace:
+        """The place itself, or the one that it stands for in a seat.
+
+        other: the other hand's, as its action says · inboard: whether this is the hand at the inboard side · chance: 0 to 1.
+        """
+        return self
+
+    def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
+        """Where the hand goes that reaches; None for places that do not depend on it.
+
+        target: (3,) m, the action's in this cabin · given: in place of one of the cabin's.
+        """
+        return None
+
+    def fingers(self, noise: Noise, rim: float | None) -> Floats:
+        """(6,) fingers of a hand there, as `Person.pose` takes them; NaN where they follow the grip.
+
+        noise: the hand's own, of which they are drawn · rim: the curl that holds the wheel before the seat, None where is none.
+        """
+        return at.resting_fingers(noise, self.shapes) if self.shapes else at.BY_GRIP
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        """The target of the palm of a hand (0 left, 1 right), for the trunk as it is now."""
+        raise NotImplementedError
+
+
+class _Wheel(HandPlace):
+    """Closed around the rim."""
+
+    name, miss_m, on_wheel = "wheel", at.RIM_MISS_M, True
+
+    def exists(self, seat: Seat, cabin: Cabin) -> bool:
+        return seat.slot == "driver" and cabin.steering_wheel is not None
+
+    def fingers(self, noise: Noise, rim: float | None) -> Floats:
+        return at.BY_GRIP if rim is None else at.fingers_on_rim(noise, rim - _LOOSER)
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        wheel = trunk.seated.wheel
+        assert wheel is not None  # see `exists`
+        hold = at.rim_grip(trunk.seated.person, wheel.rim_section_m)
+        return at.on_rim(wheel, hand.clock + trunk.wheel_angle, hold, 0.5 + 0.1 * hand.noise[1])
+
+
+class _Thigh(HandPlace):
+    """At rest on its own thigh."""
+
+    name, carried_by, shapes, spared = "thigh", "{side}thigh", at.RESTING, True
+
+    def fingers(self, noise: Noise, rim: float | None) -> Floats:
+        return at.resting_fingers(noise, self.shapes if rim is None else at.UNDER_WHEEL)
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        a, b, c = hand.noise
+        before = _ARM_BEFORE if trunk.seated.neighbours.close[side] else 0.0
+        along, inward = before + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
+        lies = at.lying(trunk.seated.person, hand.fingers)
+        return at.on_thigh(trunk, side, float(along), float(inward), 0.45 + 0.15 * c, lies)
+
+
+class _Armrest(HandPlace):
+    """At rest on the door's armrest, palm down."""
+
+    name, shapes, spared = "armrest", at.RESTING, True
+
+    def exists(self, seat: Seat, cabin: Cabin) -> bool:
+        return self._point(seat, cabin) is not None
+
+    def _point(self, seat: Seat, cabin: Cabin) -> Floats | None:
+        """Of the door beside a seat; None for a middle seat."""
+        y = float(seat.design_h_point[1])
+        row = "rear_" if seat.slot.startswith("rear") else ""
+        return None if abs(y) < 0.05 else cabin.reach_targets.get(f"{row}armrest_{'left' if y > 0 else 'right'}")
+
+    def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
+        point = self._point(seated.seat, seated.cabin)
+        return None if point is None else Reach(point)
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        assert hand.reach is not None  # see `exists`
+        s, point = trunk.seated, hand.reach.point
+        inward = s.seat.design_h_point - point
+        beside = _BESIDE_DOOR_M * np.array([0.0, math.copysign(1.0, inward[1]), 0.0])
+        lies = at.lying(s.person, hand.fingers)
+        middle = point + (0.10 + 0.02 * hand.noise[0]) * s.forward + beside
+        pitched = transform(axis_rotation("y", lies.pitch))
+        target = at.palm_frame(middle + (lies.above + _OVER_ARMREST_M) * _UP, -_UP, s.forward) @ pitched
+        return _firmly(target, (0.06, 0.06, 0.02), at.SIDE_ARM)
+
+
+class _Either(HandPlace):
+    """Wherever hands are that have nothing to do: on the wheel, in the lap, on the armrest."""
+
+    name, spared = "either", True
+
+    def chosen(self, seated: SeatContext, other: HandPlace, inboard: bool, chance: float) -> HandPlace:
+        if seated.wheel is not None:
+            return WHEEL if other is not WHEEL and chance < 0.8 else THIGH
+        return ARMREST if not inboard and chance < 0.2 and ARMREST.exists(seated.seat, seated.cabin) else THIGH
+
+
+class _Ear(HandPlace):
+    """A telephone at the own ear."""
+
+    name, carried_by, grip, held = "ear", "head", 0.5, Flat(math.radians(15.0))
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        head, s, skin = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, _skin(trunk.seated.person, "head")
+        half, height = float(np.abs(skin[:, 1]).max()), float(np.ptp(skin[:, 2]))
+        local = np.array([0.02, s * (half + _PHONE_M - at.PALM_M), 0.18 * height])
+        point = head[:3, :3] @ local + head[:3, 3]
+        fingers = head[:3, :3] @ np.array([-0.25, 0.0, 1.0])
+        target = at.palm_frame(point, head[:3, :3] @ np.array([0.15, -s, 0.0]), fingers)
+        return _firmly(target, (0.04, 0.04, 0.04), at.FACE_ARM)
+
+
+class _Mouth(HandPlace):
+    """At the own mouth, thumb up."""
+
+    name, carried_by, grip = "mouth", "head", 0.5
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        return self._before(trunk, side, 0.07 + 0.01 * hand.noise[0], 0.03)
+
+    def _before(self, trunk: Trunk, side: int, forward: float, level: float) -> LimbTask:
+        """A palm `forward` m before the mouth and `level` m below it."""
+        head, s, person = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, trunk.seated.person
+        skin = _skin(person, "head")
+        nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
+        size = float(np.ptp(skin[:, 2])) / _HEAD_M
+        mouth = np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
+        point = head[:3, :3] @ (mouth + (forward, s * 0.035, -level)) + head[:3, 3]
+        inwards = head[:3, :3] @ np.array((-0.35, -s, 0.0))
+        fingers = head[:3, :3] @ np.array((1.0, -0.35 * s, 0.15))
+        target = at.palm_frame(point, inwards, fingers)
+        return _firmly(target, (0.04, 0.02, 0.04), at.FACE_ARM)
+
+
+class _Drink(_Mouth):
+    """A bottle or a cup before the mouth."""
+
+    name, grip, held = "drink", 0.4, Around(0.42)
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        return self._before(trunk, side, 0.085 + 0.02 * hand.noise[0], 0.13 + 0.02 * hand.noise[2])
+
+
+class _Shin(HandPlace):
+    """At the own shin, on the way to the floor."""
+
+    name, grip = "shin", 0.06
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        s, (a, b, _) = trunk.seated, hand.noise
+        left = np.array([-s.forward[1], s.forward[0], 0.0])
+        below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * _UP + (0.10 - 0.2 * side) * left
+        return _pointing_at(below + 0.04 * a * s.forward, _shoulder(trunk, side), at.REACH_ARM)
+
+
+class _Chest(HandPlace):
+    """A telephone before the chest, palm towards the face."""
+
+    name, carried_by, grip, held, watched = "chest", "spine01", 0.5, Flat(math.radians(35.0)), True
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        a, b, c = hand.noise
+        return self._before(trunk, side, 0.33 + 0.03 * a, 0.06 + 0.01 * b, -0.07 + 0.03 * c)
+
+    def _before(self, trunk: Trunk, side: int, forward: float, out: float, up: float) -> LimbTask:
+        """A palm at an offset (m) from the upper chest."""
+        thorax, s = trunk.skeleton.bone("spine01"), 1.0 - 2.0 * side
+        point = thorax[:3, 3] + thorax[:3, :3] @ np.array([forward, s * out, up])
+        to_face = trunk.skeleton.bone("head")[:3, 3] - point
+        target = at.palm_frame(point, to_face, thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35]))
+        return _firmly(target, (0.04, 0.04, 0.02), at.FACE_ARM)
+
+
+class _Book(_Chest):
+    """An open book before the chest; it rests on its lower edge's half."""
+
+    name, grip, held = "book", 0.1, Flat(0.0, 0.055)
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        a, b, c = hand.noise
+        return self._before(trunk, side, 0.38 + 0.02 * a, 0.04 + 0.02 * b, 0.02 * c)
+
+
+class _Carry(HandPlace):
+    """Over its own thigh with something in it: what stands thumb up, the rest with the palm to the face."""
+
+    name, carried_by, grip = "carry", "{side}thigh", 0.4
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        fit, femur = trunk.seated.fit, trunk.seated.person.segment_lengths["thigh"]
+        bone, s = trunk.skeleton.bone("lr"[side] + "thigh"), 1.0 - 2.0 * side
+        up, ahead, inwards = bone[:3, 0], -bone[:3, 2], -s * bone[:3, 1]
+        top = float(np.interp(_CARRIED_ALONG, np.linspace(0.0, 1.0, len(fit.thigh_top)), fit.thigh_top))
+        over, normal, fingers = _CARRIED_M, 0.75 * up - 0.65 * ahead, 0.6 * inwards + 0.65 * ahead + 0.4 * up
+        if hand.below_m is not None:
+            over, normal, fingers = max(_CARRIED_M, hand.below_m + _OVER_THIGH_M), inwards, ahead
+        point = bone[:3, 3] + _CARRIED_ALONG * femur * ahead + (top + over) * up + 0.02 * inwards
+        target = at.palm_frame(point, normal, fingers)
+        return _firmly(target, (0.04, 0.02, 0.04), at.CARRY_ARM)
+
+
+class _Belt(HandPlace):
+    """At the shoulder belt, in front of the shoulder that it comes from."""
+
+    name, carried_by, grip, watched = "belt", "spine01", 0.6, True
+
+    def exists(self, seat: Seat, cabin: Cabin) -> bool:
+        return seat.belt is not None
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        belt, thorax = trunk.seated.seat.belt, trunk.skeleton.bone("spine01")
+        assert belt is not None  # see `exists`
+        local = thorax[:3, :3].T @ (belt.upper - thorax[:3, 3])
+        s = 1.0 if local[1] > 0.0 else -1.0
+        depth = float(_skin(trunk.seated.person, "thorax")[:, 0].max()) + 0.065
+        point = thorax[:3, 3] + thorax[:3, :3] @ np.array([depth, s * 0.07, 0.03])
+        back = thorax[:3, :3] @ np.array([-1.0, 0.0, 0.15])
+        fingers = thorax[:3, :3] @ np.array([0.15, s * 0.8, 0.6])
+        if 1.0 - 2.0 * side == s:  # the hand of the same side comes from below, its fingers to the middle
+            fingers = thorax[:3, :3] @ np.array([0.1, -s * 0.6, 0.8])
+        target = at.palm_frame(point, back, fingers)
+        return _firmly(target, (0.03, 0.03, 0.02), at.CROSS_ARM)
+
+
+class _Reach(HandPlace):
+    """At something in the car, or wherever else it is told to reach; in the lap where there is nowhere."""
+
+    name, shapes, reaches, watched = "reach", at.POINTING, True, True
+
+    def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
+        return given if target is None else Reach(target + _REACHED_SIGMA_M * np.array(noise))
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        if hand.reach is None:
+            return THIGH.task(trunk, hand, side)
+        if hand.reach.palm is not None:
+            return LimbTask(hand.reach.palm, at.STAYS, np.full(3, 0.3), at.REACH_ARM, at.STIFFNESS)
+        shoulder = _shoulder(trunk, side)
+        high = hand.reach.point[2] > shoulder[2]
+        return _pointing_at(hand.reach.point, shoulder, at.UP_ARM if high else at.REACH_ARM)
+
+
+class _Give(_Reach):
+    """Holding out what another one's hand takes."""
+
+    name, shapes, held, passes_on = "give", (), Around(0.22), True
+
+
+class _Take(_Give):
+    """Around what was taken from another hand, above it."""
+
+    name, held = "take", Around(0.70)
+
+
+def _firmly(palm: Matrix, turning: tuple[float, float, float], arm: Floats) -> LimbTask:
+    """A palm (4, 4) sought firmly; turning: weights of turning it about its axes, m/rad · arm: the comfortable one, rad."""
+    return LimbTask(palm, at.FIRM, np.array(turning), arm, at.STIFFNESS)
+
+
+def _skin(person: Person, segment: str) -> Floats:
+    """(N, 3) m of a segment at rest."""
+    return person.rest_skin[person.skin_segment == SEGMENTS.index(segment)].astype(np.float64)
+
+
+def _shoulder(trunk: Trunk, side: int) -> Floats:
+    return trunk.skeleton.bone("lr"[side] + "upperarm")[:3, 3]
+
+
+def _pointing_at(point: Floats, shoulder: Floats, prior: Floats) -> LimbTask:
+    """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
+    direction = point - shoulder
+    direction = direction / np.linalg.norm(direction)
+    target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
+    return _firmly(target, (0.02, 0.04, 0.04), prior)
+
+
+WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN = (
+    _Wheel(), _Thigh(), _Armrest(), _Either(), _Ear(), _Mouth(), _Drink(), _Shin()
+)  # fmt: skip
+CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE = _Chest(), _Book(), _Carry(), _Belt(), _Give(), _Reach(), _Take()
+PLACES: Mapping[str, HandPlace] = MappingProxyType(
+    {
+        place.name: place
+        for place in (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE)
+    }
+)
