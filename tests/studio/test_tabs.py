@@ -371,3 +371,16 @@ def test_a_scene_is_opened_by_who_looks_at_it(tmp_path: Path) -> None:
 
     used(open_workspace(tmp_path / "scene.yaml"), broken)
     used(Workspace(), begun)
+
+
+def test_cameras_of_extensions_are_offered(extension: Callable[..., None], tmp_path: Path) -> None:
+    code = "from cabinpose.record.sources.tof import SimulatedSource\nclass Source(SimulatedSource): ...\n"
+    extension("acme", {"sources": {"acme": "Source"}}, code)
+    extension("broken", {"sources": {"lidar": "Source"}}, "raise RuntimeError('no licence')")
+
+    async def steps(user: User) -> None:
+        user.find("Live", kind=ui.tab).click()
+        assert marked(user, "source").options == ["simulated", "synth", "royale", "bta", "genicam", "orbbec", "acme"]
+
+    with pytest.warns(UserWarning, match="of broken cannot be loaded: RuntimeError: no licence"):
+        used(Workspace(), steps)

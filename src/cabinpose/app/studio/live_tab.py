@@ -50,7 +50,9 @@ class LiveTab:
     def _build_side(self) -> None:
         opened = self._workspace.recording or self._workspace.folder
         sources = [*([str(opened)] if opened is not None else []), *cameras()]
-        self._source = ui.select(sources, value=sources[0], label="source").props("dense outlined").classes("w-full")
+        self._source = (
+            ui.select(sources, value=sources[0], label="source").props("dense outlined").classes("w-full").mark("source")
+        )
         self._settings = ui.textarea("settings, KEY=VALUE a line", placeholder="use_case=MODE_9_5FPS_2000").props(
             "dense outlined autogrow"
         )
