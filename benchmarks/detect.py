@@ -16,8 +16,9 @@ from benchmarks import Say
 from benchmarks.subjects import WARM, Frame, OurDetector, PeerNetwork, Run, Subject, figures, timed_run
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.estimate.onnx_model import BATCH, packaged_detectors
-from cabinpose.estimate.predictor import OnnxPredictor
+from cabinpose.estimate.joint_predictor import JointPredictor
+from cabinpose.estimate.onnx_model import BATCH
+from cabinpose.estimate.predictor import load_model, packaged_detectors
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
 from cabinpose.synth.write import FrameMaker
@@ -67,7 +68,7 @@ def run(
     if min(frames, repeats, threads) < 1:
         raise ConfigError("the bench needs frames, repeats and threads", hint="give each at least 1")
     known = packaged_detectors()
-    trained = [OnnxPredictor(known.get(each, Path(each)), threads=threads) for each in dict.fromkeys((*known, *model))]
+    trained = [load_model(known.get(each, Path(each)), threads=threads) for each in dict.fromkeys((*known, *model))]
     lacking = [name for name in _EXTRA if find_spec(name) is None]
     left_out = [name for name, wanted in (("fresh", not skip_fresh), ("peers", not skip_peers)) if wanted and lacking]
     if left_out:
@@ -100,12 +101,12 @@ def run(
     }  # fmt: skip
 
 
-def _trained(predictors: Sequence[OnnxPredictor]) -> dict[str, Subject]:
+def _trained(predictors: Sequence[JointPredictor]) -> dict[str, Subject]:
     """Models in files, by their names; those that share one are told apart by their files."""
     names = [predictor.name for predictor in predictors]
     subjects: dict[str, Subject] = {}
     for predictor in predictors:
-        name = predictor.name if names.count(predictor.name) == 1 else str(predictor.path)
+        name = predictor.name if names.count(predictor.name) == 1 else str(predictor.model.path)
         shown = bench_frames(predictor.config.skeleton)
         subjects[name] = OurDetector(predictor, shown, weights="file", decodes="own", **_about(predictor, shown))
     return subjects
@@ -119,7 +120,7 @@ def _fresh(folder: Path, threads: int) -> dict[str, Subject]:
     for method in AIMS:
         shown = bench_frames("cabinpose")
         made = fresh_detector(method, shown, folder)
-        predictor = OnnxPredictor(made.path, threads=threads)
+        predictor = load_model(made.path, threads=threads)
         about = {"weights": "fresh", "decodes": "own" if made.answers is None else "true_joints", "parameters": made.parameters}
         subjects[f"{method}_fresh"] = OurDetector(predictor, shown, made.answers, **about, **_about(predictor, shown))
     return subjects
@@ -155,11 +156,11 @@ def bench_frames(skeleton: str) -> tuple[Frame, ...]:
     return tuple(maker.make(index)[0] for index in range(_SHOWN))
 
 
-def _about(predictor: OnnxPredictor, frames: Sequence[Frame]) -> dict[str, Any]:
+def _about(predictor: JointPredictor, frames: Sequence[Frame]) -> dict[str, Any]:
     view = predictor.config.view
     return {
-        "method": predictor.method.name,
-        "aim": AIMS.get(predictor.method.name),
+        "method": predictor.model.method.name,
+        "aim": AIMS.get(predictor.model.method.name),
         "camera": list(frames[0]["depth"].shape[::-1]),
         "view": [view.width, view.height],
         "people": sum(subject != "" for subject in frames[0]["subject"]),

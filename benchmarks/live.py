@@ -9,7 +9,8 @@ import numpy as np
 
 from benchmarks import Say
 from cabinpose.app.live.feed import batch_of
-from cabinpose.estimate.predictor import OnnxPredictor, packaged_models
+from cabinpose.estimate.onnx_model import OnnxModel
+from cabinpose.estimate.predictor import load_model
 from cabinpose.record.sources.tof.simulated import tof_frame
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.write import FrameMaker
@@ -39,7 +40,9 @@ def run(*, frames: int, threads: int, say: Say) -> dict[str, Any]:
     say("generating frames")
     maker = FrameMaker(SynthConfig(), 0)
     images = [tof_frame(maker.make(index)[0]) for index in range(_DIFFERENT)]
-    model = OnnxPredictor(packaged_models()["in_car"], threads=threads)
+    predictor = load_model("in_car", threads=threads)
+    model = predictor.model
+    assert isinstance(model, OnnxModel)
     outputs, inside = model.outputs, [0.0]
 
     def timed(seen: Any) -> Any:
@@ -53,7 +56,7 @@ def run(*, frames: int, threads: int, say: Say) -> dict[str, Any]:
     network, own = [], []
     for number in range(_WARM + frames):
         began = time.perf_counter()
-        model.predict(batch_of(images[number % len(images)]))
+        predictor.predict(batch_of(images[number % len(images)]))
         if number >= _WARM:
             network.append(1e3 * inside[0])
             own.append(1e3 * (time.perf_counter() - began) - 1e3 * inside[0])

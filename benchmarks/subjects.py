@@ -6,15 +6,15 @@ import statistics
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
 from cabinpose.core.ports import FrameBatch
-from cabinpose.estimate.onnx_model import BATCH, cameras_of, open_session
-from cabinpose.estimate.predictor import OnnxPredictor
+from cabinpose.estimate.joint_predictor import JointPredictor
+from cabinpose.estimate.onnx_model import BATCH, OnnxModel, cameras_of, open_session
 
 WARM = 5  # frames before each run that are not counted
 _BATCHES = 2  # in a run
@@ -43,13 +43,13 @@ class OurDetector(Subject):
     """A detector of this package: the view of the camera's arrays, the network, and decoding to joints in 3D."""
 
     def __init__(
-        self, predictor: OnnxPredictor, frames: Sequence[Frame], answers: Sequence[Arrays] | None = None, **about: Any
+        self, predictor: JointPredictor, frames: Sequence[Frame], answers: Sequence[Arrays] | None = None, **about: Any
     ) -> None:
         """frames: of the dataset standard, taken in turn · answers: for each frame the outputs that are decoded in place of the
         network's own.
         """
-        super().__init__(predictor.session, ("input", "network", "decode"), about)
-        self._predictor = predictor
+        self._predictor, self._model = predictor, cast(OnnxModel, predictor.model)
+        super().__init__(self._model.session, ("input", "network", "decode"), about)
         self._frames = [frame_batch([frame]) for frame in frames]
         self._answers = answers or [{} for _ in frames]
         turns = [i % len(frames) for i in range(BATCH)]
@@ -66,15 +66,15 @@ class OurDetector(Subject):
         return sum(self._time(self._batch, self._batch_answers)) / BATCH
 
     def _time(self, frames: FrameBatch, answers: Arrays) -> tuple[float, ...]:
-        """The steps of `OnnxPredictor.predict` on one batch."""
+        """The steps of `JointPredictor.predict` on one batch."""
         every = slice(0, BATCH)
         start = time.perf_counter()
         cameras = cameras_of(frames, every)
         seen = self._predictor.seen(frames, every, cameras)
         prepared = time.perf_counter()
-        outputs = self._predictor.outputs(seen)
+        outputs = self._model.outputs(seen)
         answered = time.perf_counter()
-        found = self._predictor.method.decode(answers or outputs, self._predictor.config, seen)
+        found = self._model.method.decode(answers or outputs, self._model.config, seen)
         self._predictor.poses(found, cameras)
         return prepared - start, answered - prepared, time.perf_counter() - answered
 

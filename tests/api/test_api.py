@@ -15,7 +15,7 @@ import cabinpose
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
-from cabinpose.estimate.predictor import OnnxPredictor
+from cabinpose.estimate import JointPredictor
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store.predictions import Predictions, write_predictions
 from cabinpose.synth.config import SynthConfig
@@ -38,7 +38,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def model() -> OnnxPredictor:
+def model() -> JointPredictor:
     return cabinpose.load_model("in_car", threads=1)
 
 
@@ -59,7 +59,7 @@ def test_generated_frames_are_those_of_a_dataset(frames: list[Frame], dataset: P
     np.testing.assert_array_equal(later["depth"], frames[2]["depth"])
 
 
-def test_a_model_takes_one_frame_or_many(frames: list[Frame], model: OnnxPredictor) -> None:
+def test_a_model_takes_one_frame_or_many(frames: list[Frame], model: JointPredictor) -> None:
     depth, light = (np.stack([frame[name] for frame in frames]) for name in ("depth", "amplitude"))
     k = frames[0]["camera_k"]
     many, one = model(depth, k, light), model(depth[1], k, light[1])
@@ -71,7 +71,7 @@ def test_a_model_takes_one_frame_or_many(frames: list[Frame], model: OnnxPredict
     assert np.median(np.linalg.norm(many.joints_3d[:, model.persons.index("driver")] - truth, axis=-1)[seen]) < 0.05
 
 
-def test_wrong_arrays_say_what_is_wrong(frames: list[Frame], model: OnnxPredictor) -> None:
+def test_wrong_arrays_say_what_is_wrong(frames: list[Frame], model: JointPredictor) -> None:
     depth, light, k = (frames[0][name] for name in ("depth", "amplitude", "camera_k"))
     for call, words in (
         (lambda: model(1000.0 * depth, k, light), "beyond 50"),
@@ -101,7 +101,7 @@ def test_amplitudes_of_another_unit_are_told_once(frames: list[Frame]) -> None:
         cabinpose.load_model("in_car", threads=1)(depth, k, 3.0 * light)
 
 
-def test_predictions_are_opened_and_evaluated(dataset: Path, model: OnnxPredictor, frames: list[Frame], tmp_path: Path) -> None:
+def test_predictions_are_opened_and_evaluated(dataset: Path, model: JointPredictor, frames: list[Frame], tmp_path: Path) -> None:
     found = [model(frame["depth"], frame["camera_k"], frame["amplitude"]) for frame in frames]
     arrays = [np.stack([getattr(f, name) for f in found]) for name in ("joints_2d", "joints_3d", "score", "presence")]
     predictions = Predictions(

@@ -155,8 +155,11 @@ def test_given_answers_are_decoded_in_place_of_the_networks(frames: tuple[Any, .
     predictor = load_model(model, threads=1)
     given: list[Any] = []
     fake: Any = SimpleNamespace(
-        session=predictor.session, seen=predictor.seen, outputs=predictor.outputs, poses=lambda *_: None, config=None,
-        method=SimpleNamespace(decode=lambda outputs, *_: given.append(outputs)),
+        seen=predictor.seen, poses=lambda *_: None,
+        model=SimpleNamespace(
+            session=predictor.model.session, outputs=predictor.model.outputs, config=None,
+            method=SimpleNamespace(decode=lambda outputs, *_: given.append(outputs)),
+        ),
     )  # fmt: skip
     answers = [{"heat": np.full((1, 2), i)} for i in range(SHOWN)]
     subject = OurDetector(fake, frames, answers)

@@ -24,14 +24,15 @@ def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     import small
 
     from cabinpose.estimate.data import StoredFrames
-    from cabinpose.estimate.training import TrainConfig, fit, frame_spec
+    from cabinpose.estimate.train_config import Machines, TrainConfig
+    from cabinpose.estimate.training import fit, frame_spec
 
     folder, dataset = tmp_path_factory.mktemp("trained"), small.dataset(8)
     made = {}
     for method, settings in small.TINY.items():
         config = TrainConfig(method=method, settings=settings, epochs=1, batch=4, average=0.5)
         frames = StoredFrames(dataset, frame_spec(config))
-        made[method] = fit(config, frames, frames, folder / method, devices=1)
+        made[method] = fit(config, frames, frames, folder / method, machines=Machines(1))
     return made
 
 

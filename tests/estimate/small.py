@@ -9,11 +9,11 @@ import sphere_people
 import xarray as xr
 
 from cabinpose.core.skeleton import JOINTS
-from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.methods import METHODS, NetworkMethod
 
 PERSONS = ("driver", "front_passenger", "rear_left")
 SIZE = (64, 48)
-NETWORKS = sorted(name for name, method in METHODS.items() if method.fitted == "torch")
+NETWORKS = sorted(name for name in METHODS.names(own=True) if isinstance(METHODS[name], NetworkMethod))
 TINY: dict[str, dict[str, Any]] = {
     "compact": {"width": 64, "height": 48, "focal": 51.2, "channels": (4, 4, 8, 8), "blocks": (1, 1, 1), "slots": PERSONS},
     "paf": {"width": 64, "height": 48, "focal": 51.2, "channels": 0.05, "slots": PERSONS},

@@ -1,13 +1,12 @@
-"""Methods that are fitted to arrays: from `train` to a file that answers, with a method that knows the mean pose alone."""
+"""Methods that are fitted to arrays: from `train` to a file that answers, with the method that docs/extending.md shows."""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,49 +17,39 @@ import yaml
 from numpy.typing import NDArray
 
 from cabinpose.app.cli import main
-from cabinpose.core.errors import ConfigError, ModelError
-from cabinpose.estimate import methods
-from cabinpose.estimate.array_model import ArrayModel, ArrayPredictor, write_arrays
+from cabinpose.app.compare import of_joints, recipe
+from cabinpose.core import registry
+from cabinpose.core.errors import ConfigError, ExtensionError, ModelError
+from cabinpose.estimate.array_model import ArrayModel, write_arrays
 from cabinpose.estimate.data import StoredFrames
-from cabinpose.estimate.found import Found
-from cabinpose.estimate.methods import Method
-from cabinpose.estimate.onnx_model import METADATA_KEY
+from cabinpose.estimate.methods import METHODS, ArrayMethod
+from cabinpose.estimate.onnx_model import METADATA_KEY, OnnxModel
 from cabinpose.estimate.predictor import describe_model, load_model
-from cabinpose.estimate.settings import ViewSettings
-from cabinpose.estimate.training import TrainConfig, fit, frame_spec
+from cabinpose.estimate.train_config import Start, TrainConfig
+from cabinpose.estimate.training import fit, frame_spec
 from cabinpose.evaluate.offline import frame_batch
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import read_predictions
 
+PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text("utf-8").split("## A detector")[1]
 SETTINGS = {"width": 64, "height": 48, "focal": 51.2, "slots": list(small.PERSONS)}
 
 
-class MeanConfig(ViewSettings):
-    skeleton: str = "cabinpose"
-
-
-def mean_pose(settings: MeanConfig, frames: Any, config: TrainConfig, progress: Any) -> dict[str, NDArray[Any]]:
-    assert config.method == "mean"
-    kept = [frames[i] for i in range(len(frames))]
-    progress(1, 1, "the mean")
-    return {"joints": np.nanmean([np.where(f.present[:, None, None], f.joints, np.nan) for f in kept], axis=0)}
-
-
-def find(arrays: Mapping[str, NDArray[Any]], settings: MeanConfig, seen: Mapping[str, NDArray[Any]]) -> Found:
-    uvz = np.repeat(arrays["joints"][None].astype(np.float64), len(seen["depth"]), axis=0)
-    return Found(uvz[..., :2], settings.view.from_view(uvz), np.ones(uvz.shape[:3]), np.ones(uvz.shape[:3]))
-
-
-def check(arrays: Mapping[str, NDArray[Any]], settings: MeanConfig) -> None:
-    if arrays["joints"].shape != (len(settings.slots), len(settings.joints), 3):
-        raise ValueError("joints of another skeleton")
-
-
 @pytest.fixture(autouse=True)
-def mean_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(methods.METHODS, "mean", Method("mean", "joints", MeanConfig, fitted="arrays"))
-    monkeypatch.setitem(sys.modules, "cabinpose.estimate.mean.fit", SimpleNamespace(fit=mean_pose))  # type: ignore[arg-type]
-    monkeypatch.setitem(sys.modules, "cabinpose.estimate.mean.find", SimpleNamespace(find=find, check=check))  # type: ignore[arg-type]
+def mean_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The module of docs/extending.md, in a package of its own."""
+    info = tmp_path / "installed" / "mean_pose-1.dist-info"
+    info.mkdir(parents=True)
+    (info.parent / "mean_pose.py").write_text(re.findall(r"```python\n(.*?)```", PAGE, re.S)[0])
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mean-pose\nVersion: 1\nRequires-Dist: cabinpose\n")
+    (info / "entry_points.txt").write_text("[cabinpose.methods]\nmean = mean_pose:MEAN\n")
+    monkeypatch.syspath_prepend(str(info.parent))
+    registry._offers.cache_clear()
+    yield
+    monkeypatch.undo()
+    registry._offers.cache_clear()
+    METHODS._loaded.pop("mean", None)
+    sys.modules.pop("mean_pose", None)
 
 
 @pytest.fixture
@@ -109,9 +98,26 @@ def test_from_a_dataset_to_answers_by_the_command_line(data: Path, tmp_path: Pat
         assert words in capsys.readouterr().err
 
 
+def test_another_packages_method_is_listed_and_compared_where_it_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["train", "--help"])
+    assert re.search(r"walks,[\s│]*mean\)", capsys.readouterr().out)
+    assert "mean" in of_joints()
+    assert "mean" not in of_joints(own=True)
+    settings = METHODS["mean"].settings(recipe("mean", None, None).settings)
+    assert (settings.skeleton, settings.slots, settings.view.width) == ("itop", ("standing",), 96)
+
+
+def test_a_method_has_the_name_that_it_is_registered_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(METHODS["mean"]), "name", "average")
+    METHODS._loaded.pop("mean")
+    with pytest.raises(ExtensionError, match="the method 'mean' of mean-pose calls itself 'average'"):
+        METHODS["mean"]
+
+
 def test_a_file_answers_what_was_fitted(trained_mean: Path) -> None:
     model = load_model(trained_mean)
-    assert isinstance(model, ArrayPredictor)
+    assert isinstance(model.model, ArrayModel)
     assert (model.name, model.persons) == ("run", small.PERSONS)
     made = [small.frame(i) for i in range(4)]
     there = np.array([[[[name != ""]] for name in f["subject"]] for f in made])
@@ -142,7 +148,7 @@ def told(metadata: NDArray[np.uint8], **changes: Any) -> NDArray[np.uint8]:
     ("change", "words"),
     [
         (lambda a: {n: v for n, v in a.items() if n != METADATA_KEY}, "another program"),
-        (lambda a: a | {METADATA_KEY: told(a[METADATA_KEY], method="nobody")}, "unknown method 'nobody'"),
+        (lambda a: a | {METADATA_KEY: told(a[METADATA_KEY], method="nobody")}, "of the method 'nobody', which is not installed"),
         (lambda a: a | {METADATA_KEY: told(a[METADATA_KEY], method="compact", config={})}, "cannot be a model of compact"),
         (lambda a: a | {METADATA_KEY: told(a[METADATA_KEY], config={"width": -1})}, "width"),
         (lambda a: a | {METADATA_KEY: np.frombuffer(b"\xff{", np.uint8)}, "does not say what it is"),
@@ -173,13 +179,23 @@ def test_damaged_files_are_model_errors(damage: Any, trained_mean: Path, tmp_pat
 
 
 def test_a_network_is_no_array_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(methods.METHODS, "compact", replace(methods.METHODS["compact"], fitted="arrays"))
+    monkeypatch.setattr(OnnxModel, "kind", ArrayMethod)
     with pytest.raises(ModelError, match="cannot be a model of compact"):
         load_model("in_car")
+
+
+def test_a_model_of_an_extension_that_is_gone(trained_mean: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert METHODS.package("mean") == "mean-pose"
+    monkeypatch.setattr(registry, "_offers", registry._offers.__wrapped__)
+    monkeypatch.setattr(sys, "path", sys.path[1:])
+    for opened in (load_model, describe_model):
+        with pytest.raises(ModelError, match="of the method 'mean', which is not installed") as caught:
+            opened(trained_mean)
+        assert "install the package that offers it; installed: compact, paf" in caught.value.hint
 
 
 def test_a_model_begins_with_nothing(tmp_path: Path, trained_mean: Path) -> None:
     config = TrainConfig(method="mean", settings=SETTINGS)
     frames = StoredFrames(small.dataset(4), frame_spec(config))
     with pytest.raises(ConfigError, match="fitted in one go"):
-        fit(config, frames, frames, tmp_path / "other", init=trained_mean)
+        fit(config, frames, frames, tmp_path / "other", start=Start(init=trained_mean))

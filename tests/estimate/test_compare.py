@@ -14,7 +14,7 @@ import small
 import sphere_people
 import yaml
 
-from cabinpose.app.compare import recipe
+from cabinpose.app.compare import of_joints, recipe
 from cabinpose.app.report.comparison import METRICS, joint_rows, table_rows
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.skeleton import ITOP_JOINTS
@@ -60,7 +60,7 @@ def test_the_equations_on_five_joints_by_hand() -> None:
 
 
 def test_every_method_of_joints_has_a_small_recipe() -> None:
-    for name in (m.name for m in METHODS.values() if m.task == "joints"):
+    for name in of_joints():
         config = recipe(name, None, None)
         settings = METHODS[name].settings(config.settings)
         assert (settings.joints, settings.slots, config.epochs) == (ITOP_JOINTS, ("standing",), 20)
@@ -140,7 +140,7 @@ def test_a_comparison_and_what_is_not_done_again(room: Path, tmp_path: Path, run
     with monkeypatch.context() as patch:
         patch.setattr("cabinpose.estimate.training.fit", never)
         patch.setattr("cabinpose.app.compare.import_source", never)
-        patch.setattr("cabinpose.estimate.predictor.OnnxPredictor.predict", never)
+        patch.setattr("cabinpose.estimate.joint_predictor.JointPredictor.predict", never)
         assert run(*arguments, "--methods", "yolo").out == first.out
     beside = run(*arguments, "--methods", "yolo,paf", "--model", f"paf={out / 'models' / 'yolo' / 'model.onnx'}", "--json")
     again = json.loads(beside.out.splitlines()[-1])["tests"]["room"]

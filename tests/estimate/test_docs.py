@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import small
 import yaml
 from pydantic import BaseModel
 
@@ -20,7 +21,7 @@ from cabinpose.store.split import parse_splits
 
 PAGE = (Path(__file__).parents[2] / "docs" / "training.md").read_text("utf-8")
 SECTIONS: dict[str, type[BaseModel]] = {"## Configuration": TrainConfig, "### Augmentation": AugmentConfig} | {
-    f"### Settings of {name}": method.config for name, method in METHODS.items()
+    f"### Settings of {name}": METHODS[name].settings_type for name in METHODS.names(own=True)
 }
 WORDS = {
     "the method's": None, "measured": None, "139 at a width of 352": None, "all five": OCCUPANT_SLOTS,
@@ -56,7 +57,7 @@ def test_the_stated_focal_length_is_the_views(settings: type[ViewSettings]) -> N
 
 
 def test_the_stated_rates_are_the_methods() -> None:
-    networks = {name: method for name, method in METHODS.items() if method.fitted == "torch"}
+    networks = {name: METHODS[name] for name in small.NETWORKS}
     rates = {name: method.learning_rate for name, method in networks.items()}
     decays = {name: method.weight_decay for name, method in networks.items()}
     assert "compact and yolo 3e-3, paf 4e-4, lifting and unet 1e-3" in PAGE
@@ -77,7 +78,6 @@ def test_the_examples_are_valid() -> None:
 def test_the_python_examples_run(trained: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import shutil
 
-    import small
     import sphere_people
 
     monkeypatch.chdir(tmp_path)

@@ -19,7 +19,7 @@ from cabinpose.estimate.dpm.find import Person, check, find, located, slots_of, 
 from cabinpose.estimate.dpm.fit import fit, level_depths, people_of, without_people
 from cabinpose.estimate.dpm.hog import levels
 from cabinpose.estimate.dpm.parts import Parts, Placement
-from cabinpose.estimate.methods import method_named
+from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
@@ -36,6 +36,10 @@ DPM = DpmConfig(**SETTINGS)
 Arrays = dict[str, NDArray[Any]]
 
 
+def quiet(*_: object) -> None:
+    """Nobody is told."""
+
+
 @pytest.fixture(scope="module")
 def frames() -> list[Kept]:
     stored = StoredFrames(small.dataset(14), frame_spec(CONFIG))
@@ -45,7 +49,7 @@ def frames() -> list[Kept]:
 @pytest.fixture(scope="module")
 def arrays(frames: list[Kept]) -> Arrays:
     told: list[tuple[int, int, str]] = []
-    made = fit(DPM, frames[:12], CONFIG, lambda *what: told.append(what))
+    made = fit(DPM, frames[:12], lambda *what: told.append(what), seed=CONFIG.seed)
     assert told[-1][:2] == (told[-1][1],) * 2
     assert told[-1][2] == "round 3 of 3"
     check(made, DPM)
@@ -71,7 +75,7 @@ def test_people_it_has_not_seen_are_found_in_their_slots(frames: list[Kept], arr
 
 
 def test_the_same_frames_and_seed_give_the_same_model(frames: list[Kept], arrays: Arrays) -> None:
-    again = fit(DPM, frames[:12], CONFIG, None)
+    again = fit(DPM, frames[:12], quiet, seed=CONFIG.seed)
     assert all(np.array_equal(again[name], values, equal_nan=True) for name, values in arrays.items())
     assert all(values.dtype == np.float32 for values in arrays.values())
 
@@ -94,13 +98,13 @@ def test_arrays_that_do_not_fit_are_told(change: Any, words: str, arrays: Arrays
 
 def test_a_filter_has_a_middle() -> None:
     with pytest.raises(ConfigError, match="filter_cells: Value error, a filter has a cell in its middle"):
-        method_named("dpm").settings({"filter_cells": 4})
+        METHODS["dpm"].settings({"filter_cells": 4})
 
 
 def test_frames_without_people_teach_nothing(frames: list[Kept]) -> None:
     nobody = [f._replace(present=np.zeros_like(f.present)) for f in frames[:3]]
     with pytest.raises(DatasetError, match="0 people are seen") as caught:
-        fit(DPM, nobody, CONFIG, None)
+        fit(DPM, nobody, quiet, seed=CONFIG.seed)
     assert caught.value.hint
 
 
@@ -201,7 +205,7 @@ def test_a_little_training_finds_generated_people(tmp_path: Path) -> None:
         generate(SynthConfig.load(RECIPES / "room-scenes.yaml"), count, folder, seed=seed, workers=1)
         stored = StoredFrames(open_dataset(folder), frame_spec(config))
         made.append([stored[i] for i in range(count)])
-    found = find(fit(settings, made[0], config, None), settings, seen(made[1]))
+    found = find(fit(settings, made[0], quiet, seed=config.seed), settings, seen(made[1]))
     truth = settings.view.from_view(np.stack([f.joints for f in made[1]]))
     assert (np.linalg.norm(found.joints_3d - truth, axis=-1) < 0.1).mean() > 0.5
 
@@ -211,7 +215,7 @@ def test_amplitudes_are_read_where_they_are_asked_for() -> None:
     config = TrainConfig(method="dpm", settings=settings)
     stored = StoredFrames(small.dataset(8), frame_spec(config))
     frames, dpm = [stored[i] for i in range(8)], DpmConfig(**settings)
-    made = fit(dpm, frames, config, None)
+    made = fit(dpm, frames, quiet, seed=config.seed)
     images = seen(frames[:1])
     with pytest.raises(ValueError, match="amplitudes"):
         find(made, dpm, images)

@@ -20,6 +20,7 @@ from cabinpose.core.errors import ModelError
 from cabinpose.estimate.expected_error import METADATA_KEY, check, cues, expected_errors, fit_expected_error
 from cabinpose.estimate.export import write_copy
 from cabinpose.estimate.found import Found
+from cabinpose.estimate.onnx_model import OnnxModel
 from cabinpose.estimate.predictor import describe_model, load_model
 from cabinpose.estimate.training import load_detector
 from cabinpose.store.predictions import read_predictions
@@ -122,7 +123,7 @@ def test_spreads_of_the_network(checkpoints: dict[str, Path], tmp_path: Path) ->
         assert answer.spreads[0, s, j].numpy() == pytest.approx(spread, rel=1e-3)
     export_onnx(checkpoints["compact"], tmp_path / "m.onnx", name="m", card={}, mirrored=True)
     export_onnx(checkpoints["compact"], tmp_path / "p.onnx", name="p", card={})
-    both, plain = (load_model(tmp_path / f"{name}.onnx", threads=1).outputs for name in "mp")
+    both, plain = (OnnxModel(tmp_path / f"{name}.onnx", threads=1).outputs for name in "mp")
     image = {name: np.ascontiguousarray(array[..., ::-1]) for name, array in seen.items()}
     head = small.JOINTS.index("head")
     one, others = (plain(frame)["joints"][0, :, head].astype(np.float64) for frame in (seen, image))
@@ -153,7 +154,7 @@ def test_models_of_older_versions_say_no_spreads(trained: dict[str, Path], tmp_p
     ],
 )  # fmt: skip
 def test_damaged_tables_are_refused(table: Any, trained: dict[str, Path], tmp_path: Path) -> None:
-    write_copy(load_model(trained["compact"]), tmp_path / "m.onnx", **{METADATA_KEY: {"joints": table}})
+    write_copy(load_model(trained["compact"]).model, tmp_path / "m.onnx", **{METADATA_KEY: {"joints": table}})
     with pytest.raises(ModelError, match="does not say what it is"):
         load_model(tmp_path / "m.onnx")
 

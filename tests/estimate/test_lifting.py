@@ -16,12 +16,14 @@ from cabinpose.core.skeleton import UPPER_BODY
 from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import StoredFrames, collate
+from cabinpose.estimate.lifter import LiftedPredictor
 from cabinpose.estimate.lifting import fit
 from cabinpose.estimate.lifting.config import ROOT, LiftingConfig
-from cabinpose.estimate.lifting.decode import decode
+from cabinpose.estimate.lifting.method import METHOD
 from cabinpose.estimate.lifting.model import Lifting
-from cabinpose.estimate.lifting.predict import LiftedPredictor, OnnxLifting
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
+from cabinpose.estimate.predictor import open_model
+from cabinpose.estimate.tasks import people_of, vary_people
 from cabinpose.estimate.training import TrainConfig, frame_spec
 
 CONFIG = LiftingConfig(**small.TINY["lifting"])
@@ -52,7 +54,7 @@ def quiet(**changes: float) -> LiftingConfig:
 
 
 def test_people_are_the_datasets_joints(batch: Batch) -> None:
-    people = fit.people_of(batch, CONFIG.view)
+    people = people_of(batch, CONFIG.view)
     data = small.dataset(12).sel(joint=list(UPPER_BODY))
     there = data["subject"].values != ""
     joints = data["joints_3d"].values[there]
@@ -66,14 +68,14 @@ def test_people_are_the_datasets_joints(batch: Batch) -> None:
 
 def test_nothing_drawn_changes_nothing(batch: Batch) -> None:
     for before, after in zip(
-        fit.people_of(batch, CONFIG.view), fit.vary(batch, STILL, quiet(), MIRROR, generator=generator()), strict=True
+        people_of(batch, CONFIG.view), vary_people(batch, STILL, quiet(), MIRROR, generator=generator()), strict=True
     ):
         torch.testing.assert_close(before, after, atol=2e-5, rtol=1e-5)
 
 
 def test_moved_people_keep_their_shape_and_their_projection(batch: Batch) -> None:
-    before = fit.people_of(batch, CONFIG.view)
-    after = fit.vary(batch, AugmentConfig(shift=1, flip=0), quiet(), MIRROR, generator=generator())
+    before = people_of(batch, CONFIG.view)
+    after = vary_people(batch, AugmentConfig(shift=1, flip=0), quiet(), MIRROR, generator=generator())
     torch.testing.assert_close(
         torch.cdist(after.joints, after.joints), torch.cdist(before.joints, before.joints), atol=1e-3, rtol=0
     )
@@ -84,16 +86,16 @@ def test_moved_people_keep_their_shape_and_their_projection(batch: Batch) -> Non
 
 
 def test_a_mirrored_person_is_mirrored_in_space(batch: Batch) -> None:
-    before = fit.people_of(batch, CONFIG.view)
-    after = fit.vary(batch, AugmentConfig(shift=0, flip=1), quiet(), MIRROR, generator=generator())
+    before = people_of(batch, CONFIG.view)
+    after = vary_people(batch, AugmentConfig(shift=0, flip=1), quiet(), MIRROR, generator=generator())
     expected = before.joints[:, mirrored_joints(UPPER_BODY)] * torch.tensor([-1.0, 1.0, 1.0])
     torch.testing.assert_close(after.joints, expected, atol=2e-5, rtol=1e-5)
 
 
 def test_noise_and_missing_joints_touch_the_input_alone(batch: Batch) -> None:
-    before = fit.people_of(batch, CONFIG.view)
+    before = people_of(batch, CONFIG.view)
     config = CONFIG.model_copy(update={"noise": 0.02, "drop": 0.6})
-    after = fit.vary(batch, STILL, config, MIRROR, generator=generator())
+    after = vary_people(batch, STILL, config, MIRROR, generator=generator())
     torch.testing.assert_close(after.joints, before.joints, atol=2e-5, rtol=1e-5)
     given, left = before.pose[..., 2] > 0, after.pose[..., 2] > 0
     assert not (left & ~given).any()
@@ -124,14 +126,14 @@ def test_decoding_puts_the_body_at_its_root() -> None:
     relative, root = rng.normal(size=(3, J, 3)), np.array([[0.1, -0.2, 1.5], [0, 0, 1], [0.3, 0.3, 2]])
     pose = np.ones((3, J, 3))
     pose[2, 2:, 2] = 0  # two joints are too few
-    joints = decode({"relative": relative, "root": root}, CONFIG, {"pose": pose})
+    joints = METHOD.decode({"relative": relative, "root": root}, CONFIG, {"pose": pose})
     np.testing.assert_allclose(joints[0], relative[0] + (0.15, -0.3, 1.5))
     np.testing.assert_allclose(joints[1], relative[1] + (0, 0, 1))
     assert np.isnan(joints[2]).all()
 
 
 def test_a_perfect_answer_costs_nothing_and_a_wrong_one_its_square(batch: Batch) -> None:
-    people = fit.people_of(batch, CONFIG.view)
+    people = people_of(batch, CONFIG.view)
     root = UPPER_BODY.index(ROOT)
     use = people.known[:, root] & (people.pose[..., 2].sum(-1) >= 3)
     joints = people.joints[use]
@@ -152,7 +154,7 @@ def test_a_perfect_answer_costs_nothing_and_a_wrong_one_its_square(batch: Batch)
 
 
 def test_nobody_to_learn_from_costs_nothing(batch: Batch) -> None:
-    people = fit.people_of(batch._replace(present=torch.zeros_like(batch.present)), CONFIG.view)
+    people = people_of(batch._replace(present=torch.zeros_like(batch.present)), CONFIG.view)
     network = Lifting(CONFIG)
     terms = fit.loss(network, people)
     terms["loss"].backward()
@@ -163,7 +165,7 @@ def test_it_learns(batch: Batch) -> None:
     torch.manual_seed(0)
     network = Lifting(CONFIG.model_copy(update={"width": 48, "dropout": 0.0}))
     optimiser = torch.optim.Adam(network.parameters(), 0.01)
-    people = fit.people_of(batch, CONFIG.view)
+    people = people_of(batch, CONFIG.view)
     first = fit.loss(network, people)["loss"].item()
     for _ in range(80):
         optimiser.zero_grad()
@@ -185,7 +187,7 @@ class Base:
 
 
 def test_a_lifted_predictor_replaces_3d_joints(trained: dict[str, Path]) -> None:
-    lifting = OnnxLifting(trained["lifting"], threads=1)
+    lifting = open_model(trained["lifting"], threads=1)
     camera = Camera(64, 48, 51.2, 50.0, 30.0, 25.0, (-0.2, 0.05, 0.0, 0.0, 0.0))
     names = ("lknee", *UPPER_BODY[::-1])  # another order, and a joint that is not lifted
     rng = np.random.default_rng(4)
@@ -216,7 +218,7 @@ def test_a_lifted_predictor_replaces_3d_joints(trained: dict[str, Path]) -> None
 
 
 def test_nobody_is_lifted_from_nothing(trained: dict[str, Path]) -> None:
-    lifting = OnnxLifting(trained["lifting"], threads=1)
+    lifting = open_model(trained["lifting"], threads=1)
     assert lifting.lift(np.zeros((0, J, 2))).shape == (0, J, 3)
     assert np.isnan(lifting.lift(np.full((2, J, 2), np.nan))).all()
 
@@ -225,4 +227,4 @@ def test_a_base_without_common_joints_is_refused(trained: dict[str, Path]) -> No
     empty = np.zeros((0, 2, 1), np.float32)
     base = Base(PoseBatch(empty, empty, empty, empty), ("lknee",))
     with pytest.raises(ConfigError, match="none of the joints"):
-        LiftedPredictor(base, OnnxLifting(trained["lifting"], threads=1))
+        LiftedPredictor(base, open_model(trained["lifting"], threads=1))

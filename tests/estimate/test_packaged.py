@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,8 +14,7 @@ import yaml
 
 from cabinpose.app.cli import main
 from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
-from cabinpose.estimate.onnx_model import packaged_detectors
-from cabinpose.estimate.predictor import describe_model, load_model, packaged_models
+from cabinpose.estimate.predictor import describe_model, load_model, packaged_detectors, packaged_models
 from cabinpose.evaluate.offline import evaluate
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store import open_dataset
@@ -72,3 +73,33 @@ def test_the_in_car_model_finds_people_it_never_saw(tmp_path: Path) -> None:
     assert within.value > 90
     assert median.value < 2.5
     assert np.isfinite(median.value)
+
+
+_RUNS = """
+import sys
+import numpy as np
+from cabinpose.estimate import METHODS, Lifter, PartSegmenter, open_model, packaged_models
+assert len(METHODS.names(own=True)) == 7
+assert not any(name.startswith("cabinpose.estimate.compact") for name in sys.modules), "listing imports nothing"
+frames = {
+    "depth": np.full((1, 48, 64), 1.5, np.float32), "amplitude": np.full((1, 48, 64), 60.0, np.float32),
+    "camera_k": np.array([[40.0, 0, 31.5], [0, 40.0, 23.5], [0, 0, 1]]), "camera_dist": np.zeros(5),
+}
+for name in packaged_models():
+    model = open_model(name, threads=1)
+    if isinstance(model, Lifter):
+        model.lift(np.zeros((1, len(model.joints), 2)))
+    elif isinstance(model, PartSegmenter):
+        model.segment(frames)
+    else:
+        model.predict(frames)
+for name in METHODS.names(own=True):  # those of arrays, too
+    METHODS[name]
+print(*sys.modules)
+"""
+
+
+def test_running_models_loads_nothing_that_trains() -> None:
+    done = subprocess.run([sys.executable, "-c", _RUNS], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not {name.split(".")[0] for name in done.stdout.split()} & {"torch", "lightning", "onnx"}

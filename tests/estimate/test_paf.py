@@ -18,7 +18,7 @@ from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.core.skeleton import UPPER_BODY
 from cabinpose.estimate.data import FrameSpec, StoredFrames, collate
 from cabinpose.estimate.export import write_onnx
-from cabinpose.estimate.methods import method_named
+from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.paf import measure
 from cabinpose.estimate.paf.assemble import find_peaks, line_scores
 from cabinpose.estimate.paf.config import PafConfig
@@ -371,5 +371,5 @@ def test_nobody_to_measure_is_refused() -> None:
 @pytest.mark.parametrize("values", [{"width": 65}, {"stages": 0}, {"slot_anchors": {}}, {"input": "rgb"}, {"unknown": 1}])
 def test_settings_that_make_no_sense_are_refused(values: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(values))) as caught:
-        method_named("paf").settings(values)
+        METHODS["paf"].settings(values)
     assert "slot_anchors" in caught.value.hint

@@ -17,8 +17,8 @@ from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, Predictor
 from cabinpose.core.skeleton import JOINTS
 from cabinpose.estimate.export import TOLERANCE, export_onnx
-from cabinpose.estimate.onnx_model import METADATA_KEY
-from cabinpose.estimate.predictor import OnnxPredictor, load_model
+from cabinpose.estimate.onnx_model import METADATA_KEY, OnnxModel
+from cabinpose.estimate.predictor import load_model
 from cabinpose.estimate.training import load_detector
 
 
@@ -50,7 +50,7 @@ def test_onnx_says_what_torch_says(method: str, checkpoints: dict[str, Path], tm
 def test_a_mirrored_model_knows_no_side(checkpoints: dict[str, Path], trained: dict[str, Path], tmp_path: Path) -> None:
     """It says of the mirror image what it says of the frame, sides swapped, and that is the mean of what the plain one says."""
     assert export_onnx(checkpoints["compact"], tmp_path / "m.onnx", name="m", card={}, mirrored=True) <= TOLERANCE
-    model, plain = load_model(tmp_path / "m.onnx", threads=1), load_model(trained["compact"], threads=1)
+    model, plain = OnnxModel(tmp_path / "m.onnx", threads=1), OnnxModel(trained["compact"], threads=1)
     rng = np.random.default_rng(4)
     view = model.config.view
     frame = {name: rng.uniform(0.5, 2, (1, view.height, view.width)).astype(np.float32) for name in ("depth", "amplitude")}
@@ -148,14 +148,14 @@ def changed(source: Path, target: Path, change: Any) -> Path:
     [
         (lambda m: {}, "another program"),
         (lambda m: {METADATA_KEY: "{"}, "does not say"),
-        (lambda m: {METADATA_KEY: json.dumps(m | {"method": "nobody"})}, "unknown method 'nobody'"),
+        (lambda m: {METADATA_KEY: json.dumps(m | {"method": "nobody"})}, "method 'nobody', which is not installed"),
         (lambda m: {METADATA_KEY: json.dumps(m | {"config": {"width": -1}})}, "width"),
     ],
 )
 def test_foreign_files_are_model_errors(change: Any, words: str, trained: dict[str, Path], tmp_path: Path) -> None:
     path = changed(trained["compact"], tmp_path / "foreign.onnx", change)
     with pytest.raises(ModelError, match=words) as caught:
-        OnnxPredictor(path)
+        load_model(path)
     assert caught.value.hint
 
 

@@ -16,10 +16,10 @@ from cabinpose.app.cli import main
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import GROUPS, JOINTS, UPPER_BODY
-from cabinpose.estimate.lifting.predict import LiftedPredictor, OnnxLifting
+from cabinpose.estimate.lifter import LiftedPredictor
+from cabinpose.estimate.predictor import open_model
 from cabinpose.estimate.remote import open_predictor
-from cabinpose.estimate.unet.parts import MERGED
-from cabinpose.estimate.unet.segment import OnnxSegmenter
+from cabinpose.estimate.unet.config import MERGED
 from cabinpose.evaluate.offline import frame_batch
 from cabinpose.store import open_dataset
 from cabinpose.store.class_images import read_class_images
@@ -45,7 +45,7 @@ def test_true_joints_are_lifted_and_judged_as_by_hand(
     assert (found.model, found.persons, set(found.joints)) == ("truth+lifting", small.PERSONS, set(UPPER_BODY))
     assert np.isnan(found.joints_2d).all()  # the truth is no answer
     # By hand, person by person: pinhole rays to the network, and what of it is within 10 cm.
-    lifting, k = OnnxLifting(model, threads=1), dataset["camera_k"].values
+    lifting, k = open_model(model, threads=1), dataset["camera_k"].values
     assert not dataset["camera_dist"].values.any()
     truth = dataset.sel(joint=list(UPPER_BODY))
     seen = truth["visibility"].values > Visibility.OUTSIDE_IMAGE
@@ -95,7 +95,8 @@ def test_joints_are_lifted_from_a_model_and_from_its_predictions_alike(
 ) -> None:
     dataset, model = open_dataset(data), str(trained["lifting"])
     noisy = Noisy(dataset)
-    monkeypatch.setattr("cabinpose.app.models.open_predictor", lambda name: noisy if name == "noisy" else open_predictor(name))
+    for name, opens in (("open_predictor", open_predictor), ("open_model", open_model)):
+        monkeypatch.setattr(f"cabinpose.app.models.{name}", lambda model, o=opens: noisy if model == "noisy" else o(model))
     assert main(["predict", str(data), "--model", "noisy", "--out", str(tmp_path / "base.jsonl")]) == 0
     for source, out in (("noisy", "a.jsonl"), (str(tmp_path / "base.jsonl"), "b.jsonl")):
         assert main(["predict", str(data), "--model", model, "--from", source, "--out", str(tmp_path / out)]) == 0
@@ -104,7 +105,7 @@ def test_joints_are_lifted_from_a_model_and_from_its_predictions_alike(
     np.testing.assert_array_equal(first.joints_2d, second.joints_2d)
     np.testing.assert_allclose(first.joints_3d, second.joints_3d, atol=1e-5)
     frames = frame_batch(dataset, slice(0, FRAMES))
-    expected = LiftedPredictor(noisy, OnnxLifting(model)).predict(frames).joints_3d
+    expected = LiftedPredictor(noisy, open_model(model)).predict(frames).joints_3d
     np.testing.assert_allclose(first.joints_3d, expected[first.frame], atol=1e-4)
     upper = [JOINTS[::-1].index(name) for name in UPPER_BODY]
     moved = np.linalg.norm(expected - noisy.all.joints_3d, axis=-1)
@@ -134,7 +135,7 @@ def test_parts_are_written_and_judged(
     assert main(["predict", str(data), "--model", model, "--out", str(out)]) == 0
     assert capsys.readouterr().out.strip() == str(out)
     images, dataset = read_class_images(out), open_dataset(data)
-    segmenter = OnnxSegmenter(model, threads=1)
+    segmenter = open_model(model, threads=1)
     np.testing.assert_array_equal(images.labels[:], segmenter.segment(frame_batch(dataset, slice(0, FRAMES))))
     assert (images.name, images.parts) == ("unet", segmenter.parts)
     assert main(["evaluate", str(data), "--predictions", str(out), "--out", str(page), "--json", "--resamples", "10"]) == 0

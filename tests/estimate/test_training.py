@@ -22,8 +22,11 @@ from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
-from cabinpose.estimate.training import Detector, TrainConfig, check_same, complete, fit, frame_spec, load_detector
-from cabinpose.estimate.unet.parts import MERGED
+from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
+from cabinpose.estimate.training import Detector, check_same, complete, fit, frame_spec, load_detector
+from cabinpose.estimate.unet.config import MERGED
+
+ONE = Machines(1)
 
 
 class KilledError(Exception):
@@ -70,10 +73,10 @@ def curve(folder: Path) -> dict[tuple[str, int], float]:
 @pytest.mark.parametrize("method", ["compact", "lifting"])
 def test_a_killed_run_goes_on_with_the_same_curve(method: str, tmp_path: Path) -> None:
     c = config(method)
-    fit(c, frames(c), frames(c), tmp_path / "whole", devices=1)
+    fit(c, frames(c), frames(c), tmp_path / "whole", machines=ONE)
     with pytest.raises(KilledError):
-        fit(c, frames(c), frames(c), tmp_path / "killed", callbacks=(KillInEpoch(2),), devices=1)
-    fit(c, frames(c), frames(c), tmp_path / "killed", resume=True, devices=1)
+        fit(c, frames(c), frames(c), tmp_path / "killed", observers=Observers(callbacks=(KillInEpoch(2),)), machines=ONE)
+    fit(c, frames(c), frames(c), tmp_path / "killed", start=Start(resume=True), machines=ONE)
     whole, resumed = curve(tmp_path / "whole"), curve(tmp_path / "killed")
     losses = [step for name, step in whole if name == "train_loss"]
     assert len(losses) == 4
@@ -89,7 +92,7 @@ def test_a_killed_run_goes_on_with_the_same_curve(method: str, tmp_path: Path) -
 def test_the_same_seed_gives_the_same_run_and_another_does_not(tmp_path: Path) -> None:
     for run, seed in (("a", 1), ("b", 1), ("c", 2)):
         c = config("lifting", epochs=1, seed=seed)
-        fit(c, frames(c), frames(c), tmp_path / run, devices=1)
+        fit(c, frames(c), frames(c), tmp_path / run, machines=ONE)
     assert curve(tmp_path / "a") == curve(tmp_path / "b")
     assert curve(tmp_path / "a") != curve(tmp_path / "c")
 
@@ -107,27 +110,29 @@ def test_the_same_seed_gives_the_same_run_and_another_does_not(tmp_path: Path) -
 def test_too_little_memory_names_the_batch(error: Exception, tmp_path: Path) -> None:
     c = config("lifting", epochs=1)
     with pytest.raises(ConfigError, match="too little memory for batches of 4 frames") as caught:
-        fit(c, frames(c), frames(c), tmp_path, callbacks=(RaiseInEpoch(0, error),), devices=1)
+        fit(c, frames(c), frames(c), tmp_path, observers=Observers(callbacks=(RaiseInEpoch(0, error),)), machines=ONE)
     assert "smaller `batch`" in caught.value.hint
     assert "--resume" not in caught.value.hint  # no epoch is whole: there is nothing to go on from
     assert caught.value.__cause__ is error
     c = config("lifting", epochs=1, batch=2)
-    assert fit(c, frames(c), frames(c), tmp_path, devices=1).exists()
+    assert fit(c, frames(c), frames(c), tmp_path, machines=ONE).exists()
 
 
 def test_too_little_memory_in_a_later_epoch_hints_to_resume(tmp_path: Path) -> None:
     c = config("lifting", epochs=2)
+    raising = RaiseInEpoch(1, MemoryError("no 8 GB"))
     with pytest.raises(ConfigError, match="batches of 4 frames") as caught:
-        fit(c, frames(c), frames(c), tmp_path, callbacks=(RaiseInEpoch(1, MemoryError("no 8 GB")),), devices=1)
+        fit(c, frames(c), frames(c), tmp_path, observers=Observers(callbacks=(raising,)), machines=ONE)
     assert "no 8 GB" in str(caught.value)
     assert "--resume" in caught.value.hint
-    assert fit(c, frames(c), frames(c), tmp_path, resume=True, devices=1).exists()
+    assert fit(c, frames(c), frames(c), tmp_path, start=Start(resume=True), machines=ONE).exists()
 
 
 def test_other_errors_while_training_stay_what_they_are(tmp_path: Path) -> None:
     c = config("lifting", epochs=1)
+    raising = RaiseInEpoch(0, RuntimeError("shapes differ"))
     with pytest.raises(RuntimeError, match="shapes differ"):
-        fit(c, frames(c), frames(c), tmp_path, callbacks=(RaiseInEpoch(0, RuntimeError("shapes differ")),), devices=1)
+        fit(c, frames(c), frames(c), tmp_path, observers=Observers(callbacks=(raising,)), machines=ONE)
 
 
 @pytest.mark.slow
@@ -141,14 +146,15 @@ sys.path[:0] = {sys.path!r}
 import small, torch
 from cabinpose.core.errors import ConfigError
 from cabinpose.estimate.data import StoredFrames
-from cabinpose.estimate.training import TrainConfig, fit, frame_spec
+from cabinpose.estimate.train_config import Machines, TrainConfig
+from cabinpose.estimate.training import fit, frame_spec
 torch.set_num_threads(1)
 c = TrainConfig(method="compact", settings=small.TINY["compact"] | {{"width": 1024, "height": 1024}}, epochs=1, batch=8)
 frames = StoredFrames(small.dataset(8), frame_spec(c))
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 400_000_000,) * 2)
 try:
-    fit(c, frames, frames, Path({str(tmp_path)!r}), devices=1)
+    fit(c, frames, frames, Path({str(tmp_path)!r}), machines=Machines(1))
 except ConfigError as error:
     print(error)
 """
@@ -159,12 +165,12 @@ except ConfigError as error:
 
 def test_another_runs_folder_is_not_overwritten(tmp_path: Path) -> None:
     c = config("lifting", epochs=1)
-    fit(c, frames(c), frames(c), tmp_path, devices=1)
+    fit(c, frames(c), frames(c), tmp_path, machines=ONE)
     with pytest.raises(ConfigError, match="already holds") as caught:
-        fit(c, frames(c), frames(c), tmp_path, devices=1)
+        fit(c, frames(c), frames(c), tmp_path, machines=ONE)
     assert "--resume" in caught.value.hint
     with pytest.raises(ModelError, match="another epochs, batch"):
-        fit(config("lifting", epochs=2, batch=2), frames(c), frames(c), tmp_path, resume=True, devices=1)
+        fit(config("lifting", epochs=2, batch=2), frames(c), frames(c), tmp_path, start=Start(resume=True), machines=ONE)
 
 
 def test_a_checkpoint_of_another_network_is_refused(checkpoints: dict[str, Path], tmp_path: Path) -> None:
@@ -197,7 +203,7 @@ def test_every_method_leaves_a_best_epoch(method: str, checkpoints: dict[str, Pa
 def test_training_from_generated_frames(tmp_path: Path) -> None:
     c = config("compact", epochs=2)
     made = [GeneratedFrames(small.frame, count, frame_spec(c), small.PERSONS) for count in (6, 2)]
-    assert fit(c, *made, tmp_path, devices=1).exists()
+    assert fit(c, *made, tmp_path, machines=ONE).exists()
     assert made[0].epoch == 1
     assert made[1].epoch == 0
 
@@ -255,7 +261,7 @@ def test_parts_are_judged_by_iou() -> None:
 
 def test_advice_is_left_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     c = config("lifting", epochs=1)
-    fit(c, frames(c), frames(c), tmp_path, devices=1)
+    fit(c, frames(c), frames(c), tmp_path, machines=ONE)
     captured = capfd.readouterr()
     for noise in ("💡", "Tip", "available:", "does not have many workers", "Seed set"):
         assert noise not in captured.out + captured.err
@@ -264,8 +270,10 @@ def test_advice_is_left_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
 def test_a_run_begins_with_the_weights_of_another(checkpoints: dict[str, Path], tmp_path: Path) -> None:
     """With a rate that moves nothing, the run ends with the weights that it began with."""
     c = config("compact", epochs=1, learning_rate=1e-12, weight_decay=0.0, average=0.0)
-    begun = load_detector(fit(c, frames(c), frames(c), tmp_path / "begun", init=checkpoints["compact"], devices=1))
-    fresh = load_detector(fit(c, frames(c), frames(c), tmp_path / "fresh", devices=1))
+    begun = load_detector(
+        fit(c, frames(c), frames(c), tmp_path / "begun", start=Start(init=checkpoints["compact"]), machines=ONE)
+    )
+    fresh = load_detector(fit(c, frames(c), frames(c), tmp_path / "fresh", machines=ONE))
     before = dict(load_detector(checkpoints["compact"]).network.named_parameters())
     assert all(torch.allclose(value, before[name], atol=1e-8) for name, value in begun.network.named_parameters())
     assert not all(torch.allclose(value, before[name], atol=1e-8) for name, value in fresh.network.named_parameters())
@@ -277,7 +285,7 @@ def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dic
     moved = []
     for average in (0.0, 0.998):
         c = config("compact", average=average)
-        run = fit(c, frames(c), frames(c), tmp_path / str(average), init=checkpoints["compact"], devices=1)
+        run = fit(c, frames(c), frames(c), tmp_path / str(average), start=Start(init=checkpoints["compact"]), machines=ONE)
         weights = load_detector(run.with_name("last.ckpt")).network.named_parameters()
         moved.append(sum(float(((value - before[name]) ** 2).sum().detach()) for name, value in weights) ** 0.5)
     assert 0.5 < moved[1] / moved[0] < 1.0
@@ -287,15 +295,15 @@ def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dic
 def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], checkpoints: dict[str, Path], tmp_path: Path) -> None:
     c = config("compact", settings=small.TINY["compact"] | change)
     with pytest.raises(ModelError, match="another network"):
-        fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)
+        fit(c, frames(c), frames(c), tmp_path, start=Start(init=checkpoints["compact"]), machines=ONE)
     c = config("lifting")
     with pytest.raises(ModelError, match="another network: "):
-        fit(c, frames(c), frames(c), tmp_path, init=checkpoints["compact"], devices=1)
+        fit(c, frames(c), frames(c), tmp_path, start=Start(init=checkpoints["compact"]), machines=ONE)
 
 
 def test_every_batch_is_told(tmp_path: Path) -> None:
     c, told = config("compact", epochs=2, batch=2), []
-    fit(c, frames(c), frames(c), tmp_path, devices=1, progress=lambda *state: told.append(state))
+    fit(c, frames(c), frames(c), tmp_path, machines=ONE, observers=Observers(lambda *state: told.append(state)))
     assert told[0] == (0, 0, "reading frames")
     done, total, notes = zip(*(state for state in told[1:] if "validating" not in state[2]), strict=True)
     assert done == tuple(range(total[0] + 1))
@@ -314,11 +322,11 @@ def test_a_run_stops_after_its_patience_also_when_it_is_resumed(tmp_path: Path, 
     figures = dict(enumerate([10.0, 30.0, 20.0, 30.0, 99.0, 99.0]))
     monkeypatch.setattr(Detector, "on_validation_epoch_end", lambda self: self.log("val_auc", figures[self.current_epoch]))
     c = config("lifting", epochs=6, patience=2)
-    fit(c, frames(c), frames(c), tmp_path / "whole", devices=1)
+    fit(c, frames(c), frames(c), tmp_path / "whole", machines=ONE)
     with pytest.raises(KilledError):
-        fit(c, frames(c), frames(c), tmp_path / "killed", callbacks=(KillInEpoch(2),), devices=1)
+        fit(c, frames(c), frames(c), tmp_path / "killed", observers=Observers(callbacks=(KillInEpoch(2),)), machines=ONE)
     for _ in range(2):  # the second time there is nothing left to do
-        fit(c, frames(c), frames(c), tmp_path / "killed", resume=True, devices=1)
+        fit(c, frames(c), frames(c), tmp_path / "killed", start=Start(resume=True), machines=ONE)
         assert curve(tmp_path / "whole") == pytest.approx(curve(tmp_path / "killed"), rel=1e-6)
     assert [value for (name, _), value in curve(tmp_path / "whole").items() if name == "val_auc"] == [10, 30, 20, 30]
     assert torch.load(tmp_path / "whole" / "best.ckpt", weights_only=True)["epoch"] == 1
@@ -327,12 +335,12 @@ def test_a_run_stops_after_its_patience_also_when_it_is_resumed(tmp_path: Path, 
 def test_the_validation_loss_is_that_of_the_plain_frames_and_decides_where_it_is_asked_to(tmp_path: Path) -> None:
     c = config("compact", epochs=3, average=0.0, best_by="loss", batch=3)
     some = frames(c)
-    best = fit(c, some, some, tmp_path, devices=1)
+    best = fit(c, some, some, tmp_path, machines=ONE)
     losses = {step: value for (name, step), value in curve(tmp_path).items() if name == "val_loss"}
     detector = load_detector(tmp_path / "last.ckpt")
     with torch.no_grad():
         parts = [collate([some[i] for i in part]) for part in ([0, 1, 2], [3, 4, 5], [6, 7])]
-        each = [detector._loss(detector.network, part)["loss"].item() * len(part.joints) for part in parts]
+        each = [detector.method.loss(detector.network, part)["loss"].item() * len(part.joints) for part in parts]
     assert losses[max(losses)] == pytest.approx(sum(each) / 8, rel=1e-4)
     step = torch.load(best, weights_only=True)["global_step"]
     assert losses[step] == min(losses.values())
@@ -363,3 +371,16 @@ def test_code_in_a_checkpoint_does_not_run(checkpoints: dict[str, Path], tmp_pat
         load_detector(tmp_path / "crafted.ckpt")
     assert caught.value.hint
     assert not (tmp_path / "ran").exists()
+
+
+def test_keywords_of_before_warn_and_mean_the_same(tmp_path: Path) -> None:
+    c, told = config("lifting", epochs=1), []
+    with (
+        pytest.warns(DeprecationWarning, match=r"fit\(devices=...\) is fit\(machines=Machines\(devices=...\)\) now"),
+        pytest.warns(DeprecationWarning, match=r"fit\(progress=...\) is fit\(observers=Observers\(progress=...\)\) now"),
+    ):
+        best = fit(c, frames(c), frames(c), tmp_path, devices=1, progress=lambda *state: told.append(state))
+    assert best.exists()
+    assert told
+    with pytest.raises(TypeError, match="unexpected keyword argument 'device'"):
+        fit(c, frames(c), frames(c), tmp_path, device=1)

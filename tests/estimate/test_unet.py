@@ -13,16 +13,13 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table, confusion, intersection_over_union
 from cabinpose.estimate.data import StoredFrames, collate
-from cabinpose.estimate.methods import method_named
 from cabinpose.estimate.mirror import mirrored_labels
-from cabinpose.estimate.predictor import load_model
+from cabinpose.estimate.predictor import load_model, open_model
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.estimate.unet import fit
-from cabinpose.estimate.unet.config import UnetConfig
-from cabinpose.estimate.unet.decode import decode
+from cabinpose.estimate.unet.config import ALL, MERGED, UnetConfig
+from cabinpose.estimate.unet.method import METHOD
 from cabinpose.estimate.unet.model import Segments, Unet
-from cabinpose.estimate.unet.parts import ALL, MERGED
-from cabinpose.estimate.unet.segment import OnnxSegmenter
 from cabinpose.scene.labels import BODY_PARTS, FIRST_BODY_ID, LABELS, LAST_BODY_ID
 
 CONFIG = UnetConfig(**small.TINY["unet"])
@@ -67,7 +64,7 @@ def test_decoding_takes_the_likeliest_part_of_people() -> None:
     parts = np.zeros((1, 8, 2, 2))
     parts[0, 2, 0, 0] = parts[0, 7, 0, 1] = parts[0, 4, 1, 0] = 1.0
     person = np.array([[[2.0, 0.1], [-0.1, -3.0]]])
-    assert decode({"person": person, "parts": parts}, CONFIG, {}).tolist() == [[[3, 8], [0, 0]]]
+    assert METHOD.decode({"person": person, "parts": parts}, CONFIG, {}).tolist() == [[[3, 8], [0, 0]]]
 
 
 def test_the_loss_is_cross_entropy_of_both_stages() -> None:
@@ -126,16 +123,16 @@ def test_the_cloud_is_normalised() -> None:
 
 def test_sizes_that_cannot_be_halved_are_refused() -> None:
     with pytest.raises(ConfigError, match="16 divides"):
-        method_named("unet").settings({"width": 72, "height": 48, "levels": 4})
+        METHOD.settings({"width": 72, "height": 48, "levels": 4})
 
 
 def test_label_images_come_in_the_cameras_pixels(trained: dict[str, Path]) -> None:
-    segmenter = OnnxSegmenter(trained["unet"], threads=1)
+    segmenter = open_model(trained["unet"], threads=1)
     view = segmenter.config.view
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 2, (3, 48, 64)).astype(np.float32)
     own = segmenter.segment({"depth": depth, "camera_k": view.camera.k, "camera_dist": np.zeros(5)})
-    expected = segmenter.run({"depth": depth})
+    expected = segmenter.model.run({"depth": depth})
     assert np.array_equal(own, expected)
     assert own.dtype == np.uint8
     double = Camera(128, 96, 2 * view.focal, 2 * view.focal, 63.5, 47.5)
@@ -146,7 +143,7 @@ def test_label_images_come_in_the_cameras_pixels(trained: dict[str, Path]) -> No
 
 
 def test_no_frames_give_no_labels(trained: dict[str, Path]) -> None:
-    segmenter = OnnxSegmenter(trained["unet"], threads=1)
+    segmenter = open_model(trained["unet"], threads=1)
     none = segmenter.segment({"depth": np.zeros((0, 20, 30), np.float32), "camera_k": np.eye(3), "camera_dist": np.zeros(5)})
     assert none.shape == (0, 20, 30)
 
@@ -154,4 +151,4 @@ def test_no_frames_give_no_labels(trained: dict[str, Path]) -> None:
 def test_a_segmentation_is_no_predictor(trained: dict[str, Path]) -> None:
     with pytest.raises(ModelError, match="model of unet") as caught:
         load_model(trained["unet"])
-    assert "OnnxSegmenter" in caught.value.hint
+    assert "open_model" in caught.value.hint

@@ -18,10 +18,12 @@ from cabinpose.estimate.data import StoredFrames, collate
 from cabinpose.estimate.export import export_onnx
 from cabinpose.estimate.half import widen
 from cabinpose.estimate.onnx_model import OnnxModel, packaged_models
-from cabinpose.estimate.training import Detector, TrainConfig, begin_with, fit, frame_spec, load_detector
+from cabinpose.estimate.train_config import Machines, Start, TrainConfig
+from cabinpose.estimate.training import Detector, begin_with, fit, frame_spec, load_detector
 from cabinpose.estimate.weights import read_weights
 
 FRAMES = 4
+ONE = Machines(1)
 
 
 def config(**settings: object) -> TrainConfig:
@@ -114,7 +116,7 @@ def test_norms_have_the_statistics_of_what_they_see(trained: dict[str, Path]) ->
 def test_a_run_goes_on_from_a_file(checkpoints: dict[str, Path], trained: dict[str, Path], tmp_path: Path) -> None:
     """With a rate that moves nothing, the run ends with the weights of the file."""
     run = config().model_copy(update={"learning_rate": 1e-12, "weight_decay": 0.0})
-    begun = load_detector(fit(run, frames(run), frames(run), tmp_path, init=trained["compact"], devices=1))
+    begun = load_detector(fit(run, frames(run), frames(run), tmp_path, start=Start(init=trained["compact"]), machines=ONE))
     wanted = load_detector(checkpoints["compact"]).network.votes.weight
     torch.testing.assert_close(begun.network.votes.weight, wanted, atol=1e-8, rtol=0)
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import FrameSpec, StoredFrames, collate
 from cabinpose.estimate.yolo.config import YoloConfig
-from cabinpose.estimate.yolo.decode import decode
 from cabinpose.estimate.yolo.fit import Truths, box_iou, grid_loss, loss, responsible, surface_depth, truths
+from cabinpose.estimate.yolo.method import METHOD
 from cabinpose.estimate.yolo.model import Grid, Yolo
 
 # One place, 20 joints, a grid of 4 x 4 cells of 8 px.
@@ -70,7 +70,7 @@ def test_what_is_encoded_is_decoded() -> None:
     place = (truth[..., :2] + 0.5) // config.cell_px
     flat = np.where(known, place[..., 1] * 100 + place[..., 0], -1 - np.arange(known[0].size).reshape(known[0].shape))
     alone = np.array([[[np.sum(frame == cell) == 1 for cell in slot] for slot in frame] for frame in flat]) & known
-    found = decode(encoded(batch, config), config, {"depth": batch.depth.numpy()})
+    found = METHOD.decode(encoded(batch, config), config, {"depth": batch.depth.numpy()})
     assert alone.sum() > 20
     np.testing.assert_allclose(found.uv[alone], truth[alone][:, :2], atol=1e-5)
     np.testing.assert_allclose(found.joints_3d[alone], config.view.from_view(truth)[alone], atol=1e-5)
@@ -88,13 +88,13 @@ def test_the_best_box_of_a_class_wins_and_the_least_score_decides() -> None:
     classes[0, 4, 1, 2], classes[0, 4, 3, 0] = 0.5, 0.6  # 0.45 against 0.48
     classes[0, 7, 1, 2] = 0.1  # 0.09
     depth = np.full((1, 32, 32), 1.5)
-    found = decode({"boxes": boxes, "classes": classes}, CONFIG, {"depth": depth})
+    found = METHOD.decode({"boxes": boxes, "classes": classes}, CONFIG, {"depth": depth})
     np.testing.assert_allclose(found.uv[0, 0, 4], (1.5, 27.5))
     assert found.score[0, 0, 4] == pytest.approx(0.48)
     assert found.joints_3d[0, 0, 4, 2] == pytest.approx(1.7)  # 2 dm behind the surface
     assert np.isnan(found.uv[0, 0, 7]).all()
     assert found.presence[0, 0, 7] == pytest.approx(0.45)
-    nothing = decode({"boxes": boxes, "classes": classes}, CONFIG, {"depth": 0 * depth})
+    nothing = METHOD.decode({"boxes": boxes, "classes": classes}, CONFIG, {"depth": 0 * depth})
     assert nothing.joints_3d[0, 0, 4, 2] == pytest.approx(40 * 0.4 / (0.25 * 32))  # as large as a joint's box at 2 m
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cabinpose.app.report.curves import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
 from cabinpose.core import ITOP_JOINTS, ConfigError, DatasetError, FrameBatch, unknown_name
-from cabinpose.estimate import METHODS, load_model, method_named
+from cabinpose.estimate import METHODS, load_model
 from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
 from cabinpose.store import (
     MANIFEST_NAME,
@@ -40,20 +40,13 @@ from cabinpose.store.convert import ImportOptions, open_source
 if TYPE_CHECKING:
     from cabinpose.estimate import TrainConfig
 
-# The settings of every method that has them: a person in a room as the packaged model `room` sees it.
+# The settings of every method that has them: a person in a room as the packaged model `room` sees it. See `Method.room`.
 _ROOM = MappingProxyType(
     {
         "width": 96, "height": 96, "focal": 114.3, "max_depth_m": 6.0, "slots": ["standing"], "skeleton": "itop", "body": "itop",
-        "amplitude": False, "depth_scale_m": 6.0, "looks_px": [],
+        "amplitude": False,
     }
 )  # fmt: skip
-_OWN: MappingProxyType[str, dict[str, Any]] = MappingProxyType(  # beside them, or in their place
-    {
-        "paf": {"channels": 0.25},
-        "dpm": {"width": 120, "height": 120, "focal": 142.9, "rounds": 3},
-        "walks": {"width": 320, "height": 240, "focal": 285.7},
-    }
-)
 _RUN = MappingProxyType(
     {
         "augment": {"shift": 0.6, "shift_m": 0.15, "rotate_deg": 4.0, "noise_m": 0.012, "lost": 0.04, "occluder": 0.1},
@@ -86,18 +79,24 @@ class Answers:
     cpu_s: float
 
 
+def of_joints(*, own: bool = False) -> list[str]:
+    """Names of the methods that find joints in images; `own`: the package's alone."""
+    ours = METHODS.names(own=True)
+    return [name for name, method in METHODS.items() if method.task == "joints" and (name in ours or not own)]
+
+
 def recipe(method: str, path: Path | None, epochs: int | None) -> TrainConfig:
     """The run of a method: from a YAML file, or the small one that this module states, in either case with `epochs` if given."""
     from cabinpose.estimate import TrainConfig  # noqa: PLC0415 - torch, which models that are given do without
 
-    if method_named(method).task != "joints":
-        known = [m.name for m in METHODS.values() if m.task == "joints"]
-        raise ConfigError(f"{method} does not find joints in images", hint=f"compare some of: {', '.join(known)}")
+    chosen = METHODS[method]
+    if chosen.task != "joints":
+        raise ConfigError(f"{method} does not find joints in images", hint=f"compare some of: {', '.join(of_joints())}")
     if path is not None:
         config = read_train_config(path, method)
     else:
-        fields = method_named(method).config.model_fields
-        settings = {name: value for name, value in _ROOM.items() if name in fields} | _OWN.get(method, {})
+        fields = chosen.settings_type.model_fields
+        settings = {name: value for name, value in _ROOM.items() if name in fields} | dict(chosen.room)
         config = TrainConfig.model_validate({"method": method, "settings": settings, **_RUN})
     return config.model_copy(update={"epochs": epochs}) if epochs else config
 
@@ -112,11 +111,7 @@ def train_model(
     ConfigError
         Where the folder holds a model of another recipe or of other data.
     """
-    from cabinpose.estimate import (  # noqa: PLC0415 - torch
-        export_onnx,
-        fit,
-        frame_spec,
-    )
+    from cabinpose.estimate import Observers, Start, export_onnx, fit, frame_spec  # noqa: PLC0415 - torch
 
     facts = {"recipe": config.model_dump(mode="json"), "data": [dataset_id(read_manifest(folder)) for folder in data]}
     record, text = out / "recipe.json", json.dumps(facts, indent=1) + "\n"
@@ -129,8 +124,8 @@ def train_model(
     record.write_text(text, encoding="utf-8")
     datasets = {str(folder): open_dataset(folder) for folder in data}
     training, validation = stored_frames(datasets, frame_spec(config), None, "train", "validate")
-    draw = partial(write_curves, out / "curves.png")
-    best = fit(config, training, validation, out, resume=(out / "last.ckpt").exists(), progress=progress, draw=draw)
+    start, observers = Start(resume=(out / "last.ckpt").exists()), Observers(progress, partial(write_curves, out / "curves.png"))
+    best = fit(config, training, validation, out, start=start, observers=observers)
     if best.suffix == ".ckpt":
         model = out / "model.onnx"
         export_onnx(best, model, name=config.method, card={})

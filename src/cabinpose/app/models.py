@@ -10,10 +10,8 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.core import Camera, ConfigError, Predictor, Segmenter, Visibility
-from cabinpose.estimate import OtherTaskError, camera_of, packaged_models
-from cabinpose.estimate.lifting import LiftedPredictor, OnnxLifting, lifted
-from cabinpose.estimate.remote import open_predictor
-from cabinpose.estimate.unet import OnnxSegmenter
+from cabinpose.estimate import LiftedPredictor, Lifter, camera_of, lifted, open_model
+from cabinpose.estimate.remote import SCHEME, open_predictor
 from cabinpose.evaluate import check_predictions
 from cabinpose.store import Predictions, read_predictions
 
@@ -44,21 +42,17 @@ def opened_models(
         For a source of 2D joints without a lifting model, or one that shares no joint with it.
     """
     models = [_opened(name) for name in names]
-    if joints_from is not None and not any(isinstance(model, OnnxLifting) for model in models):
+    if joints_from is not None and not any(isinstance(model, Lifter) for model in models):
         raise ConfigError("--from says where 2D joints to lift come from, and no model lifts", hint="leave out --from")
     source = joints_from or TRUTH
-    return [_fed(m, dataset, source, dataset_names) if isinstance(m, OnnxLifting) else m for m in models]
+    return [_fed(m, dataset, source, dataset_names) if isinstance(m, Lifter) else m for m in models]
 
 
-def _opened(name: str) -> Predictor | Segmenter | OnnxLifting:
-    try:
-        return open_predictor(name)
-    except OtherTaskError as other:
-        path = packaged_models().get(name, Path(name))
-        return OnnxLifting(path) if other.task == "lift" else OnnxSegmenter(path)
+def _opened(name: str) -> Predictor | Segmenter | Lifter:
+    return open_predictor(name) if name.startswith(SCHEME) else open_model(name)
 
 
-def _fed(lifting: OnnxLifting, dataset: xr.Dataset, source: str, dataset_names: Sequence[str]) -> Predictions | Predictor:
+def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Sequence[str]) -> Predictions | Predictor:
     """A lifting model with its 2D joints."""
     if source == TRUTH:
         base = _truth_2d(dataset)

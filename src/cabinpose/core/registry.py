@@ -32,6 +32,8 @@ class Registry(Generic[T]):
         What one is called in messages, "format".
     expected
         The type of one, or of which one is a subclass where `subclass` is set.
+    named
+        Whether a thing has a `name`, which has to be that of its entry point.
 
     Notes
     -----
@@ -40,9 +42,9 @@ class Registry(Generic[T]):
     same name, neither is taken. `conflicts` says so, and who asks for such a name is told.
     """
 
-    def __init__(self, group: str, kind: str, expected: type[Any], *, subclass: bool = False) -> None:
+    def __init__(self, group: str, kind: str, expected: type[Any], *, subclass: bool = False, named: bool = False) -> None:
         self.group, self.kind = group, kind
-        self._expected, self._subclass = expected, subclass
+        self._expected, self._subclass, self._named = expected, subclass, named
         self._loaded: dict[str, T] = {}
 
     def names(self, *, own: bool = False) -> tuple[str, ...]:
@@ -118,6 +120,9 @@ class Registry(Generic[T]):
             found = found.get(entry.name)
         if not self._fits(found):
             what = f"the {self.kind} '{entry.name}' of {package} is not a {self._expected.__name__}, but {found!r:.80}"
+            raise ExtensionError(what, hint=_HINT.format(package))
+        if self._named and found.name != entry.name:
+            what = f"the {self.kind} '{entry.name}' of {package} calls itself '{found.name}'"
             raise ExtensionError(what, hint=_HINT.format(package))
         return found
 

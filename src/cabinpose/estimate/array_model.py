@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from cabinpose.core import ModelError
-from cabinpose.estimate.joint_predictor import JointPredictor
+from cabinpose.estimate.methods import ArrayMethod
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, existing
 
 SUFFIX = ".npz"
@@ -24,7 +24,8 @@ _UNREADABLE = (OSError, EOFError, KeyError, ValueError, NotImplementedError, zip
 class ArrayModel(TrainedModel):
     """What `cabinpose train` wrote for a method that is fitted to arrays."""
 
-    fitted = "arrays"
+    kind = ArrayMethod
+    method: ArrayMethod[Any]
     _again = "train it again with `cabinpose train`"
 
     def __init__(self, path: Path | str) -> None:
@@ -40,17 +41,13 @@ class ArrayModel(TrainedModel):
         super().__init__(path, arrays.pop(METADATA_KEY).tobytes())
         self.arrays: dict[str, NDArray[Any]] = arrays
         try:
-            self.method.part("find", "check")(arrays, self.config)
+            self.method.check(arrays, self.config)
         except (ValueError, KeyError) as error:
             raise ModelError(f"{path} does not fit {self.method.name}: {error}", hint=self._again) from error
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method finds in a batch of what the view saw, by name."""
-        return self.method.part("find", "find")(self.arrays, self.config, seen)
-
-
-class ArrayPredictor(JointPredictor, ArrayModel):
-    """A model of joints in an .npz file that `cabinpose train` wrote."""
+        return self.method.find(self.arrays, self.config, seen)
 
 
 def write_arrays(

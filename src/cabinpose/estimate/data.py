@@ -18,10 +18,9 @@ from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
 from cabinpose.core import ITOP_JOINTS, JOINTS, DatasetError, Visibility
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.inputs import InputView, camera_of
+from cabinpose.estimate.inputs import TICK_M, InputView, Kept, camera_of
 
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
-_TICK_M = 1e-4
 
 
 class FrameSpec(NamedTuple):
@@ -51,21 +50,6 @@ class FrameSpec(NamedTuple):
         """Positions of the joints in the dataset's skeleton."""
         known = ITOP_JOINTS if self.skeleton == "itop" else JOINTS
         return [known.index(name) for name in self.joints]
-
-
-class Kept(NamedTuple):
-    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm.
-
-    Images that the method does not read have the shape (0, 0).
-    """
-
-    depth: NDArray[np.uint16]
-    joints: NDArray[np.float32]
-    visibility: NDArray[np.uint8]
-    present: NDArray[np.bool_]
-    amplitude: NDArray[np.uint16]
-    labels: NDArray[np.uint8]
-    facing: NDArray[np.bool_] = np.array(False)
 
 
 Frames: TypeAlias = Dataset[Kept]  # what trains or validates
@@ -185,7 +169,7 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
     for name in spec.images:
         source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[::-1])
         if name == spec.depth_image:
-            images["depth"] = np.round(view.depth(frame[name], source) / _TICK_M)
+            images["depth"] = np.round(view.depth(frame[name], source) / TICK_M)
         else:
             images[name] = view.resample(frame[name], source)
     return Kept(
@@ -220,7 +204,7 @@ def collate(frames: Sequence[Kept]) -> Batch:
     """Frames in the view as one batch of float tensors."""
     stacked = Kept(*(np.stack(arrays) for arrays in zip(*frames, strict=True)))
     return Batch(
-        torch.from_numpy(stacked.depth.astype(np.float32) * np.float32(_TICK_M)),
+        torch.from_numpy(stacked.depth.astype(np.float32) * np.float32(TICK_M)),
         torch.from_numpy(stacked.joints),
         torch.from_numpy(stacked.visibility),
         torch.from_numpy(stacked.present),

@@ -13,7 +13,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from cabinpose.core import ConfigError, ModelError
+from cabinpose.core import ModelError
 from cabinpose.estimate.array_model import ArrayModel, rewrite
 from cabinpose.estimate.half import halve
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, open_session
@@ -86,9 +86,7 @@ def write_onnx(
 ) -> float:
     """As `export_onnx`, of a detector in memory; replaces `out`."""
     method, config = detector.method, detector.method_config
-    if mirrored and not method.mirrored:
-        raise ConfigError(f"{method.name} has no mirrored form", hint="leave --mirrored out, or export a compact detector")
-    answering = method.part("model", "Mirrored")(detector.network) if mirrored else detector.network
+    answering = method.mirrored(detector.network) if mirrored else detector.network
     network = _Named(answering, method.outputs).eval()
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
     partial = out.with_name(out.name + ".tmp")

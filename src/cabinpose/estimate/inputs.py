@@ -18,6 +18,7 @@ from cabinpose.core import Camera, ConfigError
 
 F32 = NDArray[np.float32]
 Joints = NDArray[np.float64]
+TICK_M = 1e-4  # of a kept depth
 
 
 @dataclass(frozen=True)
@@ -130,3 +131,18 @@ def _rounded(uv: Joints, inside: NDArray[np.bool_], camera: Camera) -> _Nearest:
     u, v = np.round(np.where(inside[..., None], uv, 0.0)).astype(np.int64).transpose(2, 0, 1)
     at = np.clip(v, 0, camera.height - 1) * camera.width + np.clip(u, 0, camera.width - 1)
     return _Nearest(at, np.flatnonzero(~inside))
+
+
+class Kept(NamedTuple):
+    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm.
+
+    Images that the method does not read have the shape (0, 0).
+    """
+
+    depth: NDArray[np.uint16]
+    joints: NDArray[np.float32]
+    visibility: NDArray[np.uint8]
+    present: NDArray[np.bool_]
+    amplitude: NDArray[np.uint16]
+    labels: NDArray[np.uint8]
+    facing: NDArray[np.bool_] = np.array(False)

@@ -1,4 +1,4 @@
-"""Trained models of joints as predictors of body pose, whether a network or arrays answer."""
+"""A trained model of joints as a predictor of body pose, whether a network or arrays answer."""
 
 from __future__ import annotations
 
@@ -21,11 +21,15 @@ _EVERY = 4  # pixels between those that are looked at: a sixteenth tells the med
 _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 
 
-class JointPredictor(TrainedModel):
+class JointPredictor:
     """A trained model of joints, whatever its file holds; fulfils `core.ports.Predictor`."""
 
-    task = "joints"
     _warned_of_light = False
+
+    def __init__(self, model: TrainedModel) -> None:
+        """model: of a method whose task is joints."""
+        self.model, self.config = model, model.config
+        self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
@@ -33,7 +37,7 @@ class JointPredictor(TrainedModel):
         for which in slices(len(frames["depth"])):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
-            batches.append(self.poses(self.run(seen), cameras))
+            batches.append(self.poses(self.model.run(seen), cameras))
         return joined(batches)
 
     def __call__(
@@ -122,5 +126,5 @@ class JointPredictor(TrainedModel):
         for n, camera in enumerate(cameras):
             joints_2d[n] = view.pixels(found.uv[n], camera)
         arrays = joints_2d, found.joints_3d, found.score, found.presence
-        expected = expected_errors(self.expected_error, self.joints, found)
+        expected = expected_errors(self.model.expected_error, self.joints, found)
         return PoseBatch(*(a.astype(np.float32) for a in arrays), expected_error_m=expected.astype(np.float32))

@@ -1,121 +1,161 @@
-"""The table of methods: what belongs to each. The parts that need torch are imported only to train or export."""
+"""What a method of finding joints or body parts is made of, and the registry of those that are installed.
+
+A method is an object with its settings, its training and what makes joints of its answers. Whatever needs torch is imported
+by the functions that need it: running a trained model does without.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Literal
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from cabinpose.core import ConfigError, unknown_name
-from cabinpose.estimate.compact import decode as compact_decode
-from cabinpose.estimate.compact.config import CompactConfig
-from cabinpose.estimate.dpm.config import DpmConfig
-from cabinpose.estimate.lifting import decode as lifting_decode
-from cabinpose.estimate.lifting.config import LiftingConfig
-from cabinpose.estimate.paf import decode as paf_decode
-from cabinpose.estimate.paf.config import PafConfig
-from cabinpose.estimate.unet import decode as unet_decode
-from cabinpose.estimate.unet.config import UnetConfig
-from cabinpose.estimate.walks.config import WalksConfig
-from cabinpose.estimate.yolo import decode as yolo_decode
-from cabinpose.estimate.yolo.config import YoloConfig
+from cabinpose.core import ConfigError, ModelError, Registry
+from cabinpose.estimate.inputs import Kept
+from cabinpose.estimate.settings import Settings
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from cabinpose.estimate.augment import AugmentConfig
 
 Arrays = Mapping[str, NDArray[Any]]
+# Batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is being done.
+Progress = Callable[[int, int, str], None]
+S = TypeVar("S", bound=Settings)
 
 
-def _no_network(outputs: Arrays, settings: Any, seen: Arrays) -> Any:  # noqa: ARG001 - the signature of decoding
-    raise TypeError("this method has no network whose outputs could be decoded")
+class Method(ABC, Generic[S]):
+    """A way to find joints or body parts: subclass `NetworkMethod` or `ArrayMethod`, and register an instance.
 
-
-@dataclass(frozen=True)
-class Method:
-    """A way to find joints or body parts. Its folder in this package has the name of the method.
-
-    Parameters
+    Attributes
     ----------
     name
-        Of the method and of its folder.
+        By which it is registered in the entry point group `cabinpose.methods`, and by which a trained model says what it is.
     task
-        "joints" (images to joints), "parts" (images to pixel classes) or "lift" (2D joints to 3D): a key of
-        `estimate.tasks.TASKS`, which says what training does for it.
-    config
-        The settings, see `estimate.settings.Settings`.
-    decode
-        Of a network: decode(outputs, settings, seen) gives the task's answer from the network's outputs and from what the view
-        saw (`depth`, and `amplitude` where it is an input), all numpy arrays.
-    network
-        Name of the network's class in the folder's `model.py`. The folder's `fit.py` has its `loss`.
-    outputs
-        Names of the network's outputs, in order.
-    fitted
-        "torch": a network, see above. "arrays": `fit.py` has fit(settings, frames, config, progress), which gives arrays by name
-        from a sequence of `data.Kept`, the run's `TrainConfig` and a `training.Progress`; `find.py`, which does without torch,
-        has find(arrays, settings, seen), the task's answer, and check(arrays, settings), which raises ValueError or KeyError for
-        arrays that do not fit.
-    measured
-        Whether the folder's `measure.py` has `measured(settings, frames)`, which fills settings from the training frames.
-    mirrored
-        Whether `model.py` has a class `Mirrored`: a network that answers with the mean over a frame and its mirror image.
+        What it does, a key of `estimate.tasks.TASKS`. "joints": images to joints; its answer is a `Found`. "parts": images to
+        classes of pixels; its answer is (N, h, w) uint8, 0 = nobody, else 1 + the position of the part in the settings' `parts`.
+        "lift": 2D joints of one person to 3D; its answer is (N, J, 3) m in the camera frame, NaN = no answer.
+    settings_type
+        Its settings, all with defaults. For "parts" they also have `parts`, the `Part`s that it tells apart.
+    room
+        Settings with which `experiment compare` trains it to find ITOP's joints of one person in a room, beside those that it
+        gives to every method that has them (see `app/compare.py`).
     learning_rate, weight_decay
-        Of AdamW, where the configuration of a run names none.
+        Of the optimiser, where the configuration of a run names none.
     """
 
-    name: str
-    task: Literal["joints", "parts", "lift"]
-    config: type[BaseModel]
-    decode: Callable[[Arrays, Any, Arrays], Any] = _no_network
-    network: str = ""
-    outputs: tuple[str, ...] = ()
-    fitted: Literal["torch", "arrays"] = "torch"
-    measured: bool = False
-    mirrored: bool = False
-    learning_rate: float = 3e-3
-    weight_decay: float = 0.02
+    name: ClassVar[str]
+    task: ClassVar[Literal["joints", "parts", "lift"]]
+    settings_type: type[S]
+    room: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    learning_rate: ClassVar[float] = 3e-3
+    weight_decay: ClassVar[float] = 0.02
 
-    def settings(self, values: Mapping[str, Any]) -> Any:
+    def settings(self, values: Mapping[str, Any]) -> S:
         """The settings that plain data describes; ConfigError names what is wrong."""
         try:
-            return self.config.model_validate(values)
+            return self.settings_type.model_validate(values)
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
-            known = ", ".join(self.config.model_fields)
+            known = ", ".join(self.settings_type.model_fields)
             raise ConfigError(f"{self.name}: {where}: {first['msg']}", hint=f"settings of {self.name}: {known}") from error
 
-    def part(self, module: str, name: str) -> Any:
-        """A function or class of a module in the method's folder."""
-        return getattr(import_module(f"cabinpose.estimate.{self.name}.{module}"), name)
+    def measured(self, settings: S, some: Callable[[], Sequence[Kept]]) -> S:  # noqa: ARG002 - most measure nothing
+        """The settings with what they leave open measured on training frames; `some` reads at most 500 of them."""
+        return settings
 
 
-_METHODS = (
-    Method(
-        "compact", "joints", CompactConfig, compact_decode.decode, "Compact",
-        ("joints", "inside", "visible", "present", "spreads"), mirrored=True,
-    ),
-    Method(
-        "paf", "joints", PafConfig, paf_decode.decode, "Paf", ("fields", "heat", "presence"), measured=True,
-        learning_rate=4e-4, weight_decay=0.01,
-    ),
-    Method(
-        "lifting", "lift", LiftingConfig, lifting_decode.decode, "Lifting", ("relative", "root"),
-        learning_rate=1e-3, weight_decay=0.01,
-    ),
-    Method(
-        "unet", "parts", UnetConfig, unet_decode.decode, "Unet", ("person", "parts"), learning_rate=1e-3, weight_decay=0.01
-    ),
-    Method("yolo", "joints", YoloConfig, yolo_decode.decode, "Yolo", ("boxes", "classes")),
-    Method("dpm", "joints", DpmConfig, fitted="arrays"),
-    Method("walks", "joints", WalksConfig, fitted="arrays"),
-)  # fmt: skip
-METHODS = {method.name: method for method in _METHODS}
+class NetworkMethod(Method[S]):
+    """A method whose network is trained by `cabinpose train` and runs as an ONNX file without torch.
+
+    Attributes
+    ----------
+    outputs
+        Names of the fields of what the network returns that are exported, in their order. The network may return more, for its
+        loss.
+    reads_onnx
+        Whether training may begin with an exported model, see `estimate.weights`: each layer keeps its name in the file.
+    """
+
+    outputs: ClassVar[tuple[str, ...]]
+    reads_onnx: ClassVar[bool] = False
+
+    @abstractmethod
+    def network(self, settings: S) -> nn.Module:
+        """A network with fresh weights. Import torch here.
+
+        It is called with a tensor for each of the settings' `inputs`, in their order: "depth" (N, h, w) m, 0 = invalid, and
+        "amplitude" (N, h, w) in the settings' view; "pose" (N, J, 3) x/z, y/z and 1 where the joint is given, for "lift". It
+        returns a NamedTuple of tensors.
+        """
+
+    @abstractmethod
+    def loss(self, network: Any, batch: Any) -> dict[str, Tensor]:
+        """The terms of the training loss by name and, as "loss", what is minimised: scalars, means over the batch.
+
+        batch: an `estimate.batch.Batch`; for "lift" an `estimate.tasks.PeopleBatch`.
+        """
+
+    @abstractmethod
+    def decode(self, outputs: Arrays, settings: S, seen: Arrays) -> Any:
+        """The task's answer for N frames, from the network's outputs and from what the view saw (the inputs, and the amplitude
+        where there is one) by name. Without torch: numpy alone.
+        """
+
+    def mirrored(self, network: Any) -> nn.Module:  # noqa: ARG002 - few have one
+        """A network that answers with the mean over a frame and its mirror image. Raises ConfigError where there is none."""
+        raise ConfigError(f"{self.name} has no mirrored form", hint="leave --mirrored out")
 
 
-def method_named(name: str) -> Method:
-    """The method of this name; ConfigError lists the ones that exist."""
+class ArrayMethod(Method[S]):
+    """A method without a network: it is fitted in one go, and its model is an .npz file of arrays. Nothing of it needs torch."""
+
+    @abstractmethod
+    def fit(
+        self, settings: S, frames: Sequence[Kept], augment: AugmentConfig, progress: Progress, *, seed: int
+    ) -> dict[str, NDArray[Any]]:
+        """The arrays of a model by name, from training frames in the settings' view; the same frames and seed give the same bits.
+
+        Parameters
+        ----------
+        settings
+            With everything measured.
+        frames
+            To learn from.
+        augment
+            How the run asks for frames to be varied; a method uses what it can.
+        progress
+            Called with steps done, steps in all, and what is being done.
+        seed
+            Of all randomness.
+        """
+
+    @abstractmethod
+    def find(self, arrays: Arrays, settings: S, seen: Arrays) -> Any:
+        """The task's answer for N frames, from the model's arrays and what the view saw: depth (N, h, w) m, 0 = invalid, and
+        amplitude where the settings' `inputs` have it.
+        """
+
+    @abstractmethod
+    def check(self, arrays: Arrays, settings: S) -> None:
+        """Raises ValueError or KeyError for arrays that `find` cannot use: a file may hold anything."""
+
+
+METHODS: Registry[Method[Any]] = Registry("cabinpose.methods", "method", Method, named=True)
+
+
+def method_of(path: Path, name: str) -> Method[Any]:
+    """The method that the file of a trained model names. Raises ModelError where nothing installed offers it."""
     if name not in METHODS:
-        raise unknown_name("method", name, list(METHODS))
+        raise ModelError(
+            f"{path} is a model of the method '{name}', which is not installed",
+            hint=f"install the package that offers it; installed: {', '.join(METHODS.names())}",
+        )
     return METHODS[name]

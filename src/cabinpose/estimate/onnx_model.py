@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -19,34 +19,30 @@ from cabinpose.core import Camera, ConfigError, FrameBatch, ModelError
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, camera_of
-from cabinpose.estimate.methods import Method, method_named
+from cabinpose.estimate.methods import Method, NetworkMethod, method_of
 
 METADATA_KEY = "cabinpose"
-_NO_DETECTORS = ("lift", "parts")
 BATCH = 16  # frames that go through a network at a time
 
 
 class TrainedModel(ABC):
-    """A file of a trained model: its method with settings, and the names of what it answers."""
+    """What the file of a trained model says of itself: its method with settings, and the names of what it answers."""
 
-    fitted: Literal["torch", "arrays"]  # what the file holds, see `Method.fitted`
-    task: str | None = None  # what the method has to do, see `Method.task`; None = anything
+    kind: type[Method[Any]]  # of methods whose models are such files
     _again: str  # how another file of this kind is made
 
     def __init__(self, path: Path, text: str | bytes) -> None:
-        """text: JSON with method, config, name and card. Raises ModelError for another text, another kind or another task."""
+        """text: JSON with method, config, name and card. Raises ModelError for another text, or a method of another kind."""
         self.path = path
         try:
             self.metadata: dict[str, Any] = json.loads(text)
-            self.method: Method = method_named(str(self.metadata["method"]))
+            self.method = method_of(path, str(self.metadata["method"]))
             self.config = self.method.settings(self.metadata["config"])
             self.expected_error = check_expected_error(self.metadata.get(EXPECTED_ERROR, {}).get("joints", {}))
         except (ValueError, KeyError, TypeError, AttributeError, ConfigError) as error:
             raise ModelError(f"{path} does not say what it is: {error}", hint=f"{self._again} with this version") from error
-        if self.method.fitted != self.fitted:
+        if not isinstance(self.method, self.kind):
             raise ModelError(f"{path} cannot be a model of {self.method.name}", hint=self._again)
-        if self.task is not None and self.method.task != self.task:
-            raise OtherTaskError(path, self.method)
         self.name = str(self.metadata.get("name", path.stem))
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
@@ -81,11 +77,12 @@ class TrainedModel(ABC):
 class OnnxModel(TrainedModel):
     """A network that `cabinpose export --onnx` wrote, with its method and settings."""
 
-    fitted = "torch"
+    kind = NetworkMethod
+    method: NetworkMethod[Any]
     _again = "export it again with `cabinpose export --onnx`"
 
     def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
-        """Raises ModelError for a file that is missing, truncated, not a model of this package, or of another task."""
+        """Raises ModelError for a file that is missing, truncated, or not a model of this package."""
         path = existing(path)
         try:
             self.session = open_session(path, threads=threads)
@@ -111,21 +108,6 @@ class OnnxModel(TrainedModel):
         if empty:
             values = [value[:0] for value in values]
         return dict(zip(self._outputs, values, strict=True))
-
-
-class OtherTaskError(ModelError):
-    """A model that does something else than what is asked of it; `task`: of its method."""
-
-    def __init__(self, path: Path, method: Method) -> None:
-        super().__init__(f"{path} is a model of {method.name}", hint=_LOADERS[method.task])
-        self.task = method.task
-
-
-_LOADERS = {
-    "joints": "load it with cabinpose.estimate.predictor.load_model",
-    "parts": "`cabinpose predict` and `evaluate` run it; in Python cabinpose.estimate.unet.segment.OnnxSegmenter",
-    "lift": "`cabinpose predict` and `evaluate` run it; in Python cabinpose.estimate.lifting.predict.OnnxLifting",
-}
 
 
 def existing(path: Path | str) -> Path:
@@ -185,8 +167,3 @@ def packaged_models() -> dict[str, Path]:
     """The models that come with the package, by name."""
     folder = Path(str(resources.files("cabinpose.estimate") / "models"))
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
-
-
-def packaged_detectors() -> dict[str, Path]:
-    """Those of the packaged models that find joints in images, by name."""
-    return {name: path for name, path in packaged_models().items() if name not in _NO_DETECTORS}

@@ -1,28 +1,120 @@
-"""Trained models by their names and files: networks in ONNX files, arrays in .npz files."""
+"""Trained models by their names and files, as what their task makes of them."""
 
 from __future__ import annotations
 
+import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cabinpose.estimate.array_model import SUFFIX, ArrayModel, ArrayPredictor
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core import FrameBatch, ModelError, Part
+from cabinpose.estimate.array_model import SUFFIX, ArrayModel
 from cabinpose.estimate.joint_predictor import JointPredictor
-from cabinpose.estimate.onnx_model import OnnxModel, packaged_models
+from cabinpose.estimate.lifter import Lifter
+from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.onnx_model import (
+    METADATA_KEY,
+    OnnxModel,
+    TrainedModel,
+    cameras_of,
+    packaged_models,
+    slices,
+    view_inputs,
+)
 
 
-class OnnxPredictor(JointPredictor, OnnxModel):
-    """A model of joints in an ONNX file that `cabinpose export --onnx` wrote."""
+class PartSegmenter:
+    """A trained model that gives every pixel of a camera a class; fulfils `core.ports.Segmenter`."""
+
+    def __init__(self, model: TrainedModel) -> None:
+        """model: of a method whose task is parts."""
+        self.model, self.config, self.name = model, model.config, model.name
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts: the number n of a label image is `parts[n - 1]`."""
+        return tuple(self.config.parts)
+
+    def segment(self, frames: FrameBatch) -> NDArray[np.uint8]:
+        """Label images (N, H, W) in the frames' own pixels: 0 = nobody, or outside the model's view, else 1 + the position of the
+        part.
+        """
+        return np.concatenate([self._segment(frames, which) for which in slices(len(frames["depth"]))])
+
+    def _segment(self, frames: FrameBatch, which: slice) -> NDArray[np.uint8]:
+        cameras = cameras_of(frames, which)
+        classes: NDArray[np.uint8] = self.model.run(view_inputs(frames, which, cameras, self.config.view, amplitude=False))
+        result = np.zeros(frames["depth"][which].shape, np.uint8)
+        for image, own, camera in zip(result, classes, cameras, strict=True):
+            image[...] = self.config.view.to_source(own, camera)
+        return result
+
+
+# By the task of the method.
+_OPENED: dict[str, type[JointPredictor | Lifter | PartSegmenter]] = {
+    "joints": JointPredictor, "lift": Lifter, "parts": PartSegmenter,
+}  # fmt: skip
+
+
+def open_model(model: str | Path, *, threads: int | None = None) -> JointPredictor | Lifter | PartSegmenter:
+    """A trained model as what its method's task makes of it.
+
+    Parameters
+    ----------
+    model
+        The name of a packaged model, or an ONNX file or an .npz file of `cabinpose train`.
+    threads
+        Threads of a network; default: one a core.
+
+    Returns
+    -------
+    JointPredictor, Lifter or PartSegmenter
+        Of joints, of 2D joints lifted to 3D, of body parts.
+
+    Raises
+    ------
+    ModelError
+        For a file that is missing, damaged, of another program, or of a method that is not installed.
+    """
+    trained = _trained(packaged_models().get(str(model), Path(model)), threads)
+    return _OPENED[trained.method.task](trained)
 
 
 def load_model(model: str | Path, *, threads: int | None = None) -> JointPredictor:
     """A packaged model by its name, or the model in an ONNX file or in an .npz file of `cabinpose train`. Raises ModelError."""
-    path = packaged_models().get(str(model), Path(model))
-    return ArrayPredictor(path) if path.suffix == SUFFIX else OnnxPredictor(path, threads=threads)
+    opened = open_model(model, threads=threads)
+    if not isinstance(opened, JointPredictor):
+        raise ModelError(
+            f"{opened.model.path} is a model of {opened.model.method.name}",
+            hint="`cabinpose predict` and `evaluate` run it; in Python cabinpose.estimate.open_model",
+        )
+    return opened
 
 
 def describe_model(path: Path | str) -> dict[str, Any]:
     """What the file of a model says of itself, see `TrainedModel.describe`. Raises ModelError."""
-    return (ArrayModel(path) if Path(path).suffix == SUFFIX else OnnxModel(path)).describe()
+    return _trained(Path(path), None).describe()
 
 
-__all__ = ["ArrayPredictor", "OnnxPredictor", "describe_model", "load_model", "packaged_models"]
+def _trained(path: Path, threads: int | None) -> TrainedModel:
+    return ArrayModel(path) if path.suffix == SUFFIX else OnnxModel(path, threads=threads)
+
+
+def packaged_detectors() -> dict[str, Path]:
+    """Those of the packaged models that find joints in images, by name."""
+    return {name: path for name, path in packaged_models().items() if METHODS[_method(path)].task == "joints"}
+
+
+@cache
+def _method(path: Path) -> str:
+    """The method of one of our ONNX files. Its text is read as it stands behind its key: a session takes 0.2 s to make."""
+    data = path.read_bytes()
+    text = data[data.index(b'{"', data.rindex(METADATA_KEY.encode() + b"\x12")) :]
+    said, _ = json.JSONDecoder().raw_decode(text.decode("utf-8", errors="ignore"))
+    return str(said["method"])
+
+
+__all__ = ["PartSegmenter", "describe_model", "load_model", "open_model", "packaged_detectors", "packaged_models"]

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from cabinpose.core import class_table, confusion, intersection_over_union, whole_person
-from cabinpose.estimate.augment import AugmentConfig, Mirror, augment
+from cabinpose.estimate.augment import AugmentConfig, Mirror, augment, chance, draw_motion, flip, move_points
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import FrameSpec
 from cabinpose.estimate.found import Found
-from cabinpose.estimate.lifting import fit as lifting_fit
+from cabinpose.estimate.inputs import InputView
 
 HEAD_M = 0.2  # PCKh's head in 3D (pose.md's protocol); in the image it is this length at the joint's depth
 Figures = dict[str, float]
@@ -28,6 +28,53 @@ class Setting(NamedTuple):
     rays: Tensor
     focal: float
     mirror: Mirror
+
+
+class PeopleBatch(NamedTuple):
+    """P people to lift, in the place of a `Batch`.
+
+    pose: (P, J, 3) x/z, y/z and 1 where the joint is given · joints: (P, J, 3) m, camera frame · known: (P, J) whose place is.
+    """
+
+    pose: Tensor
+    joints: Tensor
+    known: Tensor
+
+
+def people_of(batch: Batch, view: InputView) -> PeopleBatch:
+    """The people of a batch who are there; given are the joints that are in the image, known those whose place is."""
+    at = batch.joints[batch.present]
+    finite = torch.isfinite(at).all(-1)
+    states = batch.visibility[batch.present]
+    uvz = torch.nan_to_num(at)
+    centre = uvz.new_tensor((view.camera.cx, view.camera.cy))
+    xy = (uvz[..., :2] - centre) / view.focal
+    given = (finite & (states > 1)).to(xy.dtype).unsqueeze(-1)
+    joints = torch.cat((xy * uvz[..., 2:], uvz[..., 2:]), dim=-1)
+    return PeopleBatch(torch.cat((xy * given, given), dim=-1), joints, finite & (states > 0))
+
+
+def vary_people(batch: Batch, config: AugmentConfig, settings: Any, mirror: Mirror, *, generator: torch.Generator) -> PeopleBatch:
+    """People moved and turned about the mean of their joints, mirrored, their 2D joints then noisy and some of them missing."""
+    view = settings.view
+    rotation, shift = draw_motion(len(batch.joints), config, batch.joints, generator)
+    people = people_of(batch, view)
+    z = batch.joints[..., 2:]
+    at = batch.joints.new_tensor((view.camera.cx, view.camera.cy))
+    points = torch.cat(((batch.joints[..., :2] - at) * z / view.focal, z), dim=-1)
+    middle = torch.nan_to_num(points.nanmean(dim=2, keepdim=True))
+    uvz = move_points(batch.joints, rotation, shift, middle, (view.camera.cx, view.camera.cy), view.focal)
+    batch = flip(batch._replace(joints=uvz), chance(config.flip, batch.joints, generator), mirror, view.width)
+    people = people_of(batch, view)
+    n, j = people.known.shape
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(shape, generator=generator, device=uvz.device)
+
+    noise = torch.randn((n, j, 2), generator=generator, device=uvz.device) * settings.noise * uniform(n, 1, 1)
+    left = (uniform(n, j) >= settings.drop * uniform(n, 1)).to(uvz.dtype).unsqueeze(-1)
+    given = people.pose[..., 2:] * left
+    return people._replace(pose=torch.cat(((people.pose[..., :2] + noise) * given, given), dim=-1))
 
 
 class Task(ABC):
@@ -98,10 +145,10 @@ class Lift(Task):
         return FrameSpec(settings.view, settings.slots, settings.skeleton, settings.joints, depth=False, amplitude=False)
 
     def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:
-        return lifting_fit.vary(batch, config, settings, setting.mirror, generator=generator)
+        return vary_people(batch, config, settings, setting.mirror, generator=generator)
 
     def plain(self, batch: Batch, settings: Any) -> Any:
-        return lifting_fit.people_of(batch, settings.view)
+        return people_of(batch, settings.view)
 
     def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:
         return {"pose": self.plain(batch, settings).pose}
@@ -112,7 +159,7 @@ class Lift(Task):
         return {"pose": pose}
 
     def errors(self, decoded: NDArray[np.float64], batch: Batch, settings: Any) -> NDArray[np.float64]:
-        people = lifting_fit.people_of(batch, settings.view)
+        people = people_of(batch, settings.view)
         error = np.linalg.norm(decoded - people.joints.cpu().numpy(), axis=-1) / HEAD_M
         return np.asarray(error[people.known.cpu().numpy() & np.isfinite(error)])
 

@@ -15,27 +15,29 @@ from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Annotated, Any, Literal, cast
+from typing import Any, cast
 
 import lightning
 import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
 from lightning.pytorch.loggers import TensorBoardLogger
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cabinpose.core import ConfigError, ModelError
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
-from cabinpose.estimate.augment import AugmentConfig, Mirror
+from cabinpose.estimate.augment import Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
-from cabinpose.estimate.curves import Curves, Draw
-from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, Kept, collate
-from cabinpose.estimate.methods import Method, method_named
+from cabinpose.estimate.curves import Curves
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate
+from cabinpose.estimate.inputs import Kept
+from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.estimate.onnx_model import packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
+from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig, with_old_keywords
 from cabinpose.estimate.weights import measure_norms, read_weights
 
 _MEASURED = 500  # training frames that open settings are measured on
@@ -49,46 +51,14 @@ _NOISE = (
     "(?s).*Grad strides do not match bucket view strides.*",
 )
 _NO_MEMORY = re.compile("can't allocate memory|out of memory|bad_alloc|ALLOC_FAILED")
-Positive = Annotated[int, Field(ge=1)]
 
 
-class TrainConfig(BaseModel):
-    """A training run: the method with its settings, the data's splits and the optimiser."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    method: Annotated[str, Field(description="compact, paf, lifting, unet, yolo, dpm or walks.")] = "compact"
-    settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(
-        default_factory=dict, validate_default=True
-    )
-    augment: AugmentConfig = Field(default_factory=AugmentConfig)
-    depth: Annotated[
-        Literal["depth", "depth_styled", "depth_clean"], Field(description="The dataset's image that is read as depth.")
-    ] = "depth"
-    epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
-    batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
-    patience: Annotated[int, Field(ge=0, description="Stop after so many epochs without a better one; 0 = never.")] = 0
-    best_by: Annotated[
-        Literal["figure", "loss"], Field(description="The best epoch has the greatest figure, or the least validation loss.")
-    ] = "figure"
-    optimiser: Annotated[Literal["adamw", "adam"], Field(description="adam: the decay is part of the gradient (L2).")] = "adamw"
-    schedule: Annotated[Literal["one-cycle", "constant"], Field(description="Of the learning rate.")] = "one-cycle"
-    learning_rate: Annotated[float, Field(gt=0, description="Greatest rate of the schedule; default: the method's.")] = Field(
-        default_factory=lambda run: method_named(run["method"]).learning_rate
-    )
-    weight_decay: Annotated[float, Field(ge=0, description="Of the optimiser; default: the method's.")] = Field(
-        default_factory=lambda run: method_named(run["method"]).weight_decay
-    )
-    average: Annotated[float, Field(ge=0, lt=1, description="Greatest decay of the weights' moving average; 0 = none.")] = 0.998
-    precision: Annotated[Literal["32-true", "16-mixed", "bf16-mixed"], Field(description="Lightning's precision.")] = "32-true"
-    workers: Annotated[int, Field(ge=0, description="Processes that read frames beside the training; 0 = none.")] = 0
-    seed: Annotated[int, Field(ge=0, description="Seed of weights, order and augmentation.")] = 1
-
-    @field_validator("settings")
-    @classmethod
-    def _with_defaults(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        """All settings of the method, so that runs compare; ConfigError for one that the method does not know."""
-        return method_named(info.data.get("method", "compact")).settings(value).model_dump(mode="json")
+def _network_method(name: str) -> NetworkMethod[Any]:
+    """The method of this name, of which a network is trained. Raises ConfigError for one without."""
+    method = METHODS[name]
+    if not isinstance(method, NetworkMethod):
+        raise ConfigError(f"{name} has no network", hint="its run writes best.npz, which is the model")
+    return method
 
 
 class Detector(lightning.LightningModule):
@@ -100,11 +70,10 @@ class Detector(lightning.LightningModule):
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
         self.settings = config
-        self.method: Method = method_named(config.method)
+        self.method = _network_method(config.method)
         self.task: Task = TASKS[self.method.task]
         self.method_config = self.method.settings(config.settings)
-        self.network: nn.Module = self.method.part("model", self.method.network)(self.method_config)
-        self._loss = self.method.part("fit", "loss")
+        self.network: nn.Module = self.method.network(self.method_config)
         slots = self.method_config.slots
         self._mirrors = mirrored_joints(self.method_config.joints), mirrored_slots(slots), mirrored_slots(slots, facing=True)
         self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
@@ -122,7 +91,7 @@ class Detector(lightning.LightningModule):
         setting = Setting(self.rays, self.method_config.view.focal, Mirror(*self._mirrors, self.mirror_labels))
         with torch.no_grad():
             varied = self.task.vary(batch, self.settings.augment, self.method_config, setting, generator)
-        terms: dict[str, Tensor] = self._loss(self.network, varied)
+        terms: dict[str, Tensor] = self.method.loss(self.network, varied)
         self.log_dict({f"train_{name}": value.detach() for name, value in terms.items()}, on_epoch=True, on_step=False,
                       batch_size=len(batch.joints), sync_dist=True)  # fmt: skip
         self.log("loss", terms["loss"].detach(), prog_bar=True, on_step=True, on_epoch=False)
@@ -130,7 +99,7 @@ class Detector(lightning.LightningModule):
 
     def validation_step(self, batch: Batch, index: int) -> None:  # noqa: ARG002 - the signature is Lightning's
         """Logs the loss of a batch that is not augmented, and collects what the method's task judges it by."""
-        terms: dict[str, Tensor] = self._loss(self.network, self.task.plain(batch, self.method_config))
+        terms: dict[str, Tensor] = self.method.loss(self.network, self.task.plain(batch, self.method_config))
         self.log_dict({f"val_{name}": value for name, value in terms.items()}, batch_size=len(batch.joints), sync_dist=True)
         seen = self.task.inputs(batch, self.method_config)
         values = self.network(*(seen[name] for name in self.method_config.inputs))
@@ -188,10 +157,6 @@ class _Frames(lightning.LightningDataModule):
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
 
 
-# Batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is being done.
-Progress = Callable[[int, int, str], None]
-
-
 class _BatchReport(Callback):
     """Reports every batch: epoch, loss, and the deciding figure of the last validation; and when validation begins."""
 
@@ -215,19 +180,9 @@ class _BatchReport(Callback):
 
 
 def fit(
-    config: TrainConfig,
-    training: Frames,
-    validation: Frames,
-    out: Path,
-    *,
-    resume: bool = False,
-    init: Path | None = None,
-    callbacks: tuple[Callback, ...] = (),
-    devices: int | str = "auto",
-    nodes: int = 1,
-    progress: Progress | None = None,
-    draw: Draw | None = None,
-) -> Path:
+    config: TrainConfig, training: Frames, validation: Frames, out: Path, *,
+    start: Start | None = None, machines: Machines | None = None, observers: Observers | None = None, **old: Any,
+) -> Path:  # fmt: skip
     """Train into the folder `out`: last.ckpt, best.ckpt, log/metrics.csv (TensorBoard's files where it is installed).
 
     Parameters
@@ -238,17 +193,15 @@ def fit(
         Frames to learn from, and frames that decide on the best epoch.
     out
         The folder of the run.
-    resume
-        Go on with the run in `out` from its last whole epoch.
-    init
-        Checkpoint, compact ONNX model or name of a packaged one whose weights a new run begins with.
-    callbacks, devices, nodes
-        Lightning's.
-    progress
-        Called after every batch, and where something else takes its time.
-    draw
-        Called after every epoch with the figures of all epochs by name, the best one's row, the figure that decides it, and
-        whether the run ends here before its time.
+    start
+        What the run begins with; default: fresh weights.
+    machines
+        Where it computes; default: on all devices of this machine.
+    observers
+        Who is told how it goes; default: nobody.
+    old
+        Keywords of before, which go with the next release: `resume` and `init` of `start`, `devices` and `nodes` of `machines`,
+        `progress`, `draw` and `callbacks` of `observers`.
 
     Returns
     -------
@@ -262,44 +215,47 @@ def fit(
     ModelError
         Where the run to resume, or to begin with, is of another network.
     """
-    if method_named(config.method).fitted == "arrays":
-        if resume or init is not None:
+    start, machines, observers = with_old_keywords(start or Start(), machines or Machines(), observers or Observers(), old)
+    if isinstance(METHODS[config.method], ArrayMethod):
+        if start.resume or start.init is not None:
             raise ConfigError(
                 f"{config.method} is fitted in one go, from nothing", hint="leave --resume and --init out, and train it anew"
             )
-        return _fit_arrays(config, training, validation, out, progress)
+        return _fit_arrays(config, training, validation, out, observers.progress)
     last = out / "last.ckpt"
-    if last.exists() and not resume:
+    if last.exists() and not start.resume:
         raise ConfigError(
             f"{out} already holds a training run", hint="--resume goes on with it, or give another folder with --out"
         )
-    if progress is not None:
-        progress(0, 0, "reading frames")
+    if observers.progress is not None:
+        observers.progress(0, 0, "reading frames")
     config = complete(config, training)  # reads frames where settings are measured: not before a run that is refused
-    if resume and last.exists():
-        check_same(last, config)
+    resumed = last if start.resume and last.exists() else None
+    if resumed is not None:
+        check_same(resumed, config)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     out.mkdir(parents=True, exist_ok=True)
     frames = _Frames(config, training, validation)
-    figure = TASKS[method_named(config.method).task].best
+    figure = TASKS[METHODS[config.method].task].best
     monitor, mode = ("val_loss", "min") if config.best_by == "loss" else (figure, "max")
     best = ModelCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
     newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
-    curves = Curves(out, monitor, mode, config.patience, draw)
-    reports = [_BatchReport(progress, figure)] if progress is not None else []
+    curves = Curves(out, monitor, mode, config.patience, observers.draw)
+    reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
-            default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=devices, num_nodes=nodes,
-            callbacks=[*average, best, newest, curves, *reports, *callbacks], logger=_loggers(out), num_sanity_val_steps=0,
-            log_every_n_steps=10, enable_model_summary=False, enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
+            default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=machines.devices,
+            num_nodes=machines.nodes, callbacks=[*average, best, newest, curves, *reports, *observers.callbacks],
+            logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
+            enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
         )  # fmt: skip
         detector = Detector(config)
         if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
             detector.spare_batches = config.epochs * config.workers
-        if init is not None and not last.exists():
-            begin_with(detector, init, training)
-        trainer.fit(detector, datamodule=frames, ckpt_path=last if resume and last.exists() else None, weights_only=True)
+        if start.init is not None and not last.exists():
+            begin_with(detector, start.init, training)
+        trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
 
 
@@ -309,16 +265,16 @@ def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: 
     if best.exists():
         raise ConfigError(f"{out} already holds a trained model", hint="give another folder with --out")
     config = complete(config, training)
-    method = method_named(config.method)
+    method: ArrayMethod[Any] = METHODS[config.method]  # type: ignore[assignment]
     settings = method.settings(config.settings)
     frames, held = (list(f) if isinstance(f, GeneratedFrames) else cast(Sequence[Kept], f) for f in (training, validation))
-    arrays = method.part("fit", "fit")(settings, frames, config, progress or (lambda *_: None))
-    task, find = TASKS[method.task], method.part("find", "find")
+    arrays = method.fit(settings, frames, config.augment, progress or (lambda *_: None), seed=config.seed)
+    task = TASKS[method.task]
     errors = []
     for first in range(0, len(held), config.batch):
         batch = collate([held[i] for i in range(first, min(first + config.batch, len(held)))])
         seen = {name: value.numpy() for name, value in task.inputs(batch, settings).items()}
-        errors.append(task.errors(find(arrays, settings, seen), batch, settings))
+        errors.append(task.errors(method.find(arrays, settings, seen), batch, settings))
     card = {"frames": len(frames), "seed": config.seed} | {n: round(value, 2) for n, value in task.figures(errors).items()}
     out.mkdir(parents=True, exist_ok=True)
     write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card)
@@ -388,7 +344,9 @@ def check_same(checkpoint: Path, config: TrainConfig) -> None:
 
 
 def _configuration(path: Path, checkpoint: Mapping[str, Any]) -> TrainConfig:
-    """The configuration in a checkpoint; ModelError where this version does not know its keys."""
+    """The configuration in a checkpoint; ModelError where this version does not know its method or its keys."""
+    if isinstance(checkpoint["config"], Mapping):
+        method_of(path, str(checkpoint["config"].get("method", "compact")))
     try:
         return TrainConfig.model_validate(checkpoint["config"])
     except ValidationError as error:
@@ -454,17 +412,16 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
 
 def frame_spec(config: TrainConfig) -> FrameSpec:
     """What a run takes of each frame."""
-    method = method_named(config.method)
+    method = METHODS[config.method]
     return TASKS[method.task].spec(method.settings(config.settings))._replace(depth_image=config.depth)
 
 
 def complete(config: TrainConfig, training: Frames | Sequence[Kept]) -> TrainConfig:
     """The configuration with the settings that are measured on the training frames, where its method has any."""
-    method = method_named(config.method)
-    if not method.measured:
-        return config
-    settings = method.part("measure", "measured")(method.settings(config.settings), _some(training))
-    return config.model_copy(update={"settings": settings.model_dump(mode="json")})
+    method = METHODS[config.method]
+    given = method.settings(config.settings)
+    settings = method.measured(given, lambda: _some(training))
+    return config if settings is given else config.model_copy(update={"settings": settings.model_dump(mode="json")})
 
 
 def _some(training: Frames | Sequence[Kept]) -> list[Kept]:
@@ -473,3 +430,16 @@ def _some(training: Frames | Sequence[Kept]) -> list[Kept]:
         return list(islice(iter(training), _MEASURED))
     count = len(cast(Sized, training))
     return [training[int(i)] for i in np.unique(np.linspace(0, count - 1, min(count, _MEASURED)).astype(int))]
+
+
+__all__ = [
+    "Detector",
+    "TrainConfig",
+    "begin_with",
+    "check_same",
+    "complete",
+    "fit",
+    "frame_spec",
+    "load_detector",
+    "read_checkpoint",
+]

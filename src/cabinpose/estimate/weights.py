@@ -35,8 +35,8 @@ class Exported(NamedTuple):
 def read_weights(path: Path) -> Exported:
     """The weights in an ONNX file of `cabinpose export`. Raises ModelError for another method, and for a quantised file."""
     model = OnnxModel(path, threads=1)
-    if model.method.name != "compact":
-        raise ModelError(f"{path} is a model of {model.method.name}", hint="of ONNX files --init takes compact ones alone")
+    if not model.method.reads_onnx:
+        raise ModelError(f"{path} is a model of {model.method.name}", hint="begin with a checkpoint of it")
     file = onnx.load(str(path))
     widen(file)
     graph = file.graph

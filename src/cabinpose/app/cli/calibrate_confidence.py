@@ -55,8 +55,9 @@ def run(command: CalibrateConfidence) -> None:
 
     options = EvaluationOptions(presence=command.presence)
     model = load_model(command.model)
-    if command.out.suffix != model.path.suffix:
-        raise ModelError(f"{model.path} is written again as a file of its kind", hint=f"let --out end in {model.path.suffix}")
+    path = model.model.path
+    if command.out.suffix != path.suffix:
+        raise ModelError(f"{path} is written again as a file of its kind", hint=f"let --out end in {path.suffix}")
     if command.out.exists() and not command.overwrite:
         raise ModelError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")
     dataset = selected(opened(command.dataset), command)
@@ -69,7 +70,7 @@ def run(command: CalibrateConfidence) -> None:
             f"no joint is found {FEWEST} times or more in {frames} frames", hint="calibrate on a larger dataset of the same seats"
         )
     said = {"data": command.dataset.resolve().name, "frames": frames, "joints": table}
-    write_copy(model, command.out, **{METADATA_KEY: said})
+    write_copy(model.model, command.out, **{METADATA_KEY: said})
     found = {name: int(n) for name, n in zip(joints, np.isfinite(error_m).sum(axis=(0, 1)), strict=True)}
     left = [name for name in model.joints if name not in table]
     if command.as_json:
@@ -105,7 +106,7 @@ def _measured(
     for start in range(0, dataset.sizes["frame"], BATCH):
         which = slice(start, start + BATCH)
         frames = frame_batch(dataset, which)
-        found = model.run(model.seen(frames, slice(None), cameras_of(frames, slice(None))))
+        found = model.model.run(model.seen(frames, slice(None), cameras_of(frames, slice(None))))
         true = truth.isel(frame=which)
         distance = np.linalg.norm(found.joints_3d[:, rows][:, :, columns] - true["joints_3d"].values, axis=-1)
         judged = (found.presence[:, rows][:, :, columns] >= options.presence) & (

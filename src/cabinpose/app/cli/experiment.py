@@ -37,7 +37,7 @@ class Experiment(PrintsJson):
     data: Annotated[tuple[Path, ...], several("DATASET [DATASET ...]")] = ()
     """Datasets of scenes in a room to train on; of other people than those of the tests."""
     methods: Maybe[str] = None
-    """Methods, with commas between; default: all that find joints in images."""
+    """Methods, with commas between; default: all of the package that find joints in images."""
     model: Annotated[tuple[str, ...], several("METHOD=MODEL ...")] = ()
     """Trained models to take: the name of a packaged one, or a file."""
     recipe: Annotated[tuple[str, ...], several("METHOD=FILE ...")] = ()
@@ -56,14 +56,12 @@ COMMAND = Experiment
 def run(command: Experiment) -> None:
     """Train, run and judge what is not there yet; the tables go to stdout, the pages to `out`."""
     from cabinpose.app.cli.evaluate import write_boxes, write_report
-    from cabinpose.app.compare import answers, judged, named, open_test
+    from cabinpose.app.compare import answers, judged, named, of_joints, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
     from cabinpose.app.report.detectors import page_html
-    from cabinpose.estimate import METHODS
     from cabinpose.evaluate import EvaluationOptions
 
-    known = [method.name for method in METHODS.values() if method.task == "joints"]
-    methods = known if command.methods is None else [word for word in command.methods.split(",") if word]
+    methods = of_joints(own=True) if command.methods is None else [word for word in command.methods.split(",") if word]
     if not methods or len(set(methods)) < len(methods):
         raise ConfigError(f"--methods {command.methods} names no method, or one twice", hint="write --methods yolo,paf,compact")
     given, recipes = named(command.model, "--model", methods), named(command.recipe, "--recipe", methods)
@@ -113,10 +111,10 @@ def _models(
 ) -> tuple[dict[str, Path], list[str]]:
     """The model file of each method, trained where none is given, and a line on each of where it is from."""
     from cabinpose.app.compare import recipe, train_model
-    from cabinpose.estimate import method_named, packaged_models
+    from cabinpose.estimate import METHODS, packaged_models
 
     for name in methods:
-        method_named(name)
+        METHODS[name]
     to_train = [name for name in methods if name not in given]
     if to_train and not command.data:
         raise ConfigError(

@@ -8,17 +8,22 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Optional
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, Registry
 
 if TYPE_CHECKING:
     from cabinpose.estimate import Frames, FrameSpec
+
+
+def _methods(_default: str) -> str:
+    """The names of the methods, those of extensions too; the help alone asks for them, since it takes 40 ms."""
+    return f"(one of: {', '.join(Registry('cabinpose.methods', 'method', object).names())})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +37,8 @@ class Train(PrintsJson):
     """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv, curves.png."""
     datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
-    method: Maybe[str] = None
-    """Method, if the configuration names none: compact, paf, lifting, unet, yolo, dpm, walks."""
+    method: Annotated[Optional[str], arg(help_behavior_hint=_methods)] = None
+    """Method, if the configuration names none."""
     config: Maybe[Path] = None
     """Configuration of the run (YAML); every key has a default."""
     synth: Maybe[Path] = None
@@ -71,7 +76,7 @@ def run(command: Train) -> None:
         report.phase("loading torch")
         from cabinpose.app.report.curves import write_curves
         from cabinpose.app.training import read_train_config
-        from cabinpose.estimate import fit, frame_spec, method_named
+        from cabinpose.estimate import METHODS, ArrayMethod, Machines, Observers, Start, fit, frame_spec
 
         def show(done: int, total: int, note: str) -> None:
             nonlocal report, counted
@@ -84,13 +89,14 @@ def run(command: Train) -> None:
                 report.phase(note)
 
         config = read_train_config(command.config, command.method)
-        unit = "steps" if method_named(config.method).fitted == "arrays" else "batches"
+        unit = "steps" if isinstance(METHODS[config.method], ArrayMethod) else "batches"
         report.phase("opening datasets")
         training, validation = _frames(command, frame_spec(config), config.seed)
+        draw = partial(write_curves, command.out / "curves.png")
+        devices = int(command.devices) if command.devices.isdigit() else command.devices
         best = fit(
-            config, training, validation, command.out, resume=command.resume, init=command.init,
-            devices=int(command.devices) if command.devices.isdigit() else command.devices, nodes=command.nodes, progress=show,
-            draw=partial(write_curves, command.out / "curves.png"),
+            config, training, validation, command.out, start=Start(command.resume, command.init),
+            machines=Machines(devices, command.nodes), observers=Observers(show, draw),
         )  # fmt: skip
     if helps:
         return

@@ -32,7 +32,7 @@ class Person(NamedTuple):
 
 
 def find(arrays: Mapping[str, NDArray[Any]], settings: DpmConfig, seen: Mapping[str, NDArray[Any]]) -> Found:
-    """Joints of the people in N frames, see `estimate.methods.Method`."""
+    """Joints of the people in N frames, see `estimate.methods.ArrayMethod`."""
     parts = Parts.of(arrays, settings)
     frames, slots, joints = len(seen["depth"]), len(settings.slots), len(settings.joints)
     uv, points = np.full((frames, slots, joints, 2), np.nan), np.full((frames, slots, joints, 3), np.nan)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,9 @@ from cabinpose.estimate.dpm.find import APART_M, OWN_M, Person, at_roots, detect
 from cabinpose.estimate.dpm.hog import F32, Level, features, levels
 from cabinpose.estimate.dpm.learn import Answer, StructuredSvm, nobody
 from cabinpose.estimate.dpm.parts import SPRING, Parts, downward, row_length, rows, unary, upward
+from cabinpose.estimate.inputs import TICK_M, Kept
+from cabinpose.estimate.methods import Progress
 
-if TYPE_CHECKING:
-    from cabinpose.estimate.data import Kept
-    from cabinpose.estimate.training import Progress, TrainConfig
-
-_TICK_M = 1e-4  # of a kept depth
 _STIFFNESS = 0.02  # score that a displacement by one spread costs before training
 _LEAST_SPREAD = 0.7  # cells
 _LEAST_M = 0.01  # of the depths' standard deviations
@@ -41,9 +38,17 @@ class People(NamedTuple):
     point: NDArray[np.float64]
 
 
-def fit(settings: DpmConfig, frames: Sequence[Kept], config: TrainConfig, progress: Progress | None) -> dict[str, NDArray[Any]]:
-    """Arrays of a model from frames, see `estimate.methods.Method`. Raises DatasetError where nobody is seen."""
-    rng = np.random.Generator(np.random.Philox(key=(config.seed, 0)))
+class Examples(NamedTuple):
+    """The people to learn from, the types (N, P) of their parts, and the levels (N,) of the pyramid that they are on."""
+
+    people: People
+    types: NDArray[np.int64]
+    level: NDArray[np.int64]
+
+
+def fit(settings: DpmConfig, frames: Sequence[Kept], progress: Progress, *, seed: int) -> dict[str, NDArray[Any]]:
+    """Arrays of a model from frames, see `estimate.methods.ArrayMethod`. Raises DatasetError where nobody is seen."""
+    rng = np.random.Generator(np.random.Philox(key=(seed, 0)))
     people = people_of(settings, frames)
     depths = level_depths(settings, people.uvz[:, 0, 2])
     grids = levels(settings, depths)
@@ -57,7 +62,8 @@ def fit(settings: DpmConfig, frames: Sequence[Kept], config: TrainConfig, progre
     weights[1:, :, -settings.mixtures - 4 : -settings.mixtures : 2] = _STIFFNESS / SPRING
     none = np.zeros_like(anchor)
     parts = Parts(weights, anchor, spread, none, none, none, depths, slots)
-    trained = measured(_train(parts, settings, frames, people, types, level, progress, rng=rng), settings, frames, people)
+    trained = _train(parts, settings, frames, Examples(people, types, level), progress, rng=rng)
+    trained = measured(trained, settings, frames, people)
     return {name: np.asarray(value, np.float32) for name, value in trained._asdict().items()}
 
 
@@ -160,7 +166,7 @@ def _by_type(values: NDArray[np.float64], types: NDArray[np.int64], mixtures: in
 
 def _images(kept: Kept) -> tuple[F32, F32 | None]:
     """Depth (m) and, where there is one, amplitude of a frame."""
-    return kept.depth * np.float32(_TICK_M), kept.amplitude.astype(np.float32) if kept.amplitude.size else None
+    return kept.depth * np.float32(TICK_M), kept.amplitude.astype(np.float32) if kept.amplitude.size else None
 
 
 def without_people(settings: DpmConfig, depth: F32, point: NDArray[np.float64]) -> F32:
@@ -178,10 +184,10 @@ def without_people(settings: DpmConfig, depth: F32, point: NDArray[np.float64]) 
 
 
 def _train(
-    parts: Parts, settings: DpmConfig, frames: Sequence[Kept], people: People, types: NDArray[np.int64],
-    level: NDArray[np.int64], progress: Progress | None, *, rng: np.random.Generator,
-) -> Parts:  # fmt: skip
+    parts: Parts, settings: DpmConfig, frames: Sequence[Kept], examples: Examples, progress: Progress, *, rng: np.random.Generator
+) -> Parts:
     """The model with weights from rounds of searching each frame for the worst answer, and learning from all of them."""
+    people, types, level = examples
     grids = levels(settings, parts.levels)
     count = len(people.frame)
     # Examples beyond the people are frames without anybody. With one slot its people are cut out of them. With more, a second
@@ -216,8 +222,7 @@ def _train(
             person = people.uvz[example] if example < count else None
             svm.add(example, _worst(parts, settings, *images(example), person, others(example)))
             done += 1
-            if progress is not None:
-                progress(done, total, f"round {round_ + 1} of {settings.rounds}")
+            progress(done, total, f"round {round_ + 1} of {settings.rounds}")
         for _ in range(_SWEEPS):
             svm.sweep(rng.permutation(len(truths)))
         svm.forget(_ANSWERS)

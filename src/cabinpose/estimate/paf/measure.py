@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import DatasetError, Visibility
-from cabinpose.estimate.data import Kept
+from cabinpose.estimate.inputs import TICK_M, Kept
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.decode import surface_depth
 
-_TICK_M = 1e-4  # of a kept depth
 _MOST_M = 0.3  # a surface that far from the joint is not the joint's own skin
 _ENOUGH = 20  # joints, for a median to replace the default
 
@@ -52,7 +51,7 @@ def skin_offsets(config: PafConfig, frames: Sequence[Kept]) -> dict[str, float]:
             continue
         known = frame.present[:, None] & (frame.visibility == Visibility.VISIBLE)
         uv = np.where(known[..., None], frame.joints[..., :2].astype(np.float64), np.nan)
-        surface = surface_depth(frame.depth[None] * _TICK_M, uv[None])[0]
+        surface = surface_depth(frame.depth[None] * TICK_M, uv[None])[0]
         found.append(frame.joints[..., 2] - surface)
     offsets = np.concatenate(found) if found else np.zeros((0, len(config.joints)))
     result = {}

@@ -1,5 +1,6 @@
 from .client import Address as Address
 from .client import RemotePredictor as RemotePredictor
+from .connect import SCHEME as SCHEME
 from .connect import need_protocol as need_protocol
 from .connect import open_predictor as open_predictor
 from .messages import add_tensors as add_tensors

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import walks as native
 from cabinpose.core import DatasetError
-from cabinpose.estimate.data import Kept
+from cabinpose.estimate.inputs import Kept
+from cabinpose.estimate.methods import Progress
 from cabinpose.estimate.mirror import mirrored_joints
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.find import view_of
-
-if TYPE_CHECKING:
-    from cabinpose.estimate.training import Progress, TrainConfig
 
 _POOL = 1 << 16  # features that trees choose from
 _FARTHEST_M = 0.6  # greatest offset of a feature
@@ -34,7 +32,9 @@ class Grown(NamedTuple):
     shares: NDArray[np.float32]
 
 
-def fit(settings: WalksConfig, frames: Sequence[Kept], config: TrainConfig, progress: Progress) -> dict[str, NDArray[Any]]:
+def fit(
+    settings: WalksConfig, frames: Sequence[Kept], progress: Progress, *, seed: int, mirrored: bool
+) -> dict[str, NDArray[Any]]:
     """The arrays of a forest, see `find.check`, from training frames in the view; the same frames and seed give the same bits.
 
     Parameters
@@ -42,11 +42,13 @@ def fit(settings: WalksConfig, frames: Sequence[Kept], config: TrainConfig, prog
     settings
         Of the method.
     frames
-        To learn from; those of their mirror images too where `config.augment.flip` is above 0.
-    config
-        The run, for its seed.
+        To learn from.
     progress
         Called after each tree.
+    seed
+        Of all randomness.
+    mirrored
+        Learn from the frames' mirror images, too.
 
     Raises
     ------
@@ -63,14 +65,14 @@ def fit(settings: WalksConfig, frames: Sequence[Kept], config: TrainConfig, prog
             raise DatasetError(f"nobody is seen on the place {slot}", hint="choose other slots, or frames with people on them")
     starts = np.nanmean(joints[:, :, root], axis=0)
     begin = np.broadcast_to(starts, (len(kept), *starts.shape))
-    if config.augment.flip > 0:
+    if mirrored:
         mirror = np.array([-1.0, 1.0, 1.0])
         # Whose place is whose in a mirror image does not matter here: each person keeps the start of their own.
         joints = np.concatenate((joints, joints[:, :, mirrored_joints(settings.joints)] * mirror))
         begin = np.concatenate((begin, begin * mirror))
     trees: dict[int, Grown] = {}
     for turn, (joint, parent) in enumerate(settings.order):
-        rng = np.random.Generator(np.random.Philox(key=(config.seed, joint)))
+        rng = np.random.Generator(np.random.Philox(key=(seed, joint)))
         neighbours = [begin if parent < 0 else joints[:, :, parent]]
         neighbours += [joints[:, :, child] for child, its_parent in settings.order if its_parent == joint]
         trees[joint] = _tree(settings, depth, joints[:, :, joint], np.stack(neighbours), rng=rng)

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from cabinpose.estimate.compact.config import BackboneConfig
 
+OFFSET_M = 0.1  # unit of the depth behind the surface
+
 
 class YoloConfig(BackboneConfig):
     """The grid regression: its backbone, its grid, its boxes, and the weights of its loss."""

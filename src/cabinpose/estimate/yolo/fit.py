@@ -9,8 +9,7 @@ from torch import Tensor
 
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.paf.decode import WINDOW
-from cabinpose.estimate.yolo.config import YoloConfig
-from cabinpose.estimate.yolo.decode import OFFSET_M
+from cabinpose.estimate.yolo.config import OFFSET_M, YoloConfig
 from cabinpose.estimate.yolo.model import Grid, Yolo
 
 _OWN_SKIN_M = 0.3  # a surface that far from a joint is not the joint's own

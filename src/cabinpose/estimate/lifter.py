@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor
-from cabinpose.estimate.onnx_model import OnnxModel, cameras_of
+from cabinpose.estimate.onnx_model import TrainedModel, cameras_of
 
 
-class OnnxLifting(OnnxModel):
-    """A lifting network in an ONNX file that `cabinpose export --onnx` wrote."""
+class Lifter:
+    """A trained model that lifts the 2D joints of people to 3D."""
 
-    task = "lift"
+    def __init__(self, model: TrainedModel) -> None:
+        """model: of a method whose task is lift."""
+        self.model, self.config, self.name, self.joints = model, model.config, model.name, model.joints
 
     def lift(self, directions: NDArray[np.floating]) -> NDArray[np.float64]:
         """Joints (N, J, 3) in the camera frame (m) of N people from directions (N, J, 2): x/z and y/z, NaN where unknown.
@@ -23,17 +25,17 @@ class OnnxLifting(OnnxModel):
         """
         known = np.isfinite(directions).all(axis=-1, keepdims=True)
         pose = np.concatenate((np.where(known, directions, 0.0), known), axis=-1).astype(np.float32)
-        joints: NDArray[np.float64] = self.run({"pose": pose})
+        joints: NDArray[np.float64] = self.model.run({"pose": pose})
         return joints
 
 
 class LiftedPredictor:
     """A predictor of 2D joints whose 3D joints come from lifting; fulfils `core.ports.Predictor`.
 
-    Joints that the lifting network does not know keep the 3D joints of the predictor.
+    Joints that the lifting model does not know keep the 3D joints of the predictor.
     """
 
-    def __init__(self, base: Predictor, lifting: OnnxLifting) -> None:
+    def __init__(self, base: Predictor, lifting: Lifter) -> None:
         """Raises ConfigError where base and lifting have no joint in common."""
         self._base, self._lifting = base, lifting
         self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
@@ -45,7 +47,7 @@ class LiftedPredictor:
         return lifted(found, self.joints, cameras_of(frames, slice(0, len(found.score))), self._lifting, self._base.name)
 
 
-def lifted(found: PoseBatch, joints: Sequence[str], cameras: Sequence[Camera], lifting: OnnxLifting, source: str) -> PoseBatch:
+def lifted(found: PoseBatch, joints: Sequence[str], cameras: Sequence[Camera], lifting: Lifter, source: str) -> PoseBatch:
     """A batch whose 3D joints are lifted from its 2D ones, frame by frame as `cameras` see them.
 
     Parameters
@@ -53,18 +55,18 @@ def lifted(found: PoseBatch, joints: Sequence[str], cameras: Sequence[Camera], l
     found
         2D joints of F frames and P persons; those of too low a presence are ignored.
     joints
-        (J,) their names; those that the lifting network does not know keep their 3D joints.
+        (J,) their names; those that the lifting model does not know keep their 3D joints.
     cameras
         (F,) of the frames.
     lifting
-        The network.
+        The model.
     source
         What error messages call the joints' origin.
 
     Raises
     ------
     ConfigError
-        Where none of the joints is one that the network lifts.
+        Where none of the joints is one that the model lifts.
     """
     theirs, ours = _common(joints, lifting, source)
     n, persons = found.joints_2d.shape[:2]
@@ -81,8 +83,8 @@ def lifted(found: PoseBatch, joints: Sequence[str], cameras: Sequence[Camera], l
     return PoseBatch(found.joints_2d, joints_3d, found.score, found.presence)
 
 
-def _common(joints: Sequence[str], lifting: OnnxLifting, source: str) -> tuple[list[int], list[int]]:
-    """The positions of the joints that both know, in `joints` and in the network's; ConfigError where there is none."""
+def _common(joints: Sequence[str], lifting: Lifter, source: str) -> tuple[list[int], list[int]]:
+    """The positions of the joints that both know, in `joints` and in the model's; ConfigError where there is none."""
     pairs = [(list(joints).index(name), j) for j, name in enumerate(lifting.joints) if name in joints]
     if not pairs:
         raise ConfigError(

@@ -1,0 +1,115 @@
+"""What a training run is told: its configuration, what it begins with, where it computes, and who is told how it goes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from lightning.pytorch.callbacks import Callback
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+
+from cabinpose.estimate.augment import AugmentConfig
+from cabinpose.estimate.curves import Draw
+from cabinpose.estimate.methods import METHODS, Progress
+
+Positive = Annotated[int, Field(ge=1)]
+
+
+class TrainConfig(BaseModel):
+    """A training run: the method with its settings, the data's splits and the optimiser."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: Annotated[str, Field(description="Name of a method; `cabinpose train --help` lists them.")] = "compact"
+    settings: Annotated[dict[str, Any], Field(description="Settings of the method.")] = Field(
+        default_factory=dict, validate_default=True
+    )
+    augment: AugmentConfig = Field(default_factory=AugmentConfig)
+    depth: Annotated[
+        Literal["depth", "depth_styled", "depth_clean"], Field(description="The dataset's image that is read as depth.")
+    ] = "depth"
+    epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
+    batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
+    patience: Annotated[int, Field(ge=0, description="Stop after so many epochs without a better one; 0 = never.")] = 0
+    best_by: Annotated[
+        Literal["figure", "loss"], Field(description="The best epoch has the greatest figure, or the least validation loss.")
+    ] = "figure"
+    optimiser: Annotated[Literal["adamw", "adam"], Field(description="adam: the decay is part of the gradient (L2).")] = "adamw"
+    schedule: Annotated[Literal["one-cycle", "constant"], Field(description="Of the learning rate.")] = "one-cycle"
+    learning_rate: Annotated[float, Field(gt=0, description="Greatest rate of the schedule; default: the method's.")] = Field(
+        default_factory=lambda run: METHODS[run["method"]].learning_rate
+    )
+    weight_decay: Annotated[float, Field(ge=0, description="Of the optimiser; default: the method's.")] = Field(
+        default_factory=lambda run: METHODS[run["method"]].weight_decay
+    )
+    average: Annotated[float, Field(ge=0, lt=1, description="Greatest decay of the weights' moving average; 0 = none.")] = 0.998
+    precision: Annotated[Literal["32-true", "16-mixed", "bf16-mixed"], Field(description="Lightning's precision.")] = "32-true"
+    workers: Annotated[int, Field(ge=0, description="Processes that read frames beside the training; 0 = none.")] = 0
+    seed: Annotated[int, Field(ge=0, description="Seed of weights, order and augmentation.")] = 1
+
+    @field_validator("settings")
+    @classmethod
+    def _with_defaults(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        """All settings of the method, so that runs compare; ConfigError for one that the method does not know."""
+        return METHODS[info.data.get("method", "compact")].settings(value).model_dump(mode="json")
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a run begins with.
+
+    Parameters
+    ----------
+    resume
+        Go on with the run in the folder from its last whole epoch.
+    init
+        Checkpoint, compact ONNX model or name of a packaged one whose weights a new run begins with.
+    """
+
+    resume: bool = False
+    init: Path | None = None
+
+
+@dataclass(frozen=True)
+class Machines:
+    """Where a run computes, as Lightning understands it: devices of a machine, and machines."""
+
+    devices: int | str = "auto"
+    nodes: int = 1
+
+
+@dataclass(frozen=True)
+class Observers:
+    """Who is told how a run goes.
+
+    Parameters
+    ----------
+    progress
+        Called after every batch, and where something else takes its time.
+    draw
+        Called after every epoch with the figures of all epochs by name, the best one's row, the figure that decides it, and
+        whether the run ends here before its time.
+    callbacks
+        Lightning's.
+    """
+
+    progress: Progress | None = None
+    draw: Draw | None = None
+    callbacks: tuple[Callback, ...] = ()
+
+
+def with_old_keywords(
+    start: Start, machines: Machines, observers: Observers, old: Mapping[str, Any]
+) -> tuple[Start, Machines, Observers]:
+    """The options of a run with the keywords that `fit` had in their place; each warns, and names the new one."""
+    options: dict[str, Any] = {"start": start, "machines": machines, "observers": observers}
+    for name, value in old.items():
+        new = next((new for new, option in options.items() if name in vars(option)), None)
+        if new is None:
+            raise TypeError(f"fit() got an unexpected keyword argument '{name}'")
+        warnings.warn(f"fit({name}=...) is fit({new}={new.title()}({name}=...)) now", DeprecationWarning, stacklevel=3)
+        options[new] = replace(options[new], **{name: value})
+    return options["start"], options["machines"], options["observers"]

@@ -1,1 +1,0 @@
-from .segment import OnnxSegmenter as OnnxSegmenter
