@@ -48,7 +48,7 @@ def test_field_equals_the_closed_form_within_its_bound(name: str) -> None:
     field = group_field("g", [Part(name, surface(mesh))], step=step)
     points = np.random.default_rng(2).uniform(mesh.bounds[0] - 0.06, mesh.bounds[1] + 0.06, (5000, 3))
     clearance = np.full(len(points), BAND_M)
-    native.sample(points, np.eye(4), field.grid, clearance)
+    native.sample(points, np.eye(4), field, clearance)
     exact = np.clip(distance(points), -BAND_M, BAND_M)
     error = clearance - exact
     near = np.abs(exact) < 2 * step - step / 2
@@ -217,7 +217,7 @@ def test_splat_equals_the_exact_distance(below: float, above: float) -> None:
     points = origin + step * np.argwhere(np.ones((25, 25, 25)))
     for triangle in corners:
         distance = np.full((25, 25, 25), np.inf, np.float32)
-        native.splat(triangle[None], origin, step, below, above, distance)
+        native.splat(triangle[None], origin, step=step, below=below, above=above, distance=distance)
         closest = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(points), 3, 3)), points)
         exact = np.linalg.norm(points - closest, axis=1)
         normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])

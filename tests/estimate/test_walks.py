@@ -68,7 +68,8 @@ def problem() -> dict[str, Any]:
 def grown(problem: dict[str, Any], *, least: int, deepest: int, most: int = 10_000) -> Any:
     p = problem
     return native.grow(
-        p["depth"], VIEW, p["frame"], p["points"], p["targets"], p["pool"], len(p["pool"]), most, least, deepest
+        p["depth"], VIEW, p["frame"], points=p["points"], targets=p["targets"], pool=p["pool"],
+        tried=len(p["pool"]), most=most, least=least, deepest=deepest,
     )  # fmt: skip
 
 
@@ -129,7 +130,8 @@ def test_clusters_are_about_as_tight_as_scikit_learns() -> None:
     targets, leaf = clustered()
     order = np.argsort(leaf, kind="stable")
     directions, shares = np.zeros((2, 4, 3), np.float32), np.zeros((2, 4), np.float32)
-    native.cluster(targets, order, np.searchsorted(leaf[order], (0, 1, 2)), 30, directions, shares)
+    starts = np.searchsorted(leaf[order], (0, 1, 2))
+    native.cluster(targets, order=order, starts=starts, rounds=30, directions=directions, shares=shares)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1.0, atol=1e-5)
     np.testing.assert_allclose(shares[:, -1], 1.0)
     for n, best in enumerate((59.16314, 52.48086)):  # inertia_ of KMeans(4, n_init=20, random_state=0), scikit-learn 1.9
@@ -143,7 +145,7 @@ def test_clusters_are_about_as_tight_as_scikit_learns() -> None:
 def test_equal_targets_make_one_cluster() -> None:
     targets = np.tile(np.float32((0, 0.6, 0.8)), (5, 1))
     directions, shares = np.zeros((1, 3, 3), np.float32), np.zeros((1, 3), np.float32)
-    native.cluster(targets, np.arange(5), np.array((0, 5)), 4, directions, shares)
+    native.cluster(targets, order=np.arange(5), starts=np.array((0, 5)), rounds=4, directions=directions, shares=shares)
     (one,) = np.flatnonzero(np.diff(shares[0], prepend=0.0))
     np.testing.assert_allclose(directions[0, one], (0, 0.6, 0.8), atol=1e-6)
     assert shares[0, one] == shares[0, -1] == 1.0

@@ -1,4 +1,7 @@
-"""Made by tools/make_stubs.py from the extension."""
+"""Made by tools/make_stubs.py from the extension.
+
+Arrays are C-contiguous. A struct is read from the attributes of any object that has them.
+"""
 
 from . import align as align
 from . import body as body

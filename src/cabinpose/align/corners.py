@@ -168,7 +168,7 @@ def _refine(image: F64, grid: F64) -> tuple[F64, float, float]:
     start = grid.reshape(-1, 2)
     along, down = (np.ascontiguousarray(np.gradient(grid, axis=axis).reshape(-1, 2)) for axis in (1, 0))
     offset, levels = np.empty_like(start), np.empty((len(start), 6))
-    sigma = align.fit_corners(image, np.ascontiguousarray(start), along, down, offset, levels)
+    sigma = align.fit_corners(image, start=np.ascontiguousarray(start), along=along, down=down, offset=offset, levels=levels)
     if np.isnan(sigma):
         raise AlignmentError(
             "a corner has too few pixels around it", hint="hold the board nearer, less oblique, away from the edge"

@@ -1,9 +1,8 @@
 // How cloth lies on the skin at rest: evened, stretched over hollows, hanging from what stands out; and the refined mesh of it.
 #pragma once
 
-#include <tuple>
-
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -12,7 +11,7 @@ struct Neighbours {
   Array<const std::int32_t, any> start;
   Array<const std::int32_t, any> near;
 
-  auto members() { return std::tie(start, near); }
+  CABINPOSE_FIELDS(Neighbours, start, near)
 };
 
 /// Vertices as weighted sums of others: row v has the parents start[v] to start[v + 1] - 1 (a sparse matrix in rows).
@@ -21,7 +20,7 @@ struct Blend {
   Array<const std::int32_t, any> parent;
   Array<const float, any> weight;
 
-  auto members() { return std::tie(start, parent, weight); }
+  CABINPOSE_FIELDS(Blend, start, parent, weight)
 };
 
 /// Laplacian smoothing of points (V, 3) in the order of the vertices (Gauss-Seidel), into `out` (V, 3).

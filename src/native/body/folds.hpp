@@ -1,10 +1,9 @@
 // Folds of cloth at rest: trains of waves that come and go, see `scene.body.folds`.
 #pragma once
 
-#include <tuple>
-
 #include "body/cloth.hpp"
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -16,7 +15,7 @@ struct Trains {
   Array<const double, any> length;
   Array<const double, any> start;
 
-  auto members() { return std::tie(phase, strength, length, start); }
+  CABINPOSE_FIELDS(Trains, phase, strength, length, start)
 };
 
 /// Band-limited noise, about -1 .. 1: F fields of sums of K plane waves (F, K, 3) rad/m with phases (F, K) rad, into `out`

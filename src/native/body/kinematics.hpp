@@ -3,10 +3,10 @@
 #pragma once
 
 #include <cstdint>
-#include <tuple>
 
 #include "body/rig.hpp"
 #include "core/array.hpp"
+#include "core/fields.hpp"
 #include "core/vec.hpp"
 
 namespace cabinpose {
@@ -24,9 +24,8 @@ struct RestArrays {
   Array<const double, 2 * rig::n_fingers, 3> finger_axes;
   Array<const double, 2 * rig::n_fingers> finger_curl;
 
-  auto members() {
-    return std::tie(offsets, frames, heads, joint_bone, joint_offset, palms, soles, pronation, finger_axes, finger_curl);
-  }
+  CABINPOSE_FIELDS(RestArrays, offsets, frames, heads, joint_bone, joint_offset, palms, soles, pronation, finger_axes,
+                   finger_curl)
 };
 
 using Posture = Array<const double, rig::n_dofs>;          // rad, in the order of `rig.DOFS`

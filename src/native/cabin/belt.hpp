@@ -2,9 +2,9 @@
 #pragma once
 
 #include <cstdint>
-#include <tuple>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -14,14 +14,14 @@ struct TrunkBones {
   Array<const double, any> girth;       // of the flesh around each, m
   Index n_trunk = 0;                    // how many are the trunk's
 
-  auto members() { return std::tie(ends, girth, n_trunk); }
+  CABINPOSE_FIELDS(TrunkBones, ends, girth, n_trunk)
 };
 
 /// Width, thickness and clearance from the body, m.
 struct Webbing {
   double width = 0.0, thickness = 0.0, gap = 0.0;
 
-  auto members() { return std::tie(width, thickness, gap); }
+  CABINPOSE_FIELDS(Webbing, width, thickness, gap)
 };
 
 /// Lay a ribbon over a body; whether it bends towards its inner side, so that its triangles have to be turned.

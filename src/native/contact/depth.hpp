@@ -10,6 +10,7 @@
 
 #include "contact/grid.hpp"
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -30,7 +31,7 @@ struct Solids {
   Array<double, any, 2, 3> leaves;  // boxes around every `leaf_faces` faces of a solid, made when they are first asked for
   Array<bool, any> ready;
 
-  auto members() { return std::tie(vertices, boxes, faces, all_rows, skin_rows, own, own_rows, leaf_rows, leaves, ready); }
+  CABINPOSE_FIELDS(Solids, vertices, boxes, faces, all_rows, skin_rows, own, own_rows, leaf_rows, leaves, ready)
 };
 
 /// Vertices (V + C, 3) of a skin (V, 3) with the centres of its C rings, the box of each solid, and that of all.

@@ -73,14 +73,14 @@ bool any_below(Array<const float, any, 3> points, Array<const double, any, 4> ba
     const double v = m[4] * x + m[5] * y + m[6] * z + m[7] - field.origin[1];
     const double w = m[8] * x + m[9] * y + m[10] * z + m[11] - field.origin[2];
     const bool near = -r < u && u < ends[0] + r && -r < v && v < ends[1] + r && -r < w && w < ends[2] + r;
-    if (field.outside >= threshold && !near) continue;
+    if (field.outside_m >= threshold && !near) continue;
     // Clearance changes by no more than the way there: a ball whose centre is clear enough has no point below, nor one behind
     // a gap that counts as closed.
-    const double centre = interpolate(x, y, z, m, field, -std::numeric_limits<double>::infinity()) * field.quantum;
+    const double centre = interpolate(x, y, z, m, field, -std::numeric_limits<double>::infinity()) * field.quantum_m;
     if (centre - field.step - r >= std::max(threshold, seal)) continue;
     for (Index n = b * run; n < std::min((b + 1) * run, points.size()); ++n) {
       const double px = points(n, 0), py = points(n, 1), pz = points(n, 2);
-      const double value = field.quantum * interpolate(px, py, pz, m, field, field.outside / field.quantum);
+      const double value = field.quantum_m * interpolate(px, py, pz, m, field, field.outside_m / field.quantum_m);
       if (value < threshold && visit(n, value)) return true;
     }
   }
@@ -319,8 +319,8 @@ void sample(Array<const T, any, 3> points, Transform group_from_vehicle, const F
   const double* m = group_from_vehicle.data();
   for (Index n = 0; n < points.size(); ++n) {
     const double x = points(n, 0), y = points(n, 1), z = points(n, 2);
-    const double value = interpolate(x, y, z, m, field, field.outside / field.quantum);
-    clearance[n] = std::min(clearance[n], value * field.quantum);
+    const double value = interpolate(x, y, z, m, field, field.outside_m / field.quantum_m);
+    clearance[n] = std::min(clearance[n], value * field.quantum_m);
   }
 }
 
@@ -333,14 +333,14 @@ double clearance_at(const FieldGrid& field, Transform group_from_vehicle, Vec3 p
   for (std::size_t i = 0; i < 3; ++i) {
     const double* row = m + 4 * i;
     at[i] = (row[0] * point.x + row[1] * point.y + row[2] * point.z + row[3] - field.origin[static_cast<Index>(i)]) * per_step;
-    if (!(at[i] >= 0.0 && at[i] < static_cast<double>(field.values.size(i) - 1))) return field.outside;
+    if (!(at[i] >= 0.0 && at[i] < static_cast<double>(field.values.size(i) - 1))) return field.outside_m;
     cell[i] = static_cast<Index>(at[i]);
     at[i] -= static_cast<double>(cell[i]);
   }
   const Index row = field.values.size(2), slab = field.values.size(1) * row;
   const std::int8_t* v = &field.values(cell[0], cell[1], cell[2]);
   // Clearance changes by no more than the way there, which from a node is a cell's diagonal at most.
-  const double least = v[0] * field.quantum - 1.75 * field.step;
+  const double least = v[0] * field.quantum_m - 1.75 * field.step;
   if (least > enough) return least;
   double value = 0.0, slope[3] = {};
   for (int corner = 0; corner < 8; ++corner) {
@@ -351,11 +351,11 @@ double clearance_at(const FieldGrid& field, Transform group_from_vehicle, Vec3 p
     value += share[0] * share[1] * share[2] * level;
     for (int i = 0; i < 3; ++i) slope[i] += (up[i] ? level : -level) * share[(i + 1) % 3] * share[(i + 2) % 3];
   }
-  const double scale = field.quantum / field.step;
+  const double scale = field.quantum_m / field.step;
   for (int k = 0; k < 3; ++k) {
     for (int i = 0; i < 3; ++i) gradient[k] += scale * slope[i] * m[4 * i + k];
   }
-  return value * field.quantum;
+  return value * field.quantum_m;
 }
 
 template <class T>
@@ -394,17 +394,17 @@ Below points_below(Array<const float, any, 3> points, Array<const double, any, 4
 }
 
 bool any_deeper(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_points,
-                const FieldGrid& field, double threshold, double seal, double lost, const std::vector<Yielding>& parts) {
+                const Felt& group) {
   const double* m = group_from_points.data();
-  return any_below(points, balls, group_from_points, field, threshold, seal, [&](Index n, double value) {
-    if (value < lost) return true;
+  return any_below(points, balls, group_from_points, group.field, group.threshold, group.seal, [&](Index n, double value) {
+    if (value < group.lost) return true;
     const double x = points(n, 0), y = points(n, 1), z = points(n, 2);
     double p[3];
     for (int axis = 0; axis < 3; ++axis) {
       const double* row = m + 4 * axis;
       p[axis] = row[0] * x + row[1] * y + row[2] * z + row[3];
     }
-    return std::any_of(parts.begin(), parts.end(), [&](const Yielding& part) {
+    return std::any_of(group.parts.begin(), group.parts.end(), [&](const Yielding& part) {
       for (int axis = 0; axis < 3; ++axis) {
         if (p[axis] <= part.low[axis] || p[axis] >= part.high[axis]) return false;
       }

@@ -2,11 +2,11 @@
 #pragma once
 
 #include <cstdint>
-#include <tuple>
 #include <vector>
 
 #include "contact/triangles.hpp"
 #include "core/array.hpp"
+#include "core/fields.hpp"
 #include "core/vec.hpp"
 
 namespace cabinpose {
@@ -51,14 +51,14 @@ void shut_off(Array<float, any, any, any> values, Array<const std::uint64_t, any
 /// Clearance (m) in whole quanta, rounded down and cut at 127.
 void quantise(Array<const float, any, any, any> values, double quantum, Array<std::int8_t, any, any, any> out);
 
-/// A group's field where it is: `group_from_vehicle`, the grid's origin and step (m), the quantum of its values (m), and the
+/// A group's field, Python's `scene.contact.GroupField`: the grid's origin and step (m), the quantum of its values (m), and the
 /// clearance (m) beyond the grid.
 struct FieldGrid {
   Vector origin;
-  double step = 0.0, quantum = 0.0, outside = 0.0;
+  double step = 0.0, quantum_m = 0.0, outside_m = 0.0;
   Levels values;
 
-  auto members() { return std::tie(origin, step, quantum, outside, values); }
+  CABINPOSE_FIELDS(FieldGrid, origin, step, quantum_m, outside_m, values)
 };
 
 /// Lowers `clearance` (N,) at points (N, 3) m to the field's value.
@@ -86,13 +86,22 @@ struct Yielding {
   double radius = 0.0, allowed = 0.0, shell = 0.0;
   Vector low, high;
 
-  auto members() { return std::tie(mesh, radius, allowed, shell, low, high); }
+  CABINPOSE_FIELDS(Yielding, mesh, radius, allowed, shell, low, high)
 };
 
-/// Whether any of the points (N, 3) is deeper in a part than allowed; see `points_below`.
+/// How deep points may be in a group: Python's `scene.things.placing.Felt`.
 ///
 /// Points whose value is not below `threshold` are in nothing, those below `lost` surely too deep; the others are measured.
+struct Felt {
+  FieldGrid field;
+  double threshold = 0.0, seal = 0.0, lost = 0.0;  // m, see `points_below`
+  std::vector<Yielding> parts;
+
+  CABINPOSE_FIELDS(Felt, field, threshold, seal, lost, parts)
+};
+
+/// Whether any of the points (N, 3) is deeper in a group than allowed.
 bool any_deeper(Array<const float, any, 3> points, Array<const double, any, 4> balls, Transform group_from_points,
-                const FieldGrid& field, double threshold, double seal, double lost, const std::vector<Yielding>& parts);
+                const Felt& group);
 
 }  // namespace cabinpose

@@ -10,11 +10,11 @@ struct Nearest {
 };
 
 Nearest nearest_in(Index row, const double* p, Nearest best, const Mesh& mesh) {
-  for (Index e = mesh.starts[row]; e < mesh.starts[row + 1]; ++e) {
-    const double* t = &mesh.corners(mesh.entries[e], 0, 0);
+  for (Index e = mesh.grid.starts[row]; e < mesh.grid.starts[row + 1]; ++e) {
+    const double* t = &mesh.corners(mesh.grid.entries[e], 0, 0);
     const Closest c = closest_on_triangle(p[0], p[1], p[2], t, t + 3, t + 6);
     if (c.square < best.square) {
-      const double* n = &mesh.normals(mesh.entries[e], c.feature, 0);
+      const double* n = &mesh.normals(mesh.grid.entries[e], c.feature, 0);
       best = {c.square, (p[0] - c.x) * n[0] + (p[1] - c.y) * n[1] + (p[2] - c.z) * n[2] < 0.0};
     }
   }
@@ -52,9 +52,9 @@ std::pair<Grown<std::int32_t>, Grown<std::int32_t>> bin_triangles(Corners corner
 }
 
 double signed_distance_to(const double* p, double radius, double enough, const Mesh& mesh) {
-  const double stop = enough * enough, cell = mesh.cell;
-  const Vector& origin = mesh.origin;
-  const Cells& dims = mesh.dims;
+  const double stop = enough * enough, cell = mesh.grid.cell;
+  const Vector& origin = mesh.grid.origin;
+  const Cells& dims = mesh.grid.dims;
   Index low[3], high[3], own[3];
   for (int axis = 0; axis < 3; ++axis) {
     low[axis] = std::max(static_cast<Index>(std::floor((p[axis] - radius - origin[axis]) / cell)), Index{0});

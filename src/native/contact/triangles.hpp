@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <tuple>
 #include <utility>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -95,19 +95,26 @@ using Vector = Array<const double, 3>;
 /// Triangles by grid cell, compressed rows: (cells + 1,) starts and the numbers of the triangles.
 std::pair<Grown<std::int32_t>, Grown<std::int32_t>> bin_triangles(Corners corners, Vector origin, double cell, Cells dims);
 
-/// Triangles prepared for the search of the nearest: Python's `scene.contact.triangles.TriangleMesh`.
-///
-/// normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca · starts, entries: of `bin_triangles`.
-struct Mesh {
-  Corners corners;
-  Array<const double, any, 7, 3> normals;
-  bool closed = false;
+/// The triangles in each cell of a grid, see `bin_triangles`: Python's `scene.contact.triangles.SearchGrid`.
+struct SearchGrid {
   Vector origin;
   double cell = 0.0;
   Cells dims;
   Array<const std::int32_t, any> starts, entries;
 
-  auto members() { return std::tie(corners, normals, closed, origin, cell, dims, starts, entries); }
+  CABINPOSE_FIELDS(SearchGrid, origin, cell, dims, starts, entries)
+};
+
+/// Triangles prepared for the search of the nearest: Python's `scene.contact.triangles.TriangleMesh`.
+///
+/// normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca.
+struct Mesh {
+  Corners corners;
+  Array<const double, any, 7, 3> normals;
+  bool closed = false;
+  SearchGrid grid;
+
+  CABINPOSE_FIELDS(Mesh, corners, normals, closed, grid)
 };
 
 /// Distance of a point (3,) to a mesh, m, negative inside where it is closed; `radius` stands for what is farther away.

@@ -1,7 +1,8 @@
-// How the kernels' arguments come from Python: numpy arrays as `Array`, named tuples as structs. For bindings alone.
+// How the kernels' arguments come from Python: numpy arrays as `Array`, objects with named attributes as structs. For bindings
+// alone.
 //
-// A struct that stands for a named tuple has a member function `members()`, which ties its members in the tuple's order; one
-// that goes to Python has `result()`, a tuple of what is told of it.
+// A struct with `CABINPOSE_FIELDS` is read from the attributes of any object; `describe` tells the stubs of it. One that goes to
+// Python has `result()`, a tuple of what is told of it.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -10,12 +11,16 @@
 #include <nanobind/stl/tuple.h>
 
 #include <algorithm>
+#include <array>
 #include <initializer_list>
+#include <string>
+#include <string_view>
 #include <tuple>
 #include <utility>
 #include <vector>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -35,7 +40,46 @@ nb::ndarray<nb::numpy, T, nb::shape<Dims...>, nb::c_contig> owned(std::vector<T>
 }
 
 template <class T>
-concept NamedTuple = requires(T t) { t.members(); };
+concept Named = requires(T t) { t.fields(); };
+
+template <Named T>
+inline constexpr std::size_t field_count = std::tuple_size_v<decltype(std::declval<T&>().fields())>;
+
+/// Stands for a field of any type, to count those of a struct.
+struct AnyField {
+  template <class T>
+  operator T() const;  // NOLINT: never called
+};
+
+/// Whether a struct can be made of N fields; of no more than it has.
+template <class T, std::size_t... I>
+constexpr bool takes_fields(std::index_sequence<I...>) {
+  return requires { T{(static_cast<void>(I), AnyField{})...}; };
+}
+
+/// The names of a struct's fields, as Python's own strings.
+template <Named T>
+const std::array<PyObject*, field_count<T>>& field_names() {
+  static const auto names = [] {
+    std::array<PyObject*, field_count<T>> interned;
+    std::string_view rest = T::field_names;
+    for (PyObject*& name : interned) {
+      const std::size_t end = std::min(rest.find(','), rest.size());
+      name = PyUnicode_InternFromString(std::string(rest.substr(0, end)).c_str());
+      rest.remove_prefix(std::min(end + 2, rest.size()));  // ", "
+    }
+    return interned;
+  }();
+  return names;
+}
+
+/// Tells tools/make_stubs.py of a struct: as a function that does nothing, whose parameters are the fields.
+template <Named T>
+void describe(nb::module_& m) {
+  [&]<std::size_t... I, class... Fields>(std::index_sequence<I...>, std::tuple<Fields&...>*) {
+    m.def(T::struct_name, [](const Fields&...) {}, nb::arg(PyUnicode_AsUTF8AndSize(field_names<T>()[I], nullptr))...);
+  }(std::make_index_sequence<field_count<T>>{}, static_cast<decltype(std::declval<T&>().fields())*>(nullptr));
+}
 
 template <class T>
 concept Result = requires(const T& t) { t.result(); };
@@ -62,29 +106,32 @@ struct type_caster<cabinpose::Array<T, Dims...>> {
   }
 };
 
-template <cabinpose::NamedTuple T>
+template <cabinpose::Named T>
 struct type_caster<T, int> {
-  NB_TYPE_CASTER(T, const_name("tuple[object, ...]"))
+  NB_TYPE_CASTER(T, const_name(T::struct_name))
+
+  static constexpr size_t count = cabinpose::field_count<T>;
+  static_assert(cabinpose::takes_fields<T>(std::make_index_sequence<count>{}) &&
+                    !cabinpose::takes_fields<T>(std::make_index_sequence<count + 1>{}),
+                "CABINPOSE_FIELDS has to list every field of its struct");
 
   bool from_python(handle src, uint8_t flags, cleanup_list* cleanup) noexcept {
-    if (!PyTuple_Check(src.ptr())) return false;
-    auto members = value.members();
-    constexpr size_t count = std::tuple_size_v<decltype(members)>;
-    if (PyTuple_Size(src.ptr()) != static_cast<Py_ssize_t>(count)) return false;
-    return load(src, flags, cleanup, members, std::make_index_sequence<count>{});
+    PyObject* const* name = cabinpose::field_names<T>().data();
+    return std::apply([&](auto&... field) { return (load(src, *name++, flags, cleanup, field) && ...); }, value.fields());
   }
 
  private:
-  template <class Members, size_t... I>
-  static bool load(handle src, uint8_t flags, cleanup_list* cleanup, Members& members, std::index_sequence<I...>) noexcept {
-    return (load_one(PyTuple_GetItem(src.ptr(), I), flags, cleanup, std::get<I>(members)) && ...);
-  }
-
-  template <class Member>
-  static bool load_one(handle item, uint8_t flags, cleanup_list* cleanup, Member& member) noexcept {
-    make_caster<Member> caster;
-    if (!caster.from_python(item, flags, cleanup)) return false;
-    member = caster.operator cast_t<Member>();
+  template <class Field>
+  static bool load(handle src, PyObject* name, uint8_t flags, cleanup_list* cleanup, Field& field) noexcept {
+    PyObject* attribute = PyObject_GetAttr(src.ptr(), name);
+    if (attribute == nullptr) {
+      PyErr_Clear();
+      return false;
+    }
+    cleanup->append(attribute);  // kept until the call ends, even if the object made it for this call
+    make_caster<Field> caster;
+    if (!caster.from_python(attribute, flags, cleanup)) return false;
+    field = caster.operator cast_t<Field>();
     return true;
   }
 };

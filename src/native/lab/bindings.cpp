@@ -5,10 +5,12 @@
 namespace cabinpose {
 
 void bind_lab(nb::module_& m) {
-  m.def("faces_between", &faces_between, "eyes"_a, "points"_a, "vertices"_a, "faces"_a, "possible"_a, unlocked(),
+  describe<PixelRays>(m);
+  describe<SceneArrays>(m);
+  m.def("faces_between", &faces_between, nb::kw_only(), "eyes"_a, "points"_a, "vertices"_a, "faces"_a, "possible"_a, unlocked(),
         "Faces that may come between eyes and points.");
-  m.def("see_markers", &see_markers, "eyes"_a, "markers"_a, "vertices"_a, "faces"_a, "ends"_a, "seen"_a, unlocked(),
-        "Which eyes see which markers.");
+  m.def("see_markers", &see_markers, nb::kw_only(), "eyes"_a, "markers"_a, "vertices"_a, "faces"_a, "ends"_a, "seen"_a,
+        unlocked(), "Which eyes see which markers.");
   m.def(
       "cast",
       [](const PixelRays& pixels, const SceneArrays& scene, float reflectance, Array<float, any, any> depth,
@@ -23,7 +25,7 @@ void bind_lab(nb::module_& m) {
                           owned<float, any, 4>(std::move(mixed.depth), {count, 4}),
                           owned<float, any, 4>(std::move(mixed.cosine), {count, 4}));
       },
-      "pixels"_a, "scene"_a, "reflectance"_a, "depth"_a, "cosine"_a,
+      "pixels"_a, "scene"_a, "reflectance"_a, nb::kw_only(), "depth"_a, "cosine"_a,
       "Depth and light by one ray a pixel; returns the pixels that see several surfaces, and their parts' depth and light.");
 }
 

@@ -3,10 +3,10 @@
 // A ray is t (x, y, 1) from the origin, so that t is the depth. Rays come in blocks: the loops run over a block's rays.
 #pragma once
 
-#include <tuple>
 #include <vector>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -21,7 +21,7 @@ struct SceneArrays {
   Array<const double, any, 5> spheres;
   Array<const double, any, 24> plates;
 
-  auto members() { return std::tie(planes, capsules, spheres, plates); }
+  CABINPOSE_FIELDS(SceneArrays, planes, capsules, spheres, plates)
 };
 
 enum class Kind : std::int64_t { background, capsule, plate, sphere };

@@ -1,10 +1,10 @@
 // What a camera's pixels see of simple bodies: one ray a pixel, many where it sees an edge.
 #pragma once
 
-#include <tuple>
 #include <vector>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 #include "lab/bodies.hpp"
 
 namespace cabinpose {
@@ -16,7 +16,7 @@ struct PixelRays {
   Array<const double, any, any, 2> corners;
   Array<const float, any, 4> factors;
 
-  auto members() { return std::tie(centres, corners, factors); }
+  CABINPOSE_FIELDS(PixelRays, centres, corners, factors)
 };
 
 /// The pixels that see several surfaces, rising: one part for each kind of surface, at the mean range of its light.

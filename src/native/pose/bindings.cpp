@@ -6,7 +6,13 @@
 namespace cabinpose {
 
 void bind_pose(nb::module_& m) {
-  m.def("solve_people", &solve_people, "people"_a, "car"_a, "pairs"_a, "between"_a, "free"_a, "missed"_a, unlocked(),
+  describe<SampleArrays>(m);
+  describe<GoalArrays>(m);
+  describe<Mover>(m);
+  describe<PlacedGrid>(m);
+  describe<PairArrays>(m);
+  m.def("solve_people", &solve_people, "people"_a, "car"_a, "pairs"_a, nb::kw_only(), "between"_a, "free"_a, "missed"_a,
+        unlocked(),
         "Poses of people in a car; what is left of each: its kind, a solid, the other solid or group, and the excess.");
 }
 

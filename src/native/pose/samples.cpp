@@ -22,13 +22,13 @@ void Samples::pose(const double* q, const RestArrays& rest, const SampleArrays& 
   }
   double* const moved = positions + main * 3;
   skin_transforms(Posture(q), rest, Rotations(rotations), Positions(positions), SkinTransforms(moved));
-  const Index bones = arrays.index.size(1);
+  const Index bones = arrays.skin_index.size(1);
   for (Index n = 0; n < arrays.rest.size(); ++n) {
     double blend[12] = {};
     for (Index k = 0; k < bones; ++k) {
-      const double w = static_cast<double>(arrays.weight(n, k));
+      const double w = static_cast<double>(arrays.skin_weight(n, k));
       if (w == 0.0) break;  // strongest first
-      const double* t = moved + 12 * arrays.index(n, k);
+      const double* t = moved + 12 * arrays.skin_index(n, k);
       for (int i = 0; i < 12; ++i) blend[i] += w * t[i];
     }
     const double *r = &arrays.rest(n, 0), *m = &arrays.normal(n, 0);

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <tuple>
 #include <vector>
 
 #include "body/kinematics.hpp"
@@ -16,14 +15,14 @@ inline constexpr int max_solids = 16;
 struct SampleArrays {
   Array<const double, any, 3> rest;
   Array<const double, any, 3> normal;
-  Array<const std::uint8_t, any, any> index;
-  Array<const float, any, any> weight;
+  Array<const std::uint8_t, any, any> skin_index;
+  Array<const float, any, any> skin_weight;
   Array<const std::int32_t, any> bone;
   Array<const std::int64_t, any, 2> rows;
   Array<const std::int64_t, any, 2> around;
   Array<const double, any> reach;
 
-  auto members() { return std::tie(rest, normal, index, weight, bone, rows, around, reach); }
+  CABINPOSE_FIELDS(SampleArrays, rest, normal, skin_index, skin_weight, bone, rows, around, reach)
 
   /// Where the first samples of a solid end, which lie all over it; the others are `around` these, no farther than `reach`.
   Index first_end(Index solid) const { return rows(solid, 0) + (rows(solid, 1) - rows(solid, 0) + 3) / 4; }

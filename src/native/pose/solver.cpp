@@ -287,7 +287,7 @@ class Search {
       const double end = static_cast<double>(group.field.values.size(static_cast<std::size_t>(i)) - 1) * group.field.step;
       outside = std::max({outside, -at, at - end});
     }
-    if (outside > 0.0 && group.field.outside <= 0.0) return 0.0;
+    if (outside > 0.0 && group.field.outside_m <= 0.0) return 0.0;
     if (outside > ball.radius) return outside - ball.radius;
     return clearance_at(group.field, group.group_from_vehicle, ball.centre, 0.1, gradient) - ball.radius - group.field.step;
   }

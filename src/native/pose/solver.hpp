@@ -27,7 +27,7 @@ struct GoalArrays {
   Array<const double, any, 4, 4> target;
   Array<const double, any, 6> weight;
 
-  auto members() { return std::tie(posture, stiffness, lower, upper, root, root_weight, bone, tool, base, target, weight); }
+  CABINPOSE_FIELDS(GoalArrays, posture, stiffness, lower, upper, root, root_weight, bone, tool, base, target, weight)
 };
 
 /// Somebody to be posed, from `q` and `root` on, which are written in place.
@@ -49,7 +49,7 @@ struct Mover {
   Array<double, 4, 4> root;
   int stand = fresh;
 
-  auto members() { return std::tie(rest, samples, goals, leave, beside, way, middle, q, root, stand); }
+  CABINPOSE_FIELDS(Mover, rest, samples, goals, leave, beside, way, middle, q, root, stand)
 };
 
 /// A group of the car's parts where it stands; bones must stay out of foam that gives by `give` (0: they are not tested).
@@ -61,7 +61,7 @@ struct PlacedGrid {
   double give = 0.0;
   bool walls = false;
 
-  auto members() { return std::tie(field, group_from_vehicle, give, walls); }
+  CABINPOSE_FIELDS(PlacedGrid, field, group_from_vehicle, give, walls)
 };
 
 /// Which solids of a body are tested with each other: points of the first against the surface of the second.
@@ -74,7 +74,7 @@ struct PairArrays {
   Array<const std::int64_t, any, 3> axes;  // solid and joints of each bone that must stay out of foam
   Array<const double, any> axis_from;      // the share of it that is left out
 
-  auto members() { return std::tie(pairs, allowed, joint_ends, zones, side, axes, axis_from); }
+  CABINPOSE_FIELDS(PairArrays, pairs, allowed, joint_ends, zones, side, axes, axis_from)
 };
 
 /// The worst that is left of a person: what it is with, which two, and by how much more than allowed (m).

@@ -4,10 +4,10 @@
 #pragma once
 
 #include <cstdint>
-#include <tuple>
 #include <vector>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 #include "raster/triangles.hpp"
 
 namespace cabinpose {
@@ -28,7 +28,7 @@ struct Joints {
   Array<const double, joint_count> reach;
   Array<const bool, 256> passed_labels, passed_materials;
 
-  auto members() { return std::tie(positions, instances, own, reach, passed_labels, passed_materials); }
+  CABINPOSE_FIELDS(Joints, positions, instances, own, reach, passed_labels, passed_materials)
 };
 
 /// Where in the image a triangle may be seen: pixels, and rows of the grid of `JointRays`.

@@ -2,10 +2,10 @@
 #pragma once
 
 #include <algorithm>
-#include <tuple>
 #include <utility>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -22,7 +22,7 @@ struct Lens {
   Array<const double, 4> box;
   double curvature;
 
-  auto members() { return std::tie(fx, fy, cx, cy, dist, box, curvature); }
+  CABINPOSE_FIELDS(Lens, fx, fy, cx, cy, dist, box, curvature)
 
   bool distorts() const {
     return std::any_of(dist.data(), dist.data() + 5, [](double k) { return k != 0.0; });

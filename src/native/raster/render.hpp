@@ -19,7 +19,7 @@ struct Eye {
   Array<const std::uint8_t, 256> looks;
   int which;
 
-  auto members() { return std::tie(width, height, supersample, lens, rays, part_rays, looks, which); }
+  CABINPOSE_FIELDS(Eye, width, height, supersample, lens, rays, part_rays, looks, which)
 };
 
 /// Images (H, W) of the pixels' centres: depth (m), label, instance, face; 0, and -1 for the face, where nothing is seen.
@@ -28,7 +28,7 @@ struct Images {
   Array<std::uint8_t, any, any> label, instance;
   Array<std::int32_t, any, any> face;
 
-  auto members() { return std::tie(depth, label, instance, face); }
+  CABINPOSE_FIELDS(Images, depth, label, instance, face)
 };
 
 /// What the sensor model reads: depth, cosine of incidence and material of the pixels (H, W); flat indices of the mixed pixels,
@@ -40,7 +40,7 @@ struct Buffers {
   Array<float, any> parts_depth, parts_cosine;
   Array<std::uint8_t, any> parts_material;
 
-  auto members() { return std::tie(depth, cosine, material, mixed, parts_depth, parts_cosine, parts_material); }
+  CABINPOSE_FIELDS(Buffers, depth, cosine, material, mixed, parts_depth, parts_cosine, parts_material)
 };
 
 /// Render a surface: fill the images, the buffers and the states (P, 20) of the joints; returns how many pixels are mixed.

@@ -10,10 +10,10 @@
 #pragma once
 
 #include <cstdint>
-#include <tuple>
 #include <vector>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 #include "raster/projection.hpp"
 
 namespace cabinpose {
@@ -24,7 +24,7 @@ struct Surface {
   Array<const std::int32_t, any, 3> faces;
   Array<const std::uint8_t, any> label, material, instance;
 
-  auto members() { return std::tie(vertices, normals, faces, label, material, instance); }
+  CABINPOSE_FIELDS(Surface, vertices, normals, faces, label, material, instance)
 };
 
 /// Bits of a material: parts of pixels look through it; it has two sides.

@@ -1,20 +1,66 @@
-#include "sensor/continuous_wave.hpp"
+// Noise model `physical`: a continuous-wave Time-of-Flight camera.
+#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
+#include "core/bind.hpp"
 #include "core/math.hpp"
 #include "sensor/decode.hpp"
 #include "sensor/light.hpp"
 #include "sensor/scatter.hpp"
+#include "sensor/view.hpp"
 
 namespace cabinpose {
+
+/// The effects asked for: `PhysicalNoise` in scene/sensor/physical.py, which says what each means.
+struct PhysicalEffects {
+  bool shot_noise, read_noise, full_well, flying_pixels;
+  double blur;
+  bool wrapping, consistency;
+  double wiggling, stray_light, lens_scatter, lens_scatter_px;
+  bool incidence, low_amplitude;
+  double low_amplitude_spread;
+
+  CABINPOSE_FIELDS(PhysicalEffects, shot_noise, read_noise, full_well, flying_pixels, blur, wrapping, consistency, wiggling,
+                   stray_light, lens_scatter, lens_scatter_px, incidence, low_amplitude, low_amplitude_spread)
+};
+
+/// The pixels of a camera: `Sensor` in scene/sensor/presets.py.
+struct Electronics {
+  double contrast, read_noise_e, full_well_e, min_amplitude_e;
+
+  CABINPOSE_FIELDS(Electronics, contrast, read_noise_e, full_well_e, min_amplitude_e)
+};
+
+/// Lens and light of a camera; images (H, W). `_ContinuousWave` in scene/sensor/physical.py.
+struct ContinuousWave {
+  Array<const float, any, any> range_over_depth;        // NaN outside the lens model
+  Array<const float, any, any> parts_range_over_depth;  // (H * W, n) at the parts of all pixels
+  Array<const float, any, any> gain;                    // electrons per unit of energy, 0 outside the field
+  Array<const float, any, any> ambient_gain;            // electrons per unit of ambient light
+  Array<const float, 256, 3> table;                     // by material: diffuse reflectance, specular peak, ambient light
+  double gloss_width;                                   // 1 - cosine of the width of the specular lobe
+  Array<const double, any> frequencies;                 // Hz: one, or two
+  std::pair<int, int> frequency_ratio;                  // p : q of the two
+  double near, far;                                     // m along the axis
+  Array<const float, any, any, any>
+      indirect;  // (H, 1 + 2 F, W) energy and (cos, sin) a frequency of indirect light, or (0, ., .)
+
+  CABINPOSE_FIELDS(ContinuousWave, range_over_depth, parts_range_over_depth, gain, ambient_gain, table, gloss_width, frequencies,
+                   frequency_ratio, near, far, indirect)
+};
 
 namespace {
 
 constexpr Index most_frequencies = 2;
+// Of p t2 - q t1 from a whole number, in turns; half a turn is the most there can be, and makes the unwrapping wrong. Phases
+// at the sensor's floor are two sigma inside; mixtures of a dim near and a bright far surface may be outside.
+constexpr double phase_tolerance = 0.25;
 // What is kept of a row of pixels: energy, ambient light, (cos, sin) a frequency and, where it is asked for, the range.
 constexpr Index energy = 0, ambient = 1, phasors = 2;
 constexpr Index samples_at_a_time = 512;  // of parts: what is computed of them stays in the first cache
@@ -76,14 +122,15 @@ struct Light {
   const std::vector<View>& views;
   Array<const double, any, any> shares;
   const ContinuousWave& camera;
+  const PhysicalEffects& effects;
   Workspace& memory;
   View view = views[0];
-  Index height = view.depth.size(0), width = view.depth.size(1), stride = whole_lines(width);
+  Index height = view.depth_m.size(0), width = view.depth_m.size(1), stride = whole_lines(width);
   Index frequencies = camera.frequencies.size();
-  Index planes = phasors + 2 * frequencies + (camera.wrapping ? 0 : 1);
-  Index parts = view.parts_depth.size(1), most_pixels = std::max<Index>(1, samples_at_a_time / parts);
-  Surfaces surfaces{camera.table, camera.lambert, static_cast<float>(1.0 / camera.gloss_width)};
-  float share = static_cast<float>(camera.blur);
+  Index planes = phasors + 2 * frequencies + (effects.wrapping ? 0 : 1);
+  Index parts = view.parts_depth_m.size(1), most_pixels = std::max<Index>(1, samples_at_a_time / parts);
+  Surfaces surfaces{camera.table, effects.incidence, static_cast<float>(1.0 / camera.gloss_width)};
+  float share = static_cast<float>(effects.blur);
   float per_m[most_frequencies] = {};                 // turns of the phase per metre of range
   double total[phasors + 2 * most_frequencies] = {};  // of each plane over the image (electrons)
   float* kept = nullptr;                              // (H, planes, stride): all rows, finished
@@ -115,10 +162,10 @@ struct Light {
 
   void collect_moment(Index moment) {
     view = views[static_cast<std::size_t>(moment)];
-    if (camera.parts) sort_by_rows(view.mixed, height, width, memory);
+    if (effects.flying_pixels) sort_by_rows(view.mixed, height, width, memory);
     for (Index v = 0; v < height; ++v) {
       collect_pixels(v, raw);
-      if (camera.parts) collect_parts(v, raw);
+      if (effects.flying_pixels) collect_parts(v, raw);
       if (v < camera.indirect.size()) add_indirect(v, raw);
       for (Index k = 0; k < planes; ++k) blur_row(raw + k * stride, width, share, blurred[v % 3] + k * stride);
       if (v > 0) finish_row(v - 1, moment);
@@ -129,14 +176,14 @@ struct Light {
   /// One row (planes, stride), each pixel seen as one surface.
   void collect_pixels(Index v, float* out) const {
     const Index at = v * width;
-    const Samples samples{view.depth.data() + at, view.cos_incidence.data() + at, view.material.data() + at,
+    const Samples samples{view.depth_m.data() + at, view.cos_incidence.data() + at, view.material.data() + at,
                           camera.range_over_depth.data() + at};
     light_of_samples(samples, width, surfaces, range, out + energy * stride, out + ambient * stride);
     for (Index k = 0; k < frequencies; ++k) {
       float* phasor = out + (phasors + 2 * k) * stride;
-      phasors_of_samples(out + energy * stride, range, width, per_m[k], camera.triangle, phasor, phasor + stride);
+      phasors_of_samples(out + energy * stride, range, width, per_m[k], effects.wiggling, phasor, phasor + stride);
     }
-    if (!camera.wrapping) moments(out + energy * stride, range, width, out + (planes - 1) * stride);
+    if (!effects.wrapping) moments(out + energy * stride, range, width, out + (planes - 1) * stride);
   }
 
   /// Sets the mixed pixels of a row to the means of their parts.
@@ -154,11 +201,11 @@ struct Light {
       set(part.energy, energy);
       set(part.ambient, ambient);
       for (Index f = 0; f < frequencies; ++f) {
-        phasors_of_samples(part.energy, part.range, n, per_m[f], camera.triangle, part.in_phase, part.quadrature);
+        phasors_of_samples(part.energy, part.range, n, per_m[f], effects.wiggling, part.in_phase, part.quadrature);
         set(part.in_phase, phasors + 2 * f);
         set(part.quadrature, phasors + 2 * f + 1);
       }
-      if (!camera.wrapping) {
+      if (!effects.wrapping) {
         moments(part.energy, part.range, n, part.in_phase);
         set(part.in_phase, planes - 1);
       }
@@ -172,7 +219,7 @@ struct Light {
       const float* light = &camera.indirect(v, k, 0);
       for (Index u = 0; u < width; ++u) plane[u] += light[u];
     }
-    if (camera.wrapping) return;
+    if (effects.wrapping) return;
     const float* light = &camera.indirect(v, 0, 0);
     for (Index u = 0; u < width; ++u) out[(planes - 1) * stride + u] += light[u] * range[u];  // unwrapped by the direct light
   }
@@ -181,7 +228,7 @@ struct Light {
   template <class Count>
   void gather(const std::int32_t* which, Index m, Index v, Count count) const {
     const Index n = count;
-    const float *depth = view.parts_depth.data(), *cosine = view.parts_cos_incidence.data();
+    const float *depth = view.parts_depth_m.data(), *cosine = view.parts_cos_incidence.data();
     const float* factor = camera.parts_range_over_depth.data();
     const std::uint8_t* material = view.parts_material.data();
     const std::int32_t *mixed = view.mixed.data(), first = static_cast<std::int32_t>(v * width);
@@ -210,7 +257,7 @@ struct Light {
       total[k] += shares(moment, k) * blur_and_gain(above + at, here + at, below + at, width, share, gain, to);
       if (!one) add_share(finished, moment, k, v);
     }
-    if (camera.wrapping) return;
+    if (effects.wrapping) return;
     const Index at = (planes - 1) * stride;
     float *known = one ? row(v, planes - 1) : finished, *light = range;
     blur_across(above + at, here + at, below + at, width, share, known);
@@ -230,8 +277,8 @@ struct Light {
   /// Scatters the active light of all pixels.
   void scatter_light() const {
     for (Index k = 0; k <= 2 * frequencies; ++k) {
-      scatter(row(0, k == 0 ? energy : phasors + k - 1), height, width, planes * stride, static_cast<float>(camera.scatter),
-              camera.scatter_px);
+      scatter(row(0, k == 0 ? energy : phasors + k - 1), height, width, planes * stride, static_cast<float>(effects.lens_scatter),
+              effects.lens_scatter_px);
     }
   }
 
@@ -239,25 +286,38 @@ struct Light {
   void stray(float* out) const {
     for (Index k = 0; k <= 2 * frequencies; ++k) {
       const double mean = total[k == 0 ? energy : phasors + k - 1] / static_cast<double>(height * width);
-      out[k] = static_cast<float>(camera.stray_light * mean);
+      out[k] = static_cast<float>(effects.stray_light * mean);
     }
   }
 };
 
 /// Decodes all rows.
-void decode(const Light& light, Array<const std::uint16_t, any, any> ranks, const float* quantiles, const Delivered& out) {
+void decode(const Light& light, const Electronics& sensor, Array<const std::uint16_t, any, any> ranks, const float* quantiles,
+            const Delivered& out) {
   const ContinuousWave& camera = light.camera;
+  const PhysicalEffects& effects = light.effects;
+  const auto [p, q] = camera.frequency_ratio;
   const Index width = light.width;
   const bool two = light.frequencies == 2;
   const double f1 = camera.frequencies(0), f2 = two ? camera.frequencies(1) : 0.0, squares = f1 * f1 + f2 * f2;
-  const float wavelength = static_cast<float>(speed_of_light / (2.0 * f1)), period = wavelength * static_cast<float>(camera.p);
-  const Unwrapping unwrapping{camera.p, camera.q, wavelength, static_cast<float>(f1 * f1 / squares),
-                              static_cast<float>(camera.tolerance)};
-  const Taps taps{static_cast<float>(camera.contrast), camera.shot_noise ? 1.0f : 0.0f,
-                  static_cast<float>(camera.read_noise * camera.read_noise), static_cast<float>(camera.full_well)};
-  const Limits limits{static_cast<float>(camera.min_amplitude), static_cast<float>(camera.near), static_cast<float>(camera.far),
-                      static_cast<float>(speed_of_light / (4.0 * pi * std::sqrt(2.0 * squares)))};
-  if (camera.scatter > 0.0) light.scatter_light();
+  const float wavelength = static_cast<float>(speed_of_light / (2.0 * f1)), period = wavelength * static_cast<float>(p);
+  const Unwrapping unwrapping{.p = p,
+                              .q = q,
+                              .wavelength = wavelength,
+                              .weight = static_cast<float>(f1 * f1 / squares),
+                              .tolerance = static_cast<float>(effects.consistency ? phase_tolerance : 0.5)};
+  const double read_noise = effects.read_noise ? sensor.read_noise_e : 0.0;
+  const double full_well = effects.full_well ? sensor.full_well_e : std::numeric_limits<double>::infinity();
+  const Taps taps{.contrast = static_cast<float>(sensor.contrast),
+                  .shot = effects.shot_noise ? 1.0f : 0.0f,
+                  .read_variance = static_cast<float>(read_noise * read_noise),
+                  .full_well = static_cast<float>(full_well)};
+  const bool one_minimum = effects.low_amplitude && effects.low_amplitude_spread == 0.0;  // the same for all pixels
+  const Limits limits{.min_amplitude = static_cast<float>(one_minimum ? sensor.min_amplitude_e : 0.0),
+                      .near = static_cast<float>(camera.near),
+                      .far = static_cast<float>(camera.far),
+                      .sigma_scale = static_cast<float>(speed_of_light / (4.0 * pi * std::sqrt(2.0 * squares)))};
+  if (effects.lens_scatter > 0.0) light.scatter_light();
   float stray[1 + 2 * most_frequencies];
   light.stray(stray);
   Workspace& memory = light.memory;
@@ -277,21 +337,38 @@ void decode(const Light& light, Array<const std::uint16_t, any, any> ranks, cons
     } else {
       for (Index u = 0; u < width; ++u) range[u] = turns[0][u] * wavelength;
     }
-    if (!camera.wrapping) unwrap_perfectly(light.row(v, light.planes - 1), period, width, range);
+    if (!effects.wrapping) unwrap_perfectly(light.row(v, light.planes - 1), period, width, range);
     deliver_row(range, amplitude, total, peak, camera.gain[v].data(), camera.range_over_depth[v].data(), taps, limits, width,
-                scratch, out.depth[v].data(), out.amplitude[v].data(), out.confidence[v].data(), out.noise[v].data());
+                scratch, out.depth_m[v].data(), out.amplitude[v].data(), out.confidence[v].data(), out.noise_m[v].data());
   }
+}
+
+/// One frame: phasors of pixels and of the parts of mixed ones, blur, stray light, four noisy samples of the correlation a
+/// frequency, decoding to depth, amplitude and confidence.
+///
+/// views: the geometry while the samples were exposed, at least one and all of one size. A sample is linear in the light, and so
+/// is the difference of two: the planes of energy, ambient light, (cos, sin) a frequency and, without `wrapping`, the range are
+/// means over these views with `shares` (M, planes), which add up to 1. Noise and full wells go by the mean light. ranks: (H, 4
+/// W) random 16-bit numbers, which rank the standard normal numbers `quantiles`. The light is relative to a white surface that
+/// faces the camera at 1 m until `gain` turns it into electrons.
+void simulate_continuous_wave(const std::vector<View>& views, Array<const double, any, any> shares, const ContinuousWave& camera,
+                              const Electronics& sensor, const PhysicalEffects& effects,
+                              Array<const std::uint16_t, any, any> ranks, Array<const float, 65536> quantiles,
+                              const Delivered& out) {
+  thread_local Workspace memory;
+  Light light{views, shares, camera, effects, memory};
+  light.collect();
+  decode(light, sensor, ranks, quantiles.data(), out);
 }
 
 }  // namespace
 
-void simulate_continuous_wave(const std::vector<View>& views, Array<const double, any, any> shares, const ContinuousWave& camera,
-                              Array<const std::uint16_t, any, any> ranks, Array<const float, 65536> quantiles,
-                              const Delivered& out) {
-  thread_local Workspace memory;
-  Light light{views, shares, camera, memory};
-  light.collect();
-  decode(light, ranks, quantiles.data(), out);
+void bind_continuous_wave(nb::module_& m) {
+  describe<PhysicalEffects>(m);
+  describe<Electronics>(m);
+  describe<ContinuousWave>(m);
+  m.def("simulate_continuous_wave", &simulate_continuous_wave, "views"_a, "shares"_a, "camera"_a, "sensor"_a, "effects"_a,
+        "ranks"_a, "quantiles"_a, "out"_a, unlocked(), "One frame of a continuous-wave Time-of-Flight camera.");
 }
 
 }  // namespace cabinpose

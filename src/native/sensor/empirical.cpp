@@ -1,11 +1,35 @@
-#include "sensor/empirical.hpp"
-
+// Noise model `empirical`: a measured sigma(z), noise at edges, spikes taken out, circular crop and range window.
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
+#include "core/bind.hpp"
+#include "sensor/view.hpp"
+
 namespace cabinpose {
+
+/// The effects asked for: `EmpiricalNoise` in scene/sensor/empirical.py, which says what each means.
+struct EmpiricalEffects {
+  double a_mm, b_mm_per_m, c_mm_per_m2;  // sigma = a + b z + c z^2
+  double edge_sigma_mm, edge_threshold_m;
+  int edge_width_px;
+  bool remove_spikes, glass;
+
+  CABINPOSE_FIELDS(EmpiricalEffects, a_mm, b_mm_per_m, c_mm_per_m2, edge_sigma_mm, edge_threshold_m, edge_width_px, remove_spikes,
+                   glass)
+};
+
+/// A camera; images (H, W). `_Empirical` in scene/sensor/empirical.py.
+struct Empirical {
+  Array<const float, any, any> range_over_depth;
+  Array<const float, any, any> amplitude_scale;  // electrons of a white surface that faces the camera at 1 m, 0 outside the field
+  Array<const bool, any, any> field;             // where depth is delivered
+  Array<const float, 256, 3> table;              // by material: diffuse reflectance, specular peak of panes, (unused)
+  double near, far;                              // m along the axis
+
+  CABINPOSE_FIELDS(Empirical, range_over_depth, amplitude_scale, field, table, near, far)
+};
 
 namespace {
 
@@ -30,11 +54,13 @@ void for_stretches(Index v, Index height, Index width, Index reach, F f) {
 }
 
 /// Equation 5.5 for a row, with the noise of abrupt edges added in quadrature; NaN, and infinite sigma, where there is no depth.
-void perturb(const float* depth, const float* normals, const Empirical& camera, Index v, Index height, Index width, float* noisy,
-             float* sigma) {
-  const double a = camera.a, b = camera.b, c = camera.c, threshold = camera.edge_threshold;
-  const double edge_variance = camera.edge_sigma * camera.edge_sigma;
-  for_stretches(v, height, width, camera.reach, [=](Index first, Index last, Around to) {
+void perturb(const float* depth, const float* normals, const EmpiricalEffects& effects, Index v, Index height, Index width,
+             float* noisy, float* sigma) {
+  constexpr double mm = 1e-3;
+  const double a = effects.a_mm * mm, b = effects.b_mm_per_m * mm, c = effects.c_mm_per_m2 * mm;
+  const double threshold = effects.edge_threshold_m, edge_sigma = effects.edge_sigma_mm * mm;
+  const double edge_variance = edge_sigma * edge_sigma;
+  for_stretches(v, height, width, effects.edge_width_px, [=](Index first, Index last, Around to) {
     const float* __restrict z_of = depth + v * width;
     float* __restrict noisy_of = noisy + v * width;
     float* __restrict sigma_of = sigma + v * width;
@@ -73,30 +99,30 @@ void remove_spikes(const float* noisy, const float* depth, double threshold, Ind
   });
 }
 
-}  // namespace
-
-void simulate_empirical(const View& view, const Empirical& camera, Array<const std::uint16_t, any, any> ranks,
-                        Array<const float, 65536> quantiles, const Delivered& out) {
-  const Index height = view.depth.size(0), width = view.depth.size(1), n = height * width;
+/// One frame. ranks: (H, 4 ceil(W / 4)) random 16-bit numbers, of which a row uses the first W; they rank the standard normal
+/// numbers `quantiles`. Source of the equations: Gonçalves (thesis, 2020).
+void simulate_empirical(const View& view, const Empirical& camera, const EmpiricalEffects& effects,
+                        Array<const std::uint16_t, any, any> ranks, Array<const float, 65536> quantiles, const Delivered& out) {
+  const Index height = view.depth_m.size(0), width = view.depth_m.size(1), n = height * width;
   thread_local std::vector<float> memory;
   memory.resize(static_cast<std::size_t>(3 * n + width));
   float *depth = memory.data(), *noisy = depth + n, *sigma = noisy + n, *normals = sigma + n;
   depth_of_one_surface(view, depth);
   const std::uint8_t* material = view.material.data();
   const float* table = camera.table.data();
-  if (camera.glass) {
+  if (effects.glass) {
     for (Index i = 0; i < n; ++i) depth[i] = table[3 * material[i] + 1] > 0.0f ? 0.0f : depth[i];
   }
   for (Index v = 0; v < height; ++v) {
     const std::uint16_t* rank = ranks[v].data();
     for (Index u = 0; u < width; ++u) normals[u] = quantiles(rank[u]);
-    perturb(depth, normals, camera, v, height, width, noisy, sigma);
+    perturb(depth, normals, effects, v, height, width, noisy, sigma);
   }
   const float near = static_cast<float>(camera.near), far = static_cast<float>(camera.far);
   for (Index v = 0; v < height; ++v) {
-    float* result = out.depth[v].data();
-    if (camera.remove_spikes) {
-      remove_spikes(noisy, depth, camera.edge_threshold, camera.reach, v, height, width, result);
+    float* result = out.depth_m[v].data();
+    if (effects.remove_spikes) {
+      remove_spikes(noisy, depth, effects.edge_threshold_m, effects.edge_width_px, v, height, width, result);
     } else {
       std::copy_n(noisy + v * width, width, result);
     }
@@ -105,6 +131,15 @@ void simulate_empirical(const View& view, const Empirical& camera, Array<const s
   }
   geometric_amplitude(depth, view, camera.range_over_depth.data(), camera.amplitude_scale.data(), table, out.amplitude.data());
   deliver_sigma(sigma, out);
+}
+
+}  // namespace
+
+void bind_empirical(nb::module_& m) {
+  describe<EmpiricalEffects>(m);
+  describe<Empirical>(m);
+  m.def("simulate_empirical", &simulate_empirical, "view"_a, "camera"_a, "effects"_a, "ranks"_a, "quantiles"_a, "out"_a,
+        unlocked(), "One frame of a camera with measured noise.");
 }
 
 }  // namespace cabinpose

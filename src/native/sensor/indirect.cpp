@@ -1,14 +1,28 @@
-#include "sensor/indirect.hpp"
-
+// Indirect light: what surfaces that the camera's own light reaches send on to others (multipath).
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
+#include "core/bind.hpp"
 #include "core/math.hpp"
 #include "core/vec.hpp"
 #include "sensor/light.hpp"
+#include "sensor/view.hpp"
 
 namespace cabinpose {
+
+/// The light of a camera and what it falls on, images (H, W). `_LitScene` in scene/sensor/indirect.py.
+struct LitScene {
+  Array<const float, any, any, 2> rays;       // x, y of the rays (x, y, 1), NaN outside the lens model
+  Array<const float, any, any> flux;          // (h, w): of the light into each cell of step x step pixels
+  Array<const float, any, any> illumination;  // radiant intensity of the light along the rays
+  Array<const float, 256, 3> table;           // by material, diffuse reflectance first
+  Array<const double, any> frequencies;       // Hz
+  int step, bounces;                          // pixels of a cell's side; surfaces between the light and what the camera sees
+  double unseen, unseen_area, unseen_path;    // reflectance, area (m^2) and length of the way by (m) what the camera does not see
+
+  CABINPOSE_FIELDS(LitScene, rays, flux, illumination, table, frequencies, step, bounces, unseen, unseen_area, unseen_path)
+};
 
 namespace {
 
@@ -72,7 +86,7 @@ struct Workspace {
 struct Scene {
   const View& view;
   const LitScene& lit;
-  Index height = view.depth.size(0), width = view.depth.size(1), down = lit.flux.size(0), across = lit.flux.size(1);
+  Index height = view.depth_m.size(0), width = view.depth_m.size(1), down = lit.flux.size(0), across = lit.flux.size(1);
   Index step = lit.step, frequencies = lit.frequencies.size();
   float per_m[most] = {};  // turns of the phase per metre of way
 
@@ -80,9 +94,9 @@ struct Scene {
     for (Index f = 0; f < frequencies; ++f) per_m[f] = static_cast<float>(lit.frequencies(f) / speed_of_light);
   }
 
-  bool hit(Index v, Index u) const { return view.depth(v, u) > 0.0f && std::isfinite(lit.rays(v, u, 0)); }
+  bool hit(Index v, Index u) const { return view.depth_m(v, u) > 0.0f && std::isfinite(lit.rays(v, u, 0)); }
   Vec3 point(Index v, Index u) const {
-    const double depth = static_cast<double>(view.depth(v, u));
+    const double depth = static_cast<double>(view.depth_m(v, u));
     return {depth * static_cast<double>(lit.rays(v, u, 0)), depth * static_cast<double>(lit.rays(v, u, 1)), depth};
   }
 
@@ -152,7 +166,7 @@ bool in_sight(const Scene& scene, const Patch& a, const Patch& b) {
   for (int k = 1; k <= looks; ++k) {
     const float t = static_cast<float>(k) / (looks + 1), z = a.z + t * (b.z - a.z), share = t * b.z / z;  // in perspective
     const Index v = a.v + static_cast<Index>(share * rows), u = a.u + static_cast<Index>(share * columns);
-    const float first = scene.view.depth(v, u);
+    const float first = scene.view.depth_m(v, u);
     if (first > 0.0f && z > first + deep && z < first + thick) return false;
   }
   return true;
@@ -260,7 +274,7 @@ void at_pixels(const Scene& scene, const Workspace& memory, Index v, float* row)
   const Index above = std::max<Index>(v - middle, 0) / step;
   const float scale = 1.0f / static_cast<float>(step);
   const float below = scale * static_cast<float>(std::max<Index>(v - middle, 0) - above * step);
-  const float *depth = &scene.view.depth(v, 0), *rays = &scene.lit.rays(v, 0, 0);
+  const float *depth = &scene.view.depth_m(v, 0), *rays = &scene.lit.rays(v, 0, 0);
   for (Index u = 0, m = 0; u < width; u += m) {
     const Index left = std::max<Index>(u - middle, 0) / step;
     m = std::min({Group::size, width - u, (left + 1) * step + middle - u});
@@ -288,7 +302,7 @@ void to_camera(const Scene& scene, Index v, float* row) {
   const LitScene& lit = scene.lit;
   const Index width = scene.width;
   const float *rays = &lit.rays(v, 0, 0), *illumination = &lit.illumination(v, 0), *table = lit.table.data();
-  const float* depth = &scene.view.depth(v, 0);
+  const float* depth = &scene.view.depth_m(v, 0);
   const std::uint8_t* material = &scene.view.material(v, 0);
   for (Index u = 0; u < width; ++u) row[u] *= table[3 * material[u]] / illumination[u];
   for (Index f = 0; f < scene.frequencies; ++f) {
@@ -305,8 +319,7 @@ void to_camera(const Scene& scene, Index v, float* row) {
   }
 }
 
-}  // namespace
-
+/// Indirect light (H, 1 + 2 F, W) at the pixels' centres: energy, and (cos, sin) a frequency, in the units of direct energy.
 void indirect_light(const View& view, const LitScene& lit, Array<float, any, any, any> out) {
   thread_local Workspace memory;
   const Scene scene(view, lit);
@@ -318,6 +331,14 @@ void indirect_light(const View& view, const LitScene& lit, Array<float, any, any
     at_pixels(scene, memory, v, row);
     to_camera(scene, v, row);
   }
+}
+
+}  // namespace
+
+void bind_indirect_light(nb::module_& m) {
+  describe<LitScene>(m);
+  m.def("indirect_light", &indirect_light, "view"_a, "scene"_a, "out"_a, unlocked(),
+        "Light that surfaces send on to others, by virtual point lights.");
 }
 
 }  // namespace cabinpose

@@ -1,13 +1,46 @@
-#include "sensor/structured_light.hpp"
-
+// Noise model `structured_light`: depth from a projected dot pattern, as of a Kinect-v1 or Xtion.
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
+#include "core/bind.hpp"
 #include "core/math.hpp"
+#include "sensor/view.hpp"
 
 namespace cabinpose {
+
+/// The effects asked for: `StructuredLightNoise` in scene/sensor/structured_light.py, which says what each means.
+struct StructuredLightEffects {
+  bool axial;
+  double lateral_px;  // of the matcher
+  bool quantise;
+  double disparity_step_px, min_return;
+  bool shadow;
+  int fill_px;
+
+  CABINPOSE_FIELDS(StructuredLightEffects, axial, lateral_px, quantise, disparity_step_px, min_return, shadow, fill_px)
+};
+
+/// The matcher: `Sensor` in scene/sensor/presets.py.
+struct Matcher {
+  double baseline_m, native_scale;
+
+  CABINPOSE_FIELDS(Matcher, baseline_m, native_scale)
+};
+
+/// A camera; images (H, W). `_StructuredLight` in scene/sensor/structured_light.py.
+struct StructuredLight {
+  Array<const float, any, any> range_over_depth;
+  Array<const float, any, any> amplitude_scale;  // electrons of a white surface that faces the camera at 1 m, 0 outside the field
+  Array<const float, 256, 3> table;              // by material: diffuse reflectance, (unused), (unused)
+  int supersample;                               // parts of a pixel along a side
+  double focal_px;                               // focal length of the image
+  double grazing_cosine;                         // of incidence, below which the pattern is not matched
+  double near, far;                              // m along the axis
+
+  CABINPOSE_FIELDS(StructuredLight, range_over_depth, amplitude_scale, table, supersample, focal_px, grazing_cosine, near, far)
+};
 
 namespace {
 
@@ -31,15 +64,15 @@ struct Seen {
   std::vector<float> reflectance;
 };
 
-/// Row v: each pixel sees the surface a random step (sigma `lateral`) beside its centre.
+/// Row v: each pixel sees the surface a random step (sigma `lateral`, px) beside its centre.
 ///
 /// slots: (H * W) where in `mixed` each pixel is, or -1. A pixel without parts is a smooth surface, continued along its slope.
-void look_beside(const View& view, const StructuredLight& camera, const std::uint16_t* ranks, const float* quantiles,
-                 const std::int32_t* slots, Index v, Seen& out) {
-  const Index height = view.depth.size(0), width = view.depth.size(1), s = camera.supersample;
-  const double side = static_cast<double>(s), lateral = camera.lateral;
+void look_beside(const View& view, const StructuredLight& camera, double lateral, const std::uint16_t* ranks,
+                 const float* quantiles, const std::int32_t* slots, Index v, Seen& out) {
+  const Index height = view.depth_m.size(0), width = view.depth_m.size(1), s = camera.supersample;
+  const double side = static_cast<double>(s);
   const std::int32_t divisor = camera.supersample;
-  const float* depth = view.depth.data();
+  const float* depth = view.depth_m.data();
   for (Index u = 0; u < width; ++u) {
     const double du = lateral * static_cast<double>(quantiles[ranks[4 * u]]);
     const double dv = lateral * static_cast<double>(quantiles[ranks[4 * u + 1]]);
@@ -50,7 +83,7 @@ void look_beside(const View& view, const StructuredLight& camera, const std::uin
     const Index row = y / divisor, column = x / divisor, pixel = row * width + column, slot = slots[pixel];
     if (slot >= 0) {
       const Index part = slot * s * s + (y - row * s) * s + x - column * s;
-      out.depth[u] = static_cast<double>(view.parts_depth.data()[part]);
+      out.depth[u] = static_cast<double>(view.parts_depth_m.data()[part]);
       out.cosine[u] = static_cast<double>(view.parts_cos_incidence.data()[part]);
       out.reflectance[u] = camera.table(view.parts_material.data()[part], 0);
       continue;
@@ -67,13 +100,15 @@ void look_beside(const View& view, const StructuredLight& camera, const std::uin
 }
 
 /// Depth of a row of pixels, each from its own disparity, and its sigma; NaN and infinite where no dot is matched.
-void match(const Seen& seen, const StructuredLight& camera, const std::uint16_t* ranks, const float* quantiles, Index width,
-           float* __restrict out, float* __restrict sigma_out) {
+///
+/// focal_baseline: of the matcher (px m).
+void match(const Seen& seen, const StructuredLight& camera, const StructuredLightEffects& effects, double focal_baseline,
+           const std::uint16_t* ranks, const float* quantiles, Index width, float* __restrict out, float* __restrict sigma_out) {
   const double* __restrict depth = seen.depth.data();
   const double* __restrict cosine = seen.cosine.data();
   const float* __restrict reflectance = seen.reflectance.data();
-  const double grazing_cosine = camera.grazing_cosine, min_return = camera.min_return;
-  const double axial = camera.axial ? 1.0 : 0.0, focal_baseline = camera.focal_baseline, step = camera.step;
+  const double grazing_cosine = camera.grazing_cosine, min_return = effects.min_return;
+  const double axial = effects.axial ? 1.0 : 0.0, step = effects.quantise ? effects.disparity_step_px : 0.0;
   for (Index u = 0; u < width; ++u) {
     double z = depth[u];
     const double c = cosine[u];
@@ -118,11 +153,11 @@ void fill_holes(float* depth, Index width, Index widest) {
   }
 }
 
-}  // namespace
-
-void simulate_structured_light(const View& view, const StructuredLight& camera, Array<const std::uint16_t, any, any> ranks,
+/// One frame. ranks: (H, 4 W) random 16-bit numbers, which rank the standard normal numbers `quantiles`.
+void simulate_structured_light(const View& view, const StructuredLight& camera, const Matcher& sensor,
+                               const StructuredLightEffects& effects, Array<const std::uint16_t, any, any> ranks,
                                Array<const float, 65536> quantiles, const Delivered& out) {
-  const Index height = view.depth.size(0), width = view.depth.size(1), n = height * width;
+  const Index height = view.depth_m.size(0), width = view.depth_m.size(1), n = height * width;
   thread_local std::vector<float> memory;
   thread_local std::vector<std::int32_t> slots;
   thread_local Seen seen;
@@ -135,17 +170,29 @@ void simulate_structured_light(const View& view, const StructuredLight& camera, 
   for (Index k = 0; k < view.mixed.size(); ++k) slots[static_cast<std::size_t>(view.mixed(k))] = static_cast<std::int32_t>(k);
   depth_of_one_surface(view, clean);
   const float near = static_cast<float>(camera.near), far = static_cast<float>(camera.far);
+  const double lateral = effects.lateral_px / sensor.native_scale;
+  const double focal_baseline = camera.focal_px * sensor.native_scale * sensor.baseline_m;
   for (Index v = 0; v < height; ++v) {
-    float* depth = out.depth[v].data();
-    look_beside(view, camera, ranks[v].data(), quantiles.data(), slots.data(), v, seen);
-    match(seen, camera, ranks[v].data(), quantiles.data(), width, depth, sigma + v * width);
-    if (camera.shadow > 0.0) cast_shadow(clean + v * width, width, camera.shadow, depth);
-    if (camera.fill > 0) fill_holes(depth, width, camera.fill);
+    float* depth = out.depth_m[v].data();
+    look_beside(view, camera, lateral, ranks[v].data(), quantiles.data(), slots.data(), v, seen);
+    match(seen, camera, effects, focal_baseline, ranks[v].data(), quantiles.data(), width, depth, sigma + v * width);
+    if (effects.shadow) cast_shadow(clean + v * width, width, camera.focal_px * sensor.baseline_m, depth);
+    if (effects.fill_px > 0) fill_holes(depth, width, effects.fill_px);
     for (Index u = 0; u < width; ++u) depth[u] = (depth[u] < near) | (depth[u] > far) ? nan : depth[u];
   }
   geometric_amplitude(clean, view, camera.range_over_depth.data(), camera.amplitude_scale.data(), camera.table.data(),
                       out.amplitude.data());
   deliver_sigma(sigma, out);
+}
+
+}  // namespace
+
+void bind_structured_light(nb::module_& m) {
+  describe<StructuredLightEffects>(m);
+  describe<Matcher>(m);
+  describe<StructuredLight>(m);
+  m.def("simulate_structured_light", &simulate_structured_light, "view"_a, "camera"_a, "sensor"_a, "effects"_a, "ranks"_a,
+        "quantiles"_a, "out"_a, unlocked(), "One frame of a camera that matches a projected dot pattern.");
 }
 
 }  // namespace cabinpose

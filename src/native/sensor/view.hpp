@@ -2,32 +2,32 @@
 #pragma once
 
 #include <bit>
-#include <tuple>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
-/// The arrays of `GeometryBuffers`, in its order: geometry (H, W) at the pixels' centres, and at the n parts of the pixels
-/// `mixed` (M,), flat indices in any order. Depths in m along the axis, 0 where nothing was hit.
+/// Python's `GeometryBuffers`: geometry (H, W) at the pixels' centres, and at the n parts of the pixels `mixed` (M,), flat
+/// indices in any order. Depths in m along the axis, 0 where nothing was hit.
 struct View {
-  Array<const float, any, any> depth, cos_incidence;
+  Array<const float, any, any> depth_m, cos_incidence;
   Array<const std::uint8_t, any, any> material;
   Array<const std::int32_t, any> mixed;
-  Array<const float, any, any> parts_depth, parts_cos_incidence;
+  Array<const float, any, any> parts_depth_m, parts_cos_incidence;
   Array<const std::uint8_t, any, any> parts_material;
 
-  auto members() { return std::tie(depth, cos_incidence, material, mixed, parts_depth, parts_cos_incidence, parts_material); }
+  CABINPOSE_FIELDS(View, depth_m, cos_incidence, material, mixed, parts_depth_m, parts_cos_incidence, parts_material)
 };
 
-/// What a camera delivers, each (H, W); see `SensorFrame`.
+/// What a camera delivers, each (H, W): Python's `SensorFrame`.
 struct Delivered {
-  Array<float, any, any> depth;
+  Array<float, any, any> depth_m;
   Array<std::uint16_t, any, any> amplitude;
   Array<std::uint8_t, any, any> confidence;
-  Array<float, any, any> noise;  // sigma of the depth (m), NaN where invalid, infinite where a tap is full
+  Array<float, any, any> noise_m;  // sigma of the depth (m), NaN where invalid, infinite where a tap is full
 
-  auto members() { return std::tie(depth, amplitude, confidence, noise); }
+  CABINPOSE_FIELDS(Delivered, depth_m, amplitude, confidence, noise_m)
 };
 
 /// A sigma at which the delivered confidence, 255 c / (c + sigma), is half of its scale (m).

@@ -5,9 +5,9 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <tuple>
 
 #include "core/array.hpp"
+#include "core/fields.hpp"
 
 namespace cabinpose {
 
@@ -90,7 +90,7 @@ struct Forest {
   Array<const float, any, any, 3> directions;
   Array<const float, any, any> shares;
 
-  auto members() { return std::tie(roots, offsets, thresholds, children, directions, shares); }
+  CABINPOSE_FIELDS(Forest, roots, offsets, thresholds, children, directions, shares)
 };
 
 /// Walks to the joints of P people in N frames, with steps of one length (m) in directions that leaves draw by their shares.

@@ -87,8 +87,8 @@ def seen_by(eyes: F64, markers: F64, vertices: NDArray[np.float32], faces: NDArr
     """(N, M): which cameras (N, 3) see which markers (M, 3): no triangle of (F, 3) lies between. All in one frame, m."""
     seen = np.empty((len(eyes), len(markers)), np.bool_)
     lab.see_markers(
-        np.ascontiguousarray(eyes, np.float64), np.ascontiguousarray(markers, np.float64),
-        np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32), _ENDS_M, seen,
+        eyes=np.ascontiguousarray(eyes, np.float64), markers=np.ascontiguousarray(markers, np.float64),
+        vertices=np.ascontiguousarray(vertices, np.float32), faces=np.ascontiguousarray(faces, np.int32), ends=_ENDS_M, seen=seen,
     )  # fmt: skip
     return seen
 
@@ -109,7 +109,13 @@ class Watch:
         if motion.cabin is not None:
             surface = motion.cabin.surface(motion.settings, wheel_angle=float(motion.wheel_angle[0]))
             between = np.empty(len(surface.faces), np.bool_)
-            lab.faces_between(np.ascontiguousarray(self.eyes), corners, surface.vertices, surface.faces, between)
+            lab.faces_between(
+                eyes=np.ascontiguousarray(self.eyes),
+                points=corners,
+                vertices=surface.vertices,
+                faces=surface.faces,
+                possible=between,
+            )
             kept = (between | (surface.label == LABEL["steering_wheel"])) & ~np.isin(surface.material, _TRANSMISSIVE)
             self._rows, faces = np.unique(surface.faces[kept], return_inverse=True)
             self._faces = faces.reshape(-1, 3).astype(np.int32)

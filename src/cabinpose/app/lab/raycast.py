@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import lab
-from cabinpose.core import Camera, Matrix, apply
+from cabinpose.core import Camera, Floats32, Matrix, apply
 from cabinpose.scene import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import GeometryBuffers, Sensor, lens_maps
 
@@ -74,22 +75,38 @@ def _rays(camera: Camera) -> tuple[F64, F64]:
     return camera.rays, corners.rays
 
 
-def _arrays(scene: PrimitiveScene) -> tuple[F64, F64, F64, F64]:
+class _PixelRays(NamedTuple):
+    """Ideal coordinates of the pixels' centres (H, W, 2) and corners (H + 1, W + 1, 2); factors: `parts_range_over_depth`."""
+
+    centres: F64
+    corners: F64
+    factors: Floats32
+
+
+class _Scene(NamedTuple):
     """Planes (P, 5), capsules (C, 8), spheres (S, 5) and plates (0 or 1, 24), as `lab.cast` reads them."""
+
+    planes: F64
+    capsules: F64
+    spheres: F64
+    plates: F64
+
+
+def _arrays(scene: PrimitiveScene) -> _Scene:
     plates = np.zeros((0, 24))
     if scene.plate is not None:
         turn, origin = scene.plate.frame[:3, :3], scene.plate.frame[:3, 3]
         plates = np.array([(*origin, *turn.T.ravel(), *scene.plate.size, *scene.plate.squares, *scene.plate.reflectances)])
     planes, capsules, spheres = (np.ascontiguousarray(a, np.float64) for a in (scene.planes, scene.capsules, scene.spheres))
-    return planes, capsules, spheres, plates
+    return _Scene(planes, capsules, spheres, plates)
 
 
 def cast(scene: PrimitiveScene, sensor: Sensor) -> GeometryBuffers:
     """What the camera sees of a scene in its own frame: geometry for `simulate`, with the noise model's incidence left on."""
     shape = (sensor.camera.height, sensor.camera.width)
-    pixels = (*_rays(sensor.camera), lens_maps(sensor, _SUPERSAMPLE).parts_range_over_depth)
+    pixels = _PixelRays(*_rays(sensor.camera), lens_maps(sensor, _SUPERSAMPLE).parts_range_over_depth)
     depth, cosine = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    mixed, parts_depth, parts_cosine = lab.cast(pixels, _arrays(scene), _REFLECTANCE, depth, cosine)
+    mixed, parts_depth, parts_cosine = lab.cast(pixels, _arrays(scene), _REFLECTANCE, depth=depth, cosine=cosine)
     return GeometryBuffers(
         _SUPERSAMPLE, depth, cosine, np.where(depth > 0, np.uint8(_MATERIAL), np.uint8(0)),
         mixed, parts_depth, parts_cosine, np.where(parts_depth > 0, np.uint8(_MATERIAL), np.uint8(0)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,17 @@ from numpy.typing import NDArray
 from cabinpose._native import walks as native
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.walks.config import WalksConfig
+
+
+class Forest(NamedTuple):
+    """Trees of J joints as one, as `native.walk` takes it; `check` says what each array holds."""
+
+    roots: NDArray[np.int32]
+    offsets: NDArray[np.float32]
+    thresholds: NDArray[np.int32]
+    children: NDArray[np.int32]
+    directions: NDArray[np.float32]
+    shares: NDArray[np.float32]
 
 
 def view_of(settings: WalksConfig) -> NDArray[np.float32]:
@@ -39,10 +50,10 @@ def walks(
     """Places (N, P, J, steps, 3) of the walks in depth images (N, h, w) of the view, and joints (N, P, J, 3): m, camera frame."""
     count = len(depth), len(settings.slots), len(settings.joints)
     places, joints = np.empty((*count, settings.steps, 3), np.float32), np.empty((*count, 3), np.float32)
-    forest = tuple(arrays[name] for name in ("roots", "offsets", "thresholds", "children", "directions", "shares"))
+    forest = Forest(*(arrays[name] for name in Forest._fields))
     native.walk(
         np.ascontiguousarray(depth, np.float32), view_of(settings), arrays["starts"], np.array(settings.order, np.int32), forest,
-        settings.step_m, settings.skipped, places, joints,
+        step=settings.step_m, skipped=settings.skipped, places=places, joints=joints,
     )  # fmt: skip
     return places, joints
 

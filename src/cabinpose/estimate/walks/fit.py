@@ -103,14 +103,16 @@ def _tree(
     way = aim - points
     targets = (way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)).astype(np.float32)
     offsets, thresholds, children, leaf = native.grow(
-        depth, view_of(settings), frame.astype(np.int32), points.astype(np.float32), targets, feature_pool(_POOL, rng=rng),
-        settings.features, settings.node_samples, settings.leaf_samples, settings.depth,
+        depth, view_of(settings), frame.astype(np.int32),
+        points=points.astype(np.float32), targets=targets, pool=feature_pool(_POOL, rng=rng),
+        tried=settings.features, most=settings.node_samples, least=settings.leaf_samples, deepest=settings.depth,
     )  # fmt: skip
     order = np.argsort(leaf, kind="stable")
     leaves = int(leaf.max()) + 1
     directions = np.zeros((leaves, settings.clusters, 3), np.float32)
     shares = np.zeros((leaves, settings.clusters), np.float32)
-    native.cluster(targets, order, np.searchsorted(leaf[order], np.arange(leaves + 1)), _ROUNDS, directions, shares)
+    starts = np.searchsorted(leaf[order], np.arange(leaves + 1))
+    native.cluster(targets, order=order, starts=starts, rounds=_ROUNDS, directions=directions, shares=shares)
     return Grown(offsets, thresholds, children, directions, shares)
 
 

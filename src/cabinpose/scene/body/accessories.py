@@ -193,9 +193,12 @@ def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Acce
     turn = np.broadcast_to((angle + np.pi) % (2 * np.pi) - np.pi, z.shape)
     radius = np.empty(len(head) + z.size)
     body.hang(
-        np.concatenate([-head[:, 2], -z.ravel()]), np.concatenate([np.hypot(head[:, 0], head[:, 1]), np.zeros(z.size)]),
-        np.concatenate([np.arctan2(head[:, 1], head[:, 0]), turn.ravel()]), np.full(48, 0.12), radius,
-    )  # fmt: skip
+        down=np.concatenate([-head[:, 2], -z.ravel()]),
+        radius=np.concatenate([np.hypot(head[:, 0], head[:, 1]), np.zeros(z.size)]),
+        angle=np.concatenate([np.arctan2(head[:, 1], head[:, 0]), turn.ravel()]),
+        narrowing=np.full(48, 0.12),
+        out=radius,
+    )
     strands = 0.003 * np.sin(17 * angle + 2 * np.sin(5 * angle)) * drop
     outer = radius[len(head) :].reshape(z.shape) + 0.010 + 0.014 * np.minimum(4 * drop, 1) + strands
     thick = 0.004 + 0.022 * behind * np.minimum(4 * drop, 1)

@@ -7,6 +7,7 @@ and the crotch, cloth that hangs falls in folds along. Each train waves, and com
 from __future__ import annotations
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,13 +21,33 @@ _BREAST = (0.107, 0.372)  # y and z (m) of its apex on the average adult: cloth 
 _SWAY_M, _PATCH_M = 0.16, 0.20  # wavelengths of the noise that bends a train, and of that which lets it come and go
 
 
+class BlendRows(NamedTuple):
+    """N vertices as weighted sums of others: start (N + 1,) of each row of parent and weight."""
+
+    start: Ints32
+    parent: Ints32
+    weight: Floats32
+
+
+class _Trains(NamedTuple):
+    """Trains of waves on N vertices: phase (T, N) rad and strength (T, N), 0 .. 1, of each.
+
+    length: (T,) by which a person's phases are multiplied · start: (T,) rad.
+    """
+
+    phase: Floats
+    strength: Floats
+    length: Floats
+    start: Floats
+
+
 @cache
-def blend_rows() -> tuple[Ints32, Ints32, Floats32]:
-    """`CutSkin.blend` as rows: (N + 1,) starts, parents, weights."""
+def blend_rows() -> BlendRows:
+    """`CutSkin.blend` as rows."""
     blend = cut_skin().blend
     needed = blend.weights != 0
     starts = np.concatenate([[0], np.cumsum(np.count_nonzero(needed, axis=1))])
-    return starts.astype(np.int32), blend.parents[needed], blend.weights[needed].astype(np.float32)
+    return BlendRows(starts.astype(np.int32), blend.parents[needed], blend.weights[needed].astype(np.float32))
 
 
 def smooth_noise(wavelengths: Floats, where: Bools, size: float, *, rng: np.random.Generator) -> Floats:
@@ -40,7 +61,7 @@ def smooth_noise(wavelengths: Floats, where: Bools, size: float, *, rng: np.rand
     length = wavelengths[:, None] * rng.uniform(0.8, 1.5, direction.shape[:2])
     phases = rng.uniform(0, 2 * np.pi, length.shape)
     waves, blend = direction * (2 * np.pi / length)[:, :, None], blend_rows()
-    out = np.empty((len(where) + len(blend[0]) - 1, len(wavelengths)))
+    out = np.empty((len(where) + len(blend.start) - 1, len(wavelengths)))
     body.fill_noise(load_chart().rest * size, np.flatnonzero(where), waves, phases, blend, out)
     return out
 
@@ -139,5 +160,5 @@ def folds(where: Ints, worn: Bools, seed: int, *, top: bool, size: float) -> Flo
     length = size * rng.uniform(0.9, 1.15, len(phase))
     start = rng.uniform(0, 2 * np.pi, len(phase))
     height = np.empty(len(where))
-    body.raise_folds((phase, strength, length, start), noise, where, height)
+    body.raise_folds(_Trains(phase, strength, length, start), noise, where, height)
     return height

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,14 +72,21 @@ class Layer:
     regions: tuple[tuple[Bools, str, str | None], ...]
 
 
+class _Neighbours(NamedTuple):
+    """Rows of a mesh's vertex graph: start (V + 1,) of each one's neighbours, near."""
+
+    start: Ints32
+    near: Ints32
+
+
 @cache
-def _neighbours() -> tuple[Ints32, Ints32]:
-    """Rows of the skin's vertex graph: (V + 1,) starts and the neighbours."""
+def _neighbours() -> _Neighbours:
+    """The skin's vertex graph."""
     space = load_shape_space()
     corner, following = space.faces.astype(np.int64), np.roll(space.faces, -1, axis=1).astype(np.int64)
     both = np.stack([corner * space.vertex_count + following, following * space.vertex_count + corner])
     vertex, near = np.divmod(np.unique(both), space.vertex_count)
-    return np.searchsorted(vertex, np.arange(space.vertex_count + 1)).astype(np.int32), near.astype(np.int32)
+    return _Neighbours(np.searchsorted(vertex, np.arange(space.vertex_count + 1)).astype(np.int32), near.astype(np.int32))
 
 
 @cache
@@ -114,9 +122,9 @@ def _relaxed(points: Floats32, share: Floats32, sweeps: int) -> Floats32:
 def _refined(points: Floats32) -> tuple[Floats32, Floats32]:
     """The skin's vertices (V, 3), moved, on the seen mesh (V + N, 3), and normals: the new ones bulge as the surface does."""
     blend = blend_rows()
-    shape = (len(points) + len(blend[0]) - 1, 3)
+    shape = (len(points) + len(blend.start) - 1, 3)
     vertices, normals = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    body.refine(points, load_shape_space().faces, blend, vertices, normals)
+    body.refine(points, load_shape_space().faces, blend, vertices=vertices, normals=normals)
     return vertices, normals
 
 
@@ -124,7 +132,7 @@ def _stretched(under: Floats32, name: str, gap: float) -> Floats32:
     """A garment stretched over the skin's vertices (V, 3) m."""
     mask = _mask(name)[: len(under)].astype(np.float32)
     out = np.empty_like(under)
-    body.stretch(under, load_shape_space().faces, _neighbours(), mask, gap, _EVENING, _SWEEPS, out)
+    body.stretch(under, load_shape_space().faces, _neighbours(), mask, gap=gap, evening=_EVENING, sweeps=_SWEEPS, out=out)
     return out
 
 
@@ -139,7 +147,7 @@ def _hanging(down: Floats, radius: Floats, angle: Floats, narrowing: Floats) -> 
     Going down, the radius shrinks by no more than `narrowing` (_SECTORS,) m/m from what stands out above.
     """
     out = np.empty(len(down))
-    body.hang(down, radius, angle, narrowing, out)
+    body.hang(down=down, radius=radius, angle=angle, narrowing=narrowing, out=out)
     return out
 
 

@@ -159,8 +159,9 @@ class PosedBody:
         palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
         rest = _with_fingers(person.rest, q, fingers)
         native.pose(
-            q, rest, vehicle_from_root, self._rotation, self._position, self._vehicle_from_mesh, self.joints, palms, soles
-        )
+            q, rest, vehicle_from_root, self._rotation, self._position, self._vehicle_from_mesh, self.joints,
+            palms=palms, soles=soles,
+        )  # fmt: skip
         self.palms = {"l": palms[0], "r": palms[1]}
         self.soles = {"l": soles[0], "r": soles[1]}
         self.skin: Floats32 = self._skinned(person.rest_skin, person._space.bone_index, person._space.bone_weight)

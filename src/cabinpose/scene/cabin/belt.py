@@ -213,6 +213,22 @@ def _kept_in_front(start: Vector, through: Vector, end: Vector, front: Vector) -
     return np.asarray(through + reach * (np.cos(kept) * ahead + np.sin(kept) * across - aside))
 
 
+class _TrunkBones(NamedTuple):
+    """Pieces of bones, ends (N, 2, 3) m and girth (N,) m of the flesh around them, the `n_trunk` of the trunk first."""
+
+    ends: Floats
+    girth: Floats
+    n_trunk: int
+
+
+class _Webbing(NamedTuple):
+    """Width, thickness and clearance from the body of a belt, m."""
+
+    width: float
+    thickness: float
+    gap: float
+
+
 class _Course(NamedTuple):
     """A ribbon from `start` to `end` (3,) in the plane with `through`, on the side of the body to which `front` points, m.
 
@@ -232,9 +248,11 @@ def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt")
     vertices, normals = np.empty((2, STEPS, 3, 3), np.float32), np.empty((2, STEPS, 3, 3), np.float32)
     mine = [n for n in range(len(_TRUNK)) if body.shoulders or n not in _SHOULDERS]
     order = [*mine, *(() if body.shoulders else _SHOULDERS)]
-    trunk, webbing = (body.bones[order], _GIRTH[order], len(mine)), (WEBBING_WIDTH, WEBBING_THICKNESS, gap)
+    trunk = _TrunkBones(body.bones[order], _GIRTH[order], len(mine))
+    webbing = _Webbing(WEBBING_WIDTH, WEBBING_THICKNESS, gap)
     faces = body.faces[course.lap][: 0 if straight else None]
-    topology = _ribbon_faces(native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices, normals))
+    turned = native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices=vertices, normals=normals)
+    topology = _ribbon_faces(turned)
     return Surface(
         vertices.reshape(-1, 3),
         normals.reshape(-1, 3),

@@ -4,6 +4,7 @@ from .field import WHEEL_GROUP as WHEEL_GROUP
 from .field import Contact as Contact
 from .field import ContactField as ContactField
 from .field import ContactScene as ContactScene
+from .field import GroupField as GroupField
 from .field import PlacedField as PlacedField
 from .pairs import BOTH_YIELD_M as BOTH_YIELD_M
 from .pairs import FLESH_M as FLESH_M

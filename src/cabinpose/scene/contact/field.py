@@ -107,10 +107,10 @@ class GroupField:
         """`balls_of` the probes."""
         return balls_of(self.probes)
 
-    @cached_property
-    def grid(self) -> tuple[Floats, float, float, float, NDArray[np.int8]]:
-        """The field for the kernels: origin, step, quantum, the clearance beyond the grid, values."""
-        return self.origin, self.step, QUANTUM_M, self.outside_m, self.values
+    @property
+    def quantum_m(self) -> float:
+        """The clearance that one quantum of the values stands for, m."""
+        return QUANTUM_M
 
     @property
     def outside_m(self) -> float:
@@ -161,11 +161,15 @@ def _lower_to_part(part: GroupPart, origin: Floats, step: float, values: Floats3
     dims = tuple(int(n) for n in last - first + 1)
     corner = origin + first * step
     distance = np.full(dims, np.inf, np.float32)
-    native.splat(part.mesh.corners, corner, step, reach, above if part.mesh.closed else reach, distance)
+    before = above if part.mesh.closed else reach
+    native.splat(part.mesh.corners, corner, step=step, below=reach, above=before, distance=distance)
     winding = np.zeros(dims if part.mesh.closed else (1, 1, 1), np.int8)
     if part.mesh.closed:
         native.winding_at_nodes(part.mesh.corners, corner, step, winding)
-    native.merge_part(distance, winding, part.mesh.closed, first, part.give_m - part.shell_m, above, values, exact)
+    native.merge_part(
+        distance, winding,
+        closed=part.mesh.closed, offset=first, give=part.give_m - part.shell_m, above=above, values=values, exact=exact,
+    )  # fmt: skip
 
 
 def bit_rows(values: Floats32, level: float) -> NDArray[np.uint64]:
@@ -236,7 +240,7 @@ def group_field(name: str, parts: Sequence[Part], *, step: float = STEP_M, seeds
     exact = np.zeros(shape, np.bool_)
     for part_ready in ready:
         _lower_to_part(part_ready, low, step, values, exact)
-    native.fill(values, exact, step, BAND_M)
+    native.fill(values, exact, step=step, band=BAND_M)
     sealed = False
     if seeds is not None:
         nodes = np.round((seeds - low) / step).astype(np.int64)
@@ -357,7 +361,7 @@ class PlacedField:
         """
         result, there = np.full(len(points), BAND_M), np.ascontiguousarray(points)
         for group, _, group_from_vehicle in self.groups:
-            native.sample(there, group_from_vehicle, group.grid, result)
+            native.sample(there, group_from_vehicle, group, result)
         return result
 
     def deepest(self, points: Floats32, tolerance_m: float, *, give: bool = True) -> Contact | None:
@@ -375,7 +379,7 @@ class PlacedField:
                 continue
             yielding = 0.0 if give else group.give_m
             threshold = group.bound_m - tolerance_m + yielding
-            index, clearance = native.points_below(points, balls, group_from_vehicle, group.grid, threshold, SEAL_M)
+            index, clearance = native.points_below(points, balls, group_from_vehicle, group, threshold=threshold, seal=SEAL_M)
             if len(index):
                 found = _measure(group, points, index, clearance, group_from_vehicle, tolerance_m, give)
                 if found is not None and (worst is None or found.excess_m > worst.excess_m):

@@ -175,11 +175,12 @@ class PosedSolids:
         t = topology
         vertices = np.empty((len(skin) + len(t.ring_rows), 3), np.float32)
         boxes, box = np.empty((len(t.vertex_rows), 2, 3), np.float32), np.empty((2, 3), np.float32)
-        native.close_solids(skin, t.ring_vertices, t.ring_rows, t.vertices, t.vertex_rows, vertices, boxes, box)
-        leaves, ready = np.empty((t.leaf_rows[-1, 1], 2, 3)), np.zeros(len(boxes), np.bool_)
-        arrays = SolidArrays(
-            vertices, boxes, t.faces, t.all_rows, t.skin_rows, t.own, t.own_rows, t.leaf_rows, leaves, ready
+        native.close_solids(
+            skin, ring_vertices=t.ring_vertices, ring_rows=t.ring_rows, vertices=t.vertices, vertex_rows=t.vertex_rows,
+            closed=vertices, boxes=boxes, box=box,
         )  # fmt: skip
+        leaves, ready = np.empty((t.leaf_rows[-1, 1], 2, 3)), np.zeros(len(boxes), np.bool_)
+        arrays = SolidArrays(vertices, boxes, t.faces, t.all_rows, t.skin_rows, t.own, t.own_rows, t.leaf_rows, leaves, ready)
         return cls(topology, arrays, box)
 
     @property
@@ -189,7 +190,9 @@ class PosedSolids:
 
     def deepest(self, solid: int, points: Floats32, index: Ints32, limits: Floats) -> SolidContact | None:
         """The indexed point of (N, 3) that goes farthest beyond its limit into a solid; None where none does."""
-        excess, point, depth = native.deepest_in(points, index, solid, _NOWHERE, 0.0, limits, self.arrays)
+        excess, point, depth = native.deepest_in(
+            points, index, solid=solid, centre=_NOWHERE, radius=0.0, limits=limits, body=self.arrays
+        )
         if point < 0:
             return None
         return SolidContact(SOLIDS[solid], depth, excess, point, points[point].astype(np.float64))
@@ -217,7 +220,9 @@ def self_contact(body: PosedSolids, joints: Floats) -> tuple[Pair, SolidContact]
 
     joints: (20, 3) m of the same body in the order of `core.skeleton.JOINTS`.
     """
-    pair, into, excess, point, depth = native.first_of_pairs(body.arrays, _PAIRED, _TOLERANCES, _JOINT_ENDS, _ZONES, joints)
+    pair, into, excess, point, depth = native.first_of_pairs(
+        body.arrays, pairs=_PAIRED, tolerances=_TOLERANCES, joint_ends=_JOINT_ENDS, zones=_ZONES, joints=joints
+    )
     if pair < 0:
         return None
     return PAIRS[pair], SolidContact(SOLIDS[into], depth, excess, point, body.vertices[point].astype(np.float64))
@@ -235,7 +240,7 @@ def person_contact(one: PosedSolids, two: PosedSolids) -> tuple[str, SolidContac
     if not ((one.box[0] < two.box[1]) & (two.box[0] < one.box[1])).all():
         return None
     for body, other in ((one, two), (two, one)):
-        into, of, excess, point, depth = native.first_between(body.arrays, other.arrays, _FLESH)
+        into, of, excess, point, depth = native.first_between(body=body.arrays, other=other.arrays, limit=_FLESH)
         if into >= 0:
             return SOLIDS[of], SolidContact(SOLIDS[into], depth, excess, point, other.vertices[point].astype(np.float64))
     return None

@@ -7,7 +7,7 @@ Aanæs 2005, "Signed distance computation using the angle weighted pseudonormal"
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,26 @@ _WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex pe
 CELL_M = 0.03  # cell of the search grid, about the size of a cabin triangle
 
 
+class SearchGrid(NamedTuple):
+    """The triangles in each cell of a grid.
+
+    origin: (3,) m of its corner · cell: side, m · dims: (3,) cells along each axis · starts: (cells + 1,) of each one's entries,
+    which are numbers of triangles.
+    """
+
+    origin: Floats
+    cell: float
+    dims: Ints
+    starts: Ints32
+    entries: Ints32
+
+
 @dataclass(frozen=True)
 class TriangleMesh:
     """Triangles prepared for exact distance queries.
 
     corners: (F, 3, 3) float64 m · normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca ·
-    closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded.
+    closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded · grid: where to search.
     """
 
     vertices: Floats
@@ -32,12 +46,7 @@ class TriangleMesh:
     corners: Floats
     normals: Floats
     closed: bool
-    _cells: tuple[Floats, float, Ints, Ints32, Ints32]  # of the search grid: origin, size, number, and the triangles in each
-
-    @cached_property
-    def kernel(self) -> tuple[object, ...]:
-        """The mesh as the kernels take it."""
-        return self.corners, self.normals, self.closed, *self._cells
+    grid: SearchGrid
 
     @property
     def low(self) -> Floats:
@@ -56,7 +65,7 @@ class TriangleMesh:
         a distance is found to be at most `enough`, it is not pursued: either sign and any size up to `enough` may stand.
         """
         distance = np.empty(len(points))
-        native.signed_distance(np.ascontiguousarray(points, np.float64), radius, enough, self.kernel, distance)
+        native.signed_distance(np.ascontiguousarray(points, np.float64), radius=radius, enough=enough, mesh=self, out=distance)
         return distance
 
 
@@ -80,8 +89,8 @@ def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *,
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     dims = np.maximum(np.ceil((high - low) / CELL_M), 1).astype(np.int64)
     normals = _pseudo_normals(corners, triangles, len(corner_points))
-    cells = (low, CELL_M, dims, *native.bin_triangles(corners, low, CELL_M, dims))
-    return TriangleMesh(corner_points, triangles, corners, normals, closed, cells)
+    grid = SearchGrid(low, CELL_M, dims, *native.bin_triangles(corners, low, CELL_M, dims))
+    return TriangleMesh(corner_points, triangles, corners, normals, closed, grid)
 
 
 def edge_keys(faces: Ints32, count: int) -> Ints:

@@ -91,7 +91,7 @@ class GeometryBuffers:
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
-        """The arrays, as the compiled noise models take them."""
+        """All arrays, in the order of the fields."""
         return (
             self.depth_m, self.cos_incidence, self.material,
             self.mixed, self.parts_depth_m, self.parts_cos_incidence, self.parts_material,

@@ -8,15 +8,15 @@ go that stand before or behind all of their neighbours (`remove_spikes`).
 
 from __future__ import annotations
 
-from collections import namedtuple
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
 from cabinpose._native import sensor as native
+from cabinpose.core import Bools, Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.edges import EdgeRule
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
@@ -42,11 +42,15 @@ class EmpiricalNoise(EdgeRule):
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
-# A sensor with its measured noise: the members of `Empirical` in sensor/empirical.hpp.
-_Empirical = namedtuple(
-    "_Empirical",
-    "range_over_depth amplitude_scale field table a b c edge_sigma edge_threshold reach remove_spikes glass near far",
-)
+class _Empirical(NamedTuple):
+    """Lens and light of a sensor, as the kernel takes them beside the effects: sensor/empirical.cpp."""
+
+    range_over_depth: Floats32
+    amplitude_scale: Floats32
+    field: Bools
+    table: Floats32
+    near: float
+    far: float
 
 
 @lru_cache(maxsize=8)
@@ -55,18 +59,10 @@ def _empirical(sensor: Sensor, noise: EmpiricalNoise) -> _Empirical:
     maps = lens_maps(sensor, 1)
     near, far = sensor.range_m if noise.range_window else (0.0, np.inf)
     return _Empirical(
-        maps.range_over_depth,
-        amplitude_scale(sensor),
-        maps.field if noise.circular_field else np.isfinite(maps.range_over_depth),
-        material_table(True, True, 0.0, 0.0),
-        a=noise.a_mm * 1e-3,
-        b=noise.b_mm_per_m * 1e-3,
-        c=noise.c_mm_per_m2 * 1e-3,
-        edge_sigma=noise.edge_sigma_mm * 1e-3,
-        edge_threshold=noise.edge_threshold_m,
-        reach=noise.edge_width_px,
-        remove_spikes=noise.remove_spikes,
-        glass=noise.glass,
+        range_over_depth=maps.range_over_depth,
+        amplitude_scale=amplitude_scale(sensor),
+        field=maps.field if noise.circular_field else np.isfinite(maps.range_over_depth),
+        table=material_table(True, True, 0.0, 0.0),
         near=near,
         far=far,
     )
@@ -77,5 +73,5 @@ def simulate_empirical(buffers: GeometryBuffers, sensor: Sensor, noise: Empirica
     height, width = buffers.shape
     frame = SensorFrame.empty(buffers.shape)
     ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)
-    native.simulate_empirical(buffers.arrays, _empirical(sensor, noise), ranks, normal_quantiles(), frame)
+    native.simulate_empirical(buffers, _empirical(sensor, noise), noise, ranks, normal_quantiles(), frame)
     return frame

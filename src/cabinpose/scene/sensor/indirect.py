@@ -7,8 +7,8 @@ Illumination", VMV 2013 (phasors of indirect light by their whole path).
 
 from __future__ import annotations
 
-from collections import namedtuple
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,20 @@ BOUNCES = 3  # between the light and the camera's surface
 UNSEEN_M2 = 8.0
 UNSEEN_PATH_M = 1.0
 
-_LitScene = namedtuple(
-    "_LitScene", "rays flux illumination table frequencies step bounces unseen unseen_area unseen_path"
-)  # of sensor/indirect.hpp
+
+class _LitScene(NamedTuple):
+    """The light of a camera and what it falls on, as the kernel takes it: sensor/indirect.cpp."""
+
+    rays: Floats32
+    flux: Floats32
+    illumination: Floats32
+    table: Floats32
+    frequencies: NDArray[np.float64]
+    step: int
+    bounces: int
+    unseen: float
+    unseen_area: float
+    unseen_path: float
 
 
 @lru_cache(maxsize=4)
@@ -78,6 +89,9 @@ def indirect_light(
     height, width = buffers.shape
     light = np.empty((height, 1 + 2 * len(frequencies), width), np.float32)
     rays, flux, illumination, step = _light(sensor, falloff)
-    lit = _LitScene(rays, flux, illumination, table, frequencies, step, BOUNCES, unseen, UNSEEN_M2, UNSEEN_PATH_M)
-    native.indirect_light(buffers.arrays, lit, light)
+    lit = _LitScene(
+        rays, flux, illumination, table, frequencies, step,
+        bounces=BOUNCES, unseen=unseen, unseen_area=UNSEEN_M2, unseen_path=UNSEEN_PATH_M,
+    )  # fmt: skip
+    native.indirect_light(buffers, lit, light)
     return light

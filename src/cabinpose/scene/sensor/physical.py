@@ -7,14 +7,14 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator, Philox
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cabinpose._native import sensor as native
@@ -121,21 +121,25 @@ NO_EFFECTS = PhysicalNoise(
     glass=False, range_window=False, low_amplitude=False, circular_field=False,
 )  # fmt: skip
 
-# Of p t2 - q t1 from a whole number, in turns; half a turn is the most there can be, and makes the unwrapping wrong. Phases
-# at the sensor's floor are two sigma inside; mixtures of a dim near and a bright far surface may be outside.
-_PHASE_TOLERANCE = 0.25
 _LEAST_AMBIENT = 1e-3  # of the table of materials that sunlight multiplies
 _PATTERN_STREAM = 0xF1ED  # of a camera's seed: apart from the streams of frames
-
-
-# A sensor with the effects asked for: the members of `ContinuousWave` in sensor/continuous_wave.hpp.
-_ContinuousWave = namedtuple(
-    "_ContinuousWave",
-    "range_over_depth parts_range_over_depth gain ambient_gain table frequencies p q gloss_width triangle blur stray_light"
-    " contrast read_noise full_well min_amplitude near far tolerance parts lambert shot_noise wrapping scatter scatter_px"
-    " indirect",
-)
 _NO_INDIRECT = np.zeros((0, 0, 0), np.float32)
+
+
+class _ContinuousWave(NamedTuple):
+    """Lens and light of a sensor, as the kernel takes them beside the sensor and the effects: sensor/continuous_wave.cpp."""
+
+    range_over_depth: Floats32
+    parts_range_over_depth: Floats32
+    gain: Floats32
+    ambient_gain: Floats32
+    table: Floats32
+    gloss_width: float
+    frequencies: NDArray[np.float64]
+    frequency_ratio: tuple[int, int]
+    near: float
+    far: float
+    indirect: Floats32
 
 
 @lru_cache(maxsize=8)
@@ -149,30 +153,16 @@ def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> 
     frequencies = sensor.frequencies_hz if noise.second_frequency else sensor.frequencies_hz[:1]
     near, far = sensor.range_m if noise.range_window else (-np.inf, np.inf)
     return _ContinuousWave(
-        maps.range_over_depth,
-        maps.parts_range_over_depth,
-        gain,
-        ambient_gain,
-        material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight),
-        np.array(frequencies),
-        *(sensor.frequency_ratio if len(frequencies) == 2 else (1, 1)),
+        range_over_depth=maps.range_over_depth,
+        parts_range_over_depth=maps.parts_range_over_depth,
+        gain=gain,
+        ambient_gain=ambient_gain,
+        table=material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight),
         gloss_width=GLOSS_WIDTH,
-        triangle=noise.wiggling,
-        blur=noise.blur,
-        stray_light=noise.stray_light,
-        contrast=sensor.contrast,
-        read_noise=sensor.read_noise_e if noise.read_noise else 0.0,
-        full_well=sensor.full_well_e if noise.full_well else np.inf,
-        min_amplitude=sensor.min_amplitude_e if noise.low_amplitude and not noise.low_amplitude_spread else 0.0,
+        frequencies=np.array(frequencies),
+        frequency_ratio=sensor.frequency_ratio if len(frequencies) == 2 else (1, 1),
         near=near,
         far=far,
-        tolerance=_PHASE_TOLERANCE if noise.consistency else 0.5,
-        parts=noise.flying_pixels,
-        lambert=noise.incidence,
-        shot_noise=noise.shot_noise,
-        wrapping=noise.wrapping,
-        scatter=noise.lens_scatter,
-        scatter_px=noise.lens_scatter_px,
         indirect=_NO_INDIRECT,
     )
 
@@ -251,11 +241,11 @@ def _exposed(
     views = list({id(view): view for view in samples}.values())
     which = [next(i for i, view in enumerate(views) if view is sample) for sample in samples]
     frequencies = len(camera.frequencies)
-    shares = _shares(which, frequencies, 2 + 2 * frequencies + (not camera.wrapping))
+    shares = _shares(which, frequencies, 2 + 2 * frequencies + (not noise.wrapping))
     views = [_lit(view, sensor, noise) for view in views]
     frame = SensorFrame.empty(views[0].shape)
     words = random_words(views[0].shape, rng=rng).view(np.uint16)
-    native.simulate_continuous_wave([v.arrays for v in views], shares, camera, words, normal_quantiles(), frame)
+    native.simulate_continuous_wave(views, shares, camera, sensor, noise, words, normal_quantiles(), frame)
     return frame
 
 

@@ -7,15 +7,15 @@ Sensors 12(2), 2012 (baseline 75 mm, disparity in eighths of a pixel). Shadows f
 
 from __future__ import annotations
 
-from collections import namedtuple
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose._native import sensor as native
+from cabinpose.core import Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
@@ -47,12 +47,17 @@ class StructuredLightNoise(BaseModel):
     range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
 
 
-# A sensor with the effects asked for: the members of `StructuredLight` in sensor/structured_light.hpp.
-_StructuredLight = namedtuple(
-    "_StructuredLight",
-    "range_over_depth amplitude_scale table supersample axial lateral focal_baseline step grazing_cosine min_return shadow fill"
-    " near far",
-)
+class _StructuredLight(NamedTuple):
+    """Lens and light of a sensor, as the kernel takes them beside the sensor and the effects: sensor/structured_light.cpp."""
+
+    range_over_depth: Floats32
+    amplitude_scale: Floats32
+    table: Floats32
+    supersample: int
+    focal_px: float
+    grazing_cosine: float
+    near: float
+    far: float
 
 
 @lru_cache(maxsize=8)
@@ -60,18 +65,12 @@ def _structured_light(sensor: Sensor, noise: StructuredLightNoise, supersample: 
     """What frames have in common."""
     near, far = sensor.range_m if noise.range_window else (-np.inf, np.inf)
     return _StructuredLight(
-        lens_maps(sensor, 1).range_over_depth,
-        amplitude_scale(sensor),
-        material_table(True, True, 0.0, 0.0),
-        supersample,
-        axial=noise.axial,
-        lateral=noise.lateral_px / sensor.native_scale,
-        focal_baseline=sensor.camera.fx * sensor.native_scale * sensor.baseline_m,
-        step=noise.disparity_step_px if noise.quantise else 0.0,
+        range_over_depth=lens_maps(sensor, 1).range_over_depth,
+        amplitude_scale=amplitude_scale(sensor),
+        table=material_table(True, True, 0.0, 0.0),
+        supersample=supersample,
+        focal_px=sensor.camera.fx,
         grazing_cosine=float(np.cos(np.radians(noise.grazing_deg))),
-        min_return=noise.min_return,
-        shadow=sensor.camera.fx * sensor.baseline_m if noise.shadow else 0.0,
-        fill=noise.fill_px,
         near=near,
         far=far,
     )
@@ -82,8 +81,6 @@ def simulate_structured_light(
 ) -> SensorFrame:
     """One frame of a structured-light camera; see `simulate`. The amplitude is that of the geometry, without noise."""
     frame = SensorFrame.empty(buffers.shape)
-    native.simulate_structured_light(
-        buffers.arrays, _structured_light(sensor, noise, buffers.supersample),
-        random_words(buffers.shape, rng=rng).view(np.uint16), normal_quantiles(), frame,
-    )  # fmt: skip
+    camera, ranks = _structured_light(sensor, noise, buffers.supersample), random_words(buffers.shape, rng=rng).view(np.uint16)
+    native.simulate_structured_light(buffers, camera, sensor, noise, ranks, normal_quantiles(), frame)
     return frame

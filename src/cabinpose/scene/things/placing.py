@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import contact as native
-from cabinpose.core import Matrix, apply, axis_rotation, transform
+from cabinpose.core import Floats, Matrix, apply, axis_rotation, transform
 from cabinpose.scene.cabin.model import Seat, SeatSetting
 from cabinpose.scene.contact.field import OUTSIDE, GroupField, PlacedField
+from cabinpose.scene.contact.triangles import TriangleMesh
 from cabinpose.scene.things.thing import Cloud, PlacedThing, Thing
 
 PRESSED_M = 0.012  # into foam, by a child seat that is belted or latched
@@ -42,7 +43,8 @@ def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) 
     cloud = thing.thing.cloud
     for group, _, group_from_vehicle in placed.groups:
         group_from_thing = group_from_vehicle @ thing.vehicle_from_thing
-        index, clearance = native.points_below(*cloud, group_from_thing, group.grid, group.give_m + group.bound_m, group.bound_m)
+        reach = group.give_m + group.bound_m
+        index, clearance = native.points_below(*cloud, group_from_thing, group, threshold=reach, seal=group.bound_m)
         if not len(index):
             continue
         local = apply(group_from_thing, cloud.points[index])
@@ -62,28 +64,51 @@ def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) 
     return worst
 
 
-Parts = list[tuple[object, ...]]
-# How deep points may be in the parts of a group, as `native.any_deeper` takes it.
-Felt = tuple[tuple[object, ...], float, float, float, Parts]
+class Yielding(NamedTuple):
+    """A part that points may be in.
+
+    radius, allowed: how far its distance is measured and how deep they may be, m · shell: of `GroupPart`, m · low, high: (3,) m,
+    the box outside of which it is not felt.
+    """
+
+    mesh: TriangleMesh
+    radius: float
+    allowed: float
+    shell: float
+    low: Floats
+    high: Floats
+
+
+class Felt(NamedTuple):
+    """How deep points may be in a group, as `native.any_deeper` takes it.
+
+    Points whose clearance is not below `threshold` are in nothing, those below `lost` surely too deep, m; the others are measured
+    on the parts. seal: of `points_below`, m.
+    """
+
+    field: GroupField
+    threshold: float
+    seal: float
+    lost: float
+    parts: list[Yielding]
 
 
 def felt(group: GroupField, pressed_m: float, yields_m: float = 0.0) -> Felt:
     """A group whose foam may be pressed in by `pressed_m`, by points that yield by `yields_m` themselves."""
-    parts: Parts = []
+    parts = []
     for part, low, high in zip(group.parts, group.part_low, group.part_high, strict=True):
         if not part.name.endswith("buckle"):
             allowed = min(part.give_m, pressed_m) + yields_m
             radius = part.give_m + 2.0 * group.bound_m + yields_m
-            parts.append((part.mesh.kernel, radius, allowed, part.shell_m, low, high))
+            parts.append(Yielding(part.mesh, radius, allowed, part.shell_m, low, high))
     threshold = max(group.give_m - pressed_m, 0.0) + group.bound_m - yields_m
     lost = -group.bound_m - yields_m if len(parts) == len(group.parts) else -math.inf
-    return group.grid, threshold, group.bound_m, lost, parts
+    return Felt(group, threshold, group.bound_m, lost, parts)
 
 
 def stands_free(group: Felt, cloud: Cloud, group_from_cloud: Matrix) -> bool:
     """Whether no point is deeper in a group's parts than it may be."""
-    grid, threshold, seal, lost, parts = group
-    return not native.any_deeper(cloud.points, cloud.balls, group_from_cloud, grid, threshold, seal, lost, parts)
+    return not native.any_deeper(cloud.points, cloud.balls, group_from_cloud, group)
 
 
 def let_down(free: Callable[[float], bool], start: float, end: float) -> float:

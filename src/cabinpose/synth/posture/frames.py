@@ -31,5 +31,5 @@ def frames(q: Floats, rest: RestArrays, vehicle_from_root: Floats) -> Frames:
     """Forward kinematics of a posture q (D,) rad."""
     rotation, position = main_frames(q, rest, vehicle_from_root)
     palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
-    native.end_frames(rest, rotation, position, palms, soles)
+    native.end_frames(rest, rotation, position, palms=palms, soles=soles)
     return Frames(rotation, position, palms, soles)

@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import pose as native
-from cabinpose.core import INDEX, Floats, Ints32, Matrix
-from cabinpose.scene.body import Person
-from cabinpose.scene.contact import BOTH_YIELD_M, PAIRS, SOLIDS, WHEEL_GROUP, PlacedField
-from cabinpose.synth.posture.samples import samples_of
+from cabinpose.core import INDEX, Floats, Ints, Ints32, Matrix
+from cabinpose.scene.body import Person, RestArrays
+from cabinpose.scene.contact import BOTH_YIELD_M, PAIRS, SOLIDS, WHEEL_GROUP, GroupField, PlacedField
+from cabinpose.synth.posture.samples import Samples, samples_of
 
 _OF_TOLERANCE = 0.0  # of what the verdict lets a body's own solids overlap
 _OF_FOLDS = 1.0  # the same between trunk and thighs: sitting makes folds there
@@ -72,6 +72,54 @@ class Sitter(NamedTuple):
     middle: float = 0.0
 
 
+class _Mover(NamedTuple):
+    """A `Sitter` as the kernel takes it; S solids, G groups of the car.
+
+    leave: (S, G) m by which a solid may go deeper into a group · beside: (S,) m that it keeps from what it does not stand on,
+    beside that · way: (G, 3) the only way out of a group that is thin and behind or below, 0: any.
+    """
+
+    rest: RestArrays
+    samples: Samples
+    goals: Goals
+    leave: Floats
+    beside: Floats
+    way: Floats
+    middle: float
+    q: Floats
+    root: Matrix
+    stand: int
+
+
+class _PlacedGroup(NamedTuple):
+    """A group of the car's parts where it stands; bones stay out of foam that gives by `give` m (0: they are not tested).
+
+    walls: whether it is the body with its thin walls, of which the side next to a person's seat counts.
+    """
+
+    field: GroupField
+    group_from_vehicle: Matrix
+    give: float
+    walls: bool
+
+
+class _TestedPairs(NamedTuple):
+    """Which solids of a body are tested with each other: points of the first against the surface of the second.
+
+    pairs: (P, 2) solids, with allowed: (P,) m of overlap, joint_ends: (P, 2) joints or -1 and zones: (P,) of a `Pair` · side:
+    (P,) +1, -1 where the first is the left, the right leg against the other one; else 0 · axes: (A, 3) solid and joints of
+    each bone that must stay out of foam, axis_from: (A,) the share of it that is left out.
+    """
+
+    pairs: Ints
+    allowed: Floats
+    joint_ends: Ints
+    zones: Floats
+    side: Ints
+    axes: Ints
+    axis_from: Floats
+
+
 class Left(NamedTuple):
     """What a solution leaves of one person: missed (T, 2) m and rad by each task, and the worst squeeze that remains.
 
@@ -89,7 +137,7 @@ def _side(solid: str) -> int:
     return {"l": 1, "r": -1}[solid[0]] if solid[1:] in ("hand", "forearm", "thigh", "shin", "foot") else 0
 
 
-def _pairs() -> tuple[Floats, ...]:
+def _pairs() -> _TestedPairs:
     rank = {name: _FINE.index(name if name in _FINE else name[1:]) for name in SOLIDS}
     folds = {"torso", "lthigh", "rthigh"}
     ordered = [sorted((p.one, p.two), key=rank.__getitem__) for p in PAIRS]
@@ -98,14 +146,14 @@ def _pairs() -> tuple[Floats, ...]:
         for s in "lr"
         for name, start, end in (("upper_arm", "shoulder", "elbow"), ("forearm", "elbow", "wrist"), ("hand", "wrist", "hand"))
     ]
-    return (
-        np.array([[SOLIDS.index(name) for name in pair] for pair in ordered], np.int64),
-        np.array([(_OF_FOLDS if {p.one, p.two} <= folds else _OF_TOLERANCE) * p.tolerance_m for p in PAIRS]),
-        np.array([(INDEX[p.joint], INDEX[p.end]) if p.joint else (-1, -1) for p in PAIRS], np.int64),
-        np.array([p.zone for p in PAIRS]),
-        np.array([_side(one) if _side(one) * _side(two) < 0 else 0 for one, two in ordered], np.int64),
-        np.array(axes, np.int64),
-        np.array([0.4, 0.0, 0.0] * 2),  # shoulders lean into the backrest
+    return _TestedPairs(
+        pairs=np.array([[SOLIDS.index(name) for name in pair] for pair in ordered], np.int64),
+        allowed=np.array([(_OF_FOLDS if {p.one, p.two} <= folds else _OF_TOLERANCE) * p.tolerance_m for p in PAIRS]),
+        joint_ends=np.array([(INDEX[p.joint], INDEX[p.end]) if p.joint else (-1, -1) for p in PAIRS], np.int64),
+        zones=np.array([p.zone for p in PAIRS]),
+        side=np.array([_side(one) if _side(one) * _side(two) < 0 else 0 for one, two in ordered], np.int64),
+        axes=np.array(axes, np.int64),
+        axis_from=np.array([0.4, 0.0, 0.0] * 2),  # shoulders lean into the backrest
     )
 
 
@@ -116,7 +164,10 @@ def solve(sitters: Sequence[Sitter], placed: PlacedField | None, *, free: bool =
     """Pose everybody, in place of their q and root, in the car as `placed` (None: without one); `free`: whatever may touch."""
     groups = () if placed is None else placed.groups
     names = [field.name for field, _, _ in groups]
-    car = [(field.grid, back, field.give_m if field.name.endswith("/back") else 0.0, field.interior) for field, _, back in groups]
+    car = [
+        _PlacedGroup(field, back, field.give_m if field.name.endswith("/back") else 0.0, field.interior)
+        for field, _, back in groups
+    ]
     people, missed = [], []
     for sitter in sitters:
         leave = np.full((len(SOLIDS), len(names)), -_MARGIN_M)
@@ -132,10 +183,14 @@ def solve(sitters: Sequence[Sitter], placed: PlacedField | None, *, free: bool =
                 for side, holds in zip("lr", sitter.holds, strict=True):
                     if holds:
                         leave[SOLIDS.index(side + "hand"), g] = _IN_HAND_M
-        own = sitter.middle, sitter.q, sitter.root, _STANDS.index(sitter.stand)
-        people.append((sitter.person.rest, samples_of(sitter.person), sitter.goals, leave, _BESIDE, way, *own))
+        people.append(
+            _Mover(
+                sitter.person.rest, samples_of(sitter.person), sitter.goals, leave=leave, beside=_BESIDE, way=way,
+                middle=sitter.middle, q=sitter.q, root=sitter.root, stand=_STANDS.index(sitter.stand),
+            )
+        )  # fmt: skip
         missed.append(np.zeros((len(sitter.goals.bone), 2)))
-    found = native.solve_people(people, car, _PAIRS, _BETWEEN_M, free, missed)
+    found = native.solve_people(people, car, _PAIRS, between=_BETWEEN_M, free=free, missed=missed)
     result = []
     for off, (kind, solid, other, excess) in zip(missed, found, strict=True):
         into = "" if kind == 0 else names[other] if kind == _WITH_CAR else SOLIDS[other]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cabinpose._native import raster as native
-from cabinpose.core import JOINTS, Bytes, Camera, ConfigError, Floats, Floats32, Ints32, Matrix
+from cabinpose.core import JOINTS, Bools, Bytes, Camera, ConfigError, Floats, Floats32, Ints32, Matrix
 from cabinpose.scene import MATERIAL_ID as MATERIAL
 from cabinpose.scene import Surface
 from cabinpose.scene.sensor import GeometryBuffers, in_parts
@@ -75,8 +74,16 @@ class Rasteriser:
         looks[list(see_through)] = _LOOKED_THROUGH
         looks[MATERIAL["belt_webbing"]] |= _TWO_SIDED  # a ribbon that twists shows its back
         rays = np.stack([in_parts(fine.rays[..., k].astype(np.float32), supersample) for k in (0, 1)], axis=1)
-        # `Eye` of raster/render.hpp
-        self._eye = camera.width, camera.height, supersample, _lens(camera), _blocks(camera), rays, looks, which
+        self._eye = _Eye(
+            camera.width,
+            camera.height,
+            supersample,
+            lens=_lens(camera),
+            rays=_blocks(camera),
+            part_rays=rays,
+            looks=looks,
+            which=which,
+        )
         shape = (camera.height, camera.width)
         samples = fine.height * fine.width
         self._buffers = _Buffers(
@@ -113,11 +120,11 @@ class Rasteriser:
         )
         states = np.empty(positions.shape[:2], np.uint8)
         number = native.render(
-            (surface.vertices, surface.normals, surface.faces, surface.label, surface.material, surface.instance),
+            surface,
             np.ascontiguousarray(camera_from_vehicle, dtype=np.float64),
             closed,
             self._eye,
-            (positions, numbers, *visibility_rules()),
+            _Joints(positions, numbers, *visibility_rules()),
             images,
             self._buffers,
             states,
@@ -137,10 +144,61 @@ class Rasteriser:
         return RenderedFrame(images.depth, images.label, images.instance, images.face, buffers, states)
 
 
-# What the kernel fills: `Images` and `Buffers` of raster/render.hpp, the images of the pixels' centres and room for the
-# `GeometryBuffers` of any frame.
-_Images = namedtuple("_Images", "depth label instance face")
-_Buffers = namedtuple("_Buffers", "depth cosine material mixed parts_depth parts_cosine parts_material")
+class _Lens(NamedTuple):
+    """The projection of a camera, as raster/projection.hpp describes it."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    dist: Floats
+    box: Floats
+    curvature: float
+
+
+class _Eye(NamedTuple):
+    """A camera as the kernel needs it, see raster/render.hpp."""
+
+    width: int
+    height: int
+    supersample: int
+    lens: _Lens
+    rays: Floats32
+    part_rays: Floats32
+    looks: Bytes
+    which: int
+
+
+class _Joints(NamedTuple):
+    """The joints of people, and by which rules a surface before one hides it, see raster/joints.hpp."""
+
+    positions: Floats
+    instances: Bytes
+    own: Bools
+    reach: Floats
+    passed_labels: Bools
+    passed_materials: Bools
+
+
+class _Images(NamedTuple):
+    """Images (H, W) of the pixels' centres, which the kernel fills."""
+
+    depth: Floats32
+    label: Bytes
+    instance: Bytes
+    face: Ints32
+
+
+class _Buffers(NamedTuple):
+    """Room for the `GeometryBuffers` of any frame."""
+
+    depth: Floats32
+    cosine: Floats32
+    material: Bytes
+    mixed: Ints32
+    parts_depth: Floats32
+    parts_cosine: Floats32
+    parts_material: Bytes
 
 
 def _blocks(camera: Camera) -> Floats32:
@@ -157,14 +215,13 @@ def _blocks(camera: Camera) -> Floats32:
     return aligned
 
 
-def _lens(camera: Camera) -> tuple[float | Floats, ...]:
-    """The projection of a camera: the members of `Lens` in raster/projection.hpp."""
+def _lens(camera: Camera) -> _Lens:
     rays = camera.rays.reshape(-1, 2)
     if np.isnan(rays).all():
         raise ConfigError("no pixel of this camera has a ray", hint="check the distortion coefficients and the focal length")
     margin = 1.0 / min(camera.fx, camera.fy)  # a pixel
     box = np.concatenate((np.nanmin(rays, axis=0) - margin, np.nanmax(rays, axis=0) + margin))
-    return camera.fx, camera.fy, camera.cx, camera.cy, np.array(camera.dist, np.float64), box, _curvature(camera, box)
+    return _Lens(camera.fx, camera.fy, camera.cx, camera.cy, np.array(camera.dist, np.float64), box, _curvature(camera, box))
 
 
 def _curvature(camera: Camera, box: Floats) -> float:
