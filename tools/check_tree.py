@@ -2,8 +2,8 @@
 
 A file carries no absolute path of somebody's machine and no package index address; nothing is left unfinished; no line ends in
 blanks and every file in a new line; no file is larger than 10 MB; a module stays below 500 lines; randomness is the required
-keyword `rng`; no figure of the structure is larger than its row in `STRUCTURE`. With `--structure`, those figures are all that is
-printed, with what each counts.
+keyword `rng`; a room takes of another what its faces offer, and through them; no figure of the structure is larger than its row
+in `STRUCTURE`. With `--structure`, those figures are all that is printed, with what each counts.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ import subprocess
 import sys
 import tokenize
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import faces
 import grimp
 import numpy as np
 from scipy.sparse import coo_array
@@ -82,6 +83,19 @@ def _rng_breaches(args: ast.arguments) -> Iterator[str]:
     for arg, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
         if arg.arg == "rng" and default is not None:
             yield "`rng` is required: no default"
+
+
+def face_breaches(name: str, text: str, offered: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """Imports of another room past its faces; offered: the names of each face. The package's own face may use `app`."""
+    own = name.split("/")[2] if name.startswith("src/cabinpose/") and name.count("/") > 2 else None
+    for line, module, imported in faces.imports(text) if own else ():
+        if module == "cabinpose":
+            module, imported = f"cabinpose.{imported}", ""
+        top, _, rest = module.partition(".")
+        if top != "cabinpose" or rest.split(".")[0] in ("", "__version__", "_native", own):
+            continue
+        if imported not in offered.get(module, ()):
+            yield f"{name}:{line}: {module} {imported}: of another room, only names in the `__init__.pyi` of its folders"
 
 
 def tracked_files(root: Path) -> list[str]:
@@ -176,6 +190,7 @@ def main() -> int:
         for name, _, figure in figures
         if figure > STRUCTURE[name]
     ]
+    offered = faces.faces(root / "src")
     for name in tracked_files(root):
         data = (root / name).read_bytes()
         if len(data) > MAX_BYTES:
@@ -185,7 +200,7 @@ def main() -> int:
         text = data.decode("utf-8")
         breaches += text_breaches(name, text)
         if name.startswith(("src/", "benchmarks/")) and name.endswith(".py"):
-            breaches += module_breaches(name, text)
+            breaches += [*module_breaches(name, text), *face_breaches(name, text, offered)]
     print("\n".join(breaches) or "The tree keeps its rules.")
     print(*(f"{figure} {name}" for name, _, figure in figures), sep="\n")
     return 1 if breaches else 0

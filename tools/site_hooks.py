@@ -1,5 +1,6 @@
-"""What `mkdocs build` does beside its plugins: notebooks become pages with their outputs, test marks of fences go.
+"""What `mkdocs build` does beside its plugins.
 
+Notebooks become pages with their outputs, test marks of fences go, and the page of a room (`docs/api/ROOM.md`) gets its names.
 A notebook runs in an empty folder while the site is built; one that fails ends the build. Its page is Markdown like any other, so
 that style, search and the check of links are those of the site and no script of another host is needed.
 """
@@ -12,14 +13,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import faces
 import nbclient
 import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 SECONDS = 300  # a cell
 QUIET = "--log-level=ERROR"  # kernels warn of the port on this machine that they are asked through
 _MARKED = re.compile(r"^```(python|console) run$", re.M)
+_ROOM = re.compile(r"api/(?!index)(\w+)\.md")
 _NOTEBOOK = re.compile(r"(\]\([^)\s]*)\.ipynb\)")
 
 
@@ -36,9 +40,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """The Markdown without the marks of blocks that tests run, and with links to notebooks leading to their pages."""
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """The Markdown without marks of blocks that tests run, with links to notebooks leading to their pages, and a room's names."""
     text = _MARKED.sub(r"```\1", markdown)
+    if room := _ROOM.fullmatch(page.file.src_uri):
+        text += f"\n{faces.page(f'cabinpose.{room[1]}')}\n"
     return _NOTEBOOK.sub(r"\1.md)", text).replace(".md){ download }", ".ipynb){ download }")
 
 

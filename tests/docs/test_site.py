@@ -97,14 +97,15 @@ def test_notebooks_show_what_they_print_and_draw(site: Path) -> None:
     ("page", "names"),
     [
         ("index", ["open", "load_model", "generate", "evaluate_predictions"]),
-        ("store", ["store.open_dataset", "store.Manifest", "store.predictions.write_predictions", "store.recording.Recording"]),
-        ("scene", ["scene.cabin.load_cabin", "scene.body.Phenotype", "scene.sensor.Sensor", "scene.sensor.simulate.simulate"]),
-        ("synth", ["synth.generate.generate", "synth.config.SynthConfig", "synth.config.CabinScene.belted"]),
-        ("estimate", ["estimate.FrameDataset", "estimate.joint_predictor.JointPredictor.__call__", "estimate.training.fit"]),
-        ("evaluate", ["evaluate.offline.evaluate", "evaluate.report.Report.value", "evaluate.mocap.dfe.dfe"]),
-        ("align", ["align.session.calibrate", "align.dataset.align_takes"]),
-        ("record", ["record.config.load_rig", "record.session.begin"]),
-        ("core", ["core.errors.ConfigError", "core.ports.Predictor.predict", "core.pose.Visibility"]),
+        ("store", ["store.open_dataset", "store.Manifest", "store.write_predictions", "store.recording.Recording"]),
+        ("scene", ["scene.cabin.load_cabin", "scene.body.Phenotype", "scene.sensor.Sensor", "scene.sensor.simulate"]),
+        ("synth", ["synth.generate", "synth.SynthConfig", "synth.CabinScene.belted"]),
+        ("estimate", ["estimate.FrameDataset", "estimate.JointPredictor.__call__", "estimate.fit"]),
+        ("evaluate", ["evaluate.evaluate", "evaluate.Report.value", "evaluate.METRICS", "evaluate.mocap.dfe"]),
+        ("align", ["align.calibrate", "align.align_takes"]),
+        ("record", ["record.load_rig", "record.begin", "record.sources.DeviceSource"]),
+        ("signals", ["signals.FrameSource", "signals.estimate_delay"]),
+        ("core", ["core.ConfigError", "core.Predictor.predict", "core.Visibility"]),
     ],
 )
 def test_the_api_pages_have_the_names_that_scripts_use(site: Path, page: str, names: list[str]) -> None:

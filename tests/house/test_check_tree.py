@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
+import importlib
 import os
 import subprocess
 import sys
@@ -17,12 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def check_tree() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("check_tree", ROOT / "tools" / "check_tree.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("check_tree")
 
 
 @pytest.mark.parametrize(
@@ -131,3 +126,43 @@ def test_circles_wherever_the_import_stands(tmp_path: Path) -> None:
         cwd=ROOT, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     assert told.strip() == "[['cabinpose.one', 'cabinpose.three', 'cabinpose.two']]"
+
+
+OFFERED = {"cabinpose.scene": {}, "cabinpose.scene.cabin": {"Seat": "cabinpose.scene.cabin.model"}}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from cabinpose.scene.cabin.model import Seat",
+        "from cabinpose.scene import Seat",
+        "from cabinpose.scene import cabin",
+        "from cabinpose.scene.cabin import _seat",
+        "import cabinpose.scene.cabin",
+        "from cabinpose import scene",
+        "def f():\n    from cabinpose.app.cli import main",
+        "if TYPE_CHECKING:\n    from cabinpose.scene.cabin.model import Seat",
+    ],
+)
+def test_imports_past_a_face_are_found(check_tree: ModuleType, line: str) -> None:
+    assert len(list(check_tree.face_breaches("src/cabinpose/synth/scene.py", line, OFFERED))) == 1
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from cabinpose.scene.cabin import Seat",
+        "from cabinpose.synth.streams import frame_rng",
+        "from cabinpose._native import core",
+        "import cabinpose",
+        "from cabinpose import __version__",
+        "import numpy as np",
+    ],
+)
+def test_imports_through_a_face_and_of_the_own_room_are_none(check_tree: ModuleType, line: str) -> None:
+    assert list(check_tree.face_breaches("src/cabinpose/synth/scene.py", line, OFFERED)) == []
+
+
+def test_the_packages_own_face_is_of_app(check_tree: ModuleType) -> None:
+    line = "from cabinpose.app.cli import main"
+    assert list(check_tree.face_breaches("src/cabinpose/__main__.py", line, OFFERED)) == []

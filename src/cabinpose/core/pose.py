@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+# Places of people in a car, in the order of a dataset.
 OCCUPANT_SLOTS: tuple[str, ...] = ("driver", "front_passenger", "rear_left", "rear_center", "rear_right")
 
 STANDING_SLOT = "standing"  # the place of somebody who is in no car

@@ -52,6 +52,7 @@ _TICAM = MappingProxyType(
 
 BODY_PARTS: tuple[Label, ...] = tuple(Label(*row) for row in _BODY)
 THING_LABELS: tuple[Label, ...] = tuple(Label(*row) for row in _THINGS)
+# All labels of pixels, by id: parts of people, what a scene has, things.
 LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD) + THING_LABELS))
 LABEL_ID = MappingProxyType({label.name: label.id for label in LABELS})
 RGB = MappingProxyType({label.id: label.rgb for label in LABELS})

@@ -19,6 +19,7 @@ class Material(NamedTuple):
     transmissive: bool = False
 
 
+# All materials, by id, with the reflectance in near infrared.
 MATERIALS: tuple[Material, ...] = (
     Material(0, "nothing", 0.0),
     Material(1, "skin", 0.58),
@@ -46,4 +47,4 @@ MATERIALS: tuple[Material, ...] = (
     Material(41, "paper", 0.75),
 )
 OF_THINGS = MATERIALS[-2:]  # of things that people bring along alone
-MATERIAL_ID = MappingProxyType({material.name: material.id for material in MATERIALS})
+MATERIAL_ID = MappingProxyType({material.name: material.id for material in MATERIALS})  # by name

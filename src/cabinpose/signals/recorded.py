@@ -131,6 +131,7 @@ class Facts:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
+# What a recording holds.
 Message: TypeAlias = SegmentPoses | SegmentKinematics | SensorReadings | JointAngles | Markers | ToFFrame | Channels | Facts
 
 ARRAYS: Final[Mapping[type[Any], Mapping[str, int]]] = MappingProxyType(

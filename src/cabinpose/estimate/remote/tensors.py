@@ -45,14 +45,14 @@ class TensorSpec:
     meaning: str
 
 
-INPUTS = (
+INPUTS = (  # tensors of a batch of frames that a model on a server may take
     TensorSpec("depth", "FP32", ("N", "H", "W"), "m", True, "z along the optical axis, NaN where the camera saw nothing"),
     TensorSpec("camera_k", "FP64", ("N", 3, 3), "px", True, "intrinsics; an integer pixel is a pixel's centre"),
     TensorSpec("camera_dist", "FP64", ("N", 5), "1", False, "OpenCV's distortion k1 k2 p1 p2 k3"),
     TensorSpec("amplitude", "UINT16", ("N", "H", "W"), "camera's", False, "active infrared light"),
     TensorSpec("points", "FP32", ("N", "H", "W", 3), "m", False, "each pixel's point in the camera frame, NaN where depth is"),
 )
-OUTPUTS = (
+OUTPUTS = (  # tensors that it may answer with
     TensorSpec("joints_2d", "FP32", ("N", "P", "J", 2), "px", False, "u, v in the frame's image; NaN: no answer"),
     TensorSpec("joints_3d", "FP32", ("N", "P", "J", 3), "m", False, "x, y, z in the camera frame; NaN: no answer"),
     TensorSpec("score", "FP32", ("N", "P", "J"), "any", False, "confidence, more is better; left out: the presence"),

@@ -33,6 +33,7 @@ SEGMENT_PAIRS: tuple[Pair, ...] = (
 # and the shoulders. It names the arms' joints by the segment before them, not after, and takes R_Collar for the chest.
 HAND_ENDS = MappingProxyType({"lhand": "pLeftTopOfHand", "rhand": "pRightTopOfHand"})  # landmarks of MVN's hand segments
 _SUIT, _OPTICAL = {**RIGS["mvn"], **HAND_ENDS}, RIGS["vicon_kinematic_fit"]
+# Joints that a suit and Vicon's kinematic fit both have, by their names there.
 JOINT_PAIRS: tuple[Pair, ...] = (
     *(Pair(joint, _SUIT[joint], _OPTICAL[joint]) for joint in JOINTS if joint in _SUIT and joint in _OPTICAL),
     Pair("chest", "T8", "R_Collar"),

@@ -164,6 +164,7 @@ class PlayedSource(DeviceSource[PlayedT]):
         return 0 if speed == 0 else self._began_ns + int((sample.host_ns - self._first_ns) / speed)
 
 
+# Devices by the kind that rigs name them by.
 SOURCES: Registry[type[DeviceSource[Any]]] = Registry("cabinpose.sources", "kind of source", DeviceSource, subclass=True)
 
 

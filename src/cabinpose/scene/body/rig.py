@@ -110,10 +110,11 @@ def _dof(name: str, lower: float, upper: float, source: str) -> Dof:
     return Dof(name, lower * scale, upper * scale, source)
 
 
+# The degrees of freedom of the body, trunk first, with their limits and where those are from.
 DOFS: tuple[Dof, ...] = tuple(_dof(*row) for row in _CENTRAL) + tuple(
     _dof(s + name, lower, upper, source) for s in SIDES for name, lower, upper, source in _SIDED
 )
-DOF_INDEX = MappingProxyType({dof.name: i for i, dof in enumerate(DOFS)})
+DOF_INDEX = MappingProxyType({dof.name: i for i, dof in enumerate(DOFS)})  # by name
 LOWER = np.array([dof.lower for dof in DOFS])
 UPPER = np.array([dof.upper for dof in DOFS])
 LOWER.flags.writeable = UPPER.flags.writeable = False

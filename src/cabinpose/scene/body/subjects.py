@@ -38,6 +38,6 @@ _ROWS: tuple[tuple[tuple[float, float, float, float, float, float, float], Outfi
     ((0.0, 0.28, 0.40, 0.45, 0.46, 0.3, 1.610), Outfit("jumper", "trousers", "trainers", "short", glasses=True, folds=17)),
     ((1.0, 0.52, 0.15, 0.80, 0.46, 0.5, 1.690), Outfit("jacket", "jeans", "leather", "long", glasses=True, fit=0.7, folds=18)),
 )
-SUBJECTS = MappingProxyType(
+SUBJECTS = MappingProxyType(  # the people of the package, S01 and on
     {f"S{number:02d}": Subject(Phenotype(*row), outfit) for number, (row, outfit) in enumerate(_ROWS, start=1)}
 )

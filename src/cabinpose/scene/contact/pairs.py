@@ -14,12 +14,13 @@ FLESH_M = 0.008
 # Between two people both yield.
 BOTH_YIELD_M = 2 * FLESH_M
 
+# What of a body collides, by name.
 SOLIDS: tuple[str, ...] = (
     "torso", "head",
     "lupper_arm", "lforearm", "lhand", "rupper_arm", "rforearm", "rhand",
     "lthigh", "lshin", "lfoot", "rthigh", "rshin", "rfoot",
 )  # fmt: skip
-SOLID_OF_SEGMENT = MappingProxyType(
+SOLID_OF_SEGMENT = MappingProxyType(  # by segment of the skin
     {"pelvis": "torso", "abdomen": "torso", "thorax": "torso", "neck": "head", "head": "head"}
     | {s + n: s + n for s in "lr" for n in ("upper_arm", "forearm", "hand", "thigh", "shin", "foot")}
 )

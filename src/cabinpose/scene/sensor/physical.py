@@ -115,7 +115,7 @@ class PhysicalNoise(EdgeRule):
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
 
-NO_EFFECTS = PhysicalNoise(
+NO_EFFECTS = PhysicalNoise(  # a camera without noise
     shot_noise=False, read_noise=False, full_well=False, flying_pixels=False, blur=0.0, wrapping=False, consistency=False,
     wiggling=0.0, stray_light=0.0, ambient=0.0, daylight=0.0, reflectance=False, incidence=False, vignetting=False,
     glass=False, range_window=False, low_amplitude=False, circular_field=False,

@@ -150,6 +150,7 @@ class Cloth(Kind):
     sleeves: bool = False
 
 
+# Objects that lie on seats and laps or are held, by name.
 OBJECTS: Mapping[str, Kind] = MappingProxyType(
     {
         "box": Kind("box", _box, "stands", on_lap=True),

@@ -47,6 +47,7 @@ class DepthMode:
     field: float
 
 
+# The depth camera's modes by their names in a file.
 DEPTH_MODES: Mapping[str, DepthMode] = {
     "NFOV_2X2BINNED": DepthMode(2, 96, 90, 320, 288, 1.0),
     "NFOV_UNBINNED": DepthMode(1, 192, 180, 640, 576, 1.0),
