@@ -148,6 +148,7 @@ _STEPS = (
     ),
 )  # fmt: skip
 
+# What occupants do, by name.
 OWN_ACTIONS: Mapping[str, Action] = MappingProxyType(
     {a.name: a for a in _DRIVER + _REACH_FRONT + _ANYWHERE + _PASSENGER + _STEPS + _HOLDING}
 )
