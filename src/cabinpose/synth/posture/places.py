@@ -403,6 +403,7 @@ WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN = (
     _Wheel(), _Thigh(), _Armrest(), _Either(), _Ear(), _Mouth(), _Drink(), _Shin()
 )  # fmt: skip
 CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE = _Chest(), _Book(), _Carry(), _Belt(), _Give(), _Reach(), _Take()
+# Where a hand can be, by name.
 PLACES: Mapping[str, HandPlace] = MappingProxyType(
     {
         place.name: place
