@@ -107,7 +107,7 @@ def _trained(predictors: Sequence[JointPredictor]) -> dict[str, Subject]:
     subjects: dict[str, Subject] = {}
     for predictor in predictors:
         name = predictor.name if names.count(predictor.name) == 1 else str(predictor.model.path)
-        shown = bench_frames(predictor.config.skeleton)
+        shown = bench_frames(predictor.skeleton)
         subjects[name] = OurDetector(predictor, shown, weights="file", decodes="own", **_about(predictor, shown))
     return subjects
 

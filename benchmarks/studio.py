@@ -20,7 +20,7 @@ from playwright.sync_api import TimeoutError as NotInTime
 
 from benchmarks import Say
 from cabinpose.app.label.labelling import PRESENT
-from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.estimate.predictor import load_model
 from cabinpose.evaluate.offline import frame_batch
 from cabinpose.store import open_dataset
@@ -192,7 +192,7 @@ def _far_joints(truth: xr.Dataset, model: Any, row: int) -> list[tuple[Any, Any]
     joints = [str(name) for name in truth["joint"].values]
     found = model.predict(frame_batch(truth, slice(row, row + 1)))
     far = []
-    for name in UPPER_BODY:
+    for name in CABINPOSE.sets["upper body"]:
         true = truth["joints_2d"].values[row, 0, joints.index(name)]
         j = model.joints.index(name)
         proposed, sure = found.joints_2d[0, 0, j], found.presence[0, 0, j] >= PRESENT

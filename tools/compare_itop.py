@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core.skeleton import ITOP
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.write import FrameMaker
 
@@ -50,10 +50,10 @@ def statistics(depth01: NDArray[np.float32], joints_m: NDArray[np.float64]) -> d
         add("edges (step > 3 % of range), % of pairs", 100 * (step > 0.03).mean())
         add("grain (median step), per mille of range", 1000 * float(np.median(step[step < 0.01])))
         add("background (median), % of range", 100 * float(np.median(image[valid])))
-        add("distance of the torso, m", joints[ITOP_JOINTS.index("torso"), 2])
+        add("distance of the torso, m", joints[ITOP.joints.index("torso"), 2])
         add("height of the feet, m from the axis", joints[-2:, 1].mean())
         for a, b in BONES:
-            add(f"{a} to {b}, cm", 100 * float(np.linalg.norm(joints[ITOP_JOINTS.index(a)] - joints[ITOP_JOINTS.index(b)])))
+            add(f"{a} to {b}, cm", 100 * float(np.linalg.norm(joints[ITOP.joints.index(a)] - joints[ITOP.joints.index(b)])))
     return {name: tuple(float(v) for v in np.percentile(values, (25, 50, 75))) for name, values in rows.items()}
 
 

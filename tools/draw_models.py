@@ -17,10 +17,9 @@ from PIL import Image, ImageDraw
 
 from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import index_pairs
+from cabinpose.core.skeleton import skeleton_of
 from cabinpose.estimate.predictor import load_model
 from cabinpose.evaluate.offline import frame_batch
-from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store import open_dataset
 from cabinpose.store.itop import read_itop_frames, read_itop_reference
 
@@ -50,7 +49,7 @@ def in_cars(folder: Path, name: str, count: int) -> list[Image.Image]:
     """Frames of a dataset with what a model finds of the places that it knows."""
     model, dataset = load_model(name), open_dataset(folder)
     chosen = dataset.isel(frame=np.linspace(0, dataset.sizes["frame"] - 1, count).astype(int)).sel(person=list(model.persons))
-    found, limbs = model.predict(frame_batch(chosen, slice(None))), index_pairs(model.joints)
+    found, limbs = model.predict(frame_batch(chosen, slice(None))), skeleton_of(model).limbs
     true = np.where(chosen["visibility"].values[..., None] > Visibility.OUTSIDE_IMAGE, chosen["joints_2d"].values, np.nan)
     sure = np.where(found.presence[..., None] >= 0.5, found.joints_2d, np.nan)
     depths = chosen["depth"].values
@@ -62,7 +61,7 @@ def in_a_room(file: Path, name: str, count: int) -> list[Image.Image]:
     frames, reference, model = read_itop_frames(file), read_itop_reference(file), load_model(name)
     rays = reference.joints_3d / reference.joints_3d[..., 2:]
     true = (rays @ np.swapaxes(frames["camera_k"], -1, -2))[..., :2]
-    found, limbs = model.predict(frames).joints_2d, evaluated_skeleton(model.joints).limbs
+    found, limbs = model.predict(frames).joints_2d, skeleton_of(model).limbs
     which = np.linspace(0, len(true) - 1, count).astype(int)
     return [drawn(frames["depth"][n], [(true[n, None], limbs, TRUTH), (found[n], limbs, FOUND)], WIDTH // count) for n in which]
 

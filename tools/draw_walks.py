@@ -17,7 +17,7 @@ from cabinpose.estimate.array_model import ArrayModel
 from cabinpose.estimate.onnx_model import cameras_of, view_inputs
 from cabinpose.estimate.walks.find import walks
 from cabinpose.evaluate.offline import frame_batch
-from cabinpose.store import open_dataset
+from cabinpose.store import joints_variable, open_dataset
 
 ZOOM = 3
 CROP = 200, 216  # width and height around the person, px
@@ -59,7 +59,7 @@ def main() -> None:
     frames = frame_batch(dataset, every)
     depth = view_inputs(frames, every, cameras_of(frames, every), model.config.view, amplitude=False)["depth"]
     places, joints = walks(model.arrays, model.config, depth)
-    truth = dataset["itop_joints_3d" if model.skeleton == "itop" else "joints_3d"].values[:, 0].astype(np.float64)
+    truth = dataset[joints_variable(model.skeleton)].values[:, 0].astype(np.float64)
     errors = np.linalg.norm(joints[:, 0] - truth, axis=-1)
     hit, mean, median = errors <= 0.1, 100 * errors.mean(), 100 * np.median(errors)
     print(

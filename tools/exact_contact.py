@@ -14,7 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from cabinpose.core.frames import apply
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.contact.field import ContactScene
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, FLESH_M, PAIRS, SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidTopology
@@ -93,8 +93,8 @@ def self_penetrations(slot: str, body: PosedSolids, joints: NDArray[np.float64])
         for into, of in ((pair.one, pair.two), (pair.two, pair.one)):
             points = body.vertices[body.own(SOLIDS.index(of))]
             if pair.joint:
-                centre = joints[INDEX[pair.joint]]
-                radius = pair.zone * np.linalg.norm(joints[INDEX[pair.end]] - centre)
+                centre = joints[CABINPOSE.index[pair.joint]]
+                radius = pair.zone * np.linalg.norm(joints[CABINPOSE.index[pair.end]] - centre)
                 points = points[np.linalg.norm(points - centre, axis=1) >= radius]
             found += _worst("self", f"{slot}: {of} in {into}", meshes[into], points, pair.tolerance_m)
     return found

@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 import cabinpose
 from cabinpose.core.errors import SceneError
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SEGMENTS, Person, PosedBody
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.config import SynthConfig
@@ -55,7 +55,7 @@ def joint_axes(posed: PosedBody) -> dict[str, float]:
 
 def bend(joints: NDArray[np.float64], a: str, b: str, c: str) -> float:
     """The angle at joint b between the lines to a and c, deg: 180 is straight."""
-    u, v = joints[INDEX[a]] - joints[INDEX[b]], joints[INDEX[c]] - joints[INDEX[b]]
+    u, v = joints[CABINPOSE.index[a]] - joints[CABINPOSE.index[b]], joints[CABINPOSE.index[c]] - joints[CABINPOSE.index[b]]
     return float(np.degrees(np.arccos(np.clip(u @ v / np.linalg.norm(u) / np.linalg.norm(v), -1.0, 1.0))))
 
 
@@ -63,7 +63,7 @@ def geometry(posed: PosedBody, facing_yaw: float) -> dict[str, float]:
     """Places (mm) from the pelvis in the seat's axes, and angles (deg) between joints."""
     c, s = np.cos(facing_yaw), np.sin(facing_yaw)
     seat_from_vehicle = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-    at = {name: posed.joints[index] for name, index in INDEX.items()}
+    at = {name: posed.joints[index] for name, index in CABINPOSE.index.items()}
     pelvis = (at["lpelvis"] + at["rpelvis"]) / 2
     result: dict[str, float] = {}
     for name in HANDS + FEET:
@@ -116,7 +116,7 @@ class Spread:
             role = "driver" if p.slot == "driver" and wheel is not None else "passenger"
             row = joint_axes(p.posed) | geometry(p.posed, scene.cabin.seats[p.slot].facing_yaw)
             if role == "driver":
-                pelvis = 500 * (p.posed.joints[INDEX["lpelvis"]] + p.posed.joints[INDEX["rpelvis"]])
+                pelvis = 500 * (p.posed.joints[CABINPOSE.index["lpelvis"]] + p.posed.joints[CABINPOSE.index["rpelvis"]])
                 row |= {"pelvis ahead of the heel point, mm": float(pelvis[0]), "pelvis above the floor, mm": float(pelvis[2])}
                 self._seats.append((scene.place, p.subject, 100 * p.person.stature_m, float(pelvis[0])))
             for name, value in row.items():

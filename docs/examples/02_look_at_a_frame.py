@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import xarray as xr
 
-from cabinpose.core import INDEX, LIMBS, Visibility
+from cabinpose.core import CABINPOSE, Visibility
 from cabinpose.scene import RGB
 from cabinpose.store import open_dataset, points_m
 
@@ -45,8 +45,8 @@ def with_skeletons(picture: np.ndarray, frame: xr.Dataset) -> np.ndarray:
     """A larger copy of a picture (height, width, 3) with the limbs of everybody: white where both ends are seen, else grey."""
     large = cv2.resize(picture, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_NEAREST)
     for uv, states in zip(frame.joints_2d.values, frame.visibility.values, strict=True):
-        for parent, child in LIMBS:
-            ends = [INDEX[parent], INDEX[child]]
+        for limb in CABINPOSE.limbs:
+            ends = list(limb)
             if states[ends].min() <= Visibility.OUTSIDE_IMAGE:
                 continue
             colour = (255, 255, 255) if states[ends].min() == Visibility.VISIBLE else (128, 128, 128)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, rows
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, look_at, transform
-from cabinpose.core.skeleton import INDEX, JOINTS, MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, JOINTS, MVN_SEGMENTS
 from cabinpose.signals.clock import ClockMap
 from cabinpose.signals.recorded import Message, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.recording import Participant, RecordingWriter, Take
@@ -60,11 +60,11 @@ def joints_in_camera(time_s: np.ndarray, hands_m: tuple = ((0.0, 0.085, 0.0), (0
     """(T, 20, 3): the truth."""
     segments = segments_in_world(time_s)
     joints = np.full((len(time_s), len(JOINTS), 3), np.nan)
-    for joint, theirs in RIGS["mvn"].items():
-        joints[:, INDEX[joint]] = segments[:, MVN_SEGMENTS.index(theirs), :3, 3]
+    for joint, theirs in CABINPOSE.maps["mvn"].items():
+        joints[:, CABINPOSE.index[joint]] = segments[:, MVN_SEGMENTS.index(theirs), :3, 3]
     for joint, theirs, hand in (("lhand", "LeftHand", hands_m[0]), ("rhand", "RightHand", hands_m[1])):
         pose = segments[:, MVN_SEGMENTS.index(theirs)]
-        joints[:, INDEX[joint]] = pose[:, :3, :3] @ np.array(hand) + pose[:, :3, 3]
+        joints[:, CABINPOSE.index[joint]] = pose[:, :3, :3] @ np.array(hand) + pose[:, :3, 3]
     return apply(CAMERA_FROM_WORLD, joints)
 
 

@@ -14,7 +14,7 @@ from cabinpose.align.project import REASONS, align_take, with_known
 from cabinpose.app.report.heads import write_head_page
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store import open_dataset
 from cabinpose.store.recording import Recording
 from cabinpose.store.source import import_source
@@ -66,7 +66,7 @@ def test_a_calibration_that_is_wrong_is_wrong_here_too(take) -> None:
         with Recording(path) as recording:
             found = align_take(recording, calibration(**change), "S07")
         error = np.linalg.norm(found.joints[found.kept] - joints_in_camera(time[found.kept]), axis=2)
-        assert error[:, INDEX["head"]].max() > 2e-3
+        assert error[:, CABINPOSE.index["head"]].max() > 2e-3
 
 
 def test_frames_are_left_out_for_the_reason_that_holds(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_takes_become_a_dataset_of_the_standard(tmp_path: Path, take) -> None:
     # nothing was measured in the first take, a wall at 0.5 m hides everybody in the second
     states = data["visibility"].values[:, driver]
     assert set(np.unique(states[: first.kept])) <= {Visibility.OUTSIDE_IMAGE, Visibility.VISIBLE}
-    assert (states[first.kept :, INDEX["lwrist"]] == Visibility.OCCLUDED).any()
+    assert (states[first.kept :, CABINPOSE.index["lwrist"]] == Visibility.OCCLUDED).any()
     assert first.joints_measured == 0
     assert np.isnan(first.floating)
     assert second.joints_measured > 0

@@ -7,7 +7,9 @@ import numpy as np
 from cabinpose.align.visibility import visibility
 from cabinpose.core.camera import Camera
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, JOINTS
+from cabinpose.core.skeleton import CABINPOSE, JOINTS
+
+INDEX = CABINPOSE.index
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 

@@ -118,7 +118,7 @@ def test_the_frames_show_two_people_at_the_sensors_resolution(frames: tuple[Any,
 
 def test_rendered_maps_are_assembled_to_the_people_of_the_frame(frames: tuple[Any, ...]) -> None:
     base = PafConfig()
-    spec = FrameSpec(base.view, base.slots, base.skeleton, base.joints, amplitude=False)
+    spec = FrameSpec(base.view, base.slots, base.joint_set.name, base.joints, amplitude=False)
     kept = [view_frame(frame, spec, range(len(OCCUPANT_SLOTS))) for frame in frames]
     config = measured(base, kept)
     for frame, k in zip(frames, kept, strict=True):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.rig import BONE_INDEX
@@ -25,7 +25,7 @@ def joints(body: Person) -> np.ndarray:
 
 
 def length_m(at: np.ndarray, side: str, chain: tuple[str, ...]) -> float:
-    points = at[[INDEX[side + name] for name in chain]]
+    points = at[[CABINPOSE.index[side + name] for name in chain]]
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
@@ -52,8 +52,8 @@ def test_the_body_stays_a_body(crowd: list[Person]) -> None:
     plain, c = person(0), load_chart()
     before = joints(plain)
     for side, sign in (("l", 1), ("r", -1)):
-        assert before[INDEX[side + "wrist"], 1] * sign > 0
-    assert np.abs(before[INDEX["lwrist"]] * (1, -1, 1) - before[INDEX["rwrist"]]).max() < 1e-6
+        assert before[CABINPOSE.index[side + "wrist"], 1] * sign > 0
+    assert np.abs(before[CABINPOSE.index["lwrist"]] * (1, -1, 1) - before[CABINPOSE.index["rwrist"]]).max() < 1e-6
     for body in crowd[:12]:
         at = joints(body)
         assert np.abs(at - before).max() > 0.002

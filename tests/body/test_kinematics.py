@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.frames import invert, is_rigid, transform
-from cabinpose.core.skeleton import INDEX, JOINTS, mirrored
+from cabinpose.core.skeleton import CABINPOSE, JOINTS, mirrored
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, SUBJECTS, BodyModel, Person
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.body.shape import load_shape_space
@@ -80,7 +80,7 @@ def test_flexion_is_the_angle_between_segments(name: str, side: str) -> None:
             q = random_pose(3)
             q[DOF_INDEX[side + dof.replace("_", ".")]] = np.radians(angle)
             p = body.joints(q, np.eye(4))
-            a, b, c = (p[INDEX[side + n]] for n in (near, joint, far))
+            a, b, c = (p[CABINPOSE.index[side + n]] for n in (near, joint, far))
             assert _angle(b - a, c - b) == pytest.approx(angle, abs=1e-5)
 
 
@@ -92,7 +92,7 @@ def test_directions_of_motion(side: str) -> None:
     rest = body.joints(np.zeros(len(DOFS)), np.eye(4))
 
     def moved(joint: str, **degrees: float) -> np.ndarray:
-        return (body.joints(pose(**{side + k: v for k, v in degrees.items()}), np.eye(4)) - rest)[INDEX[side + joint]]
+        return (body.joints(pose(**{side + k: v for k, v in degrees.items()}), np.eye(4)) - rest)[CABINPOSE.index[side + joint]]
 
     assert moved("wrist", shoulder_flexion=30)[0] > 0.1
     assert moved("wrist", shoulder_abduction=30)[1] * out > 0.1
@@ -120,8 +120,8 @@ def test_trunk_directions() -> None:
     body = person("S01")
     rest = body.joints(np.zeros(len(DOFS)), np.eye(4))
     for joint in ("lumbar", "thorax", "neck"):
-        assert (body.joints(pose(**{joint + "_flexion": 20}), np.eye(4)) - rest)[INDEX["head"], 0] > 0.005
-        assert (body.joints(pose(**{joint + "_lateral": 20}), np.eye(4)) - rest)[INDEX["head"], 1] > 0.005
+        assert (body.joints(pose(**{joint + "_flexion": 20}), np.eye(4)) - rest)[CABINPOSE.index["head"], 0] > 0.005
+        assert (body.joints(pose(**{joint + "_lateral": 20}), np.eye(4)) - rest)[CABINPOSE.index["head"], 1] > 0.005
     assert body.pose(pose(head_rotation=30), np.eye(4)).eyes_m[1] > 0.02
 
 

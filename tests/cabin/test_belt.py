@@ -8,10 +8,12 @@ import trimesh
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import axis_rotation
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.cabin import PRESETS, Cabin, belt_surface, build_cabin
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.surface import Surface
+
+INDEX = CABINPOSE.index
 
 
 def dummy(cabin: Cabin, slot: str, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

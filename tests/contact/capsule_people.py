@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from cabinpose.core.frames import Matrix
-from cabinpose.core.skeleton import INDEX, JOINTS
+from cabinpose.core.skeleton import CABINPOSE, JOINTS
 from cabinpose.scene.body.rig import SEGMENTS
 from cabinpose.scene.cabin import Part
 from cabinpose.scene.surface import Surface
@@ -100,11 +100,11 @@ def person(offset: tuple[float, float, float] = (0, 0, 0), **joints: tuple[float
     place = dict(STAND) | {"r" + n[1:]: (p[0], -p[1], p[2]) for n, p in STAND.items() if n[0] == "l"} | joints
     at = np.zeros((len(JOINTS), 3))
     for name, p in place.items():
-        at[INDEX[name]] = np.array(p) + offset
+        at[CABINPOSE.index[name]] = np.array(p) + offset
     skins, faces, segments, start = [], [], [], 0
     for segment, a, b, radius in CAPSULES:
         for side in ("l", "r") if segment in ("upper_arm", "forearm", "hand", "thigh", "shin", "foot") else ("",):
-            mesh = capsule(at[INDEX[side + a]], at[INDEX[side + b]], radius)
+            mesh = capsule(at[CABINPOSE.index[side + a]], at[CABINPOSE.index[side + b]], radius)
             skins.append(mesh.vertices)
             faces.append(mesh.faces + start)
             segments.append(np.full(len(mesh.vertices), SEGMENTS.index(side + segment), np.uint8))

@@ -11,11 +11,20 @@ import yaml
 from scipy import ndimage, stats
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.skeleton import JOINTS
-from cabinpose.estimate.augment import AugmentConfig, Mirror, augment, draw_motion, flip, move, occlude
+from cabinpose.core.skeleton import CABINPOSE, JOINTS
+from cabinpose.estimate.augment import (
+    AugmentConfig,
+    Mirror,
+    augment,
+    draw_motion,
+    flip,
+    mirrored_labels,
+    mirrored_slots,
+    move,
+    occlude,
+)
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import InputView
-from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.estimate.training import TrainConfig
 from cabinpose.scene.labels import LABEL_ID
 
@@ -23,9 +32,7 @@ VIEW = InputView(64, 48, 51.2)
 RAYS = torch.tensor(VIEW.camera.rays.transpose(2, 0, 1), dtype=torch.float32)
 WALL_M, PLATE_M = 2.0, 1.2
 SLOTS = ("driver", "rear_left", "rear_center", "rear_right")
-MIRROR = Mirror(
-    mirrored_joints(JOINTS), mirrored_slots(SLOTS), mirrored_slots(SLOTS, facing=True), torch.from_numpy(mirrored_labels())
-)
+MIRROR = Mirror(CABINPOSE.mirror, mirrored_slots(SLOTS), mirrored_slots(SLOTS, facing=True), torch.from_numpy(mirrored_labels()))
 NOTHING = AugmentConfig(shift=0, flip=0, noise_m=0, lost=0, gain=1, occluder=0)
 
 

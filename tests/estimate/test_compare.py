@@ -17,7 +17,7 @@ import yaml
 from cabinpose.app.compare import of_joints, recipe
 from cabinpose.app.report.comparison import METRICS, joint_rows, table_rows
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core.skeleton import ITOP
 from cabinpose.estimate.methods import METHODS
 from cabinpose.evaluate.itop import evaluate_itop
 from cabinpose.evaluate.options import EvaluationOptions
@@ -31,7 +31,7 @@ def test_the_equations_on_five_joints_by_hand() -> None:
     """Two hits, one joint that is missed, one that is found 30 cm away, one that is found where none is; ten that are nowhere."""
     true, found = np.full((1, 15, 3), np.nan), np.full((1, 15, 3), np.nan)
     for name, error in (("head", 0.03), ("neck", 0.04), ("rshoulder", None), ("lshoulder", 0.30), ("torso", None)):
-        at = ITOP_JOINTS.index(name)
+        at = ITOP.joints.index(name)
         here = np.array([0.1 * at, 0.2, 2.5])
         if name != "torso":
             true[0, at] = here
@@ -63,7 +63,7 @@ def test_every_method_of_joints_has_a_small_recipe() -> None:
     for name in of_joints():
         config = recipe(name, None, None)
         settings = METHODS[name].settings(config.settings)
-        assert (settings.joints, settings.slots, config.epochs) == (ITOP_JOINTS, ("standing",), 20)
+        assert (settings.joints, settings.slots, config.epochs) == (ITOP.joints, ("standing",), 20)
         assert (settings.view.max_depth_m, settings.inputs) == (6, ("depth",))
     assert recipe("yolo", None, 3).epochs == 3
     with pytest.raises(ConfigError, match="does not find joints") as caught:

@@ -10,7 +10,7 @@ import small
 import torch
 
 from cabinpose.core.errors import DatasetError
-from cabinpose.core.skeleton import JOINTS, UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE, JOINTS
 from cabinpose.estimate.data import FrameSpec, GeneratedFrames, StoredFrames, collate, view_frame
 from cabinpose.estimate.inputs import InputView
 
@@ -34,10 +34,10 @@ def test_a_frame_in_the_cameras_own_view_is_the_frame() -> None:
 
 def test_places_and_joints_come_in_the_order_of_the_spec() -> None:
     made = small.frame(2)
-    spec = FrameSpec(VIEW, ("rear_left", "driver"), joints=UPPER_BODY)
+    spec = FrameSpec(VIEW, ("rear_left", "driver"), joints=CABINPOSE.sets["upper body"])
     kept = view_frame(made, spec, [2, 0])
     whole = view_frame(made, SPEC, [0, 1, 2])
-    columns = [JOINTS.index(name) for name in UPPER_BODY]
+    columns = [JOINTS.index(name) for name in CABINPOSE.sets["upper body"]]
     np.testing.assert_array_equal(kept.joints, whole.joints[[2, 0]][:, columns])
     np.testing.assert_array_equal(kept.visibility, whole.visibility[[2, 0]][:, columns])
 

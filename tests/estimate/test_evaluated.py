@@ -14,7 +14,7 @@ import torch
 
 from cabinpose.app.cli import main
 from cabinpose.core.camera import Camera
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core.skeleton import ITOP
 from cabinpose.estimate.export import export_onnx
 from cabinpose.estimate.predictor import load_model
 from cabinpose.estimate.training import Detector, TrainConfig
@@ -124,7 +124,7 @@ def test_the_crop_looks_where_itop_looked(real_data: Callable[[str], Path]) -> N
     frames, reference = read_itop_frames(file), read_itop_reference(file)
     k = frames["camera_k"]
     camera = Camera(100, 100, k[0, 0], k[1, 1], k[0, 2], k[1, 2])
-    torso = reference.joints_3d[:, ITOP_JOINTS.index("torso")]
+    torso = reference.joints_3d[:, ITOP.joints.index("torso")]
     u, v = np.round(camera.project(torso)).astype(int).T
     before = torso[:, 2] - frames["depth"][np.arange(len(torso)), v, u]
     assert np.median(before) == pytest.approx(0.08, abs=0.02)
@@ -162,7 +162,7 @@ def test_labels_lie_nearer_on_the_same_ray() -> None:
     labelled = as_labelled(joints)
     np.testing.assert_allclose(project(labelled), project(joints), atol=1e-9)
     nearer = np.linalg.norm(joints, axis=-1) - np.linalg.norm(labelled, axis=-1)
-    by_name = dict(zip(ITOP_JOINTS, nearer.T, strict=True))
+    by_name = dict(zip(ITOP.joints, nearer.T, strict=True))
     for name, distance in (
         ("head", 0.0),
         ("lhand", 0.04),
@@ -182,6 +182,6 @@ def test_labels_of_the_top_view_are_those_of_the_side_view_turned() -> None:
     tilted = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]) @ top_from_side
     labels = as_labelled(1.147 * people) @ top_from_side.T
     shift = as_labelled(people @ tilted.T + (0.1, 0.3, 2.6), "top") - labels
-    head = ITOP_JOINTS.index("head")  # its label is not moved
+    head = ITOP.joints.index("head")  # its label is not moved
     np.testing.assert_allclose(shift[:, head], np.broadcast_to(shift[0, head], (6, 3)), atol=1e-9)
     np.testing.assert_allclose(shift[0], np.broadcast_to(shift[0, head], (15, 3)), atol=1e-9)

@@ -12,8 +12,8 @@ import torch
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
-from cabinpose.core.skeleton import UPPER_BODY
-from cabinpose.estimate.augment import AugmentConfig, Mirror
+from cabinpose.core.skeleton import CABINPOSE
+from cabinpose.estimate.augment import AugmentConfig, Mirror, mirrored_labels, mirrored_slots
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import StoredFrames, collate
 from cabinpose.estimate.lifter import LiftedPredictor
@@ -21,20 +21,19 @@ from cabinpose.estimate.lifting import fit
 from cabinpose.estimate.lifting.config import ROOT, LiftingConfig
 from cabinpose.estimate.lifting.method import METHOD
 from cabinpose.estimate.lifting.model import Lifting
-from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.estimate.predictor import open_model
 from cabinpose.estimate.tasks import people_of, vary_people
 from cabinpose.estimate.training import TrainConfig, frame_spec
 
 CONFIG = LiftingConfig(**small.TINY["lifting"])
 MIRROR = Mirror(
-    mirrored_joints(UPPER_BODY),
+    CABINPOSE.subset(CABINPOSE.sets["upper body"]).mirror,
     mirrored_slots(small.PERSONS),
     mirrored_slots(small.PERSONS, facing=True),
     torch.from_numpy(mirrored_labels()),
 )
 STILL = AugmentConfig(shift=0, flip=0)
-J = len(UPPER_BODY)
+J = len(CABINPOSE.sets["upper body"])
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +54,7 @@ def quiet(**changes: float) -> LiftingConfig:
 
 def test_people_are_the_datasets_joints(batch: Batch) -> None:
     people = people_of(batch, CONFIG.view)
-    data = small.dataset(12).sel(joint=list(UPPER_BODY))
+    data = small.dataset(12).sel(joint=list(CABINPOSE.sets["upper body"]))
     there = data["subject"].values != ""
     joints = data["joints_3d"].values[there]
     np.testing.assert_allclose(people.joints.numpy(), joints, atol=1e-5)
@@ -88,7 +87,7 @@ def test_moved_people_keep_their_shape_and_their_projection(batch: Batch) -> Non
 def test_a_mirrored_person_is_mirrored_in_space(batch: Batch) -> None:
     before = people_of(batch, CONFIG.view)
     after = vary_people(batch, AugmentConfig(shift=0, flip=1), quiet(), MIRROR, generator=generator())
-    expected = before.joints[:, mirrored_joints(UPPER_BODY)] * torch.tensor([-1.0, 1.0, 1.0])
+    expected = before.joints[:, CABINPOSE.subset(CABINPOSE.sets["upper body"]).mirror] * torch.tensor([-1.0, 1.0, 1.0])
     torch.testing.assert_close(after.joints, expected, atol=2e-5, rtol=1e-5)
 
 
@@ -108,7 +107,7 @@ def test_noise_and_missing_joints_touch_the_input_alone(batch: Batch) -> None:
 def test_the_root_is_at_zero_and_seen_where_it_was_seen() -> None:
     torch.manual_seed(0)
     network = Lifting(CONFIG).eval()
-    root = UPPER_BODY.index(ROOT)
+    root = CABINPOSE.sets["upper body"].index(ROOT)
     pose = torch.cat((torch.rand(4, J, 2) - 0.5, torch.ones(4, J, 1)), -1)
     lifted = network(pose)
     assert (lifted.relative[:, root] == 0).all()
@@ -134,12 +133,12 @@ def test_decoding_puts_the_body_at_its_root() -> None:
 
 def test_a_perfect_answer_costs_nothing_and_a_wrong_one_its_square(batch: Batch) -> None:
     people = people_of(batch, CONFIG.view)
-    root = UPPER_BODY.index(ROOT)
+    root = CABINPOSE.sets["upper body"].index(ROOT)
     use = people.known[:, root] & (people.pose[..., 2].sum(-1) >= 3)
     joints = people.joints[use]
 
     class Fixed(torch.nn.Module):
-        config, root = CONFIG, UPPER_BODY.index(ROOT)
+        config, root = CONFIG, CABINPOSE.sets["upper body"].index(ROOT)
         off = 0.0
 
         def forward(self, pose: torch.Tensor) -> fit.Lifted:
@@ -189,7 +188,7 @@ class Base:
 def test_a_lifted_predictor_replaces_3d_joints(trained: dict[str, Path]) -> None:
     lifting = open_model(trained["lifting"], threads=1)
     camera = Camera(64, 48, 51.2, 50.0, 30.0, 25.0, (-0.2, 0.05, 0.0, 0.0, 0.0))
-    names = ("lknee", *UPPER_BODY[::-1])  # another order, and a joint that is not lifted
+    names = ("lknee", *CABINPOSE.sets["upper body"][::-1])  # another order, and a joint that is not lifted
     rng = np.random.default_rng(4)
     points = rng.uniform((-0.4, -0.3, 1.0), (0.4, 0.3, 1.4), (2, 2, len(names), 3))
     uv = camera.project(points).astype(np.float32)
@@ -208,7 +207,7 @@ def test_a_lifted_predictor_replaces_3d_joints(trained: dict[str, Path]) -> None
     np.testing.assert_array_equal(found.joints_3d[:, :, 0], own[:, :, 0])
     directions = points[..., :2] / points[..., 2:]
     directions[presence < 0.5] = np.nan
-    ours = [names.index(name) for name in UPPER_BODY]
+    ours = [names.index(name) for name in CABINPOSE.sets["upper body"]]
     expected = lifting.lift(directions[:, :, ours].reshape(4, J, 2)).reshape(2, 2, J, 3)
     expected[0, 0, ours.index(3)] = np.nan
     np.testing.assert_allclose(found.joints_3d[:, :, ours], expected, atol=1e-4)

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from cabinpose.app.cli import main
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS
+from cabinpose.core.skeleton import ITOP, JOINTS
 from cabinpose.estimate.predictor import describe_model, load_model, packaged_detectors, packaged_models
 from cabinpose.evaluate.offline import evaluate
 from cabinpose.evaluate.options import EvaluationOptions
@@ -30,7 +30,7 @@ def test_the_models_are_there_and_small() -> None:
     assert sum(path.stat().st_size for path in packaged_models().values()) < 26_000_000
     in_car, room = load_model("in_car"), load_model("room")
     assert (in_car.persons, in_car.joints) == (("driver", "front_passenger"), JOINTS)
-    assert (room.persons, room.joints) == (("standing",), ITOP_JOINTS)
+    assert (room.persons, room.joints) == (("standing",), ITOP.joints)
 
 
 @pytest.mark.parametrize("name", ["five_seats", "in_car", "lift", "paf", "parts", "room", "room_top"])

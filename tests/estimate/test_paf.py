@@ -15,7 +15,7 @@ import torch
 from scipy import ndimage
 
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.estimate.data import FrameSpec, StoredFrames, collate
 from cabinpose.estimate.export import write_onnx
 from cabinpose.estimate.methods import METHODS
@@ -26,6 +26,8 @@ from cabinpose.estimate.paf.decode import decode, slots_of, surface_depth
 from cabinpose.estimate.paf.fit import loss, targets
 from cabinpose.estimate.paf.model import Paf
 from cabinpose.estimate.training import Detector, TrainConfig
+
+UPPER_BODY = CABINPOSE.sets["upper body"]
 
 SLOTS = ("driver", "front_passenger")
 CONFIG = PafConfig(
@@ -49,13 +51,13 @@ def person(u: float, v: float, scale: float = 1.0) -> np.ndarray:
 def drawn(people: list[np.ndarray], config: PafConfig = CONFIG) -> dict[str, np.ndarray]:
     """The maps (one frame) of people (J, 2), pixel by pixel."""
     h, w = config.height // 8, config.width // 8
-    heat, fields = np.zeros((J + 1, h, w)), np.zeros((2 * len(config.limbs), h, w))
+    heat, fields = np.zeros((J + 1, h, w)), np.zeros((2 * len(config.joint_set.limbs), h, w))
     for y in range(h):
         for x in range(w):
             at = np.array([8 * x + 3.5, 8 * y + 3.5])
             for j in range(J):
                 heat[j, y, x] = max(np.exp(-((p[j] - at) ** 2).sum() / (2 * config.sigma_px**2)) for p in people)
-            for c, (a, b) in enumerate(config.limbs):
+            for c, (a, b) in enumerate(config.joint_set.limbs):
                 found = []
                 for p in people:
                     length = np.hypot(*(p[b] - p[a]))
@@ -77,7 +79,7 @@ def seen(depth: float = 1.0) -> dict[str, Any]:
 def test_thirteen_limbs_tie_the_upper_body() -> None:
     assert PafConfig().joints == UPPER_BODY
     for body, joints in (("upper", 14), ("full", 20), ("itop", 15)):
-        limbs = PafConfig(body=body).limbs
+        limbs = PafConfig(body=body).joint_set.limbs
         assert len(limbs) == joints - 1
         assert sorted({i for limb in limbs for i in limb}) == list(range(joints))  # with one limb less than joints: a tree
 
@@ -187,7 +189,7 @@ def test_joints_out_of_the_image_leave_no_target() -> None:
     states[:, :, UPPER_BODY.index("neck")] = 1
     heat, fields = targets(batch._replace(visibility=states), config, 6, 8)
     assert (heat[0, UPPER_BODY.index("neck")] == 0).all()
-    touching = [c for c, limb in enumerate(config.limbs) if UPPER_BODY.index("neck") in limb]
+    touching = [c for c, limb in enumerate(config.joint_set.limbs) if UPPER_BODY.index("neck") in limb]
     assert len(touching) == 4
     assert all((fields[0, 2 * c : 2 * c + 2] == 0).all() for c in touching)
     assert (fields != 0).any()

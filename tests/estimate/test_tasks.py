@@ -15,7 +15,7 @@ from PIL import Image
 from cabinpose.app.cli import main
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import GROUPS, JOINTS, UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE, JOINTS
 from cabinpose.estimate.lifter import LiftedPredictor
 from cabinpose.estimate.predictor import open_model
 from cabinpose.estimate.remote import open_predictor
@@ -24,6 +24,8 @@ from cabinpose.evaluate.offline import frame_batch
 from cabinpose.store import open_dataset
 from cabinpose.store.class_images import read_class_images
 from cabinpose.store.predictions import read_predictions
+
+GROUPS, UPPER_BODY = CABINPOSE.groups, CABINPOSE.sets["upper body"]
 
 FRAMES = 5
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from cabinpose._native import walks as native
 from cabinpose.core.errors import DatasetError, ModelError
-from cabinpose.core.skeleton import ITOP_JOINTS, JOINTS, PARENT
+from cabinpose.core.skeleton import CABINPOSE, ITOP, JOINTS
 from cabinpose.estimate.array_model import ArrayModel, write_arrays
 from cabinpose.estimate.data import Kept, StoredFrames
-from cabinpose.estimate.mirror import mirrored_joints
 from cabinpose.estimate.predictor import load_model
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.estimate.training import fit as train
@@ -153,7 +152,7 @@ def test_equal_targets_make_one_cluster() -> None:
 
 def by_hand(**changes: Any) -> dict[str, NDArray[Any]]:
     """Each joint's tree has one node: where the surface is before the point, the walk goes right, else down or up evenly."""
-    joints = len(ITOP_JOINTS)
+    joints = len(ITOP.joints)
     nodes = 3 * np.arange(joints, dtype=np.int32)
     children = np.stack((nodes + 1, -1 - 2 * np.arange(joints), -2 - 2 * np.arange(joints)), axis=1).ravel().astype(np.int32)
     leaves = np.zeros((2 * joints, 2, 3), np.float32)
@@ -182,7 +181,7 @@ def test_walks_of_a_tree_made_by_hand() -> None:
         np.testing.assert_allclose(places[0, 0, j, :, 0], begin + steps, atol=1e-6)
         np.testing.assert_allclose(joints[0, 0, j], (begin + steps[2:].mean(), 0.0, 2.0), atol=1e-6)
     # Beyond the edge walks go up and down, a step at a time, and no farther to the side.
-    hand = places[1, 0, ITOP_JOINTS.index("rhand")]
+    hand = places[1, 0, ITOP.joints.index("rhand")]
     edge = (40 - 0.5 - 31.5) * 2.0 / 50
     assert hand[-1, 0] < edge + 0.02 + 1e-6
     np.testing.assert_allclose(np.abs(np.diff(hand, axis=0)).sum(1), 0.02, atol=1e-6)
@@ -192,7 +191,7 @@ def test_walks_of_a_tree_made_by_hand() -> None:
 
 
 def test_walks_follow_the_skeleton() -> None:
-    named = {ITOP_JOINTS[j]: ITOP_JOINTS[parent] if parent >= 0 else None for j, parent in WalksConfig(skeleton="itop").order}
+    named = {ITOP.joints[j]: ITOP.joints[parent] if parent >= 0 else None for j, parent in WalksConfig(skeleton="itop").order}
     assert list(named)[:4] == ["torso", "neck", "rhip", "lhip"]
     assert named == {
         "torso": None, "neck": "torso", "head": "neck", "rshoulder": "neck", "lshoulder": "neck", "relbow": "rshoulder",
@@ -200,7 +199,7 @@ def test_walks_follow_the_skeleton() -> None:
         "lknee": "lhip", "rfoot": "rknee", "lfoot": "lknee",
     }  # fmt: skip
     ours = WalksConfig().order
-    assert {JOINTS[j]: JOINTS[parent] for j, parent in ours if parent >= 0} == PARENT
+    assert {JOINTS[j]: JOINTS[parent] for j, parent in ours if parent >= 0} == CABINPOSE.parent
     for turn, (_, parent) in enumerate(ours):
         assert parent in (-1, *(j for j, _ in ours[:turn]))
 
@@ -260,7 +259,7 @@ def test_mirror_images_teach_the_other_side(forest: dict[str, NDArray[Any]]) -> 
     unseen = blobs(30, 2)
     depth = np.stack([frame.depth for frame in unseen])[:, :, ::-1].astype(np.float32) * np.float32(1e-4)
     truth = LEARNT.view.from_view(np.stack([frame.joints for frame in unseen])) * (-1, 1, 1)
-    truth = truth[:, :, mirrored_joints(ITOP_JOINTS)]
+    truth = truth[:, :, ITOP.mirror]
     taught, not_taught = (
         np.median(np.linalg.norm(find(arrays, LEARNT, {"depth": depth}).joints_3d - truth, axis=-1)) for arrays in (both, forest)
     )

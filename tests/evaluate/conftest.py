@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import Predictions
 
@@ -34,7 +34,7 @@ def dataset(dataset_folder: Path) -> xr.Dataset:
 def predictions(dataset: xr.Dataset) -> Predictions:
     """Noisy answers for the upper body, some joints missing, in an order of their own."""
     rng = np.random.default_rng(5)
-    joints, persons = UPPER_BODY[::-1], tuple(str(p) for p in dataset["person"].values[::-1])
+    joints, persons = CABINPOSE.sets["upper body"][::-1], tuple(str(p) for p in dataset["person"].values[::-1])
     truth = dataset.sel(joint=list(joints), person=list(persons))
     two, three = truth["joints_2d"].values.copy(), truth["joints_3d"].values.copy()
     two += rng.normal(0, 4, two.shape)

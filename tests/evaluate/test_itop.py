@@ -11,7 +11,7 @@ import pytest
 from scipy.io import loadmat
 
 from cabinpose.core.errors import DatasetError, PredictionsError
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core.skeleton import ITOP
 from cabinpose.evaluate.itop import evaluate_itop, itop_summary
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report
@@ -58,7 +58,7 @@ def test_a2j_scores_as_published(real_data: RealData) -> None:
 def test_the_floor(real_data: RealData) -> None:
     """The mean pose placed at the true torso: what a method gets for knowing where the person is."""
     reference = read_itop_reference(real_data("itop/itop_side_keypoints3D_test.mat"))
-    torso = reference.joints_3d[:, [ITOP_JOINTS.index("torso")]]
+    torso = reference.joints_3d[:, [ITOP.joints.index("torso")]]
     floor = torso + (reference.joints_3d - torso).mean(axis=0)
     summary = itop_summary(evaluate_itop(reference, floor, OPTIONS))
     assert summary["within_10cm"] == pytest.approx(58.2, abs=0.05)

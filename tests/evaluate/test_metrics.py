@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import PoseBatch
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import GROUPS, UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE, Skeleton
 from cabinpose.evaluate import bootstrap
 from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_quantiles, weighted_sums
 from cabinpose.evaluate.offline import evaluate
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import TruthChunk, collect
-from cabinpose.evaluate.skeletons import EvaluatedSkeleton, evaluated_skeleton
 from cabinpose.store.predictions import Predictions
 
 OPTIONS = EvaluationOptions(resamples=0)
@@ -60,7 +59,7 @@ def test_against_loops(
     dataset: xr.Dataset, predictions: Predictions, space: str, unit: float, hit: float, head: float, group: str
 ) -> None:
     report = evaluate(dataset, predictions, OPTIONS)
-    members = {"All": UPPER_BODY}.get(group) or GROUPS.get(group) or (group,)
+    members = {"All": CABINPOSE.sets["upper body"]}.get(group) or CABINPOSE.groups.get(group) or (group,)
     every = cells(dataset, predictions, tuple(members), space)
     true = [c for c in every if c["state"] >= 2]
     errors = np.array([c["error"] for c in true if c["found"]], float)
@@ -99,7 +98,7 @@ def test_against_loops(
 @pytest.mark.parametrize("state", [Visibility.VISIBLE, Visibility.SELF_OCCLUDED, Visibility.OCCLUDED])
 def test_by_visibility(dataset: xr.Dataset, predictions: Predictions, state: Visibility) -> None:
     report = evaluate(dataset, predictions, OPTIONS)
-    mine = [c for c in cells(dataset, predictions, UPPER_BODY, "3d") if c["state"] == state]
+    mine = [c for c in cells(dataset, predictions, CABINPOSE.sets["upper body"], "3d") if c["state"] == state]
     value = report.value("PCK", "3d", "All", 5.0, visibility=state.name.lower())
     assert value is not None
     assert value.samples == len(mine)
@@ -108,7 +107,7 @@ def test_by_visibility(dataset: xr.Dataset, predictions: Predictions, state: Vis
 
 
 def test_min_visibility_leaves_joints_out(dataset: xr.Dataset, predictions: Predictions) -> None:
-    every = cells(dataset, predictions, UPPER_BODY, "3d")
+    every = cells(dataset, predictions, CABINPOSE.sets["upper body"], "3d")
     counts = {}
     for least in (Visibility.OCCLUDED, Visibility.SELF_OCCLUDED, Visibility.VISIBLE):
         report = evaluate(dataset, predictions, replace(OPTIONS, min_visibility=least))
@@ -124,7 +123,7 @@ def test_min_visibility_leaves_joints_out(dataset: xr.Dataset, predictions: Pred
 
 def test_presence(dataset: xr.Dataset, predictions: Predictions) -> None:
     report = evaluate(dataset, predictions, OPTIONS)
-    two, three = (cells(dataset, predictions, UPPER_BODY, space) for space in ("2d", "3d"))
+    two, three = (cells(dataset, predictions, CABINPOSE.sets["upper body"], space) for space in ("2d", "3d"))
     said = [(a["found"] or b["found"], a["state"]) for a, b in zip(two, three, strict=True)]
     right = sum(found and state >= 2 for found, state in said)
     check(report, "presence precision", "image", "All", 100 * right / sum(found for found, _ in said))
@@ -146,7 +145,7 @@ def chunk(truth: np.ndarray, visibility: np.ndarray, predicted: np.ndarray) -> t
     )
 
 
-def reported(skeleton: EvaluatedSkeleton, *chunks: tuple[TruthChunk, PoseBatch], **changed: object) -> Report:
+def reported(skeleton: Skeleton, *chunks: tuple[TruthChunk, PoseBatch], **changed: object) -> Report:
     persons = tuple(f"p{i}" for i in range(chunks[0][0].visibility.shape[1]))
     options = replace(OPTIONS, **changed)  # type: ignore[arg-type]
     return make_report(collect(chunks, skeleton, persons, persons, options), options, "m", "d")
@@ -154,7 +153,7 @@ def reported(skeleton: EvaluatedSkeleton, *chunks: tuple[TruthChunk, PoseBatch],
 
 def test_errors_are_pooled_not_averaged_twice() -> None:
     """Three joints off by 1 cm in one frame, one off by 9 cm in another: the mean is 3 cm, not the 5 cm of the frames' means."""
-    skeleton = evaluated_skeleton(("head", "neck", "chest"))
+    skeleton = CABINPOSE.subset(("head", "neck", "chest"))
     truth = np.zeros((2, 1, 3, 3)) + (0, 0, 2)
     predicted = truth.copy()
     predicted[0, ..., 0] += 0.01
@@ -166,7 +165,7 @@ def test_errors_are_pooled_not_averaged_twice() -> None:
 
 
 def test_a_person_not_found_is_missed_and_one_not_there_is_false() -> None:
-    skeleton = evaluated_skeleton(("head", "neck"))
+    skeleton = CABINPOSE.subset(("head", "neck"))
     truth = np.zeros((1, 3, 2, 3)) + (0, 0, 2)
     visibility = np.array([[[4, 4], [4, 4], [0, 0]]])
     predicted = truth.copy()
@@ -181,7 +180,7 @@ def test_a_person_not_found_is_missed_and_one_not_there_is_false() -> None:
 
 
 def test_a_joint_found_too_far_away_is_no_recall_by_the_formula_and_one_as_detected() -> None:
-    skeleton = evaluated_skeleton(("head",))
+    skeleton = CABINPOSE.subset(("head",))
     truth = np.zeros((4, 1, 1, 3)) + (0, 0, 2)
     predicted = truth.copy()
     predicted[1] += (0.5, 0, 0)  # found, half a metre off: FN
@@ -194,7 +193,7 @@ def test_a_joint_found_too_far_away_is_no_recall_by_the_formula_and_one_as_detec
 
 
 def test_typical_frames_lie_around_the_median_and_worst_ones_at_the_end() -> None:
-    skeleton = evaluated_skeleton(("head", "neck"))
+    skeleton = CABINPOSE.subset(("head", "neck"))
     truth = np.zeros((40, 1, 2, 3)) + (0, 0, 2)
     order = np.random.default_rng(5).permutation(40)  # of the errors
     predicted = truth + 0.001 * (1 + order[:, None, None, None]) * np.array((1.0, 0, 0))
@@ -204,7 +203,7 @@ def test_typical_frames_lie_around_the_median_and_worst_ones_at_the_end() -> Non
 
 
 def test_the_true_head_size() -> None:
-    skeleton = evaluated_skeleton(("head", "neck", "lwrist"))
+    skeleton = CABINPOSE.subset(("head", "neck", "lwrist"))
     truth = np.array([[[[0, 0, 2], [0, 0.16, 2], [0.5, 0, 2]]]], float)
     predicted = truth + (0.09, 0, 0)
     visibility = np.full((1, 1, 3), 4)
@@ -222,7 +221,7 @@ def test_the_true_head_size() -> None:
 def test_chunks_do_not_matter(seed: int, cut: int) -> None:
     """Any cut of the frames into chunks gives the same report, jitter over the cut included."""
     rng = np.random.default_rng(seed)
-    skeleton = evaluated_skeleton(("neck", "lshoulder", "rshoulder", "lelbow", "relbow"))
+    skeleton = CABINPOSE.subset(("neck", "lshoulder", "rshoulder", "lelbow", "relbow"))
     truth = rng.normal((0, 0, 2), 0.3, (10, 2, 5, 3))
     predicted = truth + rng.normal(0, 0.1, truth.shape)
     predicted[rng.random(predicted.shape[:-1]) < 0.1] = np.nan
@@ -244,7 +243,7 @@ def test_jitter_of_white_noise() -> None:
     rng = np.random.default_rng(3)
     truth = np.zeros((5000, 1, 2, 3)) + (0, 0, 2)
     predicted = truth + rng.normal(0, 0.01, truth.shape)
-    report = reported(evaluated_skeleton(("head", "neck")), chunk(truth, np.full((5000, 1, 2), 4), predicted))
+    report = reported(CABINPOSE.subset(("head", "neck")), chunk(truth, np.full((5000, 1, 2), 4), predicted))
     value = report.value("jitter")
     assert value is not None
     assert value.value == pytest.approx(np.sqrt(6) * np.sqrt(8 / np.pi), rel=0.02)
@@ -263,7 +262,7 @@ def test_jitter_only_where_frames_follow_each_other(changed: dict[str, list[int]
     truth = np.zeros((6, 1, 1, 3)) + (0, 0, 2)
     whole, batch = chunk(truth, np.full((6, 1, 1), 4), truth)
     whole = whole._replace(**{name: np.array(values) for name, values in changed.items()})
-    value = reported(evaluated_skeleton(("head",)), (whole, batch)).value("jitter")
+    value = reported(CABINPOSE.subset(("head",)), (whole, batch)).value("jitter")
     assert value is not None
     assert value.samples == measured
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import AlignmentError, ConfigError
-from cabinpose.core.skeleton import MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, MVN_SEGMENTS
 from cabinpose.evaluate.mocap.dse import DIFFERENCE, GEODESIC, dse, dse_run
 from cabinpose.evaluate.mocap.pairs import JOINT_PAIRS, SEGMENT_PAIRS, missing, present, replaced
 
@@ -105,7 +105,7 @@ def test_the_tables_hold_what_the_thesis_has() -> None:
     assert (optical["lshoulder"], optical["rforearm"], optical["chest"]) == ("L_Collar", "R_Elbow", "LowerBack")
     joints = {p.name: (p.suit, p.optical) for p in JOINT_PAIRS}
     assert joints["lelbow"] == ("LeftForearm", "L_Elbow")
-    assert {p.optical for p in JOINT_PAIRS} <= {*RIGS["vicon_kinematic_fit"].values(), "R_Collar"}
+    assert {p.optical for p in JOINT_PAIRS} <= {*CABINPOSE.maps["vicon_kinematic_fit"].values(), "R_Collar"}
     # its table 3.2, as names of the kinematic fit: head, elbows, wrists, ends of the hands, legs, neck, chest, pelvis
     sides = ("Elbow", "Wrist", "Wrist_End", "Femur", "Tibia", "Foot", "Toe")
     table = {"Head_End", "Head", "R_Collar", "LowerBack", *(f"{side}_{name}" for side in "LR" for name in sides)}

@@ -18,7 +18,7 @@ from cabinpose.app.cli.evaluate_mocap import EvaluateDfe, EvaluateDse
 from cabinpose.app.mocap import compare
 from cabinpose.app.mocap.inputs import PointTracks, read_motion
 from cabinpose.core.errors import AlignmentError
-from cabinpose.core.skeleton import MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, MVN_SEGMENTS
 from cabinpose.evaluate.mocap.dfe import PELVIS_STAGE
 from cabinpose.evaluate.mocap.landmarks import CLUSTERS, segment_poses
 from cabinpose.evaluate.mocap.pairs import SEGMENT_PAIRS
@@ -73,7 +73,7 @@ def placed(position: np.ndarray, orientation: np.ndarray, segment: str, offset: 
 
 def plug_in_gait(position: np.ndarray, orientation: np.ndarray) -> dict[str, np.ndarray]:
     """The joints of `core.skeleton`, and the ends of the axes of the bones that turn with the suit's segments."""
-    suit, gait = RIGS["mvn"], RIGS["plug_in_gait"]
+    suit, gait = CABINPOSE.maps["mvn"], CABINPOSE.maps["plug_in_gait"]
     points = {gait[joint]: position[:, MVN_SEGMENTS.index(suit[joint])] for joint in gait if joint in suit}
     for side, hand in (("L", "Left"), ("R", "Right")):
         points[f"{side}HAO"] = placed(position, orientation, f"{hand}Hand", LANDMARKS[f"p{hand}TopOfHand"][1])

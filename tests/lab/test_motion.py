@@ -9,7 +9,7 @@ from cabinpose.app.lab.motion import PASS_M, KeyedMotion, Stage, _Course, _first
 from cabinpose.app.lab.suit import SEGMENT, true_segments
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import transform
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOF_INDEX, DOFS
 from cabinpose.scene.body.rig import LOWER, UPPER
 
@@ -129,7 +129,7 @@ def test_exercises_keep_to_their_planes_and_end_as_they_began() -> None:
             assert abs(peak[axis]) > 0.93 * np.linalg.norm(peak), (window, name)
     first, last = motion.joints([0.5, motion.duration_s - 0.5])
     assert last == pytest.approx(first, abs=1e-12)
-    assert np.ptp(motion.joints(t)[:, INDEX["hip"]], axis=0).max() < 1e-12
+    assert np.ptp(motion.joints(t)[:, CABINPOSE.index["hip"]], axis=0).max() < 1e-12
     low = motion.body(0.0).surface(1).vertices[:, 2].min()
     assert -0.01 < low < 0.02  # on the floor
     assert (neutral_pose() >= LOWER).all()

@@ -20,7 +20,7 @@ from cabinpose.app.lab.optical import (
 from cabinpose.app.lab.suit import true_segments
 from cabinpose.app.lab.takes import Actor
 from cabinpose.core.frames import apply, invert, transform
-from cabinpose.core.skeleton import INDEX, RIGS
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import SEGMENTS
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.materials import MATERIALS
@@ -123,7 +123,7 @@ def test_fewer_than_three_markers_are_no_object() -> None:
 
 
 def test_two_cameras_have_to_see_a_marker_and_a_look_lasts(driving: KeyedMotion, actor: Actor) -> None:
-    head = driving.joints([0.0])[0, INDEX["head"]]
+    head = driving.joints([0.0])[0, CABINPOSE.index["head"]]
     q, root, _ = driving.pose_at(np.zeros(1))
     ahead, left, _ = frames(q[0], driving.person.rest, root[0]).bone("head")[:3, :3].T
     above = head + np.array([0.7 * ahead + (0.0, 0.0, 0.1), 0.7 * ahead + 0.3 * left + (0.0, 0.0, 0.1)])
@@ -141,8 +141,8 @@ def test_the_model_of_the_whole_body_is_ours_with_its_names(driving: KeyedMotion
     position, orientation = measured_model(driving, time, world, 0.0, rng=generator(1))
     joints = apply(world, driving.joints(time))
     segments = true_segments(driving, time).moved(world)
-    for joint, theirs in RIGS["vicon_kinematic_fit"].items():
-        assert position[:, MODEL_SEGMENTS.index(theirs)] == pytest.approx(joints[:, INDEX[joint]], abs=1e-12)
+    for joint, theirs in CABINPOSE.maps["vicon_kinematic_fit"].items():
+        assert position[:, MODEL_SEGMENTS.index(theirs)] == pytest.approx(joints[:, CABINPOSE.index[joint]], abs=1e-12)
     turned = Rotation.from_quat(orientation[:, MODEL_SEGMENTS.index("Head")], scalar_first=True).as_matrix()
     assert turned == pytest.approx(segments.pose("Head")[:, :3, :3], abs=1e-9)
     # Against the suit's frames an arm's differ by a constant turn alone: angles since the first frame are the same.

@@ -10,7 +10,7 @@ from cabinpose.app.lab.scene import DEPTH_UNIT_M, SceneCamera, message_of, world
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, is_rigid
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.room import furnish_room
 from cabinpose.scene.sensor import Sensor, sensor_by_name
 
@@ -48,7 +48,7 @@ def test_frames_show_the_person_where_the_truth_says(driving: KeyedMotion) -> No
         assert frame["joints_3d"] == pytest.approx(joints, abs=1e-9)
         assert frame["joints_2d"] == pytest.approx(SMALL.camera.project(joints), abs=1e-9, nan_ok=True)
         seen = np.flatnonzero(frame["visibility"] == Visibility.VISIBLE)
-        assert INDEX["head"] in seen
+        assert CABINPOSE.index["head"] in seen
         assert len(seen) >= 5
         for j in seen:
             u, v = np.rint(frame["joints_2d"][j]).astype(int)

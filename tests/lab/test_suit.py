@@ -21,7 +21,7 @@ from cabinpose.app.lab.suit import (
     true_segments,
 )
 from cabinpose.core.frames import apply, invert, transform
-from cabinpose.core.skeleton import INDEX, MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, MVN_SEGMENTS
 from cabinpose.scene.body import DOF_INDEX, DOFS
 
 NONE = SuitErrors(**dict.fromkeys(SuitErrors.model_fields, 0.0))
@@ -82,11 +82,11 @@ def test_the_neutral_pose_is_the_identity_with_arms_to_the_sides() -> None:
 def test_segments_begin_at_our_joints_whatever_the_pose(driving: KeyedMotion) -> None:
     time = np.arange(0.0, 5.0, 0.31)
     segments, joints = true_segments(driving, time), driving.joints(time)
-    for joint, theirs in RIGS["mvn"].items():
-        assert segments.position_m[:, SEGMENT[theirs]] == pytest.approx(joints[:, INDEX[joint]], abs=1e-12)
+    for joint, theirs in CABINPOSE.maps["mvn"].items():
+        assert segments.position_m[:, SEGMENT[theirs]] == pytest.approx(joints[:, CABINPOSE.index[joint]], abs=1e-12)
     for side, theirs in (("l", "LeftHand"), ("r", "RightHand")):
         at = np.einsum("tij,j->ti", segments.rotation[:, SEGMENT[theirs]], hand_offset(driving.person, side))
-        assert segments.position_m[:, SEGMENT[theirs]] + at == pytest.approx(joints[:, INDEX[side + "hand"]], abs=1e-12)
+        assert segments.position_m[:, SEGMENT[theirs]] + at == pytest.approx(joints[:, CABINPOSE.index[side + "hand"]], abs=1e-12)
 
 
 def test_an_elbow_bends_about_its_own_axis() -> None:

@@ -12,9 +12,11 @@ from cabinpose.app.lab.rig import Device, VirtualRig
 from cabinpose.app.lab.takes import Actor, Truth, truth_path, write_action_take, write_head_take, write_motion_take
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert
-from cabinpose.core.skeleton import INDEX, MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, MVN_SEGMENTS
 from cabinpose.scene.sensor import Sensor, sensor_by_name
 from cabinpose.store.recording import Recording, SegmentSeries, segment_series, tof_frames
+
+INDEX, MAPS = CABINPOSE.index, CABINPOSE.maps
 
 SMALL: Sensor = sensor_by_name("evk75023").model_copy(update={"camera": Camera.from_fov(120, 96, np.radians(95.0))})
 
@@ -48,7 +50,7 @@ def test_from_exact_observations_the_chain_gives_the_joints_in_the_camera(tmp_pa
     # The thesis' chain: from the camera to the world, its object, the head, and there the suit.
     camera_from_head = truth.camera_from_world @ transforms(optical, "head") @ truth.object_from_head
     camera_from_suit = camera_from_head @ invert(transforms(suit, "Head"))
-    for joint, theirs in RIGS["mvn"].items():
+    for joint, theirs in MAPS["mvn"].items():
         position, _ = suit.segment(theirs)
         found = np.stack([apply(camera_from_suit[k], position[k]) for k in range(10)])
         assert found == pytest.approx(truth.joints_3d[:, INDEX[joint]], abs=1e-6), joint
@@ -113,8 +115,8 @@ def test_the_motion_take_has_suit_and_model_of_the_whole_body(tmp_path: Path, ac
     assert np.isfinite(head.position_m).all()
     home = apply(invert(truth.suit_from_world), suit.position_m)
     for joint in ("lwrist", "rfoot", "head"):
-        theirs = model.segment(RIGS["vicon_kinematic_fit"][joint])[0]
-        assert home[:, MVN_SEGMENTS.index(RIGS["mvn"][joint])] == pytest.approx(theirs, abs=1e-6)
+        theirs = model.segment(MAPS["vicon_kinematic_fit"][joint])[0]
+        assert home[:, MVN_SEGMENTS.index(MAPS["mvn"][joint])] == pytest.approx(theirs, abs=1e-6)
     first, last = (home[(truth.suit_ns >= start) & (truth.suit_ns < end)].mean(axis=0) for start, end in truth.window_ns[[0, -1]])
     assert last == pytest.approx(first, abs=2e-3)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import MocapError, RecordingError
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOF_INDEX, SUBJECTS, BodyModel
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.signals.recorded import Markers, Sample, SegmentPoses
@@ -50,7 +50,7 @@ def test_a_suits_file_makes_the_recorded_gesture(real_data: Callable[[str], Path
         posed = person.pose(motion.q[f], root)
         for side, a, b in LIMBS:
             theirs = unit(clip.positions[f, at(side + b)] - clip.positions[f, at(side + a)])
-            ours = unit(np.subtract(*(posed.joints[INDEX[side[0].lower() + OURS[k]]] for k in (b, a))))
+            ours = unit(np.subtract(*(posed.joints[CABINPOSE.index[side[0].lower() + OURS[k]]] for k in (b, a))))
             errors.append(np.degrees(np.arccos(np.clip(ours @ theirs, -1, 1))))
         thumb = posed.bones[BONE_INDEX["rhand"]][:3, 0]  # the thumb's side of a hand is forward where arms are stretched out
         palms.append(thumb @ clip.rotations[f, at("RightHand"), :, 0])

@@ -13,7 +13,7 @@ from seated_posture import solve_posture
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import apply, invert
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel, Person, Phenotype
 from cabinpose.scene.cabin import PRESETS, SeatSetting, build_cabin
 from cabinpose.synth.posture import (
@@ -63,7 +63,7 @@ def test_every_subject_sits_in_every_seat(preset: str, people: dict[str, Person]
             assert np.all(posture.q <= UPPER)
             # The residual is the truth: femur heads as the body's own kinematics has them.
             joints = person.joints(posture.q, posture.vehicle_from_root)
-            middle = joints[[INDEX["lpelvis"], INDEX["rpelvis"]]].mean(axis=0)
+            middle = joints[[CABINPOSE.index["lpelvis"], CABINPOSE.index["rpelvis"]]].mean(axis=0)
             assert np.linalg.norm(middle - seat.h_point(setting)) == pytest.approx(missed["h_point"], abs=1e-6)
     assert solved >= len(people) * len(cabin.seats) - 3
 
@@ -82,10 +82,10 @@ def test_hands_are_on_the_rim_and_feet_on_the_pedals(people: dict[str, Person]) 
                 palm = posed.palms[side]
                 assert np.linalg.norm(palm[:3, 3] - wheel.grip_point(clock)) < 0.022, (preset, name)
                 assert palm[:3, 1] @ wheel.tangent(clock) < -0.8  # the rim runs across the palm, thumb up
-                shoulder, elbow, wrist = (posed.joints[INDEX[side + j]] for j in ("shoulder", "elbow", "wrist"))
+                shoulder, elbow, wrist = (posed.joints[CABINPOSE.index[side + j]] for j in ("shoulder", "elbow", "wrist"))
                 assert elbow[2] < max(shoulder[2], wrist[2]) + 0.02  # elbows hang
             pad = cabin.pedals["accelerator"]
-            ball = apply(invert(pad), posed.joints[INDEX["rfoot"]])
+            ball = apply(invert(pad), posed.joints[CABINPOSE.index["rfoot"]])
             assert abs(ball[1]) < 0.05
             assert 0.0 < ball[2] < 0.11  # the joint inside the foot, the sole on the pad
             knee = np.degrees(posture.q[DOF_INDEX["rknee.flexion"]])

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.frames import apply, invert, transform
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, Person
 from cabinpose.scene.body.rig import LOWER, UPPER
 from cabinpose.scene.cabin import build_cabin
@@ -164,6 +164,6 @@ def test_samples_cover_every_solid(person: Person) -> None:
             away = np.linalg.norm(samples.rest[slice(*samples.around[head])] - samples.rest[head], axis=1)
             assert (away <= samples.reach[head]).all()
             assert samples.reach[head] < 0.2
-    wrist = person.joints(np.zeros(len(LOWER)), np.eye(4))[INDEX["lwrist"]]
+    wrist = person.joints(np.zeros(len(LOWER)), np.eye(4))[CABINPOSE.index["lwrist"]]
     hand = samples.rest[slice(*samples.rows[SOLIDS.index("lhand")])]
     assert np.linalg.norm(apply(np.eye(4), hand) - wrist, axis=1).min() < 0.6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import MocapError
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.contact import ContactField
@@ -54,7 +54,7 @@ def arms_raised(joints: np.ndarray, up: np.ndarray) -> np.ndarray:
     """(N, 2) angle (deg) between each upper arm and the downward trunk axis; joints (N, 20, 3)."""
     result = []
     for side in "lr":
-        arm = joints[:, INDEX[side + "elbow"]] - joints[:, INDEX[side + "shoulder"]]
+        arm = joints[:, CABINPOSE.index[side + "elbow"]] - joints[:, CABINPOSE.index[side + "shoulder"]]
         arm /= np.linalg.norm(arm, axis=1, keepdims=True)
         result.append(np.degrees(np.arccos(np.clip(-(arm * up).sum(axis=1), -1, 1))))
     return np.stack(result, axis=1)
@@ -66,7 +66,7 @@ def test_arms_are_raised_about_as_often_as_in_itop(real_data: Callable[[str], Pa
     real = scipy.io.loadmat(real_data("itop/itop_side_keypoints3D_test.mat"))["keypoints3D"].astype(float)
     joints = np.zeros((len(real), 20, 3))
     for ours, theirs in (("lshoulder", 3), ("rshoulder", 2), ("lelbow", 5), ("relbow", 4)):
-        joints[:, INDEX[ours]] = real[:, theirs]
+        joints[:, CABINPOSE.index[ours]] = real[:, theirs]
     up = real[:, 1] - real[:, 9:11].mean(axis=1)
     theirs_raised = arms_raised(joints, up / np.linalg.norm(up, axis=1, keepdims=True)) > 45
 
@@ -74,7 +74,7 @@ def test_arms_are_raised_about_as_often_as_in_itop(real_data: Callable[[str], Pa
     rng = np.random.default_rng(4)
     poses = [sample_standing(person, rng=rng) for _ in range(600)]
     joints = np.array([person.joints(p.q, p.floor_from_root) for p in poses])
-    up = joints[:, INDEX["neck"]] - joints[:, [INDEX["lpelvis"], INDEX["rpelvis"]]].mean(axis=1)
+    up = joints[:, CABINPOSE.index["neck"]] - joints[:, [CABINPOSE.index["lpelvis"], CABINPOSE.index["rpelvis"]]].mean(axis=1)
     ours_raised = arms_raised(joints, up / np.linalg.norm(up, axis=1, keepdims=True)) > 45
     for count in (0, 1, 2):
         a, b = ((r.sum(axis=1) == count).mean() for r in (theirs_raised, ours_raised))
@@ -100,7 +100,7 @@ def test_the_retargeted_recording_makes_the_same_gesture(real_data: Callable[[st
         root = np.eye(4)
         root[:3, :3] = motion.root[f]
         joints = person.joints(motion.q[f], root)
-        ours = directions({s + n: joints[INDEX[s + n]] for s in "lr" for n in names})
+        ours = directions({s + n: joints[CABINPOSE.index[s + n]] for s in "lr" for n in names})
         theirs = directions(
             {
                 s + n: clip.positions[f, clip.names.index(side + m)]

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core.skeleton import MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, MVN_SEGMENTS
 from cabinpose.record.emulate.mvn_motion import generated, offset_m
 from cabinpose.record.emulate.mvn_streamer import MvnEmulatorSettings, Streamer
 from cabinpose.record.sources import mvn_protocol as mvn
@@ -225,7 +225,7 @@ def test_facts_of_a_character() -> None:
     assert len(points.values["points"]) == 23
     assert markers.names[14] == "jLeftHand"  # by the names that the scale told
     assert code == Facts("character0", {"time_code": "00:00:00.000"})
-    assert set(RIGS["mvn"].values()) <= set(MVN_SEGMENTS)
+    assert set(CABINPOSE.maps["mvn"].values()) <= set(MVN_SEGMENTS)
 
 
 def test_a_time_code_without_its_length() -> None:

@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.skeleton import RIGS
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.record.emulate.vicon import ViconEmulator
 from cabinpose.record.emulate.vicon_content import Outage, ViconEmulatorSettings
 from cabinpose.record.emulate.vicon_motion import MarkerMotion, generated_motion, motion_of_c3d
@@ -124,7 +124,7 @@ def test_the_server_says_once_what_holds() -> None:
     assert {"name": "Head1", "segment": "Head"} in facts["subject S01"]["markers"]
     neutral = {row["name"]: row["position_m"] for row in facts["subject S01"]["neutral_pose"]}
     np.testing.assert_allclose(neutral["L_Tibia"], (0.0, 0.0, -0.42), atol=1e-9)  # in the thigh's frame
-    assert set(RIGS["vicon_kinematic_fit"].values()) <= set(segments)
+    assert set(CABINPOSE.maps["vicon_kinematic_fit"].values()) <= set(segments)
 
 
 @pytest.mark.usefixtures("one_clock")

@@ -13,12 +13,13 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import Matrix, apply, invert, look_at
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, JOINTS, REACH_M
+from cabinpose.core.skeleton import CABINPOSE, JOINTS
+from cabinpose.scene.body import OWN_PARTS
 from cabinpose.scene.labels import BODY_PARTS
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.synth.render import OWN_PARTS, Rasteriser
+from cabinpose.synth.render import Rasteriser
 
 FORWARD = invert(look_at((0, 0, 0), (1, 0, 0)))
 
@@ -33,16 +34,16 @@ def joint_visibility(
 def state(joint: str, at: tuple[float, float, float], parts: list[Surface], instance: int = 1) -> Visibility:
     """The state of one joint of person `instance` at a place of the vehicle frame, the camera at the origin looking along x."""
     joints = np.full((1, len(JOINTS), 3), np.nan)
-    joints[0, INDEX[joint]] = apply(FORWARD, at)
+    joints[0, CABINPOSE.index[joint]] = apply(FORWARD, at)
     result = joint_visibility(joints, [instance], merge(parts), FORWARD, small_camera())
-    others = np.delete(result[0], INDEX[joint])
+    others = np.delete(result[0], CABINPOSE.index[joint])
     assert (others == Visibility.ABSENT).all()
-    return Visibility(result[0, INDEX[joint]])
+    return Visibility(result[0, CABINPOSE.index[joint]])
 
 
 def test_every_joint_has_its_own_parts_and_a_reach() -> None:
     names = {label.name for label in BODY_PARTS}
-    assert tuple(OWN_PARTS) == JOINTS == tuple(REACH_M)
+    assert tuple(OWN_PARTS) == JOINTS == tuple(CABINPOSE.reach_m)
     for joint in JOINTS:
         assert set(OWN_PARTS[joint]) <= names
         if joint[0] in "lr":
@@ -131,7 +132,7 @@ def by_rays(joints: NDArray[np.float64], instances: list[int], scene: Surface, v
                 states[p, j] = Visibility.OCCLUDED
             else:
                 distance = np.linalg.norm(target * (1 - z[0] / target[2]))
-                own = name.get(int(solid.label[face[0]])) in OWN_PARTS[joint] and distance <= REACH_M[joint]
+                own = name.get(int(solid.label[face[0]])) in OWN_PARTS[joint] and distance <= CABINPOSE.reach_m[joint]
                 states[p, j] = Visibility.VISIBLE if own else Visibility.SELF_OCCLUDED
     return states
 

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis.extra import numpy as hnp
 
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS, JOINTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, ITOP, JOINTS
 from cabinpose.store import open_dataset, points_m
 from cabinpose.store.convert import FORMATS, IMAGE_KINDS, export_dataset
 from cabinpose.store.convert.coco import run_lengths
@@ -44,8 +44,8 @@ def test_png_json(spheres: ModuleType, dataset_folder: Path, tmp_path: Path) -> 
         record = json.loads((out / "pose" / f"{i:08d}.json").read_text())
         assert [p["subject"] for p in record["people"]] == [s for s in want["subject"] if s]
         elbow = record["people"][0]["joints"]["lelbow"]
-        np.testing.assert_allclose(elbow["xyz_m"], want["joints_3d"][0, INDEX["lelbow"]], atol=1e-5)
-        np.testing.assert_allclose(elbow["uv_px"], want["joints_2d"][0, INDEX["lelbow"]], atol=1e-3)
+        np.testing.assert_allclose(elbow["xyz_m"], want["joints_3d"][0, CABINPOSE.index["lelbow"]], atol=1e-5)
+        np.testing.assert_allclose(elbow["uv_px"], want["joints_2d"][0, CABINPOSE.index["lelbow"]], atol=1e-3)
     noisy = cv2.imread(str(out / "depth" / "00000002.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(noisy == 0, np.isnan(dataset.depth[2].values))
 
@@ -166,7 +166,7 @@ def test_sigmas_are_those_of_coco_where_it_has_them(dataset_folder: Path, tmp_pa
     ours = dict(zip(category["keypoints"], category["sigmas"], strict=True))
     names = [f"{side}_{joint}" for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")]
     theirs = dict(zip(names, cocoeval.Params("keypoints").kpt_oks_sigmas[5:], strict=True))
-    for joint, name in RIGS["coco"].items():
+    for joint, name in CABINPOSE.maps["coco"].items():
         assert ours[joint] == pytest.approx(theirs[name])
 
 
@@ -276,16 +276,16 @@ def test_itop(spheres: ModuleType, tmp_path: Path) -> None:
         world = labels["real_world_coordinates"][...].astype(float)
         ours = dataset.joints_3d.values[:, 0]
         for ours_name, itop_name in (("rshoulder", "rshoulder"), ("lpelvis", "lhip"), ("rhand", "rhand"), ("lfoot", "lfoot")):
-            got = world[:, ITOP_JOINTS.index(itop_name)]
-            np.testing.assert_allclose(got, ours[:, INDEX[ours_name]] * (1, -1, 1), atol=2e-3)
+            got = world[:, ITOP.joints.index(itop_name)]
+            np.testing.assert_allclose(got, ours[:, CABINPOSE.index[ours_name]] * (1, -1, 1), atol=2e-3)
         # the files' own consistency: pixels follow from metres with y up
         f, cx, cy = 0.8 * 320, 159.5, 119.5
         uv = np.stack((cx + f * world[..., 0] / world[..., 2], cy - f * world[..., 1] / world[..., 2]), -1)
         assert np.abs(labels["image_coordinates"][...] - uv).max() < 1.5
         segmentation = labels["segmentation"][1]
         frame = spheres.frame(1, spheres.manifest(width=320, height=240, persons=("a",)))
-        np.testing.assert_array_equal(segmentation == ITOP_JOINTS.index("head"), frame["labels"] == 29)
-        np.testing.assert_array_equal(segmentation == ITOP_JOINTS.index("torso"), frame["labels"] == 14)
+        np.testing.assert_array_equal(segmentation == ITOP.joints.index("head"), frame["labels"] == 29)
+        np.testing.assert_array_equal(segmentation == ITOP.joints.index("torso"), frame["labels"] == 14)
         assert (segmentation[frame["instance"] == 0] == -1).all()
         assert labels["is_valid"][...].all()
 
@@ -305,7 +305,7 @@ def test_itop_takes_its_own_joints(spheres: ModuleType, tmp_path: Path) -> None:
 def test_itop_layout_is_the_real_ones(real_data: object) -> None:
     """Axes of the published ground truth: y up, so heads above feet; a facing person's right shoulder at negative x."""
     joints = np.load(real_data("itop/itop_front_64.npz"))["joints_3d"]  # type: ignore[operator]
-    names = {name: i for i, name in enumerate(ITOP_JOINTS)}
+    names = {name: i for i, name in enumerate(ITOP.joints)}
     assert (joints[:, names["head"], 1] > joints[:, names["lfoot"], 1]).all()
     assert joints[:, names["rshoulder"], 0].mean() < joints[:, names["lshoulder"], 0].mean()
 
@@ -331,7 +331,7 @@ def test_every_body_part_has_an_itop_joint(spheres: ModuleType) -> None:
     table = segmentation_table(xr.Dataset({"labels": ("x", [0], label_attributes(manifest))}))
     for label in LABELS:
         assert (table[label.id] >= 0) == (1 <= label.id <= 63), label.name
-    by_name = {label.name: ITOP_JOINTS[table[label.id]] for label in LABELS if table[label.id] >= 0}
+    by_name = {label.name: ITOP.joints[table[label.id]] for label in LABELS if table[label.id] >= 0}
     assert by_name["forearm_left"] == "lelbow"
     assert by_name["hip_center"] == "torso"
     assert by_name["hip_right"] == "rhip"

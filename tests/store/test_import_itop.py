@@ -14,7 +14,7 @@ import xarray as xr
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import INDEX, ITOP_JOINTS
+from cabinpose.core.skeleton import CABINPOSE, ITOP
 from cabinpose.store import PartWriter, create_dataset, open_dataset, points_m
 from cabinpose.store.convert import export_dataset, open_source
 from cabinpose.store.convert.itop_import import label_rows
@@ -23,7 +23,7 @@ from cabinpose.store.source import import_source
 
 FRAMES = 20  # more than are read at a time
 INVALID = (3, 17)
-HEAD, RHAND, LHIP, LKNEE, LFOOT = (ITOP_JOINTS.index(n) for n in ("head", "rhand", "lhip", "lknee", "lfoot"))
+HEAD, RHAND, LHIP, LKNEE, LFOOT = (ITOP.joints.index(n) for n in ("head", "rhand", "lhip", "lknee", "lfoot"))
 
 
 def imported(path: Path, out: Path, **options: Any) -> xr.Dataset:
@@ -268,5 +268,5 @@ def test_axes_are_those_of_the_published_labels(real_data: Any, tmp_path: Path) 
     ds = imported(tmp_path / "a_labels.h5", tmp_path / "out")
     joints = ds.itop_joints_3d.values[:, 0]
     assert (joints[:, HEAD, 1] < joints[:, LFOOT, 1]).all()
-    right, left = (ds.joints_3d.values[:, 0, INDEX[name]] for name in ("rshoulder", "lshoulder"))
+    right, left = (ds.joints_3d.values[:, 0, CABINPOSE.index[name]] for name in ("rshoulder", "lshoulder"))
     assert right[:, 0].mean() < left[:, 0].mean()

@@ -15,7 +15,7 @@ from PIL import Image
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import NTU_JOINTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, NTU_JOINTS
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import export_dataset, open_source
 from cabinpose.store.convert.ntu import KINECT_V2
@@ -79,7 +79,7 @@ def test_by_hand(tmp_path: Path) -> None:
     assert states["lwrist"] == Visibility.VISIBLE
     assert {name for name, state in states.items() if not state} == {"head", "hip"}
     second = ds.isel(frame=1, person=1)
-    for ours, theirs in RIGS["kinect_v2"].items():
+    for ours, theirs in CABINPOSE.maps["kinect_v2"].items():
         x, y, z = facing(0.8)[NTU_JOINTS.index(theirs)]
         np.testing.assert_allclose(second.joints_3d.sel(joint=ours), (-x, -y, z), atol=1e-6)
         np.testing.assert_allclose(ds.joints_3d.sel(joint=ours)[3, 0], (-x, -y, z), atol=1e-6)
@@ -264,7 +264,7 @@ def test_round_trip(spheres: ModuleType, tmp_path: Path) -> None:
     after = imported(out, tmp_path / "b")
     assert after.sizes["frame"] == 12
     # frames come in the order of the files' names: find each by its place, view, first person and what he does
-    columns = [np.array(list(RIGS["kinect_v2"])), "joints_3d", "visibility"]
+    columns = [np.array(list(CABINPOSE.maps["kinect_v2"])), "joints_3d", "visibility"]
     key = [
         tuple(
             str(v) for v in (before.car[i].item(), before.pov[i].item(), before.subject[i, 0].item(), before.action[i, 0].item())

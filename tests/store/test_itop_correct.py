@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cabinpose.core.camera import Camera
-from cabinpose.core.skeleton import ITOP_JOINTS
+from cabinpose.core.skeleton import ITOP
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.convert import open_source
 from cabinpose.store.convert.itop_correct import REACH_M, corrected, grown, person_mask
@@ -21,7 +21,7 @@ from cabinpose.store.itop import K
 from cabinpose.store.source import import_source
 
 CAMERA = Camera(320, 240, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-HEAD, TORSO, RHAND, LHAND, RFOOT = (ITOP_JOINTS.index(n) for n in ("head", "torso", "rhand", "lhand", "rfoot"))
+HEAD, TORSO, RHAND, LHAND, RFOOT = (ITOP.joints.index(n) for n in ("head", "torso", "rhand", "lhand", "rfoot"))
 # Columns and rows of the joints of `drawn`, on the person but for the two hands: one 12 px beside it, one 5 px above the fist.
 UV = np.array(
     [[160, 40], [160, 65], [145, 70], [175, 70], [140, 95], [180, 95], [118, 120], [205, 85], [160, 100], [150, 130], [170, 130],

@@ -14,7 +14,7 @@ from mvnx_file import write_mvnx
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import RecordingError
-from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS, RIGS
+from cabinpose.core.skeleton import CABINPOSE, MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.signals.recorded import (
     Channels,
     Facts,
@@ -150,7 +150,7 @@ def test_our_joints_are_the_origins_of_their_segments(real_data: Callable[[str],
     arms = {"lshoulder": "jLeftShoulder", "relbow": "jRightElbow", "lwrist": "jLeftWrist"}
     legs = {"rpelvis": "jRightHip", "lknee": "jLeftKnee", "rankle": "jRightAnkle", "lfoot": "jLeftBallFoot"}
     for ours, theirs in (spine | arms | legs).items():
-        assert joint[RIGS["mvn"][ours]] == theirs
+        assert joint[CABINPOSE.maps["mvn"][ours]] == theirs
 
 
 def test_the_real_file_goes_round(real_data: Callable[[str], Path], tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import UPPER_BODY
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store.labels import JointLabel
 from cabinpose.store.lazy import camera_of
 from cabinpose.store.predictions import Predictions, empty_batch
@@ -48,14 +48,14 @@ def truth_as_predictions(workspace: Workspace, shift: float = 0.0, presence: flo
 
 
 def test_joints_go_along_the_skeleton(labelling: Labelling) -> None:
-    assert labelling.joints == UPPER_BODY
+    assert labelling.joints == CABINPOSE.sets["upper body"]
 
 
 def test_dataset_s_joints_are_shown_until_they_are_labels(labelling: Labelling) -> None:
     shown = labelling.shown(0, DRIVER)
     assert {s.origin for s in shown} == {"dataset"}
     count = labelling.accept(0, DRIVER)
-    assert count == len(UPPER_BODY)
+    assert count == len(CABINPOSE.sets["upper body"])
     assert {s.origin for s in labelling.shown(0, DRIVER)} == {"label"}
     assert labelling.done(0, DRIVER)
     assert labelling.key_frames(DRIVER) == [0]
@@ -65,7 +65,7 @@ def test_placed_joint_lies_behind_the_measured_surface(workspace: Workspace, lab
     """Where the truth was, the joint's own depth comes back from its distance to the surface."""
     assert workspace.dataset is not None
     frame = workspace.dataset.isel(frame=0).load()
-    joint = UPPER_BODY.index("chest")
+    joint = CABINPOSE.sets["upper body"].index("chest")
     column = [str(n) for n in frame["joint"].values].index("chest")
     u, v = frame["joints_2d"].values[0, column].tolist()
     label = labelling.place(0, DRIVER, "chest", u, v)
@@ -96,11 +96,11 @@ def test_undo_takes_back_one_change_at_a_time(labelling: Labelling) -> None:
     labelling.place(0, DRIVER, "head", 50.0, 60.0)
     labelling.accept(0, DRIVER)
     assert labelling.undo()
-    assert [s.origin for s in labelling.shown(0, DRIVER)] == ["label", *["dataset"] * (len(UPPER_BODY) - 1)]
+    assert [s.origin for s in labelling.shown(0, DRIVER)] == ["label", *["dataset"] * (len(CABINPOSE.sets["upper body"]) - 1)]
     assert labelling.undo()
     assert {s.origin for s in labelling.shown(0, DRIVER)} == {"dataset"}
     assert not labelling.undo()
-    assert [c.how for c in labelling.labels.history[-15:]].count("undone") == len(UPPER_BODY)
+    assert [c.how for c in labelling.labels.history[-15:]].count("undone") == len(CABINPOSE.sets["upper body"])
 
 
 def test_copy_takes_the_last_labelled_frame(labelling: Labelling) -> None:

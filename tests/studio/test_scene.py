@@ -279,7 +279,6 @@ def test_collision_is_shown_where_it_is(accepted: tuple[SceneEditor, Shown], pre
 
 
 def _joint(name: str) -> int:
-    from cabinpose.core.skeleton import INDEX
 
     return INDEX[name]
 

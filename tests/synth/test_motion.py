@@ -16,7 +16,7 @@ from synth_scenes import fingerprint, small_config
 
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import invert
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SEGMENTS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.things import THINGS
@@ -89,7 +89,7 @@ def test_no_joint_is_faster_than_people_are(film) -> None:
         joints = np.stack([p[i].posed.joints for p in people])
         for name, near, far, limit in (("elbow", "shoulder", "wrist", 1510.0), ("knee", "pelvis", "ankle", 440.0)):
             for side in "lr":
-                one, two = (joints[:, INDEX[side + e]] - joints[:, INDEX[side + name]] for e in (near, far))
+                one, two = (joints[:, CABINPOSE.index[side + e]] - joints[:, CABINPOSE.index[side + name]] for e in (near, far))
                 cosine = (one * two).sum(1) / np.linalg.norm(one, axis=1) / np.linalg.norm(two, axis=1)
                 speed = np.degrees(np.abs(np.diff(np.arccos(cosine)))) / step
                 assert speed.max() < limit
@@ -252,7 +252,7 @@ def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
     """Thumbs up, the thing upright between the two, one palm above the other."""
     people = {p.slot: p for p in film.people(0.0)}
     one, two = people["driver"], people["front_passenger"]
-    side = 1 if one.posed.joints[INDEX["hip"], 1] > two.posed.joints[INDEX["hip"], 1] else 0
+    side = 1 if one.posed.joints[CABINPOSE.index["hip"], 1] > two.posed.joints[CABINPOSE.index["hip"], 1] else 0
     held = hold(one.person, GIVE, "bottle", 0, side)
     rng = np.random.default_rng(0)
     place = meeting_place((one.person, two.person), (one.posed, two.posed), side, np.array((1.0, 0.0, 0.0)), rng=rng)
@@ -265,7 +265,7 @@ def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
         np.testing.assert_allclose(thumb * palm[:3, 1], (0.0, 0.0, 1.0), atol=1e-9)
         assert (thing[:3, 3] - palm[:3, 3]) @ palm[:3, 2] > 0.02  # it is before the palm
     assert 0.085 < palms[1][2, 3] - palms[0][2, 3] < 0.15
-    shoulders = [p.posed.joints[INDEX["lr"[s] + "shoulder"]] for p, s in ((one, side), (two, 1 - side))]
+    shoulders = [p.posed.joints[CABINPOSE.index["lr"[s] + "shoulder"]] for p, s in ((one, side), (two, 1 - side))]
     for person, shoulder in zip((one, two), shoulders, strict=True):
         arm = sum(person.person.segment_lengths[name] for name in ("upper_arm", "forearm"))
         assert 0.35 < np.linalg.norm(place - shoulder) / arm < 1.0
@@ -319,7 +319,7 @@ def test_children_move_in_their_seats() -> None:
         assert (verdict := _free(film, tick / (CHECKS_PER_FRAME * RATE))).ok, verdict
     moved = np.stack([film.people(t)[0].posed.joints for t in np.arange(0.0, 1.7, 0.1)])
     assert np.ptp(moved, axis=0).max() > 0.05
-    assert np.linalg.norm(np.ptp(moved[:, INDEX["hip"]], axis=0)) < 0.05
+    assert np.linalg.norm(np.ptp(moved[:, CABINPOSE.index["hip"]], axis=0)) < 0.05
     (child,) = sampler.sample(5, rng=np.random.default_rng(0)).people
     assert (child.belt, child.child) == ("harness", True)
 

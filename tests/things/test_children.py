@@ -10,7 +10,7 @@ from exact_contact import thing_penetrations
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, invert
-from cabinpose.core.skeleton import INDEX
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, BodyModel, Phenotype
 from cabinpose.scene.body.phenotype import age_of, usual_stature_m
 from cabinpose.scene.labels import LABEL_ID
@@ -74,7 +74,7 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
 def test_the_belt_crosses_the_middle_of_a_childs_shoulder_and_lies_low(kind: str) -> None:
     _, child = drawn(kind, "rear_left", belted=1.0, motion={"rear_left": {"rest_lap": 1.0}})
     assert child.belt == "worn"
-    at = {name: child.posed.joints[i] for name, i in INDEX.items()}
+    at = {name: child.posed.joints[i] for name, i in CABINPOSE.index.items()}
     belt = child.surfaces[1].vertices.astype(np.float64)
     across = at["lshoulder"] - at["neck"]
     share = (belt - at["neck"]) @ across / (across @ across)

@@ -15,7 +15,7 @@ from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
 from cabinpose.align.time import suit_to_optical
-from cabinpose.core import RIGS, AlignmentError, UndeterminedError
+from cabinpose.core import CABINPOSE, AlignmentError, UndeterminedError
 from cabinpose.signals import Delay, DelaySearch, WindowDelays, resample_positions, resample_rotations
 from cabinpose.store.recording import Recording, segment_series
 
@@ -91,7 +91,7 @@ def align_take(
     optical = segment_series(recording, names.optical, head.head_object or names.head_object)
     suit_ns, optical_ns = on_host(suit), on_host(optical)
     origin = int(frame_ns[0])
-    suit_head = RIGS["mvn"]["head"]
+    suit_head = CABINPOSE.maps["mvn"]["head"]
     _, suit_orientation = suit.segment(suit_head)
     object_position, object_orientation = optical.segment(names.head_segment)
     since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)

@@ -23,7 +23,7 @@ from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical
-from cabinpose.core import INDEX, JOINTS, RIGS, AlignmentError, Camera, Matrix, apply, transform
+from cabinpose.core import CABINPOSE, JOINTS, AlignmentError, Camera, Matrix, apply, transform
 from cabinpose.signals import Delay, DelaySearch, resample_positions, resample_rotations
 from cabinpose.store import read_mapping, validated
 from cabinpose.store.recording import Recording, marker_series, segment_series, tof_frames
@@ -225,7 +225,7 @@ def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_wo
 
 def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset, Delay]:
     """How the suit's head sits in the optical system's, and the delay between them, from a take of the turning head."""
-    rig = RIGS["mvn"]
+    rig = CABINPOSE.maps["mvn"]
     suit = segment_series(recording, subject.suit or names.suit, code)
     optical = segment_series(recording, names.optical, subject.head_object or names.head_object)
     position, orientation = optical.segment(names.head_segment)
@@ -262,11 +262,11 @@ def correct_pose(names: Names, code: str, subject: SubjectSession, object_from_h
             places = n_pose(points, np.radians(subject.arms_off_deg))
         else:
             body = segment_series(recording, names.optical, code)
-            rig = RIGS["vicon_kinematic_fit"]
+            rig = CABINPOSE.maps["vicon_kinematic_fit"]
             known = [joint for joint in JOINTS if rig[joint] in body.names]
             joints = np.full((len(body.host_ns), len(POINTS), 3), np.nan)
             for joint in known:
-                joints[:, JOINT_POINTS[INDEX[joint]]] = body.segment(rig[joint])[0]
+                joints[:, JOINT_POINTS[CABINPOSE.index[joint]]] = body.segment(rig[joint])[0]
             # The person stands still: the delay of some hundredths of a second between the systems does not matter.
             origin = int(suit.host_ns[0])
             at = seconds(on_host(suit), origin)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.align.chain import rigid
-from cabinpose.core import JOINTS, MVN_JOINTS, MVN_SEGMENTS, RIGS, AlignmentError, Matrix
+from cabinpose.core import CABINPOSE, JOINTS, MVN_JOINTS, MVN_SEGMENTS, AlignmentError, Matrix
 
 F64 = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ HANDS_M: tuple[Triple, Triple] = ((0.0, 0.085, 0.0), (0.0, -0.085, 0.0))
 POINTS: tuple[str, ...] = (*MVN_SEGMENTS, "lhand", "rhand")
 _BEFORE = {child: parent for _, parent, child in MVN_JOINTS} | {"lhand": "LeftHand", "rhand": "RightHand"}
 CARRIER = np.array([POINTS.index(_BEFORE[name]) if name in _BEFORE else -1 for name in POINTS])
-JOINT_POINTS = np.array([POINTS.index(RIGS["mvn"].get(joint, joint)) for joint in JOINTS])
+JOINT_POINTS = np.array([POINTS.index(CABINPOSE.maps["mvn"].get(joint, joint)) for joint in JOINTS])
 
 
 def suit_points(names: Sequence[str], position_m: F64, orientation_wxyz: F64, *, hands_m: tuple[Triple, Triple]) -> Matrix:

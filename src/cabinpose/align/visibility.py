@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import INDEX, JOINTS, LIMBS, REACH_M, Camera, Visibility
+from cabinpose.core import CABINPOSE, JOINTS, Camera, Visibility
 
 F64 = NDArray[np.float64]
 
 _WINDOW = 2  # px to each side of a joint's pixel: their median stands for the surface there
 _LIMB_M = 0.13  # a surface so near to a bone of the skeleton belongs to its body
-_REACH = np.array([REACH_M[joint] for joint in JOINTS])
-_ENDS = np.array([(INDEX[a], INDEX[b]) for a, b in LIMBS])
+_REACH = np.array([*CABINPOSE.reach_m.values()])
+_ENDS = np.array(CABINPOSE.limbs)
 
 
 def visibility(camera: Camera, depth_m: NDArray[np.floating], joints: F64) -> tuple[NDArray[np.uint8], F64]:
     """States (20,) of a person's joints (20, 3) m in the camera frame, and how far (20,) m the surface lies before each.
 
     depth_m: (H, W), NaN = invalid. The surface at a joint is the median of the valid depths in 5 x 5 pixels. As in generated
-    data (docs/visibility.md) a joint is visible where that surface is its own part's: at most `REACH_M` before the joint.
+    data (docs/visibility.md) a joint is visible where that surface is its own part's: at most `reach_m` before it.
     Otherwise it is hidden: by the body itself where the surface lies within 13 cm of another of its bones, else by something
     else. Where nothing was measured (dark hair, glass) nothing can be said to hide the joint, and it counts as visible. The
     distance is NaN there, and negative where the surface lies behind the joint, as it never does if the alignment is right:

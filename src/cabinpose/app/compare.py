@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.report.curves import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
-from cabinpose.core import ITOP_JOINTS, ConfigError, DatasetError, FrameBatch, unknown_name
+from cabinpose.core import ITOP, ConfigError, DatasetError, FrameBatch, unknown_name
 from cabinpose.estimate import METHODS, load_model
 from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
 from cabinpose.store import (
@@ -171,7 +171,7 @@ def answers(model_file: Path, test: Test, file: Path, progress: Callable[[int], 
     other joints.
     """
     model = load_model(model_file, threads=1)
-    if model.joints != ITOP_JOINTS or len(model.persons) != 1:
+    if model.joints != ITOP.joints or len(model.persons) != 1:
         raise ConfigError(f"{model_file} does not find ITOP's joints of one person", hint="train it with skeleton or body: itop")
     key = f"{hashlib.sha256(model_file.read_bytes()).hexdigest()} {test.key}"
     if file.exists():

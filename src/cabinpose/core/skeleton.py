@@ -1,68 +1,166 @@
-"""The skeleton of 20 joints, its groups and pairs, and the maps to other rigs.
+"""Sets of joints, `Skeleton`: ours of 20 and ITOP's of 15, and the tables that say which joints of other formats they are.
 
-Names: head = C1 (skull base), neck = C7, chest = T8, hip = L5 (root), lpelvis/rpelvis = the femur heads.
+A set is a row of `SKELETONS`. How its joints lie in a body is said in `scene.body.joints`; nothing else names joints, but what
+needs a body's anatomy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from warnings import warn
 
-from cabinpose.core.errors import unknown_name
+import numpy as np
+from numpy.typing import NDArray
 
+from cabinpose.core.errors import ConfigError, unknown_name
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A set of joints: their names in the order of arrays, the tree that ties them, and whose definition of each joint it is.
+
+    Two sets are equal where their joints and their definition are: the same names from another source are another set.
+    Positions are those of `joints`.
+
+    name: by which files and settings call it · title: by which texts do · definition: where its joints lie, and who says so ·
+    joints: (J,) names; those of a left and a right side are one name after l and r · parent: of each joint but the root, in the
+    order of the limbs · spine: joints along it, from the neck down · groups: joints by group of the reports · sigma: falloff of
+    OKS · skin_m: from the skin that a camera in front sees to the joint, of an adult of medium size · reach_m: how far the
+    surface of a joint's own part may be from the joint, empty where the set has no states of visibility · head: the ends of the
+    head segment, None where one of them is not in the set · sets: named choices of joints · maps: by other set or format the
+    joints that are the same there, ours -> theirs.
+    """
+
+    name: str
+    title: str
+    definition: str
+    joints: tuple[str, ...]
+    parent: Mapping[str, str]
+    spine: tuple[str, ...]
+    groups: Mapping[str, tuple[str, ...]]
+    sigma: Mapping[str, float]
+    skin_m: Mapping[str, float]
+    reach_m: Mapping[str, float] = field(default_factory=dict)
+    head: tuple[str, str] | None = ("head", "neck")
+    sets: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    maps: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            if isinstance(value := getattr(self, each.name), dict):
+                object.__setattr__(self, each.name, MappingProxyType(value))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Skeleton) and (self.joints, self.definition) == (other.joints, other.definition)
+
+    def __hash__(self) -> int:
+        return hash((self.joints, self.definition))
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Positions by name."""
+        return MappingProxyType({joint: i for i, joint in enumerate(self.joints)})
+
+    @cached_property
+    def limbs(self) -> tuple[tuple[int, int], ...]:
+        """(L, 2) positions of parent and child."""
+        return tuple((self.index[parent], self.index[child]) for child, parent in self.parent.items())
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """(P, 2) positions of the left and the right joint."""
+        sided = ((joint, "r" + joint[1:]) for joint in self.joints if joint[0] == "l")
+        return tuple((self.index[left], self.index[right]) for left, right in sided if right in self.index)
+
+    @cached_property
+    def mirror(self) -> tuple[int, ...]:
+        """(J,) positions of the mirror joints; a joint whose partner is not in the set is its own."""
+        other = dict(self.pairs) | {right: left for left, right in self.pairs}
+        return tuple(other.get(i, i) for i in range(len(self.joints)))
+
+    def indices(self, joints: Sequence[str]) -> list[int]:
+        """Positions of some joints."""
+        return [self.index[joint] for joint in joints]
+
+    def subset(self, joints: Sequence[str]) -> Skeleton:
+        """Some of the joints, in the order given, with what is known of them. ConfigError for a joint that is not in the set."""
+        for joint in joints:
+            if joint not in self.index:
+                raise unknown_name(f"joint of {self.title}", joint, self.joints)
+        chosen = set(joints)
+
+        def some(sets: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+            left = {name: tuple(joint for joint in members if joint in chosen) for name, members in sets.items()}
+            return {name: members for name, members in left.items() if members}
+
+        def of(table: Mapping[str, Any]) -> dict[str, Any]:
+            return {joint: table[joint] for joint in joints if joint in table}
+
+        return replace(
+            self, joints=tuple(joints), spine=tuple(joint for joint in self.spine if joint in chosen),
+            parent={child: parent for child, parent in self.parent.items() if {child, parent} <= chosen},
+            groups=some(self.groups), sets=some(self.sets),
+            sigma=of(self.sigma), skin_m=of(self.skin_m), reach_m=of(self.reach_m),
+            head=self.head if self.head is not None and chosen.issuperset(self.head) else None,
+            maps={other: of(table) for other, table in self.maps.items()},
+        )  # fmt: skip
+
+    def counterparts(self, other: str, names: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What another set or a format calls these joints, by the stated table: positions here, and there among its `names`.
+
+        Raises
+        ------
+        ConfigError
+            Where there is no table: sets are not mixed.
+        """
+        if other not in self.maps:
+            known = ", ".join(self.maps) or "none"
+            raise ConfigError(f"no table says which joints of {self.name} those of {other} are", hint=f"known tables: {known}")
+        there = {name: i for i, name in enumerate(names)}
+        both = [(self.index[ours], there[theirs]) for ours, theirs in self.maps[other].items() if theirs in there]
+        here, theirs = np.array(both, np.int64).reshape(-1, 2).T
+        return here, theirs
+
+    def marked_by(self, source: str) -> Skeleton:
+        """The same names as somebody else places them: another set."""
+        return replace(self, definition=source)
+
+
+def _by_joint(joints: Sequence[str], table: Mapping[str, float]) -> dict[str, float]:
+    """A table by joint, of one in which a joint of two sides may stand without its side."""
+    return {joint: table[joint if joint in table else joint[1:]] for joint in joints}
+
+
+# The order of the dataset standard's arrays; it stays within a version of the standard.
 JOINTS: tuple[str, ...] = (
     "head", "neck", "chest", "lshoulder", "rshoulder", "lelbow", "relbow", "lwrist", "rwrist", "lhand", "rhand",
     "hip", "lpelvis", "rpelvis", "lknee", "rknee", "lankle", "rankle", "lfoot", "rfoot",
 )  # fmt: skip
-INDEX = MappingProxyType({name: i for i, name in enumerate(JOINTS)})
-
-PARENT = MappingProxyType(
-    {
-        "head": "neck", "neck": "chest", "chest": "hip",
-        "lshoulder": "neck", "lelbow": "lshoulder", "lwrist": "lelbow", "lhand": "lwrist",
-        "rshoulder": "neck", "relbow": "rshoulder", "rwrist": "relbow", "rhand": "rwrist",
-        "lpelvis": "hip", "lknee": "lpelvis", "lankle": "lknee", "lfoot": "lankle",
-        "rpelvis": "hip", "rknee": "rpelvis", "rankle": "rknee", "rfoot": "rankle",
-    }
+_ITOP_JOINTS = (
+    "head", "neck", "rshoulder", "lshoulder", "relbow", "lelbow", "rhand", "lhand", "torso",
+    "rhip", "lhip", "rknee", "lknee", "rfoot", "lfoot",
 )  # fmt: skip
-LIMBS: tuple[tuple[str, str], ...] = tuple((parent, child) for child, parent in PARENT.items())
 
-SYMMETRIC_PAIRS: tuple[tuple[str, str], ...] = tuple((n, "r" + n[1:]) for n in JOINTS if n[0] == "l")
-
-# How far the surface of a joint's own part may be from the joint (m): the greatest half-thickness of the part seen from
-# anywhere, for a heavy adult in winter clothes, rounded up.
+# OKS falloff sigma. Shoulder to ankle: COCO (cocodataset.org, keypoint evaluation). Head and neck: CrowdPose (Li et al. 2019).
+# Feet: COCO-WholeBody's toes (Jin et al. 2020). The trunk has none published: COCO's hip, the loosest; hands: COCO's wrist.
+_SIGMA = {
+    "head": 0.079, "neck": 0.079, "chest": 0.107, "torso": 0.107, "hip": 0.107, "pelvis": 0.107, "shoulder": 0.079,
+    "elbow": 0.072, "wrist": 0.062, "hand": 0.062, "knee": 0.087, "ankle": 0.089, "foot": 0.068,
+}  # fmt: skip
+# Half the depth of the body at the joint, m.
+_SKIN_M = {
+    "head": 0.09, "neck": 0.06, "chest": 0.11, "torso": 0.11, "hip": 0.11, "pelvis": 0.09, "shoulder": 0.06, "elbow": 0.04,
+    "wrist": 0.025, "hand": 0.015, "knee": 0.06, "ankle": 0.04, "foot": 0.03,
+}  # fmt: skip
+# The greatest half-thickness of the joint's own part seen from anywhere, for a heavy adult in winter clothes, rounded up, m.
 _REACH_M = {
     "head": 0.25, "neck": 0.25, "chest": 0.40, "hip": 0.40, "shoulder": 0.22, "elbow": 0.15, "wrist": 0.12, "hand": 0.12,
     "pelvis": 0.30, "knee": 0.18, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
-REACH_M = MappingProxyType({joint: _REACH_M[joint if joint in _REACH_M else joint[1:]] for joint in JOINTS})
-
-# OKS falloff sigma by stem of a joint's name (without l or r). Shoulder to ankle: COCO (cocodataset.org, keypoint evaluation).
-# Head and neck: CrowdPose (Li et al. 2019). Feet: COCO-WholeBody's toes (Jin et al. 2020). The trunk has none published: COCO's
-# hip, the loosest; hands: COCO's wrist.
-OKS_SIGMA = MappingProxyType(
-    {
-        "head": 0.079, "neck": 0.079, "chest": 0.107, "torso": 0.107, "hip": 0.107, "pelvis": 0.107, "shoulder": 0.079,
-        "elbow": 0.072, "wrist": 0.062, "hand": 0.062, "knee": 0.087, "ankle": 0.089, "foot": 0.068,
-    }
-)  # fmt: skip
-
-# The groups of the reports (the thesis' five, and a hand group beside them).
-GROUPS = MappingProxyType(
-    {
-        "Head": ("head", "neck"),
-        "Shoulder": ("lshoulder", "rshoulder", "chest"),
-        "Elbow": ("lelbow", "relbow"),
-        "Wrist": ("lwrist", "rwrist"),
-        "Hip": ("hip", "lpelvis", "rpelvis"),
-        "Hand": ("lhand", "rhand"),
-    }
-)
-
-UPPER_BODY: tuple[str, ...] = (
-    "head", "neck", "rshoulder", "relbow", "rwrist", "lshoulder", "lelbow", "lwrist",
-    "chest", "hip", "rpelvis", "lpelvis", "rhand", "lhand",
-)  # fmt: skip
 
 
 def _sided(centre: dict[str, str], sided: dict[str, str], left: str, right: str) -> MappingProxyType[str, str]:
@@ -73,65 +171,148 @@ def _sided(centre: dict[str, str], sided: dict[str, str], left: str, right: str)
     return MappingProxyType({j: names[j] for j in JOINTS if j in names})
 
 
-# Ours -> theirs. MVN streams a segment's origin, which is its proximal joint.
-RIGS = MappingProxyType(
-    {
-        "makehuman_cmu": _sided(
-            {"head": "Head", "neck": "Neck", "chest": "Spine1", "hip": "Hips"},
-            {
-                "shoulder": "{}Arm", "elbow": "{}ForeArm", "wrist": "{}Hand", "hand": "{}FingerBase",
-                "pelvis": "{}UpLeg", "knee": "{}Leg", "ankle": "{}Foot", "foot": "{}ToeBase",
-            },
-            "Left", "Right",
+# Joints of ours -> those of other sets and formats. MVN streams a segment's origin, which is its proximal joint.
+_MAPS: dict[str, Mapping[str, str]] = {
+    "makehuman_cmu": _sided(
+        {"head": "Head", "neck": "Neck", "chest": "Spine1", "hip": "Hips"},
+        {
+            "shoulder": "{}Arm", "elbow": "{}ForeArm", "wrist": "{}Hand", "hand": "{}FingerBase",
+            "pelvis": "{}UpLeg", "knee": "{}Leg", "ankle": "{}Foot", "foot": "{}ToeBase",
+        },
+        "Left", "Right",
+    ),
+    "mvn": _sided(
+        {"head": "Head", "neck": "Neck", "chest": "T8", "hip": "L5"},
+        {
+            "shoulder": "{}UpperArm", "elbow": "{}Forearm", "wrist": "{}Hand",
+            "pelvis": "{}UpperLeg", "knee": "{}LowerLeg", "ankle": "{}Foot", "foot": "{}Toe",
+        },
+        "Left", "Right",
+    ),
+    "vicon_kinematic_fit": _sided(
+        {"head": "Head_End", "neck": "Head", "chest": "LowerBack_L_Collar", "hip": "LowerBack"},
+        {
+            "shoulder": "{}_Humerus", "elbow": "{}_Elbow", "wrist": "{}_Wrist", "hand": "{}_Wrist_End",
+            "pelvis": "{}_Femur", "knee": "{}_Tibia", "ankle": "{}_Foot", "foot": "{}_Toe",
+        },
+        "L", "R",
+    ),
+    "plug_in_gait": _sided(
+        {"head": "HEDO", "chest": "TRXO", "hip": "PELO"},
+        {
+            "shoulder": "{}CJ", "elbow": "{}HIJ", "wrist": "{}RAO", "hand": "{}HAO",
+            "pelvis": "{}FEP", "knee": "{}FEO", "ankle": "{}TIO", "foot": "{}FOO",
+        },
+        "L", "R",
+    ),
+    # The trunk's are the nearest to ours: SpineShoulder lies between the shoulders, SpineBase between the hips. Kinect's Head
+    # is the middle of the head and its Neck lies below the skull base: neither is our head.
+    "kinect_v2": _sided(
+        {"neck": "SpineShoulder", "chest": "SpineMid", "hip": "SpineBase"},
+        {
+            "shoulder": "Shoulder{}", "elbow": "Elbow{}", "wrist": "Wrist{}", "hand": "Hand{}",
+            "pelvis": "Hip{}", "knee": "Knee{}", "ankle": "Ankle{}", "foot": "Foot{}",
+        },
+        "Left", "Right",
+    ),
+    "coco": _sided(  # a face's keypoints (nose, eyes, ears) are none of ours
+        {},
+        {
+            "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist", "pelvis": "{}_hip", "knee": "{}_knee",
+            "ankle": "{}_ankle",
+        },
+        "left", "right",
+    ),
+    # Its head is the middle of the head, its neck lies between the shoulders, its torso is no joint, and its foot lies somewhere
+    # between our ankle and foot: none of them is ours.
+    "itop": _sided(
+        {}, {"shoulder": "{}shoulder", "elbow": "{}elbow", "hand": "{}hand", "pelvis": "{}hip", "knee": "{}knee"}, "l", "r"
+    ),
+}  # fmt: skip
+
+
+CABINPOSE = Skeleton(
+    name="cabinpose",
+    title="cabinpose",
+    definition="the MakeHuman CMU rig's: head = C1 (skull base), neck = C7, chest = T8, hip = L5, lpelvis and rpelvis = the femur"
+    " heads",
+    joints=JOINTS,
+    parent={
+        "head": "neck", "neck": "chest", "chest": "hip",
+        "lshoulder": "neck", "lelbow": "lshoulder", "lwrist": "lelbow", "lhand": "lwrist",
+        "rshoulder": "neck", "relbow": "rshoulder", "rwrist": "relbow", "rhand": "rwrist",
+        "lpelvis": "hip", "lknee": "lpelvis", "lankle": "lknee", "lfoot": "lankle",
+        "rpelvis": "hip", "rknee": "rpelvis", "rankle": "rknee", "rfoot": "rankle",
+    },
+    spine=("neck", "chest", "hip"),
+    groups={  # the thesis' five, and a hand group beside them
+        "Head": ("head", "neck"), "Shoulder": ("lshoulder", "rshoulder", "chest"), "Elbow": ("lelbow", "relbow"),
+        "Wrist": ("lwrist", "rwrist"), "Hip": ("hip", "lpelvis", "rpelvis"), "Hand": ("lhand", "rhand"),
+    },
+    sigma=_by_joint(JOINTS, _SIGMA),
+    skin_m=_by_joint(JOINTS, _SKIN_M),
+    reach_m=_by_joint(JOINTS, _REACH_M),
+    sets={
+        "upper body": (
+            "head", "neck", "rshoulder", "relbow", "rwrist", "lshoulder", "lelbow", "lwrist",
+            "chest", "hip", "rpelvis", "lpelvis", "rhand", "lhand",
         ),
-        "mvn": _sided(
-            {"head": "Head", "neck": "Neck", "chest": "T8", "hip": "L5"},
-            {
-                "shoulder": "{}UpperArm", "elbow": "{}Forearm", "wrist": "{}Hand",
-                "pelvis": "{}UpperLeg", "knee": "{}LowerLeg", "ankle": "{}Foot", "foot": "{}Toe",
-            },
-            "Left", "Right",
-        ),
-        "vicon_kinematic_fit": _sided(
-            {"head": "Head_End", "neck": "Head", "chest": "LowerBack_L_Collar", "hip": "LowerBack"},
-            {
-                "shoulder": "{}_Humerus", "elbow": "{}_Elbow", "wrist": "{}_Wrist", "hand": "{}_Wrist_End",
-                "pelvis": "{}_Femur", "knee": "{}_Tibia", "ankle": "{}_Foot", "foot": "{}_Toe",
-            },
-            "L", "R",
-        ),
-        "plug_in_gait": _sided(
-            {"head": "HEDO", "chest": "TRXO", "hip": "PELO"},
-            {
-                "shoulder": "{}CJ", "elbow": "{}HIJ", "wrist": "{}RAO", "hand": "{}HAO",
-                "pelvis": "{}FEP", "knee": "{}FEO", "ankle": "{}TIO", "foot": "{}FOO",
-            },
-            "L", "R",
-        ),
-        # The trunk's are the nearest to ours: SpineShoulder lies between the shoulders, SpineBase between the hips. Kinect's Head
-        # is the middle of the head and its Neck lies below the skull base: neither is our head.
-        "kinect_v2": _sided(
-            {"neck": "SpineShoulder", "chest": "SpineMid", "hip": "SpineBase"},
-            {
-                "shoulder": "Shoulder{}", "elbow": "Elbow{}", "wrist": "Wrist{}", "hand": "Hand{}",
-                "pelvis": "Hip{}", "knee": "Knee{}", "ankle": "Ankle{}", "foot": "Foot{}",
-            },
-            "Left", "Right",
-        ),
-        "coco": _sided(  # a face's keypoints (nose, eyes, ears) are none of ours
-            {},
-            {
-                "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist", "pelvis": "{}_hip", "knee": "{}_knee",
-                "ankle": "{}_ankle",
-            },
-            "left", "right",
-        ),
-    }
+        "wrists and hips": ("rwrist", "lwrist", "hip", "rpelvis", "lpelvis"),
+    },
+    maps=_MAPS,
 )  # fmt: skip
+
+ITOP = Skeleton(
+    name="itop",
+    title="ITOP",
+    definition="ITOP's (Haque et al. 2016) on a body: head = the middle of the head, neck midway between the shoulders, torso"
+    " midway between neck and hips, lfoot and rfoot = the ankles",
+    joints=_ITOP_JOINTS,
+    parent={
+        "head": "neck", "rshoulder": "neck", "lshoulder": "neck", "relbow": "rshoulder", "lelbow": "lshoulder",
+        "rhand": "relbow", "lhand": "lelbow", "torso": "neck", "rhip": "torso", "lhip": "torso", "rknee": "rhip",
+        "lknee": "lhip", "rfoot": "rknee", "lfoot": "lknee",
+    },
+    spine=("neck", "torso"),
+    groups={
+        "Head": ("head", "neck"), "Shoulder": ("lshoulder", "rshoulder"), "Elbow": ("lelbow", "relbow"),
+        "Hand": ("lhand", "rhand"), "Torso": ("torso",), "Hip": ("lhip", "rhip"), "Knee": ("lknee", "rknee"),
+        "Foot": ("lfoot", "rfoot"),
+    },
+    sigma=_by_joint(_ITOP_JOINTS, _SIGMA),
+    skin_m=_by_joint(_ITOP_JOINTS, _SKIN_M | {"hip": _SKIN_M["pelvis"]}),
+)  # fmt: skip
+
+# The sets by name; the first is that of the dataset standard's own joints, the others' are variables of their own.
+SKELETONS: MappingProxyType[str, Skeleton] = MappingProxyType({each.name: each for each in (CABINPOSE, ITOP)})
+OTHER_SKELETONS = tuple(each for each in SKELETONS.values() if each != CABINPOSE)
+if TYPE_CHECKING:
+    SkeletonName: TypeAlias = str
+    OtherSkeletonName: TypeAlias = str
+else:  # what settings may say
+    SkeletonName, OtherSkeletonName = Literal[tuple(SKELETONS)], Literal[tuple(each.name for each in OTHER_SKELETONS)]
+
+
+def skeleton_with(joints: Sequence[str], name: str | None = None) -> Skeleton:
+    """Some joints as a set: of the one called `name`, or else of the first that has them all.
+
+    Where there is none, a set of bare names that belongs to nothing: no limbs, no groups, no OKS.
+    """
+    for each in SKELETONS.values():
+        if name in (None, each.name) and set(joints) <= set(each.joints):
+            return each.subset(joints)
+    unknown = "unknown" if name is None or name in SKELETONS else name
+    return Skeleton(unknown, unknown, "not stated", tuple(joints), {}, (), {}, {}, {}, head=None)
+
+
+def skeleton_of(model: Any) -> Skeleton:
+    """The joints of a detector or of a predictions file as a set: of the one that it names, or else by their names."""
+    return skeleton_with(model.joints, getattr(model, "skeleton", None))
+
 
 # Xsens MVN's 23 body segments in the order of their ids (id = index + 1; network streaming protocol, revision N, table 1) and the
 # 22 joints between them in MVNX's order: name, parent, child. A segment's origin, which is what MVN streams, is the joint to
-# its parent (the pelvis': midway between the hips), so that `RIGS["mvn"]` names a joint of ours by its distal segment.
+# its parent (the pelvis': midway between the hips), so that the map "mvn" names a joint of ours by its distal segment.
 MVN_SEGMENTS: tuple[str, ...] = (
     "Pelvis", "L5", "L3", "T12", "T8", "Neck", "Head", "RightShoulder", "RightUpperArm", "RightForearm", "RightHand",
     "LeftShoulder", "LeftUpperArm", "LeftForearm", "LeftHand", "RightUpperLeg", "RightLowerLeg", "RightFoot", "RightToe",
@@ -165,40 +346,47 @@ NTU_JOINTS: tuple[str, ...] = (
     "AnkleRight", "FootRight", "SpineShoulder", "HandTipLeft", "ThumbLeft", "HandTipRight", "ThumbRight",
 )  # fmt: skip
 
-# ITOP's 15 joints in its order (right before left) and the joint of ours that each stands for. ITOP's head is the
-# middle of the head and its torso the middle of the trunk: `synth` places them on the body, not on a joint of ours.
-ITOP_JOINTS: tuple[str, ...] = (
-    "head", "neck", "rshoulder", "lshoulder", "relbow", "lelbow", "rhand", "lhand", "torso",
-    "rhip", "lhip", "rknee", "lknee", "rfoot", "lfoot",
-)  # fmt: skip
-# Parent and child: the tree that ties them.
-ITOP_LIMBS: tuple[tuple[str, str], ...] = (
-    ("neck", "head"), ("neck", "rshoulder"), ("neck", "lshoulder"), ("rshoulder", "relbow"), ("lshoulder", "lelbow"),
-    ("relbow", "rhand"), ("lelbow", "lhand"), ("neck", "torso"), ("torso", "rhip"), ("torso", "lhip"), ("rhip", "rknee"),
-    ("lhip", "lknee"), ("rknee", "rfoot"), ("lknee", "lfoot"),
-)  # fmt: skip
+
+def _oks_sigma(joint: str) -> float:
+    for each in SKELETONS.values():
+        if joint in each.sigma:
+            return each.sigma[joint]
+    raise unknown_name("joint", joint, JOINTS)
 
 
-def index_pairs(joints: Sequence[str], pairs: Sequence[tuple[str, str]] = LIMBS) -> tuple[tuple[int, int], ...]:
-    """Pairs of joints (default: limbs, parent and child) as positions in `joints`; those that have both ends there."""
+def _limb_names(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
+    return tuple((parent, child) for child, parent in skeleton.parent.items())
+
+
+def _index_pairs(joints: Sequence[str], pairs: Sequence[tuple[str, str]] = _limb_names(CABINPOSE)) -> tuple[tuple[int, int], ...]:
     at = {name: i for i, name in enumerate(joints)}
     return tuple((at[a], at[b]) for a, b in pairs if a in at and b in at)
 
 
-def indices(names: Sequence[str]) -> list[int]:
-    """Positions of joints in `JOINTS`."""
-    return [INDEX[name] for name in names]
+# Names of version 0.2, which go with the version after the next one (docs/upgrading.md): what stands for each now, and its value.
+_OLD: dict[str, tuple[str, Any]] = {
+    "INDEX": ("CABINPOSE.index", CABINPOSE.index),
+    "PARENT": ("CABINPOSE.parent", CABINPOSE.parent),
+    "LIMBS": ("CABINPOSE.parent by name, CABINPOSE.limbs by position", _limb_names(CABINPOSE)),
+    "SYMMETRIC_PAIRS": ("CABINPOSE.pairs, by position", tuple((JOINTS[a], JOINTS[b]) for a, b in CABINPOSE.pairs)),
+    "REACH_M": ("CABINPOSE.reach_m", CABINPOSE.reach_m),
+    "OKS_SIGMA": ("CABINPOSE.sigma, by joint", MappingProxyType(_SIGMA)),
+    "GROUPS": ("CABINPOSE.groups", CABINPOSE.groups),
+    "UPPER_BODY": ("CABINPOSE.sets['upper body']", CABINPOSE.sets["upper body"]),
+    "RIGS": ("CABINPOSE.maps", MappingProxyType({name: table for name, table in _MAPS.items() if name != "itop"})),
+    "ITOP_JOINTS": ("ITOP.joints", ITOP.joints),
+    "ITOP_LIMBS": ("ITOP.parent by name, ITOP.limbs by position", _limb_names(ITOP)),
+    "index_pairs": ("Skeleton.subset(joints).limbs", _index_pairs),
+    "indices": ("CABINPOSE.indices", CABINPOSE.indices),
+    "oks_sigma": ("CABINPOSE.sigma", _oks_sigma),
+    "mirrored": ("CABINPOSE.mirror", lambda: list(CABINPOSE.mirror)),
+}
 
+if not TYPE_CHECKING:  # so that a checker of types knows that a name is no longer there
 
-def oks_sigma(joint: str) -> float:
-    """The OKS falloff of a joint of ours or of ITOP's; `ConfigError` for an unknown one."""
-    for name in (joint, joint[1:]):
-        if name in OKS_SIGMA:
-            return OKS_SIGMA[name]
-    raise unknown_name("joint", joint, list(OKS_SIGMA))
-
-
-def mirrored() -> list[int]:
-    """The permutation of `JOINTS` that swaps left and right."""
-    swap = dict(SYMMETRIC_PAIRS) | {r: left for left, r in SYMMETRIC_PAIRS}
-    return [INDEX[swap.get(name, name)] for name in JOINTS]
+    def __getattr__(name: str) -> Any:
+        if name not in _OLD:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        new, value = _OLD[name]
+        warn(f"{__name__}.{name} is {new} now", DeprecationWarning, stacklevel=2)
+        return value

@@ -12,17 +12,22 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 from torch.nn import functional
 
 from cabinpose.estimate.batch import Batch
+from cabinpose.scene import LABEL_ID
 
 _BEHIND_M = 0.1  # a pixel farther than that behind its neighbours is seen through a hole in their surface
 Probability = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 _Shares = tuple[float, float, float]
+_SLOT_PAIRS = (("rear_left", "rear_right"),)  # the driver stays at the wheel of the mirrored car
+_FACING_PAIR = ("driver", "front_passenger")  # on benches that face each other there is no wheel: left and right as behind
 
 
 class AugmentConfig(BaseModel):
@@ -55,6 +60,27 @@ class Mirror(NamedTuple):
     slots: Sequence[int]
     facing_slots: Sequence[int]
     labels: Tensor
+
+
+def mirrored_slots(slots: Sequence[str], *, facing: bool = False) -> list[int]:
+    """For each place the position of its mirror place; `facing`: on benches that face each other, the front row backwards.
+
+    A place whose partner is not among them stays itself.
+    """
+    pairs = (*_SLOT_PAIRS, _FACING_PAIR) if facing else _SLOT_PAIRS
+    other = dict(pairs) | {b: a for a, b in pairs}
+    position = {slot: i for i, slot in enumerate(slots)}
+    return [position.get(other.get(slot, slot), i) for slot, i in position.items()]
+
+
+def mirrored_labels() -> NDArray[np.uint8]:
+    """(256,) the class of the mirrored pixel by the class of the pixel (`scene.labels`): left and right parts change."""
+    table = np.arange(256, dtype=np.uint8)
+    for name, number in LABEL_ID.items():
+        if name.endswith("_left"):
+            partner = LABEL_ID[name.removesuffix("left") + "right"]
+            table[number], table[partner] = partner, number
+    return table
 
 
 def augment(

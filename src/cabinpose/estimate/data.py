@@ -16,24 +16,26 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
-from cabinpose.core import ITOP_JOINTS, JOINTS, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, camera_of
+from cabinpose.store import joint_dimension, joints_variable
 
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
 
 
 class FrameSpec(NamedTuple):
-    """What a method takes of a frame: its view, the places, the skeleton ("cabinpose" or "itop") with the joints of it, and
-    which images. depth_image: the dataset's image that is read as depth. Without depth, joints come in the view's pixels, and
-    none of them counts as outside of it. classes: of the pixels, of which the dataset has to have one; a method that learns from
-    them needs no joints.
+    """What a method takes of a frame: its view, the places, the set of joints with the joints of it, and which images.
+
+    depth_image: the dataset's image that is read as depth. Without depth, joints come in the view's pixels, and none of them
+    counts as outside of it. classes: of the pixels, of which the dataset has to have one; a method that learns from them needs no
+    joints.
     """
 
     view: InputView
     slots: tuple[str, ...]
-    skeleton: str = "cabinpose"
-    joints: tuple[str, ...] = JOINTS
+    skeleton: str = CABINPOSE.name
+    joints: tuple[str, ...] = CABINPOSE.joints
     depth: bool = True
     amplitude: bool = True
     labels: bool = False
@@ -47,9 +49,8 @@ class FrameSpec(NamedTuple):
 
     @property
     def columns(self) -> list[int]:
-        """Positions of the joints in the dataset's skeleton."""
-        known = ITOP_JOINTS if self.skeleton == "itop" else JOINTS
-        return [known.index(name) for name in self.joints]
+        """Positions of the joints in the dataset's array."""
+        return SKELETONS[self.skeleton].indices(self.joints)
 
 
 Frames: TypeAlias = Dataset[Kept]  # what trains or validates
@@ -76,7 +77,7 @@ class StoredFrames(Dataset[Kept]):
     def __getitem__(self, index: int) -> Kept:
         if self._kept is not None and index in self._kept:
             return self._kept[index]
-        names = [*self.spec.images, _joints_variable(self.spec), "visibility", "camera_k", "camera_dist", "subject"]
+        names = [*self.spec.images, joints_variable(self.spec.skeleton), "visibility", "camera_k", "camera_dist", "subject"]
         if "vehicle_from_camera" in self._dataset:
             names.append("vehicle_from_camera")
         frame = {name: self._dataset.variables[name][index].values for name in names}  # coordinates would cost two thirds more
@@ -127,20 +128,21 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
     lacking = [slot for slot in spec.slots if slot not in persons]
     if lacking:
         raise DatasetError(f"the dataset has no place {', '.join(lacking)}", hint=f"set slots to some of: {', '.join(persons)}")
-    name = _joints_variable(spec)
+    name = joints_variable(spec.skeleton)
     if name not in dataset:
         raise DatasetError(
-            f"the dataset has no {name}", hint="ITOP's joints are those of scenes in a room; or set skeleton: cabinpose"
+            f"the dataset has no {name}",
+            hint=f"generate it with output.skeletons=[{spec.skeleton}], or set skeleton: cabinpose (rooms have ITOP's joints)",
         )
     absent = [name for name in spec.images if name not in dataset]
     if absent:
         raise DatasetError(
             f"the dataset has no {', '.join(absent)}", hint="generate it with these variables, or choose a method without them"
         )
-    if spec.skeleton == "cabinpose" and tuple(dataset["joint"].values) != JOINTS:
+    whole, found = SKELETONS[spec.skeleton].joints, tuple(dataset[joint_dimension(spec.skeleton)].values)
+    if found != whole:
         raise DatasetError(
-            f"the dataset has another skeleton: {', '.join(map(str, dataset['joint'].values))}",
-            hint=f"its joints have to be: {', '.join(JOINTS)}",
+            f"the dataset has another skeleton: {', '.join(map(str, found))}", hint=f"its joints have to be: {', '.join(whole)}"
         )
     ids = dataset["labels"].attrs.get("flag_values", ()) if spec.classes else ()
     if len(ids) and not set(spec.classes) & set(ids):
@@ -150,19 +152,15 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
     return [persons.index(slot) for slot in spec.slots]
 
 
-def _joints_variable(spec: FrameSpec) -> str:
-    return "itop_joints_3d" if spec.skeleton == "itop" else "joints_3d"
-
-
 def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -> Kept:
     """One frame of the standard's variables in the view of a spec; `rows` of its persons are the places."""
     view = spec.view
-    joints = np.asarray(frame[_joints_variable(spec)], dtype=np.float64)[rows]
+    joints = np.asarray(frame[joints_variable(spec.skeleton)], dtype=np.float64)[rows]
     uvz = view.to_view(joints)
     states = np.asarray(frame["visibility"])[rows]
     there = [str(frame["subject"][row]) != "" for row in rows]
     seen = np.isin(states, (Visibility.VISIBLE, Visibility.SELF_OCCLUDED)).sum(axis=1) >= _SEEN_JOINTS
-    visibility = _itop_visibility(uvz, view) if spec.skeleton == "itop" else states
+    visibility = states if spec.skeleton == CABINPOSE.name else _in_view(uvz, view)
     if spec.depth:  # the camera may see more than the view
         visibility = np.where((visibility > 1) & ~view.camera.contains(uvz[..., :2]), Visibility.OUTSIDE_IMAGE, visibility)
     images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in ("depth", "amplitude", "labels")}
@@ -186,15 +184,15 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
 def _facing(frame: Mapping[str, Any], spec: FrameSpec, joints: NDArray[np.float64]) -> bool:
     """Whether benches face each other: left hips of the front row lie to the right in the vehicle. joints: (P, J, 3) m."""
     front = [i for i, slot in enumerate(spec.slots) if slot in ("driver", "front_passenger")]
-    if spec.skeleton != "cabinpose" or not front or "vehicle_from_camera" not in frame:
+    if spec.skeleton != CABINPOSE.name or not front or "vehicle_from_camera" not in frame:
         return False
-    across = joints[front, JOINTS.index("lpelvis")] - joints[front, JOINTS.index("rpelvis")]
+    across = joints[front, CABINPOSE.index["lpelvis"]] - joints[front, CABINPOSE.index["rpelvis"]]
     to_left = across @ np.asarray(frame["vehicle_from_camera"], dtype=np.float64)[1, :3]
     return bool((to_left < 0).any() and not (to_left > 0).any())
 
 
-def _itop_visibility(uvz: NDArray[np.float64], view: InputView) -> NDArray[np.uint8]:
-    """The standard's states for ITOP's joints, which carry none of their own: inside the view, outside, or absent."""
+def _in_view(uvz: NDArray[np.float64], view: InputView) -> NDArray[np.uint8]:
+    """The standard's states for joints of another set, which carry none of their own: inside the view, outside, or absent."""
     inside = view.camera.contains(uvz[..., :2])
     states = np.where(inside, Visibility.VISIBLE, Visibility.OUTSIDE_IMAGE)
     return np.where(np.isfinite(uvz).all(axis=-1), states, Visibility.ABSENT).astype(np.uint8)

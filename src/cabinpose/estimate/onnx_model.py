@@ -46,7 +46,7 @@ class TrainedModel(ABC):
         self.name = str(self.metadata.get("name", path.stem))
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
-        self.skeleton: str = self.config.skeleton
+        self.skeleton: str = self.config.joint_set.name
 
     @abstractmethod
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:

@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, OCCUPANT_SLOTS, UPPER_BODY, index_pairs
+from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, OTHER_SKELETONS, Skeleton
 from cabinpose.estimate.inputs import InputView
 
 _FOCAL_PER_WIDTH = 139 / 352  # 103 deg across: all but 0.1 % of the joints that a Monstar sees, which 95.5 deg lose 6 % of
 _OLDER_FOCAL_PER_WIDTH = 160 / 352
+# What `body` chooses: of our joints the upper body's or all, or another set.
+_BODIES = {"upper": CABINPOSE.subset(CABINPOSE.sets["upper body"]), "full": CABINPOSE} | {
+    each.name: each for each in OTHER_SKELETONS
+}
+if TYPE_CHECKING:
+    BodyName: TypeAlias = str
+else:
+    BodyName = Literal[tuple(_BODIES)]
 
 
 class Settings(BaseModel):
     """The settings of any method: what training, export and predictors read of them.
 
-    A subclass also has `skeleton` ("cabinpose" or "itop": the variable of the dataset that holds the joints) and `view`, an
-    `InputView`, as class variables, fields or properties.
+    A subclass also has `view`, an `InputView`, as a class variable, field or property.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @property
+    def joint_set(self) -> Skeleton:
+        """The joints that it finds, as a set."""
+        return CABINPOSE
+
+    @property
     def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints."""
-        return JOINTS
+        """(J,) names of the joints that it finds."""
+        return self.joint_set.joints
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -56,21 +68,9 @@ class ViewSettings(Settings):
 class BodySettings(ViewSettings):
     """The settings of a method that can predict the upper body alone, and that ties joints along the limbs."""
 
-    body: Annotated[Literal["upper", "full", "itop"], Field(description="Joints: the upper body's 14, all 20, or ITOP's.")] = (
-        "upper"
-    )
+    body: Annotated[BodyName, Field(description="Joints: the upper body's 14, all 20, or those of another set.")] = "upper"
 
     @property
-    def skeleton(self) -> str:
-        """Which of the dataset's skeletons the joints are of."""
-        return "itop" if self.body == "itop" else "cabinpose"
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that it predicts."""
-        return {"upper": UPPER_BODY, "full": JOINTS, "itop": ITOP_JOINTS}[self.body]
-
-    @property
-    def limbs(self) -> tuple[tuple[int, int], ...]:
-        """(C,) pairs of joints, parent first: the tree that ties all of them."""
-        return index_pairs(self.joints, ITOP_LIMBS if self.body == "itop" else LIMBS)
+    def joint_set(self) -> Skeleton:
+        """The joints that it finds, as a set; the limbs of the whole of it are a tree that ties all of them."""
+        return _BODIES[self.body]

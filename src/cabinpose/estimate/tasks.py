@@ -89,7 +89,7 @@ class Task(ABC):
     def spec(self, settings: Any) -> FrameSpec:
         """What a method with these settings takes of each frame."""
         return FrameSpec(
-            settings.view, settings.slots, settings.skeleton, settings.joints,
+            settings.view, settings.slots, settings.joint_set.name, settings.joints,
             amplitude="amplitude" in settings.inputs, labels=self.labels,
         )  # fmt: skip
 
@@ -142,7 +142,7 @@ class Lift(Task):
     """2D joints to 3D. Judged by the errors in space, in heads, of the known joints of people with enough 2D joints."""
 
     def spec(self, settings: Any) -> FrameSpec:
-        return FrameSpec(settings.view, settings.slots, settings.skeleton, settings.joints, depth=False, amplitude=False)
+        return FrameSpec(settings.view, settings.slots, settings.joint_set.name, settings.joints, depth=False, amplitude=False)
 
     def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:
         return vary_people(batch, config, settings, setting.mirror, generator=generator)

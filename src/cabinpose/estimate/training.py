@@ -28,13 +28,12 @@ from torch.utils.data import DataLoader
 
 from cabinpose.core import ConfigError, ModelError
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
-from cabinpose.estimate.augment import Mirror
+from cabinpose.estimate.augment import Mirror, mirrored_labels, mirrored_slots
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
-from cabinpose.estimate.mirror import mirrored_joints, mirrored_labels, mirrored_slots
 from cabinpose.estimate.onnx_model import packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig, with_old_keywords
@@ -75,7 +74,8 @@ class Detector(lightning.LightningModule):
         self.method_config = self.method.settings(config.settings)
         self.network: nn.Module = self.method.network(self.method_config)
         slots = self.method_config.slots
-        self._mirrors = mirrored_joints(self.method_config.joints), mirrored_slots(slots), mirrored_slots(slots, facing=True)
+        joints = self.method_config.joint_set.mirror
+        self._mirrors = joints, mirrored_slots(slots), mirrored_slots(slots, facing=True)
         self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
         self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []

@@ -10,6 +10,7 @@ from .metrics import Value as Value
 from .offline import BATCH as BATCH
 from .offline import check_predictions as check_predictions
 from .offline import common_joints as common_joints
+from .offline import common_skeleton as common_skeleton
 from .offline import evaluate as evaluate
 from .offline import frame_batch as frame_batch
 from .offline import model_name as model_name
@@ -30,5 +31,3 @@ from .sample_view import Number as Number
 from .sample_view import SampleView as SampleView
 from .sample_view import Threshold as Threshold
 from .samples import Samples as Samples
-from .skeletons import EvaluatedSkeleton as EvaluatedSkeleton
-from .skeletons import evaluated_skeleton as evaluated_skeleton

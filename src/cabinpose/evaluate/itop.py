@@ -11,12 +11,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import ITOP_JOINTS, PoseBatch, PredictionsError, Visibility
+from cabinpose.core import ITOP, PoseBatch, PredictionsError, Visibility
 from cabinpose.evaluate.errors import finite
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import TruthChunk, collect
-from cabinpose.evaluate.skeletons import evaluated_skeleton
 from cabinpose.store import ItopReference, project
 
 
@@ -76,7 +75,7 @@ def evaluate_itop(
     )
     batch = PoseBatch(predicted_2d[:, None].astype(np.float32), predicted[:, None].astype(np.float32), found, found)
     person = ("person",)
-    samples = collect([(truth, batch)], evaluated_skeleton(ITOP_JOINTS), person, person, replace(options, match="slot"))
+    samples = collect([(truth, batch)], ITOP, person, person, replace(options, match="slot"))
     which = "all 15 joints" if labelled.all() else "the labelled joints"
     notes = (f"{int(valid.sum())} valid of {len(valid)} frames; {which} of each count, hidden ones too",)
     return make_report(samples, options, model, name, notes)

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import cast
+from typing import NoReturn, cast
 
 import numpy as np
 import xarray as xr
 
 from cabinpose.core import (
+    CABINPOSE,
+    SKELETONS,
     DatasetError,
     FrameBatch,
     PoseBatch,
     PredictionsError,
     Predictor,
     Segmenter,
+    Skeleton,
     Visibility,
     joined,
+    skeleton_of,
     unknown_name,
 )
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
-from cabinpose.evaluate.skeletons import evaluated_skeleton
-from cabinpose.store import ClassImages, Predictions, camera_of
+from cabinpose.store import ClassImages, Predictions, camera_of, dataset_skeleton, joint_dimension, joints_variable
 
-_TORSO = "torso"  # only ITOP has it
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
 
@@ -33,33 +35,67 @@ Progress = Callable[[int], None]  # called with the number of frames done
 
 
 def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:
-    """The joints of the dataset, in its order, that all models answer for; `PredictionsError` for one unknown to it.
+    """The joints of the dataset, in its order, that all models answer for; errors as of `common_skeleton`."""
+    return common_skeleton(dataset, models).joints
 
-    Those of ITOP where the dataset has them (`itop_joints_3d`) and all models answer in them.
+
+def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> Skeleton:
+    """The joints of the dataset, in its order, that all models answer for, as a set.
+
+    Parameters
+    ----------
+    dataset
+        An open dataset, with joints of the models' set: the standard's own, or those in a variable of their own.
+    models
+        Models of one set.
+
+    Raises
+    ------
+    PredictionsError
+        Where the models' sets are not one, or the dataset lacks it or one of its joints: sets are not mixed.
     """
-    known = [str(name) for name in dataset["joint"].values]
-    if "itop_joints_3d" in dataset and all(_TORSO in model.joints for model in models):
-        known = [str(name) for name in dataset["itop_joint"].values]
+    first = skeleton_of(models[0])
     for model in models:
-        if unknown := [name for name in model.joints if name not in known]:
+        joints, who = skeleton_of(model), model_name(model)
+        if joints.name not in SKELETONS:
+            _refuse_joints(dataset, who, joints)
+        if joints.name != first.name:
+            told = f"{model_name(models[0])} finds joints of the set {first.name}, {who} of {joints.name}"
+            raise PredictionsError(told, hint="evaluate them one by one")
+        if joint_dimension(joints.name) not in dataset.coords:
             raise PredictionsError(
-                f"{model_name(model)}: the dataset has no joint {', '.join(unknown)}", hint=f"its joints are {', '.join(known)}"
+                f"{who} finds {joints.title}'s joints, and the dataset has none of them",
+                hint=f"its joints are {', '.join(dataset_skeleton(dataset).joints)}",
             )
-    joints = tuple(name for name in known if all(name in model.joints for model in models))
-    if not joints:
+    known = dataset_skeleton(dataset, first.name)
+    shared = [name for name in known.joints if all(name in model.joints for model in models)]
+    if not shared:
         raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
-    return joints
+    return SKELETONS[first.name].subset(shared).marked_by(known.definition)
 
 
-def truth_of(dataset: xr.Dataset, joints: Sequence[str]) -> xr.Dataset:
-    """joints_2d, joints_3d and visibility of some joints, with sequence and sync_ns; of ITOP's where the torso is among them.
+def _refuse_joints(dataset: xr.Dataset, who: str, joints: Skeleton) -> NoReturn:
+    """Raise PredictionsError for joints of no set that is known."""
+    known = dataset_skeleton(dataset)
+    hint = f"its joints are {', '.join(known.joints)}"
+    if unknown := [name for name in joints.joints if name not in known.joints]:
+        raise PredictionsError(f"{who}: the dataset has no joint {', '.join(unknown)}", hint=hint)
+    raise PredictionsError(
+        f"{who}: its joints are those of the set '{joints.name}', which the dataset does not have",
+        hint=f"where they are placed as in a known set, `skeleton` of the file says so: {', '.join(SKELETONS)}",
+    )
 
-    Those are projected by each frame's camera; what hides them is not known, and those in the image count as visible.
+
+def truth_of(dataset: xr.Dataset, skeleton: Skeleton) -> xr.Dataset:
+    """joints_2d, joints_3d and visibility of some joints of a set, with sequence and sync_ns.
+
+    Those of another set than the standard's are projected by each frame's camera; what hides them is not known, and those in the
+    image count as visible.
     """
-    times = dataset[["sequence", "sync_ns"]]
-    if _TORSO not in joints:
-        return times.assign(dataset[["joints_2d", "joints_3d", "visibility"]].sel(joint=list(joints)))
-    points = dataset["itop_joints_3d"].sel(itop_joint=list(joints)).values
+    times, joints = dataset[["sequence", "sync_ns"]], list(skeleton.joints)
+    if skeleton.name == CABINPOSE.name:
+        return times.assign(dataset[["joints_2d", "joints_3d", "visibility"]].sel(joint=joints))
+    points = dataset[joints_variable(skeleton.name)].sel({joint_dimension(skeleton.name): joints}).values
     width, height = int(dataset.attrs["width"]), int(dataset.attrs["height"])
     cameras = [camera_of(dataset.isel(frame=i), width, height) for i in range(len(points))]
     uv = np.stack([camera.project(each) for camera, each in zip(cameras, points, strict=True)])
@@ -69,7 +105,7 @@ def truth_of(dataset: xr.Dataset, joints: Sequence[str]) -> xr.Dataset:
     dims = ("frame", "person", "joint")
     arrays = {"joints_2d": ((*dims, "uv"), uv.astype(np.float32)), "joints_3d": ((*dims, "xyz"), points)}
     return times.assign(arrays | {"visibility": (dims, states.astype(np.uint8))}).assign_coords(
-        person=dataset["person"].values, joint=list(joints)
+        person=dataset["person"].values, joint=joints
     )
 
 
@@ -149,7 +185,9 @@ def samples_of(
     progress: Progress | None = None,
 ) -> tuple[Samples, tuple[str, ...]]:
     """The errors that `evaluate` reports on, of every person in every frame, and what there is to note; arguments as there."""
-    chosen = tuple(joints) if joints is not None else common_joints(dataset, [model])
+    skeleton = common_skeleton(dataset, [model])
+    if joints is not None:
+        skeleton = skeleton.subset(joints)
     predicted = model.persons
     if persons is not None:
         for place in persons:
@@ -157,22 +195,24 @@ def samples_of(
                 raise unknown_name("slot", place, [str(p) for p in dataset["person"].values])
         dataset, predicted = dataset.sel(person=list(persons)), tuple(p for p in model.persons if p in persons)
     true = [str(p) for p in dataset["person"].values]
-    chunks = _chunks(dataset, model, chosen, predicted, progress or (lambda _: None))
-    samples = collect(chunks, evaluated_skeleton(chosen), true, predicted, options)
+    chunks = _chunks(dataset, model, skeleton, predicted, progress or (lambda _: None))
+    samples = collect(chunks, skeleton, true, predicted, options)
     absent = int((~np.isin(samples.frames, model.frame)).sum()) if isinstance(model, Predictions) else 0
-    if not absent:
-        return samples, ()
-    note = f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed"
-    return samples, (note,)
+    notes = []
+    if absent:
+        notes.append(f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed")
+    if skeleton.definition != (stated := SKELETONS[skeleton.name].definition):
+        notes.append(f"the dataset's joints are {skeleton.definition}; the set {skeleton.name} is {stated}")
+    return samples, tuple(notes)
 
 
 def _chunks(
-    dataset: xr.Dataset, model: Predictions | Predictor, joints: Sequence[str], persons: Sequence[str], progress: Progress
+    dataset: xr.Dataset, model: Predictions | Predictor, skeleton: Skeleton, persons: Sequence[str], progress: Progress
 ) -> Iterator[tuple[TruthChunk, PoseBatch]]:
-    rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in joints]
+    rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in skeleton.joints]
     count = dataset.sizes["frame"]
     step = CHUNK if isinstance(model, Predictions) else BATCH
-    truth = truth_of(dataset, joints)
+    truth = truth_of(dataset, skeleton)
     for start in range(0, count, step):
         part = truth.isel(frame=slice(start, start + step))
         frame, sequence, sync_ns = (part[name].values.astype(np.int64) for name in ("frame", "sequence", "sync_ns"))
@@ -216,7 +256,7 @@ def predict_dataset(
     found = joined(batches)
     return Predictions(
         **vars(found), frame=dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints,
-        model=model.name, skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset_id,
+        model=model.name, skeleton=skeleton_of(model).name, dataset=dataset_id,
     )  # fmt: skip
 
 

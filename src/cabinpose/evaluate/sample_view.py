@@ -84,8 +84,9 @@ class SampleView:
     @cached_property
     def sets(self) -> Sets:
         """The sets of joints that every number is given for: all, the groups, each joint."""
-        joints = self.samples.skeleton.joints
-        return {ALL: tuple(range(len(joints))), **self.samples.skeleton.groups} | {j: (i,) for i, j in enumerate(joints)}
+        skeleton = self.samples.skeleton
+        groups = {name: tuple(skeleton.indices(members)) for name, members in skeleton.groups.items()}
+        return {ALL: tuple(range(len(skeleton.joints))), **groups} | {joint: (i,) for joint, i in skeleton.index.items()}
 
     @property
     def groups(self) -> Sets:

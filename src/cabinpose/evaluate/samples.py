@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import PoseBatch, PredictionsError, Visibility
+from cabinpose.core import PoseBatch, PredictionsError, Skeleton, Visibility
 from cabinpose.evaluate import errors
 from cabinpose.evaluate.matching import assigned_places, placed, slot_places
 from cabinpose.evaluate.oks import Detections, match_frame, oks
 from cabinpose.evaluate.options import THESIS_HEAD_M, THESIS_HEAD_PX, EvaluationOptions
-from cabinpose.evaluate.skeletons import EvaluatedSkeleton
 
 Float = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -65,7 +64,7 @@ class Samples(NamedTuple):
     whether that position is within d of the truth. People of whom only improbable joints are known have a row as well.
     """
 
-    skeleton: EvaluatedSkeleton
+    skeleton: Skeleton
     frames: NDArray[np.int64]
     at: NDArray[np.int64]
     visibility: NDArray[np.uint8]
@@ -91,7 +90,7 @@ class Samples(NamedTuple):
 
 def collect(
     chunks: Iterable[tuple[TruthChunk, PoseBatch]],
-    skeleton: EvaluatedSkeleton,
+    skeleton: Skeleton,
     persons: Sequence[str],
     predicted_persons: Sequence[str],
     options: EvaluationOptions,
@@ -133,18 +132,19 @@ def _concatenated(parts: Sequence[Any]) -> Any:
 
 
 def _samples(
-    truth: TruthChunk, batch: PoseBatch, skeleton: EvaluatedSkeleton, persons: tuple[Sequence[str], Sequence[str]],
+    truth: TruthChunk, batch: PoseBatch, skeleton: Skeleton, persons: tuple[Sequence[str], Sequence[str]],
     options: EvaluationOptions, seen: int, last_frames: dict[str, NDArray[np.generic]],
 ) -> Samples:  # fmt: skip
     """The samples of a chunk that `seen` frames come before; `last_frames` is updated, see `_jitter`."""
     frames, slots, _ = truth.visibility.shape
     box = _boxes(truth.joints_2d)  # (F, P, 4)
+    sigma = np.array([*skeleton.sigma.values()])
     given, batch = batch, _found_only(batch, options.presence)
     if options.match == "slot":
         places = slot_places(frames, *persons)
     else:
         area = box[..., 2:].prod(axis=-1)
-        places = assigned_places(options.match, truth.joints_2d, truth.joints_3d, area, skeleton.sigma, batch)
+        places = assigned_places(options.match, truth.joints_2d, truth.joints_3d, area, sigma, batch)
     given, batch = placed(given, places), placed(batch, places)
     more = (0, places.shape[1] - slots)  # rows of predicted people whom no true one stands for
     visibility = np.pad(truth.visibility, ((0, 0), more, (0, 0)))
@@ -172,7 +172,7 @@ def _samples(
     similarity = np.zeros((frames, places.shape[1]), np.float32)
     detections = []
     for i in range(frames):
-        matrix = oks(batch.joints_2d[i], true_2d[i], counts[i], area[i], skeleton.sigma, box[i])
+        matrix = oks(batch.joints_2d[i], true_2d[i], counts[i], area[i], sigma, box[i])
         similarity[i] = np.diagonal(matrix)
         detections.append(_detections(seen + i, matrix, batch.score[i], found_2d[i], true[i], counts[i].any(axis=-1)))
     jitter_2d, jitter_3d = _jitter(last_frames, truth, batch.joints_2d - true_2d, batch.joints_3d - true_3d)
@@ -211,9 +211,7 @@ def _near(given: PoseBatch, true_2d: Float, true_3d: Float, options: EvaluationO
     return np.where(errors.finite(given.joints_3d), near_3d, near_2d)
 
 
-def _space(
-    skeleton: EvaluatedSkeleton, predicted: Float, true: NDArray[np.floating], found: Bool, head: Float, jitter: Float
-) -> Space:
+def _space(skeleton: Skeleton, predicted: Float, true: NDArray[np.floating], found: Bool, head: Float, jitter: Float) -> Space:
     p, t = predicted.astype(np.float64), true.astype(np.float64)
     aligned = bone = np.full(found.shape, np.nan)
     if predicted.shape[-1] == 3:
@@ -245,11 +243,11 @@ def _jitter(
     return result
 
 
-def _head_sizes(true: NDArray[np.floating], thesis: float, skeleton: EvaluatedSkeleton, options: EvaluationOptions) -> Float:
+def _head_sizes(true: NDArray[np.floating], thesis: float, skeleton: Skeleton, options: EvaluationOptions) -> Float:
     """(F, P) head size in the unit of the points (F, P, J, D)."""
     if options.head == "thesis" or skeleton.head is None:
         return np.full(true.shape[:2], thesis if options.head == "thesis" else np.nan, np.float32)
-    a, b = skeleton.head
+    a, b = skeleton.indices(skeleton.head)
     size = np.linalg.norm(true[:, :, a] - true[:, :, b], axis=-1).astype(np.float32)
     return np.where(size > 0, size, np.float32(np.nan))
 

@@ -5,6 +5,7 @@ from .class_images import read_class_images as read_class_images
 from .class_images import write_class_images as write_class_images
 from .dataset import DatasetWriter as DatasetWriter
 from .dataset import create_dataset as create_dataset
+from .frames import dataset_skeleton as dataset_skeleton
 from .frames import depth_mm as depth_mm
 from .frames import label_colours as label_colours
 from .frames import label_table as label_table
@@ -37,6 +38,8 @@ from .schema import MANIFEST_NAME as MANIFEST_NAME
 from .schema import Manifest as Manifest
 from .schema import PartPlan as PartPlan
 from .schema import dataset_id as dataset_id
+from .schema import joint_dimension as joint_dimension
+from .schema import joints_variable as joints_variable
 from .schema import read_manifest as read_manifest
 from .source import UNKNOWN as UNKNOWN
 from .source import Source as Source

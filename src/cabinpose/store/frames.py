@@ -12,7 +12,16 @@ import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image
 
-from cabinpose.core import DatasetError, Visibility
+from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Skeleton, Visibility, skeleton_with
+from cabinpose.store.schema import joint_dimension
+
+# Who places the joints of datasets that were not generated, by what made them. In a set's own variable they have its names alone.
+_PLACED_BY = {
+    "cabinpose.align": "those of a suit's or an optical system's model",
+    "import coco": "those of the file's annotators",
+    "import itop": "those of ITOP's annotators, nearer to the camera",
+    "import ntu": "those of Kinect's body tracking",
+}
 
 
 @dataclass(frozen=True)
@@ -26,6 +35,20 @@ class PersonInFrame:
     joints_3d: NDArray[np.float32]
     joints_2d: NDArray[np.float32]
     visibility: NDArray[np.uint8]
+
+
+def dataset_skeleton(dataset: xr.Dataset, name: str = CABINPOSE.name) -> Skeleton:
+    """The joints of a dataset, or of a frame of it, as a set: the standard's own, or those of another set beside them.
+
+    Where its source placed them itself, they are another set under the same names. Raises DatasetError for one that it lacks.
+    """
+    dimension = joint_dimension(name)
+    if dimension not in dataset.coords:
+        known = ", ".join(each for each in SKELETONS if joint_dimension(each) in dataset.coords)
+        raise DatasetError(f"the dataset has no joints of the set {name}", hint=f"it has those of {known}")
+    found = skeleton_with(tuple(map(str, dataset[dimension].values)), name)
+    placed_by = _PLACED_BY.get(str(dataset.attrs.get("generator")))
+    return found if placed_by is None else found.marked_by(placed_by)
 
 
 def require_variables(dataset: xr.Dataset, format_name: str, names: Sequence[str]) -> None:

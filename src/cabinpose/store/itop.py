@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import ITOP_JOINTS, DatasetError, FrameBatch, axis_rotation, optional_module
+from cabinpose.core import ITOP, DatasetError, FrameBatch, axis_rotation, optional_module
 
 K = np.array([[1 / 0.0035, 0.0, 160.0], [0.0, 1 / 0.0035, 120.0], [0.0, 0.0, 1.0]])
 NOMINAL_SCALE_M = 4.24  # metres that a depth of 1 stands for in the frames scaled to 0 .. 1 (their source's figure)
@@ -28,7 +28,7 @@ _MOST_LEVELS = 1000  # the camera has 650 between 0.5 m and 10 m: frames of more
 _NEAR = 2.5  # 1 / scaled depth; nearer than that the levels are finer than the numbers of the file
 # ITOP's labels lie nearer to the camera than the joints of a body: those of arms on the skin that the camera sees, those of
 # the trunk half as deep as its middle, the head's in its middle. How much nearer, in round numbers, per joint.
-_NEARER_M = np.array([{"head": 0.0, "hand": 0.04, "foot": 0.04}.get(name.lstrip("rl"), 0.08) for name in ITOP_JOINTS])
+_NEARER_M = np.array([{"head": 0.0, "hand": 0.04, "foot": 0.04}.get(name.lstrip("rl"), 0.08) for name in ITOP.joints])
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
 # The labels of the top view are those of the side view, turned by 90 degrees and shifted, in the side view's scale. Scale and
 # tilt are measured on the depth of both views; the shift is read off floor, heads and their labels (docs/itop-comparison.md).
@@ -76,7 +76,7 @@ def read_itop_reference(path: Path | str) -> ItopReference:
         raise DatasetError(
             f"{file} holds no ITOP reference ({error})", hint="give ITOP's labels.h5, a .mat with keypoints3D, or a .npz"
         ) from error
-    if joints.ndim != 3 or joints.shape[1:] != (len(ITOP_JOINTS), 3):
+    if joints.ndim != 3 or joints.shape[1:] != (len(ITOP.joints), 3):
         raise DatasetError(f"{file}: joints of the shape {joints.shape}", hint="ITOP has 15 joints of 3 coordinates a frame")
     return ItopReference(frame.astype(np.int64), joints * _UP_TO_DOWN, valid)
 

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core import ITOP_JOINTS, JOINTS, OCCUPANT_SLOTS, DatasetError, Visibility, parse_yaml
+from cabinpose.core import CABINPOSE, JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, DatasetError, Visibility, parse_yaml
 
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
@@ -55,6 +55,16 @@ def _depth(name: str, meaning: str, *, default: bool = True) -> Variable:
     return Variable(name, _IMAGE, "uint16", f"depth along the optical axis, {meaning}", "m", DEPTH_SCALE_M, default=default)
 
 
+def joints_variable(skeleton: str) -> str:
+    """The variable that holds the joints of a set: the standard's own, or one for each other set."""
+    return "joints_3d" if skeleton == CABINPOSE.name else f"{skeleton}_joints_3d"
+
+
+def joint_dimension(skeleton: str) -> str:
+    """The dimension along which they lie there."""
+    return "joint" if skeleton == CABINPOSE.name else f"{skeleton}_joint"
+
+
 VARIABLES: tuple[Variable, ...] = (
     _depth("depth", "as the sensor delivers it"),
     _depth("depth_clean", "of the geometry"),
@@ -70,9 +80,12 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("joints_3d", ("frame", "person", "joint", "xyz"), "float32", "joints in the camera frame", "m"),
     Variable("joints_2d", ("frame", "person", "joint", "uv"), "float32", "projection of joints_3d", "px"),
     Variable("visibility", ("frame", "person", "joint"), "uint8", f"state of the joint: {_STATES}"),
-    Variable(
-        "itop_joints_3d", ("frame", "person", "itop_joint", "xyz"), "float32",
-        "ITOP's joints in the camera frame (OpenCV axes)", "m", default=False,
+    *(
+        Variable(
+            joints_variable(each.name), ("frame", "person", joint_dimension(each.name), "xyz"), "float32",
+            f"{each.title}'s joints in the camera frame (OpenCV axes)", "m", default=False,
+        )
+        for each in OTHER_SKELETONS
     ),
     Variable(
         "head_residual", ("frame", "person"), "float32", "angle between the heads of suit and optical system", "rad",
@@ -251,9 +264,8 @@ class Manifest(BaseModel):
     def _sizes(self) -> dict[str, int]:
         return {
             "y": self.height, "x": self.width, "channel": 3, "person": len(self.persons), "joint": len(self.joints),
-            "itop_joint": len(ITOP_JOINTS), "xyz": 3, "uv": 2, "k_row": 3, "k_column": 3, "dist_coefficient": 5, "row": 4,
-            "column": 4,
-        }  # fmt: skip
+            "xyz": 3, "uv": 2, "k_row": 3, "k_column": 3, "dist_coefficient": 5, "row": 4, "column": 4,
+        } | {joint_dimension(each.name): len(each.joints) for each in OTHER_SKELETONS}  # fmt: skip
 
 
 def label_attributes(manifest: Manifest) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import ITOP_JOINTS
-from cabinpose.store.schema import Manifest, checksum, variable_attributes
+from cabinpose.core import OTHER_SKELETONS
+from cabinpose.store.schema import Manifest, checksum, joint_dimension, joints_variable, variable_attributes
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL
 
 _FILL: dict[str, float | str] = {"U": "", "f": "NaN", "u": 0, "i": 0}  # by numpy's kind of type
@@ -55,8 +55,8 @@ def zarr_arrays(manifest: Manifest, frames: int) -> tuple[ZarrArray, ...]:
 
 def dimension_labels(manifest: Manifest) -> dict[str, tuple[str, ...]]:
     """The names along the dimensions that have some."""
-    labels = {"person": manifest.persons, "joint": manifest.joints}
-    return labels | ({"itop_joint": ITOP_JOINTS} if "itop_joints_3d" in manifest.variables else {})
+    beside = [each for each in OTHER_SKELETONS if joints_variable(each.name) in manifest.variables]
+    return {"person": manifest.persons, "joint": manifest.joints} | {joint_dimension(each.name): each.joints for each in beside}
 
 
 @lru_cache(maxsize=256)

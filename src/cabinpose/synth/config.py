@@ -16,7 +16,17 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from cabinpose.core import OCCUPANT_SLOTS, ConfigError, parse_yaml, read_yaml, unknown_name
+from cabinpose.core import (
+    ITOP,
+    OCCUPANT_SLOTS,
+    SKELETONS,
+    ConfigError,
+    OtherSkeletonName,
+    Skeleton,
+    parse_yaml,
+    read_yaml,
+    unknown_name,
+)
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import PRESETS, BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
@@ -231,6 +241,11 @@ class Output(Model):
         exclude_if=operator.not_,
         description="Write the sensor's own sigma of its depth as well, as a Monstar's noise image.",
     )
+    skeletons: tuple[OtherSkeletonName, ...] | None = Field(
+        None,
+        exclude_if=lambda value: value is None,
+        description="Sets of joints that are written beside the standard's own; by default ITOP's in a room, else none.",
+    )
     licence: str = Field("CC0-1.0", description="Licence of the generated data (SPDX identifier).")
 
 
@@ -289,6 +304,14 @@ class SynthConfig(Model):
         if len(set(named)) < len(named):
             raise ConfigError("one person sits in two seats", hint="name different subjects in scene.occupants")
         return self
+
+    @property
+    def skeletons(self) -> tuple[Skeleton, ...]:
+        """The sets of joints that are written beside the standard's own."""
+        names = self.output.skeletons
+        if names is None:
+            names = (ITOP.name,) if self.scene.kind == "room" else ()
+        return tuple(SKELETONS[name] for name in dict.fromkeys(names))
 
     @property
     def profiles(self) -> tuple[Profile, ...]:

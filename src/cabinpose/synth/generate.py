@@ -16,7 +16,7 @@ from typing import Literal, get_args
 import cabinpose
 from cabinpose.core import ConfigError, optional_module
 from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
-from cabinpose.store import Manifest, PartPlan, create_dataset
+from cabinpose.store import Manifest, PartPlan, create_dataset, joints_variable
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import GAZE_VARIABLES
 from cabinpose.synth.plan import brings_things, person_slots
@@ -133,7 +133,6 @@ def generate(
 def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     """What `dataset.yaml` says of a run."""
     camera = config.camera.sensor_model.camera
-    standing = config.scene.kind == "room"
     things = brings_things(config)
     absent = CLOTH_LABELS - (config.scene.cloth_labels if isinstance(config.scene, CabinScene) else frozenset())
     images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
@@ -159,7 +158,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         variables=(
             *images,
             *(("noise",) if config.output.noise else ()),
-            *(("itop_joints_3d",) if standing else ()),
+            *(joints_variable(each.name) for each in config.skeletons),
             *(("things",) if things else ()),
             *(RESTRAINTS if isinstance(config.scene, CabinScene) and config.scene.tells_restraints else ()),
             *(GAZE_VARIABLES if config.output.gaze else ()),

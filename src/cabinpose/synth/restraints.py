@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cabinpose.core import INDEX, Floats, apply, invert
+from cabinpose.core import CABINPOSE, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting, fastening_surface
@@ -58,7 +58,7 @@ def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | Non
     """Where a booster leads the belt to the shoulder, (3,) m, vehicle frame; None for one without a back."""
     if _sitting(on).back is None:
         return None
-    joints = [body.joints[INDEX[name]] for name in ("lshoulder", "rshoulder", "neck")]
+    joints = body.joints[CABINPOSE.indices(("lshoulder", "rshoulder", "neck"))]
     local = apply(invert(on.vehicle_from_thing), np.stack((anchor, *joints)))
     side = float(np.sign(local[0, 1]))
     shoulder = local[1 if side > 0.0 else 2]
@@ -68,7 +68,7 @@ def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | Non
 
 def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
     """Where a harness comes out of its shell, (2, 3) m each, vehicle frame: behind the shoulders and beside the hips."""
-    height = apply(invert(on.vehicle_from_thing), body.joints[[INDEX["lshoulder"], INDEX["rshoulder"]]])[:, 2].mean()
+    height = apply(invert(on.vehicle_from_thing), body.joints[CABINPOSE.indices(("lshoulder", "rshoulder"))])[:, 2].mean()
     places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (_sitting(on).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
     slots, hips = (np.stack([_beside_back(on, z, ahead, s * aside) for s in (1.0, -1.0)]) for z, ahead, aside in places)
     return slots, hips

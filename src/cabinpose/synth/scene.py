@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-
-from cabinpose.core import INDEX, ITOP_JOINTS, OCCUPANT_SLOTS, Floats, Matrix, SceneError
+from cabinpose.core import OCCUPANT_SLOTS, Floats, Matrix, SceneError
 from cabinpose.scene import Surface, merge
-from cabinpose.scene.body import CHILD_YEARS, SEGMENTS, Person, PosedBody
+from cabinpose.scene.body import CHILD_YEARS, Person, PosedBody
 from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
@@ -38,21 +36,6 @@ class ScenePerson:
     def child(self) -> bool:
         """Whether it is one, of less than twelve years."""
         return self.person.phenotype.years < CHILD_YEARS
-
-    def itop_joints(self) -> Floats:
-        """(15, 3) m in the scene's frame: ITOP's joints (Haque et al. 2016) on this body.
-
-        ITOP's neck lies midway between the shoulders and its torso midway between neck and hips (both hold on its
-        ground truth to a few millimetres); its head is the middle of the head.
-        """
-        joints = self.posed.joints
-        at = {name: joints[INDEX[name]] for name in INDEX}
-        head = self.posed.skin[self.person.skin_segment == SEGMENTS.index("head")].mean(axis=0, dtype=np.float64)
-        neck = (at["lshoulder"] + at["rshoulder"]) / 2
-        hips = (at["lpelvis"] + at["rpelvis"]) / 2
-        special = {"head": head, "neck": neck, "torso": (neck + hips) / 2}
-        ours = {"hip": "pelvis", "foot": "ankle"}
-        return np.stack([special.get(n, at.get(n[0] + ours.get(n[1:], n[1:]), head)) for n in ITOP_JOINTS])
 
 
 @dataclass(frozen=True)

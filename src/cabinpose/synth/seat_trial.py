@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cabinpose.core import INDEX, Floats, apply, invert
+from cabinpose.core import CABINPOSE, Floats, apply, invert
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.cabin import BACK_BOX, CUSHION_BOX, WHEEL_GROUP, Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import first_crossings
@@ -128,7 +128,7 @@ def _measure(
 
 def _from_bone_to_skin(person: Person, posed: PosedBody) -> tuple[Floats, Floats]:
     """(N, 3) m each, vehicle frame: points of the skin of trunk and thighs, and the place of the bone nearest to each."""
-    at = {name: posed.joints[i] for name, i in INDEX.items()}
+    at = {name: posed.joints[i] for name, i in CABINPOSE.index.items()}
     hips = (at["lpelvis"] + at["rpelvis"]) / 2
     bones = dict.fromkeys(("pelvis", "abdomen", "thorax"), (hips, at["chest"]))
     bones |= {side + "thigh": (at[side + "pelvis"], at[side + "knee"]) for side in "lr"}

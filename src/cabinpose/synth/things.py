@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from cabinpose.core import INDEX, OCCUPANT_SLOTS, ConfigError, Matrix, axis_rotation, invert, transform, unknown_name
+from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, ConfigError, Matrix, axis_rotation, invert, transform, unknown_name
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
@@ -341,7 +341,7 @@ def bring_along(
 
 def lap_frame(posed: PosedBody) -> tuple[Matrix, float]:
     """vehicle_from_lap, between the femur heads, x to the knees and z off the thighs; and how far the knees are, m."""
-    at = {name: posed.joints[INDEX[name]] for name in ("lpelvis", "rpelvis", "lknee", "rknee")}
+    at = {name: posed.joints[CABINPOSE.index[name]] for name in ("lpelvis", "rpelvis", "lknee", "rknee")}
     hips = 0.5 * (at["lpelvis"] + at["rpelvis"])
     to_knees = 0.5 * (at["lknee"] + at["rknee"]) - hips
     length = float(np.linalg.norm(to_knees))

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import contact as native
-from cabinpose.core import INDEX, Floats, Ints32
+from cabinpose.core import CABINPOSE, Floats, Ints32
 from cabinpose.scene.body import SEGMENTS, Person, PosedBody
 from cabinpose.scene.contact import (
     FLESH_M,
@@ -43,7 +43,7 @@ _AXES = tuple(
         (s + "foot", s + "ankle", s + "foot", 0.0),
     )
 )
-_AXIS_ENDS = np.array([(INDEX[start], INDEX[end]) for _, start, end, _ in _AXES])
+_AXIS_ENDS = np.array([(CABINPOSE.index[start], CABINPOSE.index[end]) for _, start, end, _ in _AXES])
 _AXIS_SKIPPED = np.array([skipped for *_, skipped in _AXES])
 Cause = Literal["self", "person", "car", "reach", "way", "camera", "thing"]
 

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cabinpose.core import ITOP_JOINTS, JOINTS, apply, invert
+from cabinpose.core import CABINPOSE, apply, invert
+from cabinpose.scene.body import joints_in_body
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, median_of_valid, sample_times, simulate
 from cabinpose.scene.things import CHILD_SEAT_LABELS
-from cabinpose.store import EncodedFrame, Manifest, PartPlan, PartWriter, encode_frame
+from cabinpose.store import EncodedFrame, Manifest, PartPlan, PartWriter, encode_frame, joints_variable
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.gaze import gaze_labels
 from cabinpose.synth.plan import brings_things, person_slots
@@ -191,19 +192,13 @@ class FrameMaker:
         return [names.get(slot, "") for slot in self._slots]
 
     def _joints(self, scene: Scene, camera_from_world: np.ndarray) -> Frame:
-        """joints_3d (P, 20, 3) m and joints_2d (P, 20, 2) px in the camera, NaN for empty slots; ITOP's in a room."""
-        count = len(self._slots)
-        joints_3d = np.full((count, len(JOINTS), 3), np.nan)
-        itop = np.full((count, len(ITOP_JOINTS), 3), np.nan)
-        for person in scene.people:
-            row = self._slots.index(person.slot)
-            joints_3d[row] = apply(camera_from_world, person.posed.joints)
-            if self._config.scene.kind == "room":
-                itop[row] = apply(camera_from_world, person.itop_joints())
-        result: Frame = {"joints_3d": joints_3d, "joints_2d": self._sensor.camera.project(joints_3d)}
-        if self._config.scene.kind == "room":
-            result["itop_joints_3d"] = itop
-        return result
+        """The joints (P, J, 3) m of every set that is written, and joints_2d (P, 20, 2) px; NaN for empty slots."""
+        result: Frame = {}
+        for skeleton in (CABINPOSE, *self._config.skeletons):
+            joints = result[joints_variable(skeleton.name)] = np.full((len(self._slots), len(skeleton.joints), 3), np.nan)
+            for person in scene.people:
+                joints[self._slots.index(person.slot)] = apply(camera_from_world, joints_in_body(skeleton, person.posed))
+        return result | {"joints_2d": self._sensor.camera.project(result["joints_3d"])}
 
 
 def _micrometres(noise_m: np.ndarray) -> np.ndarray:

@@ -95,13 +95,14 @@ def _measured(
     import numpy as np
 
     from cabinpose.estimate import cameras_of, cues
-    from cabinpose.evaluate import BATCH, common_joints, frame_batch, shared_places, truth_of
+    from cabinpose.evaluate import BATCH, common_skeleton, frame_batch, shared_places, truth_of
 
-    joints, persons = list(common_joints(dataset, [model])), list(shared_places(dataset, [model]))
+    skeleton, persons = common_skeleton(dataset, [model]), list(shared_places(dataset, [model]))
+    joints = list(skeleton.joints)
     if not set(persons) <= set(model.persons):
         raise DatasetError(f"{model.name} looks at {', '.join(model.persons)}", hint="give a dataset of people in these places")
     rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in joints]
-    truth = truth_of(dataset.sel(person=persons), joints)
+    truth = truth_of(dataset.sel(person=persons), skeleton)
     known, error_m = [], []
     for start in range(0, dataset.sizes["frame"], BATCH):
         which = slice(start, start + BATCH)

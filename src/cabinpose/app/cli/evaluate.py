@@ -174,7 +174,7 @@ def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmente
 
 def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> None:
     """One model on ITOP frames, by ITOP's protocol."""
-    from cabinpose.core import ITOP_JOINTS
+    from cabinpose.core import ITOP
     from cabinpose.estimate.remote import open_predictor
     from cabinpose.evaluate import evaluate_itop, itop_summary
     from cabinpose.store import as_labelled, read_itop_frames, read_itop_reference
@@ -182,7 +182,7 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
     if len(command.model) != 1 or command.predictions or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
     model = open_predictor(command.model[0])
-    if model.joints != ITOP_JOINTS or len(model.persons) != 1:
+    if model.joints != ITOP.joints or len(model.persons) != 1:
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room` or `room_top`")
     reference = read_itop_reference(frames)
     found = model.predict(read_itop_frames(frames)).joints_3d[:, 0]

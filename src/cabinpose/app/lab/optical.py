@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose._native import lab
 from cabinpose.app.lab.motion import KeyedMotion
-from cabinpose.core import INDEX, RIGS, Matrix, apply, invert, transform
+from cabinpose.core import CABINPOSE, Matrix, apply, invert, transform
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIALS
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
@@ -47,8 +47,8 @@ _TRANSMISSIVE = np.array([m.id for m in MATERIALS if m.transmissive], np.uint8)
 
 # The optical model's segments, in our joints' order, and the bone that turns with each where it is not the joint's own: the
 # model's head is one piece from neck to crown, its loins begin at L5.
-MODEL_SEGMENTS: tuple[str, ...] = tuple(RIGS["vicon_kinematic_fit"].values())
-_MODEL_JOINTS = np.array([INDEX[joint] for joint in RIGS["vicon_kinematic_fit"]])
+MODEL_SEGMENTS: tuple[str, ...] = tuple(CABINPOSE.maps["vicon_kinematic_fit"].values())
+_MODEL_JOINTS = np.array([CABINPOSE.index[joint] for joint in CABINPOSE.maps["vicon_kinematic_fit"]])
 _MODEL_BONE = {"neck": "head", "hip": "spine04"}
 # A model's joint lies between several markers on skin: its noise is so many times a marker's, its turn that over 0.1 m.
 _MODEL_NOISE, _MODEL_LEVER_M = 5.0, 0.1
@@ -99,7 +99,7 @@ class Watch:
     def __init__(self, motion: KeyedMotion, cap: Cap, eyes: F64 | None = None) -> None:
         """eyes: (N, 3) m in the scene's frame; left out: `CAMERAS_M` about the head's place at the start."""
         self._motion, self._cap = motion, cap
-        heads = motion.joints(np.arange(0.0, motion.duration_s + 0.2, 0.2))[:, INDEX["head"]]
+        heads = motion.joints(np.arange(0.0, motion.duration_s + 0.2, 0.2))[:, CABINPOSE.index["head"]]
         self.eyes = apply(transform(translation=heads[0]), CAMERAS_M) if eyes is None else np.asarray(eyes, np.float64)
         # Of the car only what can come between: in a pyramid from a camera about all places of the head.
         reach = float(np.linalg.norm(apply(invert(cap.object_from_head), cap.markers_m), axis=1).max()) + _MOVED_M
@@ -195,7 +195,7 @@ def measured_model(
     rest = motion.person.rest
     bone = rest.joint_bone[_MODEL_JOINTS]
     at = position[:, bone] + np.einsum("tsij,sj->tsi", rotation[:, bone], rest.joint_offset[_MODEL_JOINTS])
-    joints = tuple(RIGS["vicon_kinematic_fit"])
+    joints = tuple(CABINPOSE.maps["vicon_kinematic_fit"])
     turning = np.array([BONE_INDEX[_MODEL_BONE[j]] if j in _MODEL_BONE else b for j, b in zip(joints, bone, strict=True)])
     off, turned = rng.standard_normal((2, *at.shape)) * _MODEL_NOISE * noise_m
     exact = Rotation.from_matrix((world_from_scene[:3, :3] @ rotation[:, turning]).reshape(-1, 3, 3))

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.rig import SuitErrors
-from cabinpose.core import INDEX, MVN_JOINTS, MVN_SEGMENTS, Matrix, apply, transform
+from cabinpose.core import CABINPOSE, MVN_JOINTS, MVN_SEGMENTS, Matrix, apply, transform
 from cabinpose.scene import MATERIAL_ID as MATERIAL
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, N_MAIN, Person, main_frames
 from cabinpose.scene.cabin import Cabin, SeatSetting
@@ -57,7 +57,7 @@ def _bone(segment: str) -> int:
 
 _BONES = np.array([_bone(name) for name in MVN_SEGMENTS])
 _JOINT_ROWS = np.array([SEGMENT[name] for name in _JOINT])
-_JOINTS = np.array([INDEX[name] for name in _JOINT.values()])
+_JOINTS = np.array([CABINPOSE.index[name] for name in _JOINT.values()])
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def model_offsets(person: Person) -> F64:
 def hand_offset(person: Person, side: str) -> F64:
     """(3,) m: the joint lhand or rhand (side l, r) in MVN's hand segment, which begins at the wrist."""
     rotation, _ = _t_pose(person)
-    k = INDEX[side + "hand"]
+    k = CABINPOSE.index[side + "hand"]
     return np.asarray(rotation[person.rest.joint_bone[k]] @ person.rest.joint_offset[k])
 
 

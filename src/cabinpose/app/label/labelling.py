@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.align import surface_depth, visibility
-from cabinpose.core import JOINTS, LIMBS, REACH_M, UPPER_BODY, Camera, Predictor, Visibility
+from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility
 from cabinpose.evaluate import frame_batch
 from cabinpose.store import JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
 
@@ -22,7 +22,8 @@ Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed
 FAR_PX = 20.0  # a label so far from what a model sees there is suspicious: PCKh's threshold is 13 px for a whole head of 26
 LONG = 0.25  # and one whose bone differs so much, as a share, from the same bone of the subject in other frames
-_LIMBS_OF = {joint: [limb for limb in LIMBS if joint in limb] for joint in JOINTS}
+_LIMBS = tuple((parent, child) for child, parent in CABINPOSE.parent.items())
+_LIMBS_OF = {joint: [limb for limb in _LIMBS if joint in limb] for joint in JOINTS}
 _FEWEST = 3  # other frames that tell how long a bone usually is
 _REMEMBERED = 512  # frames of proposals kept
 
@@ -39,9 +40,9 @@ class Shown:
 
 def _joint_sets(known: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Which joints can be labelled, by name, in the order along the skeleton; the first is what one begins with."""
-    upper = tuple(name for name in UPPER_BODY if name in known)
-    suit = tuple(name for name in upper if name.endswith(("wrist", "pelvis")) or name == "hip")
-    sets = {"upper body": upper, "all joints": (*upper, *(n for n in known if n not in upper)), "wrists and hips": suit}
+    sets = {name: tuple(joint for joint in joints if joint in known) for name, joints in CABINPOSE.sets.items()}
+    upper = sets.pop("upper body")
+    sets = {"upper body": upper, "all joints": (*upper, *(n for n in known if n not in upper)), **sets}
     return {name: joints for name, joints in sets.items() if joints}
 
 
@@ -268,7 +269,7 @@ class Labelling:
                 apart = float(np.hypot(*np.subtract(label.uv, proposals[joint].uv)))
                 if apart > FAR_PX:
                     why[joint] = f"{apart:.0f} px from what the model sees"
-        for parent, child in LIMBS:
+        for parent, child in _LIMBS:
             lengths = bones[person, parent, child]
             length = lengths.get(number)
             if length is None or len(lengths) <= _FEWEST:
@@ -321,18 +322,18 @@ class Labelling:
         if not camera.contains(np.array(uv)):
             return (float("nan"),) * 3
         surface = surface_depth(depth, np.array(uv))
-        behind = REACH_M[joint] / _USUAL if joint in REACH_M else 0.0
+        behind = CABINPOSE.reach_m.get(joint, 0.0) / _USUAL
         if now is not None and np.isfinite(now.xyz).all() and camera.contains(np.array(now.uv)):
             held = now.xyz[2] - surface_depth(depth, np.array(now.uv))
             if np.isnan(surface):  # nothing was measured here: it stays as far away as it was
                 return tuple(camera.unproject(np.array(uv), np.array(now.xyz[2])).tolist())
-            if 0.0 <= held <= REACH_M.get(joint, 0.0):
+            if 0.0 <= held <= CABINPOSE.reach_m.get(joint, 0.0):
                 behind = held
         x, y, z = camera.unproject(np.array(uv), np.array(surface + behind)).tolist()
         return x, y, z
 
 
-_USUAL = 3.0  # REACH_M is the greatest depth of a joint below the surface of a heavy body; the usual one is about a third of it
+_USUAL = 3.0  # `reach_m` is the greatest depth of a joint below the surface of a heavy body; the usual one is about a third of it
 
 
 def nowhere(state: Visibility = Visibility.ABSENT) -> JointLabel:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
-from cabinpose.core import CabinposeError, PoseBatch, Predictor, joined
+from cabinpose.core import CabinposeError, PoseBatch, Predictor, joined, skeleton_of
 from cabinpose.store import Predictions, empty_batch
 
 _WINDOW = 100  # frames over which the present rate and latency are taken
@@ -137,5 +137,5 @@ class Live:
         return Predictions(
             **vars(found.map(lambda values: values[order])), frame=np.array(answers.numbers, np.int64)[order],
             persons=model.persons, joints=model.joints, model=model.name,
-            skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset,
+            skeleton=skeleton_of(model).name, dataset=dataset,
         )  # fmt: skip

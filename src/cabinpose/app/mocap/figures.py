@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cabinpose.app.mocap.stick import stick_figure
 from cabinpose.app.report.charts import box_chart, charts, legend, series_chart
 from cabinpose.app.report.html import Html, el, join, table
-from cabinpose.core import MVN_JOINTS, PARENT
+from cabinpose.core import CABINPOSE, MVN_JOINTS
 from cabinpose.evaluate import Box
 from cabinpose.evaluate.mocap import (
     ALL,
@@ -157,7 +157,7 @@ def _dfe_figures(run: DfeRun) -> list[Html]:
             bodies = {"suit": run.suit_m[stage][t], "optical": run.optical_m[stage][t]}
             mean_mm = 1e3 * np.nanmean(run.position_error_m(stage)[t])
             told = f"{run.condition}, {what} frame at {run.time_s[t]:.2f} s, {stage}: {mean_mm:.1f} mm"
-            found.append(stick_figure(told, bodies, limbs(run.names, PARENT), links=[("suit", "optical")]))
+            found.append(stick_figure(told, bodies, limbs(run.names, CABINPOSE.parent), links=[("suit", "optical")]))
     return found
 
 

@@ -12,9 +12,9 @@ from cabinpose.app.report.charts import line, svg
 from cabinpose.app.report.html import Html, el, figure, picture_uri
 from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
-from cabinpose.core import PoseBatch, Predictor, Visibility
-from cabinpose.evaluate import ALL, EvaluatedSkeleton, EvaluationOptions, Report, evaluated_skeleton, frame_batch, truth_of
-from cabinpose.store import Predictions
+from cabinpose.core import SKELETONS, PoseBatch, Predictor, Skeleton, Visibility, skeleton_of
+from cabinpose.evaluate import ALL, EvaluationOptions, Report, frame_batch, truth_of
+from cabinpose.store import Predictions, joint_dimension
 
 TRUTH, PREDICTION, ERROR = "#ffffff", "#ff9f1c", "#ff3b3b"
 _HALF = 0.5  # pixel centres are whole numbers in this package, halves in SVG
@@ -26,17 +26,17 @@ def frame_figures(
     """Figures of the frames of these numbers; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
-    skeleton = evaluated_skeleton(report.joint_sets[ALL])
+    skeleton = skeleton_of(model).subset(report.joint_sets[ALL])
     columns = [model.joints.index(name) for name in skeleton.joints]
-    away = [n for n, v in dataset.variables.items() if n != "depth" and {"y", "joint", "itop_joint"} & set(v.dims)]
-    rest = dataset.drop_vars(away)
+    away = {"y", *map(joint_dimension, SKELETONS)}
+    rest = dataset.drop_vars([n for n, v in dataset.variables.items() if n != "depth" and away & set(v.dims)])
     figures = []
     for number in numbers:
         batch = _poses(dataset, model, number)
         uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
         if options.match == "slot":  # in the order of the dataset's people, so that joints correspond
             uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
-        truth = truth_of(dataset.sel(frame=[number]), skeleton.joints)
+        truth = truth_of(dataset.sel(frame=[number]), skeleton)
         frame = rest.sel(frame=[number]).assign(truth).isel(frame=0).load()
         points = None
         if not np.isfinite(batch.joints_2d).any():  # a model of 3D joints alone: their depths show from the side
@@ -53,7 +53,7 @@ def _poses(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> 
 
 
 def overlay(
-    frame: xr.Dataset, skeleton: EvaluatedSkeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool,
+    frame: xr.Dataset, skeleton: Skeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool,
     title: str = "", points: NDArray[np.float32] | None = None,
 ) -> Html:  # fmt: skip
     """One frame as a figure: joints of truth (white) and prediction (orange), in px.

@@ -10,12 +10,11 @@ import numpy as np
 from cabinpose.app.report.charts import legend, series_chart
 from cabinpose.app.report.frames import overlay
 from cabinpose.app.report.html import document, el, section
-from cabinpose.core import JOINTS
-from cabinpose.evaluate import evaluated_skeleton
+from cabinpose.core import CABINPOSE
 from cabinpose.store import disk_errors, open_dataset
 
 _SHOWN = 2  # best and worst frames of each take
-_NONE = np.zeros((0, len(JOINTS), 2), np.float32)
+_NONE = np.zeros((0, len(CABINPOSE.joints), 2), np.float32)
 
 
 def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], out: Path) -> None:
@@ -42,7 +41,7 @@ def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], ou
         for what, some in (("best", order[:_SHOWN]), ("worst", order[: -_SHOWN - 1 : -1])):
             for k in some:
                 frame, title = dataset.isel(frame=int(frames[k])).load(), f"{name}: {what}, {apart[k]:.2f} deg"
-                pictures.append(overlay(frame, evaluated_skeleton(JOINTS), _NONE, (), False, title))
+                pictures.append(overlay(frame, CABINPOSE, _NONE, (), False, title))
     chart = series_chart("angle between the two systems' heads, deg", "s", lines, size=(1240, 300))
     note = "One rotation for the whole take aligns the worlds of suit and optical system: a drift of the heading shows."
     count = len({sequence for sequence, *_ in takes})

@@ -16,9 +16,9 @@ from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.models import Judged, detectors, error_words, joint_distances, judged, load_choice, worst_first
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.workspace import Workspace, depth_range
-from cabinpose.core import CabinposeError, PoseBatch, index_pairs
+from cabinpose.core import CabinposeError, PoseBatch, skeleton_of
 from cabinpose.evaluate import EvaluationOptions, common_joints, predict_dataset, shared_places
-from cabinpose.store import Predictions, dataset_id
+from cabinpose.store import Predictions, dataset_id, dataset_skeleton
 
 COLOURS = ("#ff9f1c", "#35a7ff", "#ff5964", "#9bde7e", "#c792ea", "#f6f740")
 _NEAR_CM = 5.0  # of the thesis' three boxes a joint: all found, those nearer than this, those nearer than Γt
@@ -271,15 +271,14 @@ class CompareTab:
         small = dataset[[str(n) for n in dataset.data_vars if "y" not in dataset[n].dims]]
         frame = small.isel(frame=row).load()
         number_ = int(frame["frame"])
-        joints = [str(name) for name in frame["joint"].values]
-        limbs = index_pairs(joints)
+        limbs = dataset_skeleton(frame).limbs
         people: list[dict[str, Any]] = [{**person, "colour": "#ffffff", "fixed": True} for person in people_of(frame)]
         for person in people:
             for joint in person["joints"]:
                 joint["colour"] = "#ffffff"
         for index, model in enumerate(workspace.predictions.values()):
             batch = model.take(np.array([number_]))
-            own = index_pairs(model.joints)
+            own = skeleton_of(model).limbs
             for p in range(len(model.persons)):
                 seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
                 people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})

@@ -18,8 +18,8 @@ from cabinpose.app.studio.view3d import view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
-from cabinpose.core import CabinposeError, Visibility, apply, index_pairs
-from cabinpose.store import label_colours
+from cabinpose.core import CabinposeError, Visibility, apply
+from cabinpose.store import dataset_skeleton, label_colours
 
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
@@ -35,7 +35,7 @@ class DatasetTab:
         self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
         self._visibility = self._dataset["visibility"].values
         self._joints = [str(name) for name in self._dataset["joint"].values]
-        self._limbs = index_pairs(self._joints)
+        self._limbs = dataset_skeleton(self._dataset).limbs
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
         self._label = label

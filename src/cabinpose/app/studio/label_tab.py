@@ -17,7 +17,7 @@ from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
-from cabinpose.core import CabinposeError, Visibility, index_pairs
+from cabinpose.core import CabinposeError, Visibility, skeleton_with
 
 _COLOUR = {state: "#{:02x}{:02x}{:02x}".format(*rgb) for state, rgb in VISIBILITY_COLOUR.items()}
 _STATE_KEYS = {
@@ -269,7 +269,7 @@ class LabelTab:
         labelling, row = self._labelling, self._row
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
-        limbs = index_pairs(labelling.joints)
+        limbs = skeleton_with(labelling.joints).limbs
         colour = person_colour(labelling.persons.index(self._person))
         whole = {"colour": colour, "joints": [_drawn(s) for s in shown], "dashed": not all(s.origin == "label" for s in shown)}
         self._canvas.joints([whole], limbs, (0, self._chosen))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cabinpose.app.studio.clouds import live_cloud, person_colour
 from cabinpose.app.studio.live_session import PRESENT, Shown
 from cabinpose.app.studio.view3d import view_3d
-from cabinpose.core import FORWARD_FROM_CAMERA, index_pairs
+from cabinpose.core import FORWARD_FROM_CAMERA, skeleton_of
 
 _PERIOD_S = 0.2
 _ANSWER_S = 5.0  # a browser that has not drawn a cloud by then is sent the next one all the same
@@ -68,7 +68,7 @@ def skeletons(shown: Shown) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             joints = answer.poses.joints_3d[0, p].astype(np.float64)
             there = (answer.poses.presence[0, p] >= PRESENT) & np.isfinite(joints).all(axis=1)
             colour = person_colour(p + 2 * number)
-            for a, b in index_pairs(list(model.joints)):
+            for a, b in skeleton_of(model).limbs:
                 if there[a] and there[b]:
                     points.append(joints[a] + _ALONG * (joints[b] - joints[a]))
                     colours.append(np.full((len(_ALONG), 3), [(int(colour[i : i + 2], 16) / 255) ** _GAMMA for i in (1, 3, 5)]))

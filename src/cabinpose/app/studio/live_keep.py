@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cabinpose import __version__
 from cabinpose.app.studio.live_session import Shown
-from cabinpose.core import OCCUPANT_SLOTS, ConfigError, joined
+from cabinpose.core import OCCUPANT_SLOTS, ConfigError, joined, skeleton_of
 from cabinpose.store import (
     DEPTH_SCALE_M,
     Manifest,
@@ -81,7 +81,7 @@ def write_kept(kept: Sequence[Shown], root: Path) -> tuple[Path, list[Path]]:
             found = joined(answers)
             predictions = Predictions(
                 **vars(found), frame=np.array(rows, np.int64), persons=tuple(model.persons), joints=tuple(model.joints),
-                model=model.name, skeleton=getattr(model, "skeleton", "cabinpose"), dataset=dataset_id(manifest),
+                model=model.name, skeleton=skeleton_of(model).name, dataset=dataset_id(manifest),
             )  # fmt: skip
             files.append(write_predictions(root / f"{folder.name}.predictions-{number}.jsonl", predictions))
     return folder, files

@@ -18,7 +18,7 @@ from cabinpose.app.studio.live_session import PRESENT, LiveRoom, LiveSession, Sh
 from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core import CabinposeError, Predictor, index_pairs
+from cabinpose.core import CabinposeError, Predictor, skeleton_of
 from cabinpose.estimate.remote import open_predictor
 from cabinpose.record.sources import cameras
 
@@ -196,7 +196,7 @@ def _people(shown: Shown) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], 
     limbs: tuple[tuple[int, int], ...] = ()
     for number, (model, answer) in enumerate(shown.found):
         names = list(model.joints)
-        limbs = index_pairs(names)
+        limbs = skeleton_of(model).limbs
         for p in range(len(model.persons)):
             there = answer.poses.presence[0, p] >= PRESENT
             places = answer.poses.joints_2d[0, p]

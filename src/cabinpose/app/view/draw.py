@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
 
-from cabinpose.core import FORWARD_FROM_CAMERA, INDEX, LIMBS, DatasetError, Visibility, transform
+from cabinpose.core import CABINPOSE, FORWARD_FROM_CAMERA, DatasetError, Visibility, transform
 
 Image = NDArray[np.uint8]  # (H, W, 3) RGB
 Colour = tuple[int, int, int]
@@ -98,8 +98,7 @@ def draw_skeleton(image: Image, uv: NDArray[np.float32], visibility: NDArray[np.
         return
     with Strokes(image) as strokes:
         for colour, width in (((16, 18, 22), round(3 * scale)), ((235, 238, 242), max(round(1.3 * scale), 1))):
-            for a, b in LIMBS:
-                i, j = INDEX[a], INDEX[b]
+            for i, j in CABINPOSE.limbs:
                 if usable[i] and usable[j]:
                     strokes.line(points[i], points[j], colour, width)
         for i in np.flatnonzero(usable).tolist():

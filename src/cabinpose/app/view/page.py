@@ -34,8 +34,8 @@ from cabinpose.app.view.draw import (
 )
 from cabinpose.app.view.sheet import VIEW_FILES, contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
-from cabinpose.core import LIMBS, Visibility
-from cabinpose.store import Manifest, camera_of, depth_mm, label_table, people, write_png
+from cabinpose.core import Visibility
+from cabinpose.store import Manifest, camera_of, dataset_skeleton, depth_mm, label_table, people, write_png
 
 _RAY_STEP = 8  # pixels between the rays that the page is given
 
@@ -77,7 +77,7 @@ def page_data(
 ) -> dict[str, Any]:
     """Everything that the page's script reads, as plain data."""
     near, far, white = ranges(dataset, indices)
-    joints = [str(name) for name in dataset["joint"].values]
+    skeleton = dataset_skeleton(dataset)
     cameras: list[dict[str, Any]] = []
     known: dict[bytes, int] = {}
     frames = []
@@ -101,8 +101,8 @@ def page_data(
         "person_colours": PERSON_COLOUR,
         "visibility_colours": [VISIBILITY_COLOUR.get(state) for state in Visibility],
         "visibility_names": ["absent", "outside the image", "hidden by something else", "hidden by the own body", "visible"],
-        "joints": joints,
-        "limbs": [[joints.index(a), joints.index(b)] for a, b in LIMBS],
+        "joints": skeleton.joints,
+        "limbs": skeleton.limbs,
         "labels": label_table(dataset),
         "cameras": cameras,
         "frames": frames,

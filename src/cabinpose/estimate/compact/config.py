@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
-from cabinpose.core import ITOP_JOINTS, JOINTS
+from cabinpose.core import SKELETONS, Skeleton, SkeletonName
 from cabinpose.estimate.settings import ViewSettings
 
 _Positive = Annotated[float, Field(gt=0)]
@@ -18,14 +18,14 @@ class BackboneConfig(ViewSettings):
     width: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Width of the network's view (px).")] = 176
     height: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Height of the network's view (px).")] = 144
     amplitude: Annotated[bool, Field(description="Use the amplitude image beside the depth.")] = True
-    skeleton: Annotated[Literal["cabinpose", "itop"], Field(description="Joints to predict.")] = "cabinpose"
+    skeleton: Annotated[SkeletonName, Field(description="Joints to predict.")] = "cabinpose"
     channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)
     blocks: Annotated[tuple[int, int, int], Field(description="Blocks at strides 4, 8 and 16.")] = (1, 3, 4)
 
     @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that it predicts."""
-        return ITOP_JOINTS if self.skeleton == "itop" else JOINTS
+    def joint_set(self) -> Skeleton:
+        """The joints that it finds, as a set."""
+        return SKELETONS[self.skeleton]
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from cabinpose.estimate.augment import mirrored_slots
 from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.compact.config import BackboneConfig, CompactConfig
 from cabinpose.estimate.compact.refine import Refine
-from cabinpose.estimate.mirror import mirrored_joints, mirrored_slots
 
 STRIDE = 8
 _VALUES = 6  # of a vote: weight, offset in u and v, depth, inside, visible
@@ -209,7 +209,7 @@ class Mirrored(nn.Module):
     def __init__(self, network: Compact) -> None:
         super().__init__()
         self._network = network
-        self._joints = mirrored_joints(network.config.joints)
+        self._joints = list(network.config.joint_set.mirror)
         self._slots = mirrored_slots(network.config.slots)
         self._facing_slots = mirrored_slots(network.config.slots, facing=True)
 

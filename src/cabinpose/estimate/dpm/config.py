@@ -63,10 +63,10 @@ class DpmConfig(BodySettings):
 
     @cached_property
     def tree(self) -> Tree:
-        """The skeleton's tree from the chest, or ITOP's torso, on."""
-        joints = self.joints
-        root = joints.index("torso" if self.body == "itop" else "chest")
-        limbs, parent, ends, part_of = self.limbs, [-1], [(root, root)], {root: 0}
+        """The skeleton's tree from the joint below the neck on."""
+        joints, limbs = self.joints, self.joint_set.limbs
+        root = joints.index(self.joint_set.spine[1])
+        parent, ends, part_of = [-1], [(root, root)], {root: 0}
         queue = [root]
         while queue:
             here = queue.pop(0)

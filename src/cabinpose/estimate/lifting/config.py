@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from cabinpose.core import JOINTS, OCCUPANT_SLOTS, UPPER_BODY
+from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Skeleton
 from cabinpose.estimate.inputs import InputView
 from cabinpose.estimate.settings import Settings
 
@@ -16,7 +16,6 @@ ROOT = "neck"  # in a car the joint that is hidden least; the hip is under the b
 class LiftingConfig(Settings):
     """Lifting: the joints, the size of the network, and how its 2D joints are disturbed in training."""
 
-    skeleton: ClassVar = "cabinpose"
     view: ClassVar = InputView(352, 288, 160.0)  # of the training joints' pixels; the network reads directions, of any camera
     body: Annotated[Literal["upper", "full"], Field(description="Joints: the upper body's 14, or all 20.")] = "upper"
     slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places whose people it learns from.")] = OCCUPANT_SLOTS
@@ -29,9 +28,9 @@ class LiftingConfig(Settings):
     presence: Annotated[float, Field(ge=0, le=1, description="2D joints of a lower presence are ignored.")] = 0.5
 
     @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints."""
-        return JOINTS if self.body == "full" else UPPER_BODY
+    def joint_set(self) -> Skeleton:
+        """The joints that it finds, as a set."""
+        return CABINPOSE if self.body == "full" else CABINPOSE.subset(CABINPOSE.sets["upper body"])
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -8,13 +8,6 @@ from pydantic import Field, field_validator
 
 from cabinpose.estimate.settings import BodySettings
 
-# Half the depth of the body at the joint, for an adult of medium size: what lies between the skin that a camera in front
-# sees and the joint (m). ITOP's hand and foot are those of its own skeleton.
-DEFAULT_SKIN_OFFSET_M = {
-    "head": 0.09, "neck": 0.06, "chest": 0.11, "torso": 0.11, "hip": 0.11, "pelvis": 0.09, "shoulder": 0.06, "elbow": 0.04,
-    "wrist": 0.025, "hand": 0.015, "knee": 0.06, "ankle": 0.04, "foot": 0.03,
-}  # fmt: skip
-
 
 class PafConfig(BodySettings):
     """The part affinity fields: input, stages and size of the network, and how people are read off its maps."""
@@ -60,12 +53,4 @@ class PafConfig(BodySettings):
     def offsets_m(self) -> tuple[float, ...]:
         """(J,) from the skin to the joint, m: measured, or half the depth of an adult's body."""
         measured = self.skin_offset_m or {}
-        return tuple(measured.get(name, DEFAULT_SKIN_OFFSET_M[plain(name)]) for name in self.joints)
-
-
-def plain(joint: str) -> str:
-    """A joint's name without its side; a femur joint is called pelvis, ITOP's hip too."""
-    if joint in DEFAULT_SKIN_OFFSET_M:
-        return joint
-    name = joint[1:]
-    return "pelvis" if name == "hip" else name
+        return tuple(measured.get(name, usual) for name, usual in self.joint_set.skin_m.items())

@@ -35,7 +35,7 @@ def decode(outputs: Mapping[str, NDArray[Any]], config: PafConfig, seen: Mapping
     for i in range(n):
         found = find_peaks(heat[i, :joints], config.peak, slots + _SPARE)
         peaks = [p if there[i, j] >= config.presence else Peaks.none() for j, p in enumerate(found)]
-        people = _single(peaks) if slots == 1 else assemble(peaks, fields[i], config.limbs, config.affinity)
+        people = _single(peaks) if slots == 1 else assemble(peaks, fields[i], config.joint_set.limbs, config.affinity)
         people = people[(people >= 0).sum(axis=1) >= config.min_joints]
         _place(people, peaks, config, uv[i], score[i])
     answered = np.isfinite(uv[..., 0])
@@ -81,7 +81,7 @@ def slots_of(uv: NDArray[np.float64], score: NDArray[np.float64], config: PafCon
     order = order[: len(places)]
     if not len(order):
         return []
-    neck = uv[order, config.joints.index("neck")]
+    neck = uv[order, config.joints.index(config.joint_set.spine[0])]
     at = np.where(np.isfinite(neck), neck, np.nanmean(uv[order], axis=1))
     anchors = np.array([config.slot_anchors[slot] for slot in places])
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - takes longer to import than all else here

@@ -64,7 +64,7 @@ def targets(batch: Batch, config: PafConfig, height: int, width: int) -> tuple[T
     peaks = (torch.exp(-squared / (2 * config.sigma_px**2)) * known[..., None, None]).amax(dim=1)
     heat = torch.cat((peaks, 1 - peaks.amax(dim=1, keepdim=True)), dim=1)
     fields = []
-    for a, b in config.limbs:
+    for a, b in config.joint_set.limbs:
         along = uv[:, :, b] - uv[:, :, a]
         length = along.norm(dim=-1)
         unit = along / length.clamp(min=1e-6).unsqueeze(-1)

@@ -28,7 +28,7 @@ def measured(config: PafConfig, frames: Sequence[Kept]) -> PafConfig:
 
 def slot_anchors(config: PafConfig, frames: Sequence[Kept]) -> dict[str, tuple[float, float]]:
     """Mean (u, v) of the neck in the view, to a tenth of a pixel, of each place where somebody sat in view of the camera."""
-    neck = config.joints.index("neck")
+    neck = config.joints.index(config.joint_set.spine[0])
     anchors = {}
     for s, slot in enumerate(config.slots):
         uv = [f.joints[s, neck, :2] for f in frames if f.present[s] and np.isfinite(f.joints[s, neck]).all()]

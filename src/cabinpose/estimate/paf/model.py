@@ -44,7 +44,7 @@ class Paf(nn.Module):
     def __init__(self, config: PafConfig) -> None:
         super().__init__()
         self.config = config
-        joints, limbs = len(config.joints), len(config.limbs)
+        joints, limbs = len(config.joints), len(config.joint_set.limbs)
 
         def c(channels: int) -> int:
             return max(4, round(config.channels * channels))

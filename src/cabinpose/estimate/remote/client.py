@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
-from cabinpose.core import ITOP_JOINTS, ConfigError, FrameBatch, PoseBatch, RemoteError, joined, unknown_name
+from cabinpose.core import ConfigError, FrameBatch, PoseBatch, RemoteError, joined, skeleton_with, unknown_name
 from cabinpose.estimate.onnx_model import cameras_of
 from cabinpose.estimate.remote.messages import add_tensors, read_tensors
 from cabinpose.estimate.remote.regions import EXTENSION, FrameRegion
@@ -130,7 +130,7 @@ class RemotePredictor:
         except RemoteError:
             self.close()
             raise
-        self.skeleton = "itop" if self.joints == ITOP_JOINTS else "cabinpose"
+        self.skeleton = skeleton_with(self.joints).name
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order.

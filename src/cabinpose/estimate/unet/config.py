@@ -6,7 +6,7 @@ car is judged by, cut at the joints: head, torso, and left and right upper arm, 
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -34,7 +34,6 @@ ALL: tuple[Part, ...] = tuple(Part(label.name, (label.id,)) for label in BODY_PA
 class UnetConfig(ViewSettings):
     """The two networks of the segmentation and the parts that they tell apart."""
 
-    skeleton: ClassVar = "cabinpose"
     classes: Annotated[
         Literal["merged", "all", "person"], Field(description="8 merged parts, all parts of the dataset, or whole people alone.")
     ] = "merged"

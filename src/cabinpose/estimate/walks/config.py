@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from cabinpose.core import ITOP_JOINTS, ITOP_LIMBS, JOINTS, LIMBS, index_pairs
+from cabinpose.core import SKELETONS, Skeleton, SkeletonName
 from cabinpose.estimate.settings import ViewSettings
 
 _Count = Annotated[int, Field(ge=1)]
@@ -17,7 +17,7 @@ class WalksConfig(ViewSettings):
 
     width: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Width of the view (px).")] = 320
     height: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Height of the view (px).")] = 240
-    skeleton: Annotated[Literal["cabinpose", "itop"], Field(description="Joints to find.")] = "cabinpose"
+    skeleton: Annotated[SkeletonName, Field(description="Joints to find.")] = "cabinpose"
     samples: Annotated[_Count, Field(description="Points in every training frame that a tree learns from.")] = 40
     spread_m: Annotated[
         float,
@@ -39,16 +39,16 @@ class WalksConfig(ViewSettings):
         return self
 
     @property
-    def joints(self) -> tuple[str, ...]:
-        """(J,) names of the joints that it finds."""
-        return ITOP_JOINTS if self.skeleton == "itop" else JOINTS
+    def joint_set(self) -> Skeleton:
+        """The joints that it finds, as a set."""
+        return SKELETONS[self.skeleton]
 
     @property
     def order(self) -> tuple[tuple[int, int], ...]:
         """(J, 2) joints in the order of their walks, and the joint at which each walk begins, -1 for the belly's."""
-        limbs = index_pairs(self.joints, ITOP_LIMBS if self.skeleton == "itop" else LIMBS)
+        limbs = self.joint_set.limbs
         ways = sorted({*limbs, *((b, a) for a, b in limbs)})
-        order = [(self.joints.index("torso" if self.skeleton == "itop" else "hip"), -1)]
+        order = [(self.joints.index(self.joint_set.spine[-1]), -1)]
         for joint, parent in order:  # grows while it is read
             order += [(child, joint) for a, child in ways if a == joint and child != parent]
         return tuple(order)

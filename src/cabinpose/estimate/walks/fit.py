@@ -12,7 +12,6 @@ from cabinpose._native import walks as native
 from cabinpose.core import DatasetError
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import Progress
-from cabinpose.estimate.mirror import mirrored_joints
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.find import view_of
 
@@ -68,7 +67,7 @@ def fit(
     if mirrored:
         mirror = np.array([-1.0, 1.0, 1.0])
         # Whose place is whose in a mirror image does not matter here: each person keeps the start of their own.
-        joints = np.concatenate((joints, joints[:, :, mirrored_joints(settings.joints)] * mirror))
+        joints = np.concatenate((joints, joints[:, :, list(settings.joint_set.mirror)] * mirror))
         begin = np.concatenate((begin, begin * mirror))
     trees: dict[int, Grown] = {}
     for turn, (joint, parent) in enumerate(settings.order):

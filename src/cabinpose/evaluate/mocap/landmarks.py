@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cabinpose.core import JOINTS, RIGS, AlignmentError
+from cabinpose.core import CABINPOSE, JOINTS, AlignmentError
 from cabinpose.signals import kabsch
 
 F64 = NDArray[np.float64]
@@ -60,7 +60,7 @@ def _suit_clusters(side: str) -> tuple[Cluster, ...]:
     )
 
 
-_FIT, _GAIT = RIGS["vicon_kinematic_fit"], RIGS["plug_in_gait"]
+_FIT, _GAIT = CABINPOSE.maps["vicon_kinematic_fit"], CABINPOSE.maps["plug_in_gait"]
 POSITIONS: tuple[Position, ...] = (
     ("Head", _middle("pLeftAuricularis", "pRightAuricularis")), ("Neck", {"pC7SpinalProcess": 1.0}), ("T8", {"pIJ": 1.0}),
     ("L5", {"pL5SpinalProcess": 1.0}), ("Pelvis", {"pHipOrigin": 1.0}), *_suit_positions("Left", "Right"),

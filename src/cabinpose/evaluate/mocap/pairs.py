@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from cabinpose.core import JOINTS, RIGS, AlignmentError, unknown_name
+from cabinpose.core import CABINPOSE, JOINTS, AlignmentError, unknown_name
 
 
 class Pair(NamedTuple):
@@ -32,7 +32,7 @@ SEGMENT_PAIRS: tuple[Pair, ...] = (
 # By our skeleton: the joints that both systems stream, and the ends of the hands. These are the pairs of the thesis' Table 3.2,
 # and the shoulders. It names the arms' joints by the segment before them, not after, and takes R_Collar for the chest.
 HAND_ENDS = MappingProxyType({"lhand": "pLeftTopOfHand", "rhand": "pRightTopOfHand"})  # landmarks of MVN's hand segments
-_SUIT, _OPTICAL = {**RIGS["mvn"], **HAND_ENDS}, RIGS["vicon_kinematic_fit"]
+_SUIT, _OPTICAL = {**CABINPOSE.maps["mvn"], **HAND_ENDS}, CABINPOSE.maps["vicon_kinematic_fit"]
 # Joints that a suit and Vicon's kinematic fit both have, by their names there.
 JOINT_PAIRS: tuple[Pair, ...] = (
     *(Pair(joint, _SUIT[joint], _OPTICAL[joint]) for joint in JOINTS if joint in _SUIT and joint in _OPTICAL),

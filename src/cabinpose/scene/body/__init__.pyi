@@ -1,5 +1,7 @@
 from .chart import load_chart as load_chart
 from .chart import vertex_segments as vertex_segments
+from .joints import OWN_PARTS as OWN_PARTS
+from .joints import joints_in_body as joints_in_body
 from .kinematics import RestArrays as RestArrays
 from .kinematics import main_frames as main_frames
 from .model import BodyModel as BodyModel

@@ -20,7 +20,7 @@ _HEAD_OF = {
     "wrist_half": "wrist", "hip_half": "upperleg01", "thigh_twist": "upperleg01", "knee_half": "lowerleg01",
     "ankle_half": "foot",
 }  # fmt: skip
-# The CMU rig's joints (core.skeleton.RIGS["makehuman_cmu"]) as (main bone that carries it, Anny's bone head there).
+# Our joints, those of the CMU rig, as (main bone that carries it, Anny's bone head there).
 _JOINT = {
     "head": ("head", "head"), "neck": ("neck01", "neck01"), "chest": ("spine01", "spine01"), "hip": ("pelvis", "root"),
     "shoulder": ("upperarm", "upperarm01"), "elbow": ("forearm", "lowerarm01"), "wrist": ("hand", "wrist"),

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import cabin as native
-from cabinpose.core import INDEX, Bytes, ConfigError, Floats, Floats32, Ints32, cross
+from cabinpose.core import CABINPOSE, Bytes, ConfigError, Floats, Floats32, Ints32, cross
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
 from cabinpose.scene.cabin.shapes import slab_faces, smoothstep
 from cabinpose.scene.labels import LABEL_ID as LABEL
@@ -39,7 +39,7 @@ _TRUNK = (
 # climb a thigh.
 _LAIN_ON = np.isin(np.arange(256), [LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))])
 _ROOTS = tuple(
-    (LABEL[f"{part}_{side}"], INDEX[side[0] + near], INDEX[side[0] + far], shares)
+    (LABEL[f"{part}_{side}"], CABINPOSE.index[side[0] + near], CABINPOSE.index[side[0] + far], shares)
     for side in ("left", "right")
     for part, near, far, shares in (
         ("upper_arm", "shoulder", "elbow", (0.3, 0.3)),
@@ -47,7 +47,7 @@ _ROOTS = tuple(
         ("thigh", "pelvis", "knee", (0.1, 0.4)),
     )
 )
-_BONES = np.array([(INDEX[a], INDEX[b]) for a, b, *_ in _TRUNK], dtype=np.int64)
+_BONES = np.array([(CABINPOSE.index[a], CABINPOSE.index[b]) for a, b, *_ in _TRUNK], dtype=np.int64)
 _PIECE = np.array([piece for _, _, *piece, _ in _TRUNK])[:, :, None]
 _GIRTH = np.array([girth for *_, girth in _TRUNK])
 
@@ -70,7 +70,7 @@ class _Trunk(NamedTuple):
 
     @classmethod
     def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats, labels: Bytes) -> _Trunk:
-        at = {name: joints[i] for name, i in INDEX.items()}
+        at = {name: joints[i] for name, i in CABINPOSE.index.items()}
         pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
         up = at["chest"] - pelvis
         up = up / np.linalg.norm(up)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
-from cabinpose.core import INDEX, Bools, Bytes, Floats, Floats32, Ints, Ints32
+from cabinpose.core import CABINPOSE, Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene.contact.pairs import BOTH_YIELD_M, PAIRS, SOLID_OF_SEGMENT, SOLIDS, Pair
 
 SPACING_M = 0.025  # torso and thighs have edges up to 75 mm
@@ -230,7 +230,7 @@ def self_contact(body: PosedSolids, joints: Floats) -> tuple[Pair, SolidContact]
 
 _PAIRED = np.array([(SOLIDS.index(p.one), SOLIDS.index(p.two)) for p in PAIRS])
 _TOLERANCES = np.array([p.tolerance_m for p in PAIRS])
-_JOINT_ENDS = np.array([(INDEX[p.joint], INDEX[p.end]) if p.joint else (-1, -1) for p in PAIRS])
+_JOINT_ENDS = np.array([CABINPOSE.indices((p.joint, p.end)) if p.joint else [-1, -1] for p in PAIRS])
 _ZONES = np.array([p.zone for p in PAIRS])
 _FLESH = np.array([BOTH_YIELD_M])
 

@@ -21,9 +21,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core import LIMBS, Visibility, oks_sigma
+from cabinpose.core import Visibility
 from cabinpose.store.convert.pictures import PICTURES, pictured
-from cabinpose.store.frames import PersonInFrame, file_stem, people, require_variables
+from cabinpose.store.frames import PersonInFrame, dataset_skeleton, file_stem, people, require_variables
 from cabinpose.store.source import Report
 
 FLAG = np.zeros(256, np.int64)  # COCO's visibility by ours
@@ -53,7 +53,7 @@ def export(parts: Mapping[str, xr.Dataset], folder: Path, report: Report, images
 
 def _head(dataset: xr.Dataset, images: str) -> dict[str, Any]:
     """What a file says of all its frames, with none in it yet."""
-    joints = [str(name) for name in dataset["joint"].values]
+    skeleton = dataset_skeleton(dataset)
     return {
         "info": {
             "description": f"made with {dataset.attrs['generator']} {dataset.attrs['generator_version']}",
@@ -67,9 +67,9 @@ def _head(dataset: xr.Dataset, images: str) -> dict[str, Any]:
                 "id": 1,
                 "name": "person",
                 "supercategory": "person",
-                "keypoints": joints,
-                "skeleton": [[joints.index(a) + 1, joints.index(b) + 1] for a, b in LIMBS if a in joints and b in joints],
-                "sigmas": [oks_sigma(joint) for joint in joints],
+                "keypoints": list(skeleton.joints),
+                "skeleton": [[a + 1, b + 1] for a, b in skeleton.limbs],
+                "sigmas": list(skeleton.sigma.values()),
             }
         ],
         "images": [],

@@ -23,13 +23,13 @@ import ijson
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import INDEX, RIGS, Camera, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, Camera, DatasetError, Visibility
 from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_image
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 _STATES = np.array([Visibility.ABSENT, Visibility.OCCLUDED, Visibility.VISIBLE], np.uint8)  # by COCO's v
-_OURS = {name: name for name in INDEX} | {theirs: ours for ours, theirs in RIGS["coco"].items()}
+_OURS = {name: name for name in CABINPOSE.index} | {theirs: ours for ours, theirs in CABINPOSE.maps["coco"].items()}
 _MOST_INSTANCES = 254  # of a uint8 that has 0 for nobody
 _CAMERA = ("camera_k", "camera_dist", "vehicle_from_camera")
 _IMAGE_KEYS = ("id", "file_name", "width", "height", "car", "pov", *_CAMERA)  # what is kept of an image
@@ -256,7 +256,7 @@ def _check_people(file: _File) -> None:
 
 def _frames(file: _File, folder: Path | None, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
     columns = {
-        category: np.array([(i, INDEX[_OURS[name]]) for i, name in enumerate(names) if name in _OURS]).T
+        category: np.array([(i, CABINPOSE.index[_OURS[name]]) for i, name in enumerate(names) if name in _OURS]).T
         for category, names in file.names.items()
         if any(name in _OURS for name in names)
     }

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core import INDEX, ITOP_JOINTS, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, ITOP, DatasetError, Visibility
 from cabinpose.store.frames import frames, label_table, people, require_variables
 from cabinpose.store.itop import hdf5
 from cabinpose.store.lazy import camera_of
@@ -25,7 +25,7 @@ from cabinpose.store.source import Report
 # Joint of ours whose visibility stands for one of ITOP's, and whose position does where the dataset has no
 # `itop_joints_3d`: ITOP's hand is the palm and its foot the front of the foot.
 _OURS = MappingProxyType(
-    {"torso": "chest", "rhip": "rpelvis", "lhip": "lpelvis"} | {n: n for n in ITOP_JOINTS if n in INDEX}
+    {"torso": "chest", "rhip": "rpelvis", "lhip": "lpelvis"} | {n: n for n in ITOP.joints if n in CABINPOSE.index}
 )  # fmt: skip
 # Beginning of a body part's name -> ITOP's joint; a trailing _left or _right chooses the side.
 _PART_JOINT = MappingProxyType(
@@ -74,7 +74,7 @@ def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
                 ids[i] = f"{subjects.index(person.subject) % 100:02d}_{i:05d}".encode()
                 joints = itop_joints(frame, person.position)
                 valid[i] = np.isfinite(joints).all()
-                visible[i] = person.visibility[[INDEX[_OURS[name]] for name in ITOP_JOINTS]] == Visibility.VISIBLE
+                visible[i] = person.visibility[[CABINPOSE.index[_OURS[name]] for name in ITOP.joints]] == Visibility.VISIBLE
                 uv[i] = np.rint(np.nan_to_num(camera_of(frame, width, height).project(joints))).astype(np.int16)
                 xyz[i] = np.nan_to_num(joints * (1, -1, 1))
                 mine = frame["instance"].values == person.position + 1
@@ -98,8 +98,8 @@ def itop_joints(frame: xr.Dataset, position: int) -> NDArray[np.float64]:
     if "itop_joints_3d" in frame:
         return np.asarray(frame["itop_joints_3d"].values[position], np.float64)
     ours = np.asarray(frame["joints_3d"].values[position], np.float64)
-    joints = ours[[INDEX[_OURS[name]] for name in ITOP_JOINTS]]
-    joints[ITOP_JOINTS.index("torso")] = (ours[INDEX["chest"]] + ours[INDEX["hip"]]) / 2
+    joints = ours[[CABINPOSE.index[_OURS[name]] for name in ITOP.joints]]
+    joints[ITOP.joints.index("torso")] = (ours[CABINPOSE.index["chest"]] + ours[CABINPOSE.index["hip"]]) / 2
     return joints
 
 
@@ -110,5 +110,5 @@ def segmentation_table(dataset: xr.Dataset) -> NDArray[np.int8]:
         stem, _, side = row["name"].rpartition("_")
         joint = _PART_JOINT.get(row["name"]) or (_PART_JOINT.get(stem) if side in ("left", "right") else None)
         if joint is not None:
-            table[row["id"]] = ITOP_JOINTS.index(joint.format(side[:1]))
+            table[row["id"]] = ITOP.joints.index(joint.format(side[:1]))
     return table

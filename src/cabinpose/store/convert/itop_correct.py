@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from cabinpose.core import ITOP_JOINTS, Camera
+from cabinpose.core import ITOP, Camera
 
 Seed = Literal["head", "torso"]
 REACH_M = 0.8  # an arm's length
 FLOOR_ROW, ROWS = 220, 240  # of the thesis, and of ITOP's images; in others the same share of the height
 _NEAR_PX = 3  # how far from a label's pixel the nearest measured one may lie, for images of 240 rows
 
-_HEAD = ITOP_JOINTS.index("head")
+_HEAD = ITOP.joints.index("head")
 
 
 class Corrected(NamedTuple):
@@ -50,9 +50,9 @@ def corrected(depth: NDArray[np.floating], joints_3d: NDArray[np.floating], came
     Corrected
         The labels as they were where the image shows nothing at the seed or at the head.
     """
-    joints, still = np.array(joints_3d, np.float64), np.zeros(len(ITOP_JOINTS))
+    joints, still = np.array(joints_3d, np.float64), np.zeros(len(ITOP.joints))
     uv = camera.project(joints)
-    mask = person_mask(depth, uv[ITOP_JOINTS.index(seed)], uv[_HEAD])
+    mask = person_mask(depth, uv[ITOP.joints.index(seed)], uv[_HEAD])
     if mask is None:
         return Corrected(joints, still, None)
     floor = floor_row(len(depth))

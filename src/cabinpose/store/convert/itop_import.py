@@ -12,13 +12,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import INDEX, ITOP_JOINTS, Camera, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import ImportOptions, check_projection, make_manifest, put_camera, put_person
 from cabinpose.store.itop import K, hdf5
@@ -31,17 +30,7 @@ _BLOCK = 16  # frames read at a time
 _NEEDED = ("id", "is_valid", "visible_joints", "real_world_coordinates")
 _ID = re.compile(rb"(\d+)_(\d+)")
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
-# Ours -> ITOP's, where both mean the same point. Its head is the middle of the head and its neck lies between the shoulders; its
-# torso is no joint, and its foot lies somewhere between our ankle and foot. All 15 are kept as `itop_joints_3d`.
-_SAME = MappingProxyType(
-    {
-        f"{side}{ours}": f"{side}{theirs}"
-        for side in "lr"
-        for ours, theirs in (("shoulder", "shoulder"), ("elbow", "elbow"), ("hand", "hand"), ("pelvis", "hip"), ("knee", "knee"))
-    }
-)
-_OURS = np.array([INDEX[name] for name in _SAME])
-_THEIRS = np.array([ITOP_JOINTS.index(name) for name in _SAME.values()])
+_OURS, _THEIRS = CABINPOSE.counterparts("itop", ITOP.joints)  # where both mean the same point; all 15 are kept beside them
 
 
 @dataclass(frozen=True)
@@ -89,7 +78,7 @@ def read(path: Path, options: ImportOptions) -> Source:
 
 def _told(moved: Sequence[NDArray[np.float64]]) -> str:
     """How many labels were moved, and how far, in words; moved: (15,) m of each frame, NaN where no person was found."""
-    apart = np.array(moved).reshape(-1, len(ITOP_JOINTS))
+    apart = np.array(moved).reshape(-1, len(ITOP.joints))
     far = 100 * apart[apart > 0]
     lost = int(np.isnan(apart).any(axis=1).sum())
     text = f"{len(far)} of {apart.size} joints were moved"
@@ -99,9 +88,9 @@ def _told(moved: Sequence[NDArray[np.float64]]) -> str:
 
 
 def label_rows() -> tuple[LabelRow, ...]:
-    """The classes of ITOP's segmentation: background, then the parts in the order of `ITOP_JOINTS`."""
+    """The classes of ITOP's segmentation: background, then the parts in the order of its joints."""
     rows = [LabelRow(id=0, name="background", rgb=0x000000)]
-    for i, joint in enumerate(ITOP_JOINTS, 1):
+    for i, joint in enumerate(ITOP.joints, 1):
         side = {"r": "_right", "l": "_left"}.get(joint[0], "")
         rgb = (90 * i % 256) << 16 | (150 * i % 256) << 8 | (60 + 40 * i) % 256  # told apart at a glance
         rows.append(LabelRow(id=i, name=joint[1:] + side if side else joint, rgb=rgb))
@@ -234,7 +223,7 @@ def _frames(
                 if options.correct is not None and own["is_valid"]:
                     after = corrected(frame["depth"], world, camera, options.correct)
                     world = after.joints_3d
-                    moved.append(after.moved_m if after.mask is not None else np.full(len(ITOP_JOINTS), np.nan))
+                    moved.append(after.moved_m if after.mask is not None else np.full(len(ITOP.joints), np.nan))
                 _put_labels(frame, own, world, camera, pair.labels)
                 yield frame
 
@@ -255,7 +244,7 @@ def _put_labels(frame: dict[str, Any], labels: dict[str, Any], world: NDArray[np
 
 def _classes(segmentation: NDArray[np.integer], index: int, path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Class ids and instances (H, W) of a segmentation of joints' indices, -1 for the background."""
-    if segmentation.min() < -1 or segmentation.max() >= len(ITOP_JOINTS):
+    if segmentation.min() < -1 or segmentation.max() >= len(ITOP.joints):
         raise DatasetError(
             f"{path}: frame {index} has the segments {segmentation.min()} to {segmentation.max()}", hint="ITOP's are -1 to 14"
         )

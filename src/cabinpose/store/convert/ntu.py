@@ -29,7 +29,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core import INDEX, NTU_JOINTS, RIGS, Camera, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, NTU_JOINTS, Camera, DatasetError, Visibility
 from cabinpose.store.convert.reading import (
     ImportOptions,
     check_projection,
@@ -48,8 +48,7 @@ from cabinpose.store.source import Report, Source, blank_frame
 KINECT_V2 = Camera(512, 424, 365.456, 365.456, 511 - 254.878, 205.395, (0.0905474, -0.26819, 0.0, 0.0, 0.0950862))
 FRAME_NS = 1e9 / 30
 _TURN = np.array([-1.0, -1.0, 1.0])  # Kinect's camera space to ours, and back
-_THEIRS = np.array([NTU_JOINTS.index(name) for name in RIGS["kinect_v2"].values()])
-_OURS = np.array([INDEX[name] for name in RIGS["kinect_v2"]])
+_OURS, _THEIRS = CABINPOSE.counterparts("kinect_v2", NTU_JOINTS)
 _STATES = np.array([Visibility.ABSENT, Visibility.OCCLUDED, Visibility.VISIBLE], np.uint8)  # by trackingState
 _TRACKING = {Visibility.ABSENT: 0, Visibility.VISIBLE: 2}  # by our state; 1 for the others: known, but not seen
 _NAME = re.compile(r"(S\d{3})(C\d{3})(P\d{3})R\d{3}(A\d{3})")
@@ -329,7 +328,7 @@ def _body_text(person: PersonInFrame) -> str:
     tracking = np.zeros(len(NTU_JOINTS), np.int64)
     xyz, uv = np.zeros((len(NTU_JOINTS), 3), np.float32), np.zeros((len(NTU_JOINTS), 2), np.float32)
     joints = person.joints_3d[_OURS]
-    known = np.isfinite(joints).all(axis=1)
+    known = np.asarray(np.isfinite(joints).all(axis=1))
     tracking[_THEIRS] = [_TRACKING.get(Visibility(state), 1) for state in person.visibility[_OURS]] * known
     xyz[_THEIRS] = np.where(known[:, None], joints * _TURN, 0)
     pixels = KINECT_V2.project(joints)

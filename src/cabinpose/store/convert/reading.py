@@ -14,7 +14,7 @@ from PIL import Image
 
 from cabinpose import __version__
 from cabinpose.core import Camera, ConfigError, DatasetError, Visibility
-from cabinpose.store.schema import Manifest
+from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import UNKNOWN
 
 _MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
@@ -78,7 +78,7 @@ def make_manifest(
     """The manifest of an import; `size` is (width, height), `licence` what the source says of its own."""
     if not frames:
         raise DatasetError(f"{path} holds no frame to import", hint="check the folder, and what the format leaves out")
-    images = [name for name in variables if name != "itop_joints_3d"]
+    images = [name for name in variables if VARIABLE[name].is_image]
     config = {"format": format_name, "source": path.name} | values.pop("config", {})
     if options.intrinsics is not None:
         config["intrinsics_px"] = list(options.intrinsics)

@@ -16,10 +16,10 @@ import numpy as np
 import xarray as xr
 import yaml
 
-from cabinpose.core import SYMMETRIC_PAIRS, ConfigError
+from cabinpose.core import ConfigError
 from cabinpose.store.convert.coco import frame_annotations
 from cabinpose.store.convert.pictures import PICTURES, pictured
-from cabinpose.store.frames import file_stem, require_variables
+from cabinpose.store.frames import dataset_skeleton, file_stem, require_variables
 from cabinpose.store.source import Report
 
 
@@ -40,13 +40,12 @@ def export(parts: Mapping[str, xr.Dataset], folder: Path, report: Report, images
             (folder / "labels" / name / f"{file_stem(frame)}.txt").write_text("".join(lines), encoding="utf-8")
             done += 1
             report(done)
-    joints = [str(joint) for joint in dataset["joint"].values]
-    other = dict(SYMMETRIC_PAIRS) | {right: left for left, right in SYMMETRIC_PAIRS}
+    skeleton = dataset_skeleton(dataset)
     content = {key: f"images/{name}" for key, name in zip(keys, parts, strict=True)} | {
         "names": {0: "person"},
-        "kpt_shape": [len(joints), 3],
-        "flip_idx": [joints.index(other.get(joint, joint)) for joint in joints],
-        "kpt_names": {0: joints},
+        "kpt_shape": [len(skeleton.joints), 3],
+        "flip_idx": list(skeleton.mirror),
+        "kpt_names": {0: list(skeleton.joints)},
     }
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     (folder / "data.yaml").write_text(text, encoding="utf-8")

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cabinpose.core import INDEX, Floats, Matrix, invert, rotation_vector
+from cabinpose.core import CABINPOSE, Floats, Matrix, invert, rotation_vector
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.synth.posture.grasps import Hold, closed_around, hold, other_place
 from cabinpose.synth.posture.hands import palm_frame
@@ -24,7 +24,7 @@ def meeting_place(
 
     ahead: (3,) the direction in which both sit.
     """
-    giver, taker = (body.joints[INDEX["lr"[s] + "shoulder"]] for body, s in zip(bodies, (side, 1 - side), strict=True))
+    giver, taker = (body.joints[CABINPOSE.index["lr"[s] + "shoulder"]] for body, s in zip(bodies, (side, 1 - side), strict=True))
     arm = min(sum(person.segment_lengths[name] for name in ("upper_arm", "forearm")) for person in people)
     across = 0.5 * float(np.linalg.norm(giver - taker))
     forwards = math.sqrt(max((_STRETCHED * arm) ** 2 - across**2 - _BELOW_M**2, _LEAST_AHEAD_M**2))
@@ -47,7 +47,7 @@ def taking_palm(person: Person, body: PosedBody, held: Hold, vehicle_from_thing:
 
 def _palm(held: Hold, body: PosedBody, place: Floats, up: Floats, off_m: float) -> Matrix:
     """A palm whose thing, round about `up`, has its origin at `place`; fingers away from the shoulder, to the neighbour."""
-    away = place - body.joints[INDEX["lr"[held.side] + "shoulder"]]
+    away = place - body.joints[CABINPOSE.index["lr"[held.side] + "shoulder"]]
     away = away - (away @ up) * up
     left = 1.0 - 2.0 * held.side
     away = rotation_vector(left * _TOWARDS * up) @ away

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import INDEX, Floats, Matrix, axis_rotation, invert, nearest_rigid, transform
+from cabinpose.core import CABINPOSE, Floats, Matrix, axis_rotation, invert, nearest_rigid, transform
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
@@ -382,7 +382,8 @@ class Planner:
         for slot, person, pose in others:
             if slot == name:
                 joints, near = person.pose(pose.q, pose.root).joints, "rl"[inboard_side(mine)]
-                return np.asarray(0.6 * joints[INDEX[near + "shoulder"]] + 0.4 * joints[INDEX[near + "elbow"]])
+                shoulder, elbow = joints[CABINPOSE.indices((near + "shoulder", near + "elbow"))]
+                return np.asarray(0.6 * shoulder + 0.4 * elbow)
         return None
 
     def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:

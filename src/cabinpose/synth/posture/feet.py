@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import INDEX, Floats, Matrix, invert, rotation_vector, transform
+from cabinpose.core import CABINPOSE, Floats, Matrix, invert, rotation_vector, transform
 from cabinpose.scene.body import BONE_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.context import SeatContext
@@ -72,7 +72,7 @@ def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, aside: flo
     to the left of its middle.
     """
     tool = person.rest.soles[side].copy()
-    ball = float(person.rest.joint_offset[INDEX["lr"[side] + "foot"], 0] - tool[0, 3])
+    ball = float(person.rest.joint_offset[CABINPOSE.index["lr"[side] + "foot"], 0] - tool[0, 3])
     tool[0, 3] += ball
     along, out = pad[:3, 0], pad[:3, 2]
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor

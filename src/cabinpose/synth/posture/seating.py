@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import INDEX, Floats, Matrix, axis_rotation, transform
+from cabinpose.core import CABINPOSE, Floats, Matrix, axis_rotation, transform
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.memory import kept_with_person
@@ -107,7 +107,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
     thigh, shin = lengths["thigh"], lengths["shin"]
     arm, forearm = lengths["upper_arm"], lengths["forearm"]
     sole = rest.soles[1]
-    ball = rest.joint_offset[INDEX["rfoot"], 0] - sole[0, 3]
+    ball = rest.joint_offset[CABINPOSE.index["rfoot"], 0] - sole[0, 3]
     # The ankle of a foot that lies on the pad with its heel on the floor.
     along, out = pad[:3, 0], pad[:3, 2]
     heel = pad[:3, 3] - (pad[2, 3] - seat.floor_z) / along[2] * along

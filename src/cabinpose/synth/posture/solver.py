@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import pose as native
-from cabinpose.core import INDEX, Floats, Ints, Ints32, Matrix
+from cabinpose.core import CABINPOSE, Floats, Ints, Ints32, Matrix
 from cabinpose.scene.body import Person, RestArrays
 from cabinpose.scene.contact import BOTH_YIELD_M, PAIRS, SOLIDS, WHEEL_GROUP, GroupField, PlacedField
 from cabinpose.synth.posture.samples import Samples, samples_of
@@ -142,14 +142,14 @@ def _pairs() -> _TestedPairs:
     folds = {"torso", "lthigh", "rthigh"}
     ordered = [sorted((p.one, p.two), key=rank.__getitem__) for p in PAIRS]
     axes = [
-        (SOLIDS.index(s + name), INDEX[s + start], INDEX[s + end])
+        (SOLIDS.index(s + name), CABINPOSE.index[s + start], CABINPOSE.index[s + end])
         for s in "lr"
         for name, start, end in (("upper_arm", "shoulder", "elbow"), ("forearm", "elbow", "wrist"), ("hand", "wrist", "hand"))
     ]
     return _TestedPairs(
         pairs=np.array([[SOLIDS.index(name) for name in pair] for pair in ordered], np.int64),
         allowed=np.array([(_OF_FOLDS if {p.one, p.two} <= folds else _OF_TOLERANCE) * p.tolerance_m for p in PAIRS]),
-        joint_ends=np.array([(INDEX[p.joint], INDEX[p.end]) if p.joint else (-1, -1) for p in PAIRS], np.int64),
+        joint_ends=np.array([CABINPOSE.indices((p.joint, p.end)) if p.joint else [-1, -1] for p in PAIRS], np.int64),
         zones=np.array([p.zone for p in PAIRS]),
         side=np.array([_side(one) if _side(one) * _side(two) < 0 else 0 for one, two in ordered], np.int64),
         axes=np.array(axes, np.int64),
