@@ -648,3 +648,23 @@ def test_meshes_of_what_has_not_changed_are_the_same(accepted: tuple[SceneEditor
         body = room.mesh(url.rsplit("/", 1)[1].removesuffix(".glb")).body
         assert bytes(body[:4]) == b"glTF"
     room.stop()
+
+
+def test_things_and_actions_of_extensions_are_offered(extension: Callable[..., None]) -> None:
+    code = (
+        "from dataclasses import replace\n"
+        "from cabinpose.scene.things import CHILD_SEATS, OBJECTS\n"
+        "from cabinpose.synth.posture import ACTIONS\n"
+        "PARCEL, CARRIER = replace(OBJECTS['box']), replace(CHILD_SEATS['toddler'])\n"
+        "WAVE = replace(ACTIONS['window'], name='wave')\n"
+    )
+    offers = {"things": {"parcel": "PARCEL", "carrier": "CARRIER"}, "actions": {"wave": "WAVE"}}
+    extension("acme", offers, code)
+    data = SynthConfig().model_dump(mode="json")
+    data["scene"] |= {
+        "child_seats": {"rear_left": "any"}, "objects": {"driver": {"box": 0.5}}, "occupants": {"driver": {"subject": "S01"}},
+    }  # fmt: skip
+    fields = {field.path: field for field in form(data).walk()}
+    assert fields["scene", "child_seats", "rear_left"].choices[-2:] == ("booster_cushion", "carrier")
+    assert fields["scene", "objects", "driver"].choices[-1] == "parcel"
+    assert fields["scene", "occupants", "driver", "action"].choices[-1] == "wave"

@@ -46,6 +46,7 @@ from .streams import check_seed as check_seed
 from .streams import frame_rng as frame_rng
 from .streams import noise_rng as noise_rng
 from .streams import sequence_rng as sequence_rng
+from .things import things_for as things_for
 from .validate import SITTING as SITTING
 from .validate import Validator as Validator
 from .validate import Verdict as Verdict

@@ -80,6 +80,11 @@ def _what(name: str) -> Literal["child seat", "object"] | None:
     return "child seat" if isinstance(kind, ChildSeat) else "object" if kind.on_seat or kind.on_lap or kind.make is None else None
 
 
+def things_for(what: Literal["child seat", "object"]) -> tuple[str, ...]:
+    """What may be asked for, those of extensions as well; one that cannot be loaded is left out, with a warning."""
+    return ("any", *(name for name, _ in THINGS.items() if _what(name) == what))
+
+
 def stature_range(kind: str) -> tuple[float, float] | None:
     """The least and the largest stature (m) of children who sit in a thing of a kind; None where none does."""
     row = THINGS[kind]

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from cabinpose.app.studio.scene_form import Path as Key
 from cabinpose.core import CabinposeError, ConfigError, Matrix, SceneError, invert, nearest_rigid, read_yaml
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.cabin import SeatSetting, read_car_file
+from cabinpose.scene.cabin import read_car_file
 from cabinpose.synth import (
     CabinScene,
     Camera,
@@ -167,11 +167,6 @@ class SceneEditor:
         root = seat.vehicle_from_back(new) @ invert(seat.vehicle_from_back(old)) @ np.array(pose["vehicle_from_root"])
         pose[name], pose["vehicle_from_root"] = value, [row.tolist() for row in nearest_rigid(root)]
         self._step(dataclasses.replace(self.state, data=data), ("scene", "occupants", slot, "pose", name))
-
-    def seat_ranges(self, shown: Shown, slot: str) -> tuple[SeatSetting, SeatSetting, SeatSetting]:
-        """How a seat is set in what is shown, and its ends."""
-        assert shown.scene.cabin is not None
-        return (shown.scene.settings[slot], *shown.scene.cabin.seats[slot].ranges)
 
     def move_camera(
         self, shown: Shown, *, position: Sequence[float] | None = None, target: Sequence[float] | None = None

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Literal
 
 from cabinpose.core import OCCUPANT_SLOTS
 from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, SUBJECTS
 from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, VIEWS_OF_ALL
 from cabinpose.scene.sensor import SENSORS
-from cabinpose.synth import SynthConfig, limits_deg
+from cabinpose.synth import SynthConfig, limits_deg, things_for
 from cabinpose.synth.posture import ACTIONS
 
 Path = tuple[str | int, ...]
@@ -23,6 +24,9 @@ _PLAIN_UNITS = {"fps": "1/s", "width": "px", "height": "px", "fx": "px", "fy": "
 _AXES = ("axes", "initial_pose_deg", "angles_rad")
 _COORDINATES = ("x", "y", "z")
 _LEFT_OUT = "left out"
+_THINGS: Mapping[str | int, Literal["child seat", "object"]] = MappingProxyType(
+    {"child_seats": "child seat", "objects": "object"}
+)
 _TITLES = {
     "CameraPose": "own pose", "ExactCameraPose": "matrix", "Sensor": "own sensor", "ExactPose": "whole pose",
     "RandomPeople": "random people", "Factorial": "factorial",
@@ -212,14 +216,18 @@ class _Builder:
         last = str(path[-1])
         if last in _AXES:
             return tuple(DOF_INDEX)
-        if last in ("occupants", "occupancy", "motion"):
+        if last in ("occupants", "occupancy", "motion", *_THINGS):
             return OCCUPANT_SLOTS
+        if path[-2:-1] and path[-2] in _THINGS:
+            return things_for(_THINGS[path[-2]])[1:]
         if path[:2] == ("scene", "motion"):
             return ACTIONS.names()
         return {"views": tuple(VIEWS_OF_ALL), "ranges": tuple(DEFAULT_RANGES)}.get(last, ())
 
     def _values(self, path: Path) -> tuple[str, ...]:
         """Usual values of a text; () for none."""
+        if path[-2:-1] and path[-2] in _THINGS:
+            return things_for(_THINGS[path[-2]])
         known = {
             "cars": self._cars, "preset": PRESETS, "subjects": tuple(SUBJECTS), "subject": self._subjects,
             "sensor": tuple(SENSORS), "action": ACTIONS.names(), "seat": OCCUPANT_SLOTS,
