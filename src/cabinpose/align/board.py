@@ -25,8 +25,7 @@ class Board(BaseModel):
     rows: Annotated[int, Field(ge=3, description="inner corners along y")] = 6
     square_m: Annotated[float, Field(gt=0, description="side of a square")] = 0.06
     markers: Annotated[
-        dict[str, Triple],
-        Field(description="the optical system's names of the markers; their centres in the board frame, m"),
+        dict[str, Triple], Field(description="the optical system's names of the markers; their centres in the board frame, m")
     ] = {
         "board1": (-0.11, -0.10, -0.007),
         "board2": (0.59, -0.10, -0.007),

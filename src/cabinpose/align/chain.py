@@ -16,11 +16,7 @@ F64 = NDArray[np.float64]
 
 
 def joints_in_camera(
-    camera_from_world: Matrix,
-    world_from_object: Matrix,
-    object_from_head: Matrix,
-    world_from_head: Matrix,
-    p_joints: ArrayLike,
+    camera_from_world: Matrix, world_from_object: Matrix, object_from_head: Matrix, world_from_head: Matrix, p_joints: ArrayLike
 ) -> F64:
     """(T, J, 3) joints in the camera frame, m.
 

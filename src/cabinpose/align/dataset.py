@@ -146,31 +146,21 @@ def align_takes(
     persons = OCCUPANT_SLOTS if set(places) <= set(OCCUPANT_SLOTS) else places
     lens = calibration.intrinsics
     manifest = Manifest(
-        generator="cabinpose.align",
-        generator_version=__version__,
-        seed=0,
-        licence=licence,
-        frames=sum(int(each.kept.sum()) for each in takes),
-        width=lens.width,
-        height=lens.height,
-        persons=persons,
+        generator="cabinpose.align", generator_version=__version__, seed=0, licence=licence, width=lens.width, height=lens.height,
+        frames=sum(int(each.kept.sum()) for each in takes), persons=persons,
         variables=(*_images(paths[0], calibration), "head_residual"),
         config={
             "calibration": calibration.model_dump(mode="json"),
             "takes": [
                 {
-                    "recording": report.recording,
-                    "subject": report.subject,
-                    "frames": report.frames,
-                    "left_out": report.left_out,
-                    "suit_delay_s": report.suit_delay_ms / 1000,
-                    "suit_drift_ppm": report.drift_ppm,
-                    "pose_corrected": report.pose_corrected,
+                    "recording": report.recording, "subject": report.subject, "frames": report.frames,
+                    "left_out": report.left_out, "suit_delay_s": report.suit_delay_ms / 1000,
+                    "suit_drift_ppm": report.drift_ppm, "pose_corrected": report.pose_corrected,
                 }
                 for report in reports
             ],
         },
-    )
+    )  # fmt: skip
 
     def frames() -> Iterator[dict[str, Any]]:
         for each in takes:
@@ -191,31 +181,21 @@ def _joined(
     kept = np.all([each.kept for each in people], axis=0)
     if not kept.any():
         raise AlignmentError(
-            f"{path}: in no frame is the pose of all of {', '.join(take.codes)} known",
-            hint="align each with --subject",
+            f"{path}: in no frame is the pose of all of {', '.join(take.codes)} known", hint="align each with --subject"
         )
     reports = []
     for each, place in zip(people, places, strict=True):
         others = int((each.kept & ~kept).sum())
         apart = np.degrees(each.head_residual[kept])
         low, high = each.delay.interval_s
-        reports.append(
-            TakeReport(
-                recording=path.name,
-                sequence=sequence,
-                subject=each.subject,
-                person=place,
-                frames=len(kept),
-                kept=int(kept.sum()),
-                left_out=each.left_out | ({"the pose of somebody else is not known": others} if others else {}),
-                suit_delay_ms=1000 * each.delay.offset_s,
-                suit_delay_interval_ms=(1000 * low, 1000 * high),
-                correlation=each.delay.correlation,
-                drift_ppm=1e6 * each.delay.drift,
-                head_deg=(float(np.sqrt(np.mean(apart**2))), float(apart.max())),
-                pose_corrected=correct_pose and calibration.head(each.subject).pose_correction is not None,
-            )
-        )
+        reports.append(TakeReport(
+            recording=path.name, sequence=sequence, subject=each.subject, person=place, frames=len(kept), kept=int(kept.sum()),
+            left_out=each.left_out | ({"the pose of somebody else is not known": others} if others else {}),
+            suit_delay_ms=1000 * each.delay.offset_s, suit_delay_interval_ms=(1000 * low, 1000 * high),
+            correlation=each.delay.correlation, drift_ppm=1e6 * each.delay.drift,
+            head_deg=(float(np.sqrt(np.mean(apart**2))), float(apart.max())),
+            pose_corrected=correct_pose and calibration.head(each.subject).pose_correction is not None,
+        ))  # fmt: skip
     return _AlignedTake(path, take, list(zip(people, reports, strict=True)), kept)
 
 

@@ -246,11 +246,7 @@ def _rotations(suit_wxyz: ArrayLike, optical_wxyz: ArrayLike) -> tuple[Rotation,
         raise AlignmentError(
             f"{both.sum()} moments with the head in both systems, 10 needed", hint="record the head motions longer"
         )
-    return (
-        Rotation.from_quat(suit[both], scalar_first=True),
-        Rotation.from_quat(optical[both], scalar_first=True),
-        both,
-    )
+    return (Rotation.from_quat(suit[both], scalar_first=True), Rotation.from_quat(optical[both], scalar_first=True), both)
 
 
 def _turned(suit: Rotation) -> tuple[tuple[float, float, float], float]:

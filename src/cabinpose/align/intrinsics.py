@@ -75,12 +75,7 @@ class IntrinsicsResult:
 
 
 def calibrate_from_corners(
-    corners: Sequence[F64 | None],
-    size: tuple[int, int],
-    board: Board,
-    *,
-    reasons: Sequence[str] = (),
-    holdout: float = 0.2,
+    corners: Sequence[F64 | None], size: tuple[int, int], board: Board, *, reasons: Sequence[str] = (), holdout: float = 0.2
 ) -> IntrinsicsResult:
     """The camera that took images of a board held here and there.
 

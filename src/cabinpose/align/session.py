@@ -212,15 +212,9 @@ def _pendulum(recording: Recording, names: Names, camera: Camera, camera_from_wo
     times = frame_times(recording, names.tof)
     origin = int(times[0])
     seen = np.array([brightest_blob(frame.amplitude) for _, frame in tof_frames(recording, names.tof)])
-    return tof_to_optical(
-        seconds(times, origin),
-        seen,
-        seconds(on_host(marker), origin),
-        marker.marker(names.pendulum),
-        camera,
-        camera_from_world,
-        DelaySearch(max_lag_s=_GREATEST_LAG_S),
-    )
+    place, search = marker.marker(names.pendulum), DelaySearch(max_lag_s=_GREATEST_LAG_S)
+    at = seconds(times, origin), seconds(on_host(marker), origin)
+    return tof_to_optical(at[0], seen, at[1], place, camera, camera_from_world, search)
 
 
 def _head(recording: Recording, names: Names, code: str, subject: SubjectSession) -> tuple[HeadAlignment, HeadOffset, Delay]:

@@ -57,17 +57,9 @@ def start_recorder(rig: Rig, lanes: Sequence[Lane], out: Path, clock: HostClock,
 
     def make(path: Path, part: int | None) -> RecordingWriter:
         return RecordingWriter(
-            path,
-            rig.take,
-            rig=rig.text,
-            host=host,
-            started_ns=started_ns,
-            compression=storage.compression,
-            chunk_bytes=int(storage.chunk_mb * 1e6),
-            flush_s=storage.flush_s,
-            sync_s=storage.sync_s,
-            part=part,
-        )
+            path, rig.take, rig=rig.text, host=host, started_ns=started_ns, compression=storage.compression,
+            chunk_bytes=int(storage.chunk_mb * 1e6), flush_s=storage.flush_s, sync_s=storage.sync_s, part=part,
+        )  # fmt: skip
 
     writer = SplitWriter(out, make, clock, None if storage.split_every is None else Limit.of(storage.split_every))
     recorder = Recorder(lanes, writer, clock, wake, min_free_bytes=int(storage.min_free_mb * 1e6))

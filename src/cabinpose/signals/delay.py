@@ -142,16 +142,10 @@ def estimate_delay(
     _refuse_jumps(windows, lags.step_s)  # before the weakness, whose cause a jump can be
     if not strong:
         raise weak_error(fit.correlation, fit.offset_s, least)
-    return Delay(
-        fit.offset_s,
-        (fit.offset_s - fit.offset_half_s, fit.offset_s + fit.offset_half_s),
-        fit.drift,
-        (fit.drift - fit.drift_half, fit.drift + fit.drift_half),
-        fit.reference_s,
-        fit.correlation,
-        rivals[0].correlation if rivals else float("nan"),
-        windows,
-    )
+    interval = fit.offset_s - fit.offset_half_s, fit.offset_s + fit.offset_half_s
+    drift_interval = fit.drift - fit.drift_half, fit.drift + fit.drift_half
+    rival = rivals[0].correlation if rivals else float("nan")
+    return Delay(fit.offset_s, interval, fit.drift, drift_interval, fit.reference_s, fit.correlation, rival, windows)
 
 
 def _candidate(lags: LagSearch, peak: Peak, window_s: float | None, *, drift: bool) -> tuple[Fit, WindowDelays] | None:

@@ -79,11 +79,7 @@ def _operator(world_from_board: Matrix, size: tuple[float, float, float, float])
     for sign, hand in zip((-1.0, 1.0), hands, strict=True):
         hip, shoulder = stand + 0.1 * sign * side + 0.9 * up, stand + 0.2 * sign * side + 1.42 * up
         elbow = (shoulder + hand) / 2 + 0.08 * sign * side - 0.1 * up
-        bodies += [
-            (hip, hip - 0.8 * up, 0.08, _CLOTHES),
-            (shoulder, elbow, 0.05, _CLOTHES),
-            (elbow, hand, 0.035, _SKIN),
-        ]
+        bodies += [(hip, hip - 0.8 * up, 0.08, _CLOTHES), (shoulder, elbow, 0.05, _CLOTHES), (elbow, hand, 0.035, _SKIN)]
     return np.array([(*a, *b, radius, reflectance) for a, b, radius, reflectance in bodies])
 
 
@@ -104,10 +100,7 @@ def pendulum_scene(rig: VirtualRig, pivot: ArrayLike, marker: ArrayLike) -> Prim
     return PrimitiveScene(
         room(rig),
         np.array(
-            (
-                (*top, *bob, _STRING_RADIUS_M, _STRING),
-                (*(beam - 0.6 * across), *(beam + 0.6 * across), _BEAM_RADIUS_M, _BEAM),
-            )
+            ((*top, *bob, _STRING_RADIUS_M, _STRING), (*(beam - 0.6 * across), *(beam + 0.6 * across), _BEAM_RADIUS_M, _BEAM))
         ),
         np.array(((*bob, PENDULUM_RADIUS_M, MARKER_REFLECTANCE),)),
     )

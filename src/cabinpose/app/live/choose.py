@@ -19,13 +19,9 @@ _SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), a file of a came
 
 
 def open_feed(
-    source: str,
-    settings: Mapping[str, Any] | None = None,
-    *,
-    realtime: bool = False,
-    out: Path | None = None,
+    source: str, settings: Mapping[str, Any] | None = None, *, realtime: bool = False, out: Path | None = None,
     within: Path | None = None,
-) -> Feed:
+) -> Feed:  # fmt: skip
     """What gives the frames of a source; nothing is connected yet.
 
     Parameters

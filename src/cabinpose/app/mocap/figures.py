@@ -90,11 +90,7 @@ def sfe_sections(
     return [
         ("Both poses", legend(["first", "last"]) + charts(figures, "two"), "Laid on each other as the errors are."),
         ("Error by joint", boxes(judgement, measures), f"{_BOX_NOTE} Over the frames of the last pose."),
-        (
-            "Lengths over the take",
-            _bone_table(bones),
-            "Of bones, which do not change: the ten that do most.",
-        ),
+        ("Lengths over the take", _bone_table(bones), "Of bones, which do not change: the ten that do most."),
     ]
 
 
@@ -110,10 +106,7 @@ def dse_sections(judgement: Judgement, runs: Sequence[DseRun], measures: Sequenc
                 drawn = {k: (run.time_s[thin].tolist(), np.degrees(v[thin, i]).tolist()) for k, v in both.items()}
                 lines.append(series_chart(f"{name}, °", "s", drawn, size=(420, 180)))
         body = Html(body + (el("h3", run.condition) if len(runs) > 1 else "") + charts(lines))
-    return [
-        ("Error by segment", boxes(judgement, measures), _BOX_NOTE),
-        ("Angle since the first frame", body, ""),
-    ]
+    return [("Error by segment", boxes(judgement, measures), _BOX_NOTE), ("Angle since the first frame", body, "")]
 
 
 def dfe_sections(judgement: Judgement, runs: Sequence[DfeRun], measures: Sequence[str]) -> list[Section]:

@@ -55,12 +55,7 @@ class Judged:
 
 
 def judged(
-    dataset: xr.Dataset,
-    model: Predictions,
-    options: EvaluationOptions,
-    space: str,
-    joints: Sequence[str],
-    persons: Sequence[str],
+    dataset: xr.Dataset, model: Predictions, options: EvaluationOptions, space: str, joints: Sequence[str], persons: Sequence[str]
 ) -> Judged:
     """What `evaluate` says of a model, and how far its joints are off in each frame."""
     samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)

@@ -23,13 +23,9 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def serve(
-    workspace: Workspace,
-    *,
-    host: str = "127.0.0.1",
-    port: int = 0,
-    token: str | None = None,
+    workspace: Workspace, *, host: str = "127.0.0.1", port: int = 0, token: str | None = None,
     ready: Callable[[str], None] = print,
-) -> None:
+) -> None:  # fmt: skip
     """Serve until Ctrl-C. `ready` is given the address once it can be opened; port 0 takes a free one.
 
     Raises ConfigError for an address beyond this machine without a token, and a port that is taken.

@@ -180,16 +180,11 @@ class PacketDecoder:
         self._markers = _Table([(s.subject, s.name, s.markers) for s in self._subjects])
 
     def _stream_facts(self) -> Facts:
-        return Facts(
-            "stream",
-            {
-                "frame_rate_hz": self.rate_hz,
-                "frame_period_ticks": self.period,
-                "ticks_per_second": TICKS_PER_SECOND,
-                "server_up": "y" if self._y_up else "z",
-                "rates_hz": dict(self.rates),
-            },
-        )
+        told = {
+            "frame_rate_hz": self.rate_hz, "frame_period_ticks": self.period, "ticks_per_second": TICKS_PER_SECOND,
+            "server_up": "y" if self._y_up else "z", "rates_hz": dict(self.rates),
+        }  # fmt: skip
+        return Facts("stream", told)
 
     def _subject_facts(self, info: SubjectInfo) -> Facts:
         names = {segment.segment: segment.name for segment in info.segments}

@@ -137,11 +137,7 @@ class CameraSource(DeviceSource[CameraT]):
         try:
             with np.errstate(invalid="ignore", over="ignore"):  # a camera's infinities and NaN need no warning
                 messages = (_fitting(self._decode(arrival.payload)),)
-        except (
-            ValueError,
-            TypeError,
-            OverflowError,
-        ):  # MalformedFrameError, and numpy of what is no number
+        except (ValueError, TypeError, OverflowError):  # MalformedFrameError, and numpy of what is no number
             self.counts.malformed += 1
         return Sample(arrival.sequence, arrival.host_ns, arrival.device_ns, b"", messages)
 

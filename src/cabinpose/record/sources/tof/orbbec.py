@@ -116,16 +116,11 @@ class OrbbecSource(CameraSource[OrbbecSettings]):
                 config.set_frame_aggregate_output_mode(ob.OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE)
                 pipeline.enable_frame_sync()
             facts = {
-                "vendor": "Orbbec",
-                "model": info.get_name(),
-                "serial": self._serial,
-                "firmware": info.get_firmware_version(),
-                "connection": info.get_connection_type(),
-                "sdk": ob.get_version(),
-                "profile": _text(depth),
+                "vendor": "Orbbec", "model": info.get_name(), "serial": self._serial, "firmware": info.get_firmware_version(),
+                "connection": info.get_connection_type(), "sdk": ob.get_version(), "profile": _text(depth),
                 "profiles": sorted({_text(profile) for profile in offered}),
                 "temperatures_c": _temperatures(device, self._errors),
-            }
+            }  # fmt: skip
             return pipeline, config, facts | self._read_lens(depth)
         except self._errors as error:
             raise RecordingError(f"camera {self._serial or 'of Orbbec'}: {error}", hint=_REFUSED) from error

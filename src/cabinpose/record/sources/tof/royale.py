@@ -101,15 +101,8 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
         except (RuntimeError, SystemError, KeyError, IndexError) as error:  # how SWIG says that a call failed
             raise RecordingError(f"camera {chosen}: {error}", hint="is another program using it?") from error
         self._camera = camera
-        self._state(
-            "camera",
-            vendor="pmd",
-            id=chosen,
-            use_case=wanted or _current(camera),
-            use_cases=use_cases,
-            frame_rate_hz=rate or None,
-            lens=dict(self._stated),
-        )
+        facts = {"id": chosen, "use_case": wanted or _current(camera), "use_cases": use_cases, "frame_rate_hz": rate or None}
+        self._state("camera", vendor="pmd", **facts, lens=dict(self._stated))
 
     def _make_listener(self, roypy: Any) -> Any:
         """Royale calls `onNewData` on a thread of its own, and frees the frame when it returns."""
