@@ -113,8 +113,7 @@ def test_what_is_a_camera_and_who_plays_which_files(extension: Callable[..., Non
         assert cameras() == ["simulated", "synth", "royale", "bta", "genicam", "orbbec"]
     assert player_of(".mkv") == "azure_mkv"
     with pytest.warns(UserWarning, match="of broken"):
-        assert player_of(".acme") == "played"
-        assert player_of(".nix") is None
+        assert (player_of(".acme"), player_of(".nix")) == ("played", None)
     assert player_of("") is None
 
 
