@@ -10,7 +10,8 @@ import yaml
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor import SENSORS
-from cabinpose.synth.config import SynthConfig, room_preset
+from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
+from cabinpose.synth.people import People
 from cabinpose.synth.streams import frame_rng
 
 
@@ -26,6 +27,12 @@ def test_yaml_round_trip(config: SynthConfig, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
     assert SynthConfig.load(path) == config
+
+
+def test_a_preset_or_a_person_that_is_added_joins_no_default_dataset() -> None:
+    """The defaults are names, not whatever the tables hold: datasets of a configuration that says nothing stay what they are."""
+    assert CabinScene().cars == ("city_car", "hatchback", "sedan", "coupe", "suv", "van", "shuttle")
+    assert People().subjects == tuple(f"S{number:02d}" for number in range(1, 19))
 
 
 def test_an_empty_file_means_the_defaults(tmp_path: Path) -> None:

@@ -47,6 +47,12 @@ def test_frames_say_what_is_in_them(tmp_path: Path) -> None:
     assert dict(zip(dataset.labels.flag_values, dataset.labels.flag_ticam, strict=True))[LABEL_ID["infant_seat"]] == 15
 
 
+def test_any_object_is_hard() -> None:
+    labels = {row.name for row in build_manifest(config(objects={"rear_center": "any", "driver": "any"}), 1, 0).labels}
+    assert "bottle" in labels
+    assert not {"blanket", "jacket"} & labels
+
+
 def test_datasets_without_things_do_not_know_of_them() -> None:
     plain = build_manifest(config(child_seats={}, objects={}), 1, 0)
     assert not {label.id for label in THING_LABELS} & {row.id for row in plain.labels}

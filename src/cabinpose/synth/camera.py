@@ -13,7 +13,6 @@ from cabinpose.synth.occupant import Matrix4
 from cabinpose.synth.people import Model, Probability
 
 Vector = tuple[float, float, float]
-_MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
 
 
 class CameraPose(Model):

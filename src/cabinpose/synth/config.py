@@ -28,7 +28,7 @@ from cabinpose.core import (
     unknown_name,
 )
 from cabinpose.scene.body import SUBJECTS
-from cabinpose.scene.cabin import PRESETS, BeltMisuse
+from cabinpose.scene.cabin import BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
 from cabinpose.scene.things import THINGS, Attachment
 from cabinpose.synth.camera import Camera
@@ -42,6 +42,8 @@ from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
 from cabinpose.synth.things import Choice, check_child_seats, check_shares, is_cloth, weights_of
 
+# Named one by one: what is added to the presets joins the datasets of those who ask for it.
+_CARS = ("city_car", "hatchback", "sedan", "coupe", "suv", "van", "shuttle")
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
 
 
@@ -60,7 +62,7 @@ class CabinScene(Model):
 
     kind: Literal["cabin"] = "cabin"
     cars: tuple[Car, ...] = Field(
-        PRESETS,
+        _CARS,
         description="Presets, also with dimensions changed ({preset: suv, name: wide_suv, w3_mm: 1600}), paths to YAML files of"
         " own car meshes, or random cars by name (C0007).",
     )

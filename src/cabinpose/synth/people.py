@@ -13,6 +13,7 @@ from cabinpose.scene.body import DEFAULT_RANGES, STATURE_LIMITS_M, SUBJECTS, YEA
 from cabinpose.synth.streams import frame_rng
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+_SUBJECTS = tuple(f"S{number:02d}" for number in range(1, 19))  # of a configuration that names none
 _RANDOM_PERSON = re.compile(r"R\d{4,}")
 CHILD_NAME = re.compile(r"K(0\d|1\d|2[0-3])")  # who sits in child seats
 
@@ -84,7 +85,7 @@ class OwnPerson(Model):
 class People(Model):
     """Who can take part."""
 
-    subjects: tuple[str, ...] = Field(tuple(SUBJECTS), description="Named people of the package, S01 .. S18.")
+    subjects: tuple[str, ...] = Field(_SUBJECTS, description="Named people of the package, S01 .. S18.")
     own: Mapping[str, OwnPerson] = Field({}, description="People of your own by name, beside them.")
     random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
     asymmetric: bool = Field(False, description="Whether the left and right sides of bodies differ, of each in its own way.")

@@ -59,7 +59,7 @@ _FORWARDS_M = (0.05, 0.10, 0.15, 0.20)  # an empty front seat is moved for what 
 def weights_of(choice: Choice, among: Sequence[str]) -> Mapping[str, float]:
     """How likely each kind is; what is left to 1 is nothing."""
     if isinstance(choice, str):
-        return dict.fromkeys(among, 1.0 / len(among)) if choice == "any" else {choice: 1.0}
+        return {kind: 1.0 / len(among) for kind in among} if choice == "any" else {choice: 1.0}
     return choice
 
 
