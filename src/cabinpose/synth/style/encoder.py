@@ -99,6 +99,11 @@ def vgg19(path: Path) -> Encoder:
     return encoder.eval().requires_grad_(False)
 
 
+def encoder_of(path: str | None) -> Encoder:
+    """VGG-19 from a file, or the encoder of the package."""
+    return own_encoder() if path is None else vgg19(Path(path))
+
+
 def shown(depth: Tensor, valid: Tensor) -> Tensor:
     """Depth (N, 1, H, W), m, as an encoder sees it: (N, 3, H, W) in 0..1.
 

@@ -12,11 +12,11 @@ import xarray as xr
 from scipy import ndimage
 
 from cabinpose.core import Bools, ConfigError, DatasetError, Floats32
-from cabinpose.synth.style.encoder import DETAIL_PX, Loss, StyleLoss
+from cabinpose.synth.style.encoder import DETAIL_PX, Loss, StyleLoss, encoder_of
 from cabinpose.synth.style.frame import REGIONS, StyleFrame, guides_of
 from cabinpose.synth.style.settings import Style
 from cabinpose.synth.style.stage import FrameStyler, inputs_of
-from cabinpose.synth.style.transfer import Content, encoder_of, style_loss, train, write_network
+from cabinpose.synth.style.transfer import Content, style_loss, train, write_network
 
 _NEEDED = ("depth", "depth_clean", "labels", "instance")
 _HELD_OUT = 8  # frames, or a fifth of the dataset

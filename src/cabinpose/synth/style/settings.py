@@ -7,6 +7,7 @@ from pydantic import Field
 from cabinpose.synth.people import Model
 
 STYLE_VARIABLES = ("depth_styled", "style", "style_edge_px", "style_part_mm", "style_lost")
+METADATA_KEY = "cabinpose-style"  # of a model's file: what it was trained with
 LEFT = "left as it was"  # the style of a frame that would have moved too far against its labels
 
 

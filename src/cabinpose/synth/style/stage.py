@@ -13,10 +13,9 @@ import onnxruntime
 from cabinpose.core import Bools, Bytes, ConfigError, Floats32, ModelError, optional_module
 from cabinpose.synth.style.frame import StyleFrame, guides_of
 from cabinpose.synth.style.safety import LabelShift, label_shift, parts_of, without_part_means
-from cabinpose.synth.style.settings import LEFT, Style
+from cabinpose.synth.style.settings import LEFT, METADATA_KEY, Style
 
 MULTIPLE = 4  # of a network's height and width
-METADATA_KEY = "cabinpose-style"
 _TRAIN = "`cabinpose train-style` makes one of a style frame and a dataset"
 
 
@@ -37,9 +36,9 @@ class FrameStyler:
         if path.suffix == ".npz":
             frame = StyleFrame.read(path)
             optional_module("torch", purpose="styling by a frame", hint="pip install 'cabinpose[train]'")
-            from cabinpose.synth.style import transfer  # noqa: PLC0415 - torch
+            from cabinpose.synth.style import encoder, transfer  # noqa: PLC0415 - torch
 
-            loss = transfer.style_loss(frame, transfer.encoder_of(style.vgg19))
+            loss = transfer.style_loss(frame, encoder.encoder_of(style.vgg19))
             self._transfer = lambda inputs: transfer.optimise(transfer.Content.of(inputs), loss, style.steps)
         else:
             session = open_network(path)

@@ -19,9 +19,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cabinpose.core import Bools, Floats32
-from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, own_encoder, shown, vgg19, without_slow
+from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, shown, without_slow
 from cabinpose.synth.style.frame import StyleFrame
-from cabinpose.synth.style.stage import METADATA_KEY
+from cabinpose.synth.style.settings import METADATA_KEY
 
 MOST_M = 0.08
 SLOW_PX = 7
@@ -71,11 +71,6 @@ def style_loss(style: StyleFrame, encoder: Encoder) -> StyleLoss:
     depth, valid = (torch.from_numpy(a).float()[None, None] for a in (style.depth_m, style.valid))
     with torch.no_grad():
         return StyleLoss(encoder, shown(depth, valid), torch.from_numpy(style.guides)[None])
-
-
-def encoder_of(path: str | None) -> Encoder:
-    """VGG-19 from a file, or the encoder of the package."""
-    return own_encoder() if path is None else vgg19(Path(path))
 
 
 def optimise(content: Content, loss: StyleLoss, steps: int) -> tuple[Floats32, Bools]:
