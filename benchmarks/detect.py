@@ -19,9 +19,9 @@ from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.onnx_model import BATCH
 from cabinpose.estimate.predictor import load_model, packaged_detectors
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
-from cabinpose.synth.write import FrameMaker
 
 AIMS = {"compact": 60.0, "paf": 8.0}  # frames a second, one at a time, on two cores
 _PEOPLE = ("driver", "front_passenger")

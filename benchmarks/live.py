@@ -12,8 +12,8 @@ from cabinpose.app.live.feed import batch_of
 from cabinpose.estimate.onnx_model import OnnxModel
 from cabinpose.estimate.predictor import load_model
 from cabinpose.record.sources.tof.simulated import tof_frame
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.write import FrameMaker
 
 _DIFFERENT = 20  # frames that are generated; they come again and again
 _WARM = 10

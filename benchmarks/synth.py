@@ -23,11 +23,11 @@ from cabinpose._native import SIMD
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import PRESETS, build_cabin
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import CabinScene, Output, SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.write import FrameMaker
 
 _FRAMES_PER_PART = 50
 _SEED = 1

@@ -23,10 +23,10 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.frames import invert, look_at
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.labels import LABEL_ID, LAST_BODY_ID
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.write import FrameMaker
 
 SEATS = ("driver", "front_passenger", "rear_left", "rear_right", "rear_center")  # the order in which --occupants fills a car
 SIDES = {"from the left": (0.0, 1.0, 0.15), "from the front": (1.0, 0.0, 0.4), "from above": (-0.05, 0.0, 1.0)}  # vehicle frame

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core.skeleton import ITOP
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.write import FrameMaker
 
 SIZE = 100
 BONES = (

@@ -47,8 +47,8 @@ def cars() -> dict[str, dict[str, Any]]:
     """A footwell without people, and a driver beside the door."""
     from cabinpose.core.frames import look_at
     from cabinpose.scene.sensor.optics import material_table
+    from cabinpose.synth import FrameMaker
     from cabinpose.synth.config import SynthConfig
-    from cabinpose.synth.write import FrameMaker
 
     table = material_table(True, True, 0.0, 0.0)[:, 0]
     occupancy = {"driver": 1.0, "front_passenger": 0.0, "rear_left": 0.0, "rear_center": 0.0, "rear_right": 0.0}

@@ -88,9 +88,9 @@ def traced(folder: Path, frames: int) -> Path | None:
     """The folder of a dataset with path-traced indirect light; None where that is still to be traced."""
     from cabinpose.scene.sensor import physical
     from cabinpose.scene.sensor.optics import material_table
+    from cabinpose.synth import FrameMaker
     from cabinpose.synth.config import SynthConfig
     from cabinpose.synth.generate import generate
-    from cabinpose.synth.write import FrameMaker
 
     config = SynthConfig.parse(dict(SCENES) | UNSEEN | {"noise": {"multipath": True}})
     lights = [folder / "traced" / f"light_{i:03d}.npz" for i in range(frames)]

@@ -18,9 +18,9 @@ from cabinpose.core.pose import Visibility
 from cabinpose.estimate import JointPredictor
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store.predictions import Predictions, write_predictions
+from cabinpose.synth import Frame
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import generate as generate_dataset
-from cabinpose.synth.write import Frame
 
 ALONE = ("scene.cars=[suv]", "scene.occupancy={driver: 1.0}", "scene.right_hand_drive=0")
 

@@ -21,8 +21,7 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.sensor import SENSORS
-from cabinpose.synth.plan import person_slots
-from cabinpose.synth.write import FrameMaker
+from cabinpose.synth import FrameMaker, person_slots
 
 BLENDER = "CABINPOSE_BENCH_CACHE"
 NO_FLAGS: dict[str, Any] = {

@@ -12,8 +12,9 @@ import pytest
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.body import SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
+from cabinpose.synth.casting import slimmest_in_the_middle
 from cabinpose.synth.config import CabinScene, SynthConfig
-from cabinpose.synth.posing import rows_of, slimmest_in_the_middle
+from cabinpose.synth.posing import rows_of
 from cabinpose.synth.posture import random_action
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.neighbours import NOBODY, half_breadth, is_opposite, neighbours_of, tunnel_m

@@ -14,8 +14,8 @@ from cabinpose.core.errors import CabinposeError
 from cabinpose.record.emulate.tof import TofFaults
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import ToFFrame
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.write import FrameMaker
 
 SCENES = {
     "scene": {"kind": "room", "rooms": 1},

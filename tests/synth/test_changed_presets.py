@@ -14,11 +14,11 @@ from synth_scenes import PART, fingerprint, small_config, start
 from cabinpose.core.errors import CabinposeError, ConfigError
 from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, Cabin, build_cabin
 from cabinpose.store import open_dataset
+from cabinpose.synth.cabins import car_names
 from cabinpose.synth.cars import ChangedPreset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config, without_defaults
 from cabinpose.synth.generate import generate
-from cabinpose.synth.plan import car_names
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng

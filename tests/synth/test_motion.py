@@ -21,6 +21,7 @@ from cabinpose.scene.body import DOFS, SEGMENTS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.things import THINGS
 from cabinpose.store import open_dataset
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
 from cabinpose.synth.motion.activities import activities_for
@@ -33,7 +34,6 @@ from cabinpose.synth.posture.grasps import OPEN_HAND, Grasp, Hold, hold
 from cabinpose.synth.posture.places import GIVE, TAKE
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.validate import Rejection, Validator, Verdict
-from cabinpose.synth.write import FrameMaker
 
 RATE, FRAMES = 10.0, 36
 TWO = {"driver": 1.0, "front_passenger": 1.0}
@@ -48,7 +48,7 @@ def _sampler(*, things: Mapping[str, object] = MappingProxyType({}), **sequence:
 def film():
     """A planned sequence of a driver who steers and a passenger who drinks, before a booster."""
     things = {"in_hand": 1.0, "child_seats": {"rear_right": "booster"}}
-    return _sampler(things=things, activities=["steer", "drink"])._film(0)
+    return _sampler(things=things, activities=["steer", "drink"])._films.film(0)
 
 
 def test_a_movement_is_the_polynomial_of_least_jerk() -> None:
@@ -119,7 +119,7 @@ def test_people_move_on_while_a_frame_is_exposed(film) -> None:
     scene = {"occupancy": TWO, "sequence": {"frames": FRAMES, "rate_hz": RATE, "exposure_motion": True}}
     config = small_config(**scene).model_copy(update={"output": Output(noise=True)})
     sampler = SceneSampler(config, 1)
-    sampler._film = lambda _: film
+    sampler._films.film = lambda _: film
     moving, still = (FrameMaker(config, 1, sampler) for _ in range(2))
     still._sample_times = np.zeros(0)
     times = moving._sample_times
@@ -162,7 +162,7 @@ def test_depth_is_the_median_over_the_frames_before(film) -> None:
     sensor = config.camera.sensor_model.model_copy(update={"temporal_median": 3})
     filtered = config.model_copy(update={"camera": config.camera.model_copy(update={"sensor": sensor})})
     sampler = SceneSampler(config, 1)
-    sampler._film = lambda _: film
+    sampler._films.film = lambda _: film
     plain, late = FrameMaker(config, 1, sampler), FrameMaker(filtered, 1, sampler)
     depths = {i: plain.make(i)[0]["depth"] for i in (0, 1, 2, 3, FRAMES)}
     for index, before in ((0, [0]), (3, [1, 2, 3]), (FRAMES, [FRAMES])):
@@ -183,7 +183,7 @@ def test_what_is_held_moves_with_the_hand_and_is_pressed_by_it(film) -> None:
         people = film.people(t)
         seat, held = film.things_with(people, t)
         assert (seat.thing.kind, seat.slot) == ("booster", "rear_right")
-        np.testing.assert_array_equal(seat.vehicle_from_thing, film.things[0].vehicle_from_thing)
+        np.testing.assert_array_equal(seat.vehicle_from_thing, film.cast.things[0].vehicle_from_thing)
         holder = next(p for p in people if p.slot == held.slot == "front_passenger")
         in_palm = invert(holder.posed.palms["lr"[hold.side]]) @ held.vehicle_from_thing
         np.testing.assert_allclose(in_palm, hold.placed(np.eye(4)), atol=1e-9)
@@ -206,7 +206,7 @@ def test_eyes_are_where_the_head_will_be(film) -> None:
 
 def test_a_neighbour_is_hit_by_who_has_one() -> None:
     """Only where somebody sits at the inboard hand; the hand comes to the skin of the other's arm."""
-    film = _sampler(activities=["hit"])._film(0)
+    film = _sampler(activities=["hit"])._films.film(0)
     seats, cabin = film.cast.cabin.seats, film.cast.cabin
     assert "hit" in activities_for(seats["driver"], cabin, taken=TWO)
     assert "hit" not in activities_for(seats["driver"], cabin, taken=["driver", "rear_left"])
@@ -223,12 +223,12 @@ def test_a_neighbour_is_hit_by_who_has_one() -> None:
 def _free(film, time_s: float) -> Verdict:
     """Whether all bodies and things hold together at a time, put into the car one after the other."""
     people, judge = film.people(time_s), film.cast.validator
-    seated = judge.empty(film.cast.settings, film.wheel_angle(time_s), film.things)
+    seated = judge.empty(film.cast.settings, film.wheel_angle(time_s), film.cast.things)
     for p in people:
         verdict, seated = judge.admit(seated, (p.slot, p.person, p.posed))
         if not verdict.ok:
             return verdict
-    for thing in film.things_with(people, time_s)[len(film.things) :]:
+    for thing in film.things_with(people, time_s)[len(film.cast.things) :]:
         verdict, seated = judge.bring(seated, thing)
         if not verdict.ok:
             return verdict
@@ -278,7 +278,7 @@ def test_the_other_hand_comes_to_what_is_held_from_its_own_side(film) -> None:
 def test_a_bottle_changes_hands(car: str, seats: dict[str, float], seed: int) -> None:
     """It stays where it is as it changes hands, between two palms; all is free at thrice the rate, no joint is too fast."""
     sequence = {"frames": 60, "rate_hz": RATE, "activities": ["hand_over"]}
-    film = SceneSampler(small_config(cars=[car], occupancy=seats, in_hand=1.0, sequence=sequence), seed)._film(0)
+    film = SceneSampler(small_config(cars=[car], occupancy=seats, in_hand=1.0, sequence=sequence), seed)._films.film(0)
     change_s, taker = min((h.start_s, slot) for slot, track in film.tracks.items() for h in track.holds if h.start_s > 0.0)
     (giver,) = film.tracks.keys() - {taker}
     assert change_s < 5.9
@@ -312,7 +312,7 @@ def test_children_move_in_their_seats() -> None:
     scene = {"cars": ["suv"], "occupancy": {}, "occupants": {"rear_left": {}}, "child_seats": {"rear_left": "toddler"}}
     sequence = {"frames": 18, "rate_hz": RATE, "activities": ["lean_forward", "look_around", "phone_text"]}
     sampler = SceneSampler(small_config(**scene, sequence=sequence), 0)
-    film = sampler._film(0)
+    film = sampler._films.film(0)
     (track,) = film.tracks.values()
     assert {s.activity for s in track.segments} <= {"look_around", "phone_text"}
     for tick in range(CHECKS_PER_FRAME * 17 + 1):
@@ -379,7 +379,7 @@ def test_no_way_ends_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     refused = Verdict(Rejection("car", "driver", "lhand", "roof"))
     monkeypatch.setattr(Surroundings, "verdict", lambda *_: refused)
     with pytest.raises(SceneError, match="sequence 0: no way without collision was found for everybody: driver: lhand in roof"):
-        _sampler()._film(0)
+        _sampler()._films.film(0)
 
 
 @pytest.mark.parametrize(
@@ -403,7 +403,7 @@ def test_a_recording_moves_somebody_in_its_own_time(real_data: Callable[[str], P
     profile = {"kind": "mocap", "path": str(real_data("mocap/xsens_upper_body.mvnx"))}
     sequence = {"frames": 18, "rate_hz": RATE}
     config = small_config(occupancy=TWO, sequence=sequence, occupants={"front_passenger": {"profile": profile}})
-    film = SceneSampler(config, 1)._film(0)
+    film = SceneSampler(config, 1)._films.film(0)
     step = 1.0 / (CHECKS_PER_FRAME * RATE)
     times = np.arange(0.0, 17 / RATE, step)
     track, recorded = film.tracks["front_passenger"], config.scene.profile_of("front_passenger")

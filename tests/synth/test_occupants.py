@@ -15,11 +15,11 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.scene.body import DOF_INDEX, BodyModel, Phenotype
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config
-from cabinpose.synth.plan import subject_body
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng, noise_rng
+from cabinpose.synth.subjects import subject_body
 
 ANNA = {"years": 34, "stature_cm": 168, "mass_kg": 62, "gender": "female", "outfit": {"top": "jacket", "hair": "long"}}
 SEED = 3

@@ -12,8 +12,9 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.people import People, RandomPeople, Range
-from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan, subject_body
+from cabinpose.synth.plan import CARS_IN_PLAY, PEOPLE_IN_PLAY, Plan
 from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.subjects import subject_body
 
 SEED = 5
 

@@ -12,10 +12,10 @@ from synth_scenes import PART, fingerprint, small_config, start
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.store import open_dataset
+from cabinpose.synth.cabins import car_dimensions, car_names
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import generate
-from cabinpose.synth.plan import car_dimensions, car_names
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng
@@ -126,7 +126,7 @@ def test_cars_are_built_beforehand_where_they_differ(
         built.append(arguments)
         return build_cabin(*arguments, **options)
 
-    monkeypatch.setattr(import_module("cabinpose.synth.preflight"), "build_cabin", counting)
+    monkeypatch.setattr(import_module("cabinpose.synth.cabins"), "build_cabin", counting)
     config = small_config(**({"cars": ["hatchback"], "random_cars": 40, "occupancy": DRIVER} | scene))
     camera = config.camera.model_copy(update={"views": Camera(views=views).views})
     preflight(config.model_copy(update={"camera": camera}), frames=1)

@@ -9,9 +9,9 @@ import trimesh
 from cabinpose.core.frames import is_rigid
 from cabinpose.scene import room as module
 from cabinpose.scene.room import furnish_room, place_room_camera
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import room_preset
 from cabinpose.synth.streams import frame_rng
-from cabinpose.synth.write import FrameMaker
 
 
 def test_same_numbers_same_room() -> None:

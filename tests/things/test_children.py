@@ -14,12 +14,12 @@ from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, BodyModel, Phenotype
 from cabinpose.scene.body.phenotype import age_of, usual_stature_m
 from cabinpose.scene.labels import LABEL_ID
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.streams import frame_rng
-from cabinpose.synth.write import FrameMaker
 
 SUV = {"cars": ["suv"], "occupancy": {}, "right_hand_drive": 0.0}
 

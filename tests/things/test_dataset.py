@@ -12,12 +12,12 @@ from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.labels import LABEL_ID, THING_LABELS
 from cabinpose.store import open_dataset
+from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
 from cabinpose.synth.generate import build_manifest, generate
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng, noise_rng
-from cabinpose.synth.write import FrameMaker
 
 SCENE = {
     "cars": ["suv"], "occupancy": {"driver": 1.0}, "right_hand_drive": 0.0,

@@ -35,6 +35,7 @@ from .predictions import read_predictions as read_predictions
 from .predictions import write_predictions as write_predictions
 from .schema import DEPTH_SCALE_M as DEPTH_SCALE_M
 from .schema import MANIFEST_NAME as MANIFEST_NAME
+from .schema import OPTIONAL as OPTIONAL
 from .schema import Manifest as Manifest
 from .schema import PartPlan as PartPlan
 from .schema import dataset_id as dataset_id

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Person, PosedBody
-from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, SeatSetting
-from cabinpose.scene.things import VARIANTS
-from cabinpose.synth.cars import ChangedPreset, is_random_car
-from cabinpose.synth.config import CabinScene, SynthConfig
+from cabinpose.scene.body import DOFS, Person, PosedBody
+from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.things import VARIANTS, PlacedThing
+from cabinpose.synth.cars import place_name
+from cabinpose.synth.config import CabinScene
 from cabinpose.synth.occupant import ExactPose
-from cabinpose.synth.once import cached_once
-from cabinpose.synth.plan import DriveSide, Plan, car_dimensions, subject_body
-from cabinpose.synth.posing import slimmest_in_the_middle
+from cabinpose.synth.plan import Plan
 from cabinpose.synth.posture import choose_setting
+from cabinpose.synth.posture.neighbours import close_seats, half_breadth
 from cabinpose.synth.posture.sampling import OccupantPose
-from cabinpose.synth.preflight import open_cabin
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.things import Brought, check_size, draw_child_seats, draw_objects, is_cloth, stature_range
@@ -29,10 +27,13 @@ from cabinpose.synth.validate import Validator
 _FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
 
 
-class Cast(NamedTuple):
-    """A car and who sits in it: names and people by slot, the seats' settings, and the poses that are given.
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """A car and who sits in it.
 
-    soft: kind and design of what is draped over seats and laps, by slot.
+    names, people: by slot · settings: of all seats · given: poses that are not solved · brought: kinds of child seats and objects
+    by slot · soft: kind and design of what is draped over seats and laps, by slot · things: what stands on the seats, once they
+    are furnished.
     """
 
     car: str
@@ -44,36 +45,36 @@ class Cast(NamedTuple):
     given: Mapping[str, OccupantPose]
     brought: Brought
     soft: Mapping[str, tuple[str, int]]
+    things: tuple[PlacedThing, ...] = ()
+
+    @cached_property
+    def child_seats(self) -> Mapping[str, PlacedThing]:
+        """The child seats in which somebody can sit, by slot."""
+        return {thing.slot: thing for thing in self.things if thing.thing.sitting}
 
     def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
         return ScenePerson(slot, self.names[slot], action, self.people[slot], body)
 
+    def __str__(self) -> str:
+        return f"{place_name(self.car)} ({', '.join(f'{name} as {slot}' for slot, name in self.names.items())})"
+
 
 class Casting:
-    """Draws who sits in which car. Holds the bodies and cabins used last, a bounded number of each."""
+    """Draws who sits in which car."""
 
-    def __init__(self, config: SynthConfig, seed: int, plan: Plan, *, like: Casting | None = None) -> None:
-        """like: one whose people and cars are taken over as far as configuration and seed make the same ones."""
-        self._config, self._seed, self._plan = config, seed, plan
-        self._model = BodyModel.load()
-        cars = config.scene.cars if isinstance(config.scene, CabinScene) else ()
-        self._changed = {car.name: car.dimensions for car in cars if isinstance(car, ChangedPreset)}
-        self.person = cached_once(32)(self._make_person)
-        self._cabin = cached_once(20)(self._make_cabin)
-        if like is not None and like._seed == seed:
-            self._cabin = like._cabin
-            if like._config.people == config.people:
-                self.person = like.person
+    def __init__(self, scene: CabinScene, plan: Plan) -> None:
+        self._scene, self._plan = scene, plan
 
-    def cast(self, scene: CabinScene, index: int, *, rng: np.random.Generator) -> Cast:
+    def cast(self, index: int, *, rng: np.random.Generator) -> Cast:
         """Which car frame `index` shows, who sits where in it, and how the seats are set."""
+        scene = self._scene
         car, drive_side = self._plan.car(index, rng=rng)
-        cabin, validator = self._cabin(self._changed.get(car, car), drive_side)
+        cabin, validator = self._plan.cabins.judged(car, drive_side)
         child_seats = draw_child_seats(scene.child_seats, cabin, rng=rng) if scene.child_seats and not scene.things else {}
-        children = self._children(scene, child_seats, rng)
-        names = self._who(scene, cabin, index, child_seats, children, rng)
-        people = {slot: self.person(name) for slot, name in names.items()}
+        children = self._children(child_seats, rng)
+        names = self._who(cabin, index, child_seats, children, rng)
+        people = {slot: self._plan.subjects.person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
         settings = {
             slot: _exact_setting(exact[slot])
@@ -92,8 +93,9 @@ class Casting:
         hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
         return Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft)
 
-    def _children(self, scene: CabinScene, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
+    def _children(self, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
         """Who sits in which child seat. Raises ConfigError for somebody who is too tall or too small for it."""
+        scene, subjects = self._scene, self._plan.subjects
         result: dict[str, str] = {}
         for slot, kind in child_seats.items():
             occupant = scene.occupants.get(slot)
@@ -102,22 +104,17 @@ class Casting:
                 continue
             if occupant is not None and occupant.subject is not None:
                 result[slot] = occupant.subject
-                check_size(occupant.subject, self.person(occupant.subject).stature_m, kind)
+                check_size(occupant.subject, subjects.person(occupant.subject).stature_m, kind)
             else:
-                able = [name for name in self._plan.children(statures) if name not in result.values()]
+                able = [name for name in subjects.children(statures) if name not in result.values()]
                 result[slot] = able[int(rng.integers(len(able)))]
         return result
 
     def _who(
-        self,
-        scene: CabinScene,
-        cabin: Cabin,
-        index: int,
-        without: Collection[str],
-        children: Mapping[str, str],
-        rng: np.random.Generator,
+        self, cabin: Cabin, index: int, without: Collection[str], children: Mapping[str, str], rng: np.random.Generator
     ) -> dict[str, str]:
         """The people of frame `index` by the seats they take, none of those `without`: named ones and children, others drawn."""
+        scene = self._scene
         taken = _occupied(scene, cabin, without, children, rng)
         named = {slot: o.subject for slot, o in scene.occupants.items() if o.subject is not None} | dict(children)
         cell = self._plan.cell(index)
@@ -128,36 +125,20 @@ class Casting:
         if free[:1] == ["driver"] and cabin.steering_wheel is not None:
             drawn = self._plan.driver_first(index, drawn, without=named.values(), rng=rng)
         people = named | dict(zip(free, drawn, strict=True))
-        return slimmest_in_the_middle({slot: people[slot] for slot in taken}, cabin, self.person, stay=named)
-
-    def _make_person(self, subject: str) -> Person:
-        if subject in SUBJECTS and not self._config.people.asymmetric:
-            return _named_person(subject)
-        return self._model.person(*subject_body(self._config, self._seed, subject))
-
-    def _make_cabin(self, car: str | CabinDimensions, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-        if isinstance(car, str) and is_random_car(car):
-            car = car_dimensions(self._seed, car)
-        return judged_cabin(car, drive_side)
+        return slimmest_in_the_middle({slot: people[slot] for slot in taken}, cabin, self._plan.subjects.person, stay=named)
 
 
-def judged_cabin(car: str | CabinDimensions, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-    """A cabin and who judges scenes in it. A preset's are built once a process; a user's mesh may change between calls."""
-    if isinstance(car, str) and car in PRESETS:
-        return _judged_preset(car, drive_side)
-    cabin = open_cabin(car, drive_side)
-    return cabin, Validator(cabin)
-
-
-@cached_once(16)
-def _judged_preset(car: str, drive_side: DriveSide) -> tuple[Cabin, Validator]:
-    cabin = open_cabin(car, drive_side)
-    return cabin, Validator(cabin)
-
-
-@cached_once(len(SUBJECTS))
-def _named_person(subject: str) -> Person:
-    return BodyModel.load().person(SUBJECTS[subject].phenotype, SUBJECTS[subject].outfit)
+def slimmest_in_the_middle(
+    people: Mapping[str, str], cabin: Cabin, person: Callable[[str], Person], *, stay: Collection[str] = ()
+) -> dict[str, str]:
+    """Names by slot, exchanged so that of three in a row the slimmest sits between the others; not those in slots that `stay`."""
+    result = dict(people)
+    for slot in people:
+        close = [s for s in close_seats(cabin.seats[slot], cabin, tuple(people)) if s not in stay]
+        if slot not in stay and len(close) > 1:
+            slimmest = min((slot, *close), key=lambda s: half_breadth(person(people[s])))
+            result[slot], result[slimmest] = people[slimmest], people[slot]
+    return result
 
 
 def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]) -> dict[str, SeatSetting]:

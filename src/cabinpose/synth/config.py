@@ -11,7 +11,7 @@ import difflib
 import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
@@ -20,6 +20,7 @@ from cabinpose.core import (
     ITOP,
     OCCUPANT_SLOTS,
     SKELETONS,
+    STANDING_SLOT,
     ConfigError,
     OtherSkeletonName,
     Skeleton,
@@ -45,6 +46,9 @@ from cabinpose.synth.things import Choice, check_child_seats, check_shares, is_c
 # Named one by one: what is added to the presets joins the datasets of those who ask for it.
 _CARS = ("city_car", "hatchback", "sedan", "coupe", "suv", "van", "shuttle")
 _MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
+
+
+_ANYBODY = Occupant()
 
 
 class Factorial(Model):
@@ -166,10 +170,13 @@ class CabinScene(Model):
         """The seats in which somebody sits in every frame."""
         return tuple(dict.fromkeys((*self.occupants, *([self.factorial.seat] if self.factorial else ()))))
 
+    def occupant(self, slot: str) -> Occupant:
+        """What is asked of whoever sits in a seat."""
+        return self.occupants.get(slot, _ANYBODY)
+
     def profile_of(self, slot: str) -> Profile | None:
         """The motion profile of whoever sits in a seat."""
-        occupant = self.occupants.get(slot)
-        return occupant.profile if occupant is not None and occupant.profile is not None else self.profile
+        return self.occupant(slot).profile or self.profile
 
     @property
     def recorded(self) -> tuple[str, ...]:
@@ -229,6 +236,11 @@ class RoomScene(Model):
     rooms: int = Field(64, ge=1, description="Different rooms, drawn once for the dataset.")
     facing_deg: float = Field(35.0, ge=0.0, description="Standard deviation of the person's turn away from the camera.")
     profile: Profile | None = Field(None, description="A motion profile in place of the free standing poses.")
+    # What a car alone has.
+    sequence: ClassVar[None] = None
+    brings_things: ClassVar[bool] = False
+    tells_restraints: ClassVar[bool] = False
+    cloth_labels: ClassVar[frozenset[str]] = frozenset()
 
 
 class Output(Model):
@@ -284,7 +296,7 @@ class SynthConfig(Model):
                 f"noise 'physical' describes Time-of-Flight, sensor '{sensor.name}' is none",
                 hint="choose noise kind structured_light or empirical",
             )
-        sequence = self.scene.sequence if isinstance(self.scene, CabinScene) else None
+        sequence = self.scene.sequence
         if sequence is None and sensor.temporal_median > 1:
             raise ConfigError(
                 f"sensor '{sensor.name}' takes the median of {sensor.temporal_median} frames, and each is a scene of its own",
@@ -364,6 +376,11 @@ class SynthConfig(Model):
             return cls.model_validate(_with_paths(data, base))
         except ValidationError as error:
             raise explain(error, cls) from error
+
+
+def person_slots(config: SynthConfig) -> tuple[str, ...]:
+    """The entries of a dataset's `person` coordinate."""
+    return (STANDING_SLOT,) if config.scene.kind == "room" else OCCUPANT_SLOTS
 
 
 def room_preset() -> SynthConfig:

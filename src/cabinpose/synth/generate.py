@@ -16,16 +16,14 @@ from typing import Literal, get_args
 import cabinpose
 from cabinpose.core import ConfigError, optional_module
 from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
-from cabinpose.store import Manifest, PartPlan, create_dataset, joints_variable
-from cabinpose.synth.config import CabinScene, SynthConfig
-from cabinpose.synth.gaze import GAZE_VARIABLES
-from cabinpose.synth.plan import brings_things, person_slots
+from cabinpose.store import Manifest, PartPlan, create_dataset
+from cabinpose.synth.config import SynthConfig, person_slots
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
-from cabinpose.synth.style.settings import STYLE_VARIABLES
 from cabinpose.synth.things import CLOTH_LABELS
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.write import RESTRAINTS, Content, FrameReport, make_frames
+from cabinpose.synth.variables import manifest_variables
+from cabinpose.synth.write import Content, FrameReport, make_frames
 
 
 @dataclass(frozen=True)
@@ -133,13 +131,7 @@ def generate(
 def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
     """What `dataset.yaml` says of a run."""
     camera = config.camera.sensor_model.camera
-    things = brings_things(config)
-    absent = CLOTH_LABELS - (config.scene.cloth_labels if isinstance(config.scene, CabinScene) else frozenset())
-    images: tuple[str, ...] = ("depth", "depth_clean", "amplitude", "confidence", "labels", "instance")
-    if config.images is not None:
-        images += (*config.images.variables, "light", "renderer")
-    if config.style is not None:
-        images += STYLE_VARIABLES
+    things, absent = config.scene.brings_things, CLOTH_LABELS - config.scene.cloth_labels
     return Manifest(
         generator="cabinpose.synth",
         generator_version=cabinpose.__version__,
@@ -155,14 +147,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         if things
         else [label._asdict() for label in LABELS if label not in THING_LABELS],
         materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
-        variables=(
-            *images,
-            *(("noise",) if config.output.noise else ()),
-            *(joints_variable(each.name) for each in config.skeletons),
-            *(("things",) if things else ()),
-            *(RESTRAINTS if isinstance(config.scene, CabinScene) and config.scene.tells_restraints else ()),
-            *(GAZE_VARIABLES if config.output.gaze else ()),
-        ),
+        variables=manifest_variables(config),
     )
 
 

@@ -1,4 +1,4 @@
-"""Poses of the people in one car: row by row, those of a row solved together; a person who does not fit is drawn again.
+"""What the people in one car do, and their poses: row by row, those of a row solved together; who does not fit is drawn again.
 
 The solver lets all of a row give way to each other. What the verdict refuses then costs the person it names another draw of an
 action and all that goes with it; where it names two, they take turns.
@@ -7,22 +7,30 @@ action and all that goes with it; where it names two, they take turns.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import NamedTuple
 
-from cabinpose.core import SceneError
-from cabinpose.scene.body import Person, PosedBody
-from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.posture.goals import given as as_given
-from cabinpose.synth.posture.neighbours import beside_each_other, close_seats, half_breadth
-from cabinpose.synth.posture.sampling import Drawn, OccupantPose, settled
-from cabinpose.synth.posture.solver import Sitter
-from cabinpose.synth.validate import Rejection, Seated, Validator
+import numpy as np
 
-Draw = Callable[[str], Drawn]
+from cabinpose.core import SceneError
+from cabinpose.scene.body import PosedBody
+from cabinpose.scene.cabin import Cabin
+from cabinpose.synth.casting import Cast
+from cabinpose.synth.config import CabinScene
+from cabinpose.synth.posture import draw_offset, random_action
+from cabinpose.synth.posture.actions import ACTIONS, IN_CHILD_SEAT
+from cabinpose.synth.posture.context import SeatContext
+from cabinpose.synth.posture.goals import given as as_given
+from cabinpose.synth.posture.neighbours import Neighbours, beside_each_other, neighbours_of
+from cabinpose.synth.posture.sampling import Doing, Drawn, OccupantPose, Prescribed, draw_pose, settled
+from cabinpose.synth.posture.solver import Sitter
+from cabinpose.synth.scene import Attempts
+from cabinpose.synth.streams import weighted
+from cabinpose.synth.validate import Rejection, Seated
+
+Draw = Callable[[str], Drawn]  # the goals of the person in a slot, anew with each call
+# Puts what somebody who sits has in hand and on the lap to the rest, or says why there is no room for it.
 Bring = Callable[[str, OccupantPose, PosedBody, Seated], tuple[Rejection | None, Seated]]
 
 
@@ -33,17 +41,120 @@ class Posed(NamedTuple):
     seated: Seated
 
 
-def slimmest_in_the_middle(
-    people: Mapping[str, str], cabin: Cabin, person: Callable[[str], Person], *, stay: Collection[str] = ()
-) -> dict[str, str]:
-    """Names by slot, exchanged so that of three in a row the slimmest sits between the others; not those in slots that `stay`."""
-    result = dict(people)
-    for slot in people:
-        close = [s for s in close_seats(cabin.seats[slot], cabin, tuple(people)) if s not in stay]
-        if slot not in stay and len(close) > 1:
-            slimmest = min((slot, *close), key=lambda s: half_breadth(person(people[s])))
-            result[slot], result[slimmest] = people[slimmest], people[slot]
-    return result
+class Posing:
+    """Draws what people do and poses them.
+
+    poses_per_person: draws of one person before all is given up.
+    """
+
+    def __init__(self, scene: CabinScene, poses_per_person: int) -> None:
+        self.scene, self._poses_per_person = scene, poses_per_person
+
+    def goals(self, cast: Cast, slot: str, index: int, doing: Doing | None = None, *, rng: np.random.Generator) -> Drawn:
+        """What somebody seeks; index: of a profile's combination or pose · doing: what is done, in place of a draw."""
+        scene, seat = self.scene, cast.cabin.seats[slot]
+        others = {s: person for s, person in cast.people.items() if s != slot}
+        neighbours = neighbours_of(cast.people[slot], slot, cast.cabin, others, rng=rng)
+        action = self._action(cast, slot, neighbours, rng) if doing is None else doing.action
+        offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
+        on = cast.child_seats.get(slot)
+        seated = SeatContext(cast.people[slot], seat, cast.settings[slot], cast.cabin, offset, neighbours, on)
+        if doing is None:
+            doing = Doing(action, in_hand=_in_hand(scene, action, rng))
+        initial = scene.occupant(slot).initial
+        return draw_pose(seated, doing, Prescribed(scene.profile_of(slot), initial, index), rng=rng)
+
+    def _action(self, cast: Cast, slot: str, neighbours: Neighbours, rng: np.random.Generator) -> str:
+        scene, occupant = self.scene, self.scene.occupant(slot)
+        in_child_seat = IN_CHILD_SEAT if slot in cast.child_seats else None
+        weights = {occupant.action: 1.0} if occupant.action is not None else scene.motion.get(slot, in_child_seat)
+        if weights:
+            return weighted(weights, rng=rng)
+        return random_action(cast.cabin.seats[slot], cast.cabin, rng=rng, neighbours=neighbours, in_hand=scene.in_hand > 0.0)
+
+    def pose(self, cast: Cast, draw: Draw, bring: Bring, attempts: Attempts) -> Posed | None:
+        """Pose everybody in a car, row by row; None where somebody finds no valid pose.
+
+        Parameters
+        ----------
+        cast
+            Who sits where, with what is on the seats. Poses that are given are judged, not solved.
+        draw
+            Called again after each rejection of a person.
+        bring
+            Called for everybody whose pose holds.
+        attempts
+            Counts draws and rejections, in place.
+
+        Raises
+        ------
+        SceneError
+            Where a given pose is not valid, whatever the other people do.
+        """
+        people, given, validator = cast.people, cast.given, cast.validator
+        poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)) for slot, pose in given.items()}
+        stay = {slot: as_given(people[slot], cast.cabin.seats[slot], p.q, p.vehicle_from_root) for slot, p in given.items()}
+        seated, sitting = validator.empty(cast.settings, things=cast.things), list[Sitter]()
+        for row in rows_of(tuple(people), cast.cabin):
+            fixed, free = [slot for slot in row if slot in given], [slot for slot in row if slot not in given]
+            around = [*sitting, *(stay[slot] for slot in fixed)]
+            tries: Counter[str] = Counter()
+            drawn: dict[str, Drawn] = {}
+            wanted: list[str] = free
+            while True:
+                for slot in wanted:
+                    tries[slot] += 1
+                    if tries[slot] > self._poses_per_person:
+                        return None
+                    drawn[slot] = draw(slot)
+                    attempts.proposals += 1
+                angles = [*(d.wheel_angle for d in drawn.values()), *(given[slot].wheel_angle for slot in fixed)]
+                before = validator.turned(seated, next((a for a in angles if a is not None), seated.wheel_angle))
+                for slot in fixed:
+                    verdict, before = validator.admit(before, (slot, people[slot], poses[slot][1]))
+                    if verdict.rejection is not None and verdict.rejection.other in (*given, ""):
+                        raise SceneError(
+                            f"{cast.cabin.name}: the given pose does not hold: {verdict.rejection},"
+                            f" {1000 * verdict.depth_m:.0f} mm deep",
+                            hint="change scene.occupants, or leave out `pose` to have one solved",
+                        )
+                    if verdict.rejection is not None:  # in the way of somebody who was drawn
+                        attempts.rejections[verdict.rejection] += 1
+                        return None
+                if not wanted:
+                    after = before
+                    break
+                found = settled([drawn[slot] for slot in free], around, before.placed)
+                drawn = {slot: replace(d, sitter=d.sitter._replace(stand="settled")) for slot, d in drawn.items()}
+                wanted, after = [], before
+                for slot, pose in zip(free, found, strict=True):
+                    if pose.refused:
+                        attempts.rejections[Rejection("reach", slot, pose.refused, pose.held_up_by)] += 1
+                        wanted.append(slot)
+                        continue
+                    posed = people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)
+                    verdict, admitted = validator.admit(after, (slot, people[slot], posed))
+                    refused = verdict.rejection
+                    if refused is None:
+                        refused, admitted = bring(slot, pose, posed, admitted)
+                    if refused is None:
+                        poses[slot], after = (pose, posed), admitted
+                        continue
+                    attempts.rejections[refused] += 1
+                    # Of two who do not fit the one who was drawn less often is drawn anew.
+                    met = refused.other
+                    wanted.append(met if met in free and tries[met] < tries[slot] else slot)
+                wanted = list(dict.fromkeys(wanted))
+                if not wanted:
+                    break
+            seated, sitting = after, [*around, *(d.sitter._replace(stand="fixed") for d in drawn.values())]
+        return Posed({slot: poses[slot] for slot in people}, seated)
+
+
+def _in_hand(scene: CabinScene, action: str, rng: np.random.Generator) -> bool:
+    """Whether somebody who does this has something in the hand."""
+    how = ACTIONS[action].in_hand
+    return how == "always" or (scene.in_hand > 0.0 and how == "sometimes" and rng.random() < scene.in_hand)
 
 
 def rows_of(slots: Sequence[str], cabin: Cabin) -> list[list[str]]:
@@ -56,107 +167,3 @@ def rows_of(slots: Sequence[str], cabin: Cabin) -> list[list[str]]:
         else:
             row.append(slot)
     return rows
-
-
-def pose_people(
-    people: Mapping[str, Person],
-    cabin: Cabin,
-    validator: Validator,
-    settings: Mapping[str, SeatSetting],
-    draw: Draw,
-    *,
-    poses_per_person: int,
-    causes: Counter[Rejection],
-    given: Mapping[str, OccupantPose] = MappingProxyType({}),
-    things: tuple[PlacedThing, ...] = (),
-    bring: Bring | None = None,
-) -> tuple[Posed | None, int]:
-    """Pose everybody in a car, row by row.
-
-    Parameters
-    ----------
-    people
-        By slot.
-    cabin, validator, settings
-        The car, its judge, and how its seats are set, by slot.
-    draw
-        Draws the goals of the person in a slot; called again after each rejection of this person.
-    poses_per_person
-        Draws of one person before all is given up.
-    causes
-        Counts the rejections, in place.
-    given
-        Poses by slot that are judged but not solved.
-    things
-        Child seats and objects on the seats.
-    bring
-        Puts what somebody who sits has in hand and on the lap to the rest, or says why there is no room for it.
-
-    Returns
-    -------
-    Posed or None
-        None where somebody found no valid pose.
-    int
-        The number of draws.
-
-    Raises
-    ------
-    SceneError
-        Where a given pose is not valid, whatever the other people do.
-    """
-    poses = {slot: (pose, people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)) for slot, pose in given.items()}
-    stay = {slot: as_given(people[slot], cabin.seats[slot], pose.q, pose.vehicle_from_root) for slot, pose in given.items()}
-    seated, sitting, draws = validator.empty(settings, things=things), list[Sitter](), 0
-    for row in rows_of(tuple(people), cabin):
-        fixed, free = [slot for slot in row if slot in given], [slot for slot in row if slot not in given]
-        around = [*sitting, *(stay[slot] for slot in fixed)]
-        tries: Counter[str] = Counter()
-        drawn: dict[str, Drawn] = {}
-        wanted: list[str] = free
-        while True:
-            for slot in wanted:
-                tries[slot] += 1
-                if tries[slot] > poses_per_person:
-                    return None, draws
-                drawn[slot] = draw(slot)
-                draws += 1
-            angles = [*(d.wheel_angle for d in drawn.values()), *(given[slot].wheel_angle for slot in fixed)]
-            before = validator.turned(seated, next((a for a in angles if a is not None), seated.wheel_angle))
-            for slot in fixed:
-                verdict, before = validator.admit(before, (slot, people[slot], poses[slot][1]))
-                if verdict.rejection is not None and verdict.rejection.other in (*given, ""):
-                    raise SceneError(
-                        f"{cabin.name}: the given pose does not hold: {verdict.rejection}, {1000 * verdict.depth_m:.0f} mm deep",
-                        hint="change scene.occupants, or leave out `pose` to have one solved",
-                    )
-                if verdict.rejection is not None:  # in the way of somebody who was drawn
-                    causes[verdict.rejection] += 1
-                    return None, draws
-            if not wanted:
-                after = before
-                break
-            found = settled([drawn[slot] for slot in free], around, before.placed)
-            drawn = {slot: replace(d, sitter=d.sitter._replace(stand="settled")) for slot, d in drawn.items()}
-            wanted, after = [], before
-            for slot, pose in zip(free, found, strict=True):
-                if pose.refused:
-                    causes[Rejection("reach", slot, pose.refused, pose.held_up_by)] += 1
-                    wanted.append(slot)
-                    continue
-                posed = people[slot].pose(pose.q, pose.vehicle_from_root, pose.fingers)
-                verdict, admitted = validator.admit(after, (slot, people[slot], posed))
-                refused = verdict.rejection
-                if refused is None and bring is not None:
-                    refused, admitted = bring(slot, pose, posed, admitted)
-                if refused is None:
-                    poses[slot], after = (pose, posed), admitted
-                    continue
-                causes[refused] += 1
-                # Of two who do not fit the one who was drawn less often is drawn anew.
-                met = refused.other
-                wanted.append(met if met in free and tries[met] < tries[slot] else slot)
-            wanted = list(dict.fromkeys(wanted))
-            if not wanted:
-                break
-        seated, sitting = after, [*around, *(d.sitter._replace(stand="fixed") for d in drawn.values())]
-    return Posed({slot: poses[slot] for slot in people}, seated), draws

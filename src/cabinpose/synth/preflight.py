@@ -9,17 +9,18 @@ import numpy as np
 
 from cabinpose.core import ConfigError, Floats
 from cabinpose.scene.body import SUBJECTS
-from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, CabinDimensions, build_cabin
+from cabinpose.scene.cabin import SEATS_OF_ALL, VIEWS_OF_ALL, Cabin
 from cabinpose.scene.contact import ContactField
+from cabinpose.synth.cabins import car_dimensions, car_names, open_cabin
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
+from cabinpose.synth.people import People
 from cabinpose.synth.pictures.path_tracing import mitsuba
-from cabinpose.synth.plan import DriveSide, car_dimensions, car_names, drives, subject_body
 from cabinpose.synth.posture import ACTIONS, actions_for
 from cabinpose.synth.posture.actions import suits
+from cabinpose.synth.subjects import Subjects
 from cabinpose.synth.things import check_size, weights_of
-
-LENS_M = 0.01  # free space a lens needs around it
+from cabinpose.synth.viewpoint import LENS_M
 
 
 def preflight(config: SynthConfig, *, frames: int) -> None:
@@ -40,23 +41,24 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         )
     for profile in config.profiles:
         profile.preflight()
+    subjects = Subjects(config.people, 0)
     for name in config.people.own:
-        subject_body(config, 0, name)  # ConfigError where no body has the mass
+        subjects.body(name)  # ConfigError where no body has the mass
     if isinstance(scene, RoomScene):
         return
     for slot, occupant in scene.occupants.items():
         who = occupant.subject
         if who is not None and slot in scene.child_seats and (who in SUBJECTS or who in config.people.own):
-            stature = subject_body(config, 0, who)[0].stature_m
+            stature = subjects.body(who)[0].stature_m
             assert stature is not None
             for kind in weights_of(scene.child_seats[slot], ()):
                 check_size(who, stature, kind)
     if scene.factorial is not None and scene.factorial.seat == "driver":
-        _check_drivers(config)
+        _check_drivers(config.people, subjects)
     unusual = not _every_car_has(config, scene)
     for car in scene.cars:
         if isinstance(car, ChangedPreset):
-            _check_car(config, scene, car.name, (cabin := build_cabin(car.dimensions)), tuple(cabin.seats), ours=False)
+            _check_car(config, scene, car.name, (cabin := open_cabin(car.dimensions, "left")), tuple(cabin.seats), ours=False)
         elif is_car_file(car) or (unusual and not is_random_car(car)):
             cabin = open_cabin(car, "left")
             for warning in cabin.warnings:
@@ -65,15 +67,14 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
     # The seats, actions and views of random cars are the same in all of them: one stands for all.
     if unusual and any(is_random_car(car) for car in car_names(config)):
         dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
-        cabin = build_cabin(dimensions, drive_side="left")
+        cabin = open_cabin(dimensions, "left")
         sure = tuple(slot for slot in cabin.seats if slot != "rear_center")
         _check_car(config, scene, "a random car", cabin, sure, ours=True)
 
 
-def _check_drivers(config: SynthConfig) -> None:
+def _check_drivers(people: People, subjects: Subjects) -> None:
     """Refuses people of a factorial dataset who do not drive."""
-    people = config.people
-    young = [name for name in (*people.subjects, *people.own) if not drives(config, 0, name)]
+    young = [name for name in (*people.subjects, *people.own) if not subjects.drives(name)]
     if people.random is not None and people.random.youngest_years < people.driver_years:
         young.append("some of those drawn at random")
     if young:
@@ -141,12 +142,3 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin, *, ours: bool) -> 
                 f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
                 hint="move it into the free space of the cabin",
             )
-
-
-def open_cabin(car: str | CabinDimensions, drive_side: DriveSide) -> Cabin:
-    """A preset by its name, a cabin by its dimensions, or a user's own by the path of its YAML file."""
-    if isinstance(car, CabinDimensions) or car in PRESETS:
-        return build_cabin(car, drive_side=drive_side)
-    from cabinpose.scene.cabin import load_cabin  # noqa: PLC0415 - trimesh, for a user's own mesh alone
-
-    return load_cabin(car)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -81,28 +81,30 @@ class Scene:
         return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
 
 
+@dataclass
+class Attempts:
+    """What was tried to find a scene. scenes: those drawn, in words · proposals: poses · rejections: why they failed."""
+
+    scenes: list[str] = field(default_factory=list)
+    proposals: int = 0
+    rejections: Counter[Rejection] = field(default_factory=Counter)
+
+
 class ImpossibleSceneError(SceneError):
-    """No valid scene was found for a frame.
+    """No valid scene was found for a frame. own_car: the YAML of a user's own car that was among those tried."""
 
-    proposals, rejections: poses tried, and why they failed · tried: the scenes, in words · own_car: the YAML of a user's own
-    car that was among them.
-    """
-
-    def __init__(
-        self, index: int, proposals: int, rejections: Counter[Rejection], tried: Sequence[str], own_car: str = ""
-    ) -> None:
-        scenes = Counter(tried).most_common()
+    def __init__(self, index: int, attempts: Attempts, own_car: str = "") -> None:
+        scenes, rejections = Counter(attempts.scenes).most_common(), attempts.rejections
         among = "; ".join(scene for scene, _ in scenes[:3]) + (f" and {len(scenes) - 3} more" if len(scenes) > 3 else "")
         super().__init__(
-            f"frame {index}: none of {proposals} poses made a valid scene: {most_common(rejections, 4)}. Tried: {among}",
+            f"frame {index}: none of {attempts.proposals} poses made a valid scene: {most_common(rejections, 4)}. Tried: {among}",
             hint=f"people sink into what they sit on: `cabinpose car check {own_car}` says which give_mm it needs"
             if own_car and sits_too_deep(rejections)
             else f"`cabinpose car check {own_car}` says seat by seat what is in the way"
             if own_car
             else "narrow the motion, take away an occupant or a car, or raise limits.poses_per_person",
         )
-        self.proposals = proposals
-        self.rejections = rejections
+        self.attempts = attempts
 
     def __reduce__(self) -> tuple[Any, ...]:  # across process borders, where the other arguments are not needed
         return SceneError, (str(self),), {"hint": self.hint}

@@ -11,6 +11,12 @@ import numpy as np
 from cabinpose.core import ConfigError
 
 Name = TypeVar("Name")
+# Streams of the seed that belong to no frame: the keys count down from the top, frames count up from zero.
+PEOPLE_STREAM = 2**64 - 1
+CAR_STREAM = 2**63 + 2**62
+_ROOM_STREAM = 2**63
+ORDER_STREAM = 2**62
+CHILD_STREAM = 2**61
 
 
 def check_seed(seed: int) -> None:
@@ -35,6 +41,11 @@ def noise_rng(seed: int, frame_index: int) -> np.random.Generator:
 def sequence_rng(seed: int, first_frame: int, stream: int) -> np.random.Generator:
     """A generator of a sequence: the key of its first frame, with a counter that neither scene, noise nor looks reach."""
     return np.random.Generator(np.random.Philox(key=np.array((seed, first_frame), dtype=np.uint64), counter=(0, 0, stream, 3)))
+
+
+def room_rng(seed: int, number: int) -> np.random.Generator:
+    """What the room of this number in the dataset of this seed is drawn with."""
+    return frame_rng(seed, _ROOM_STREAM + number)
 
 
 def own_rng(seed: int, name: str) -> np.random.Generator:

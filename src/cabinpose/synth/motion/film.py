@@ -1,48 +1,46 @@
-"""A sequence: one car, its people in motion, one camera."""
+"""The sequences of a dataset as films: one car, its people in motion, one camera."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Matrix, SceneError
+from cabinpose.core import Floats, SceneError
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.cars import place_name
+from cabinpose.synth.car_scenes import CarScenes
+from cabinpose.synth.casting import Cast
 from cabinpose.synth.motion.config import SequenceConfig
-from cabinpose.synth.motion.sequences import DrawGoals, plan_tracks
+from cabinpose.synth.motion.sequences import SequenceDraw, plan_tracks
 from cabinpose.synth.motion.track import Track
+from cabinpose.synth.once import cached_once
 from cabinpose.synth.posture.frames import frames
-from cabinpose.synth.streams import frame_rng
-from cabinpose.synth.things import Blocked
-from cabinpose.synth.validate import Rejection, Seated, most_common
-
-if TYPE_CHECKING:  # which imports this module
-    from cabinpose.synth.casting import Cast
-    from cabinpose.synth.scene import ScenePerson
+from cabinpose.synth.scene import Attempts, Scene, ScenePerson
+from cabinpose.synth.streams import frame_rng, sequence_rng
+from cabinpose.synth.validate import Rejection, most_common
+from cabinpose.synth.viewpoint import Viewpoint
 
 # By which a gaze is ahead of the head: both start within tens of milliseconds of each other in natural tasks (Herst, Epelboim,
 # Steinman 2001, Vision Research 41), but a saccade is over long before the head has turned.
 EYES_LEAD_S = 0.15
 _SCENES = 8  # drawn for a sequence until the run ends
-# A view and its camera before which none of the people comes, in the car with nobody in it; None where none is found.
-FreeCamera = Callable[["Cast", Callable[[], "Iterable[ScenePerson]"], Seated, np.random.Generator], "tuple[str, Matrix] | None"]
+_SAME_M = 1e-3  # what moves less while samples are exposed stands still: each is half of it off, a tenth of a pixel at 1 m
 
 
 class Film(NamedTuple):
-    """A planned sequence: the cast, the tracks of people by slot, what stands on the seats, the view and its camera."""
+    """A planned sequence: the cast, with what stands on the seats, the tracks of people by slot, and what was tried for it.
+
+    viewpoint: the camera's, once one is found before which nobody comes.
+    """
 
     cast: Cast
     tracks: Mapping[str, Track]
-    things: tuple[PlacedThing, ...]
     sequence: SequenceConfig
-    pov: str
-    camera: Matrix
-    proposals: int
-    rejections: Mapping[Rejection, int]
+    attempts: Attempts
+    viewpoint: Viewpoint = Viewpoint("", np.eye(4))
 
     def people(self, time_s: float) -> list[ScenePerson]:
         """Everybody at a time, not yet dressed."""
@@ -56,7 +54,7 @@ class Film(NamedTuple):
 
     def things_with(self, people: Iterable[ScenePerson], time_s: float) -> tuple[PlacedThing, ...]:
         """What stands on the seats, and what these people hold at a time."""
-        return (*self.things, *(thing for p in people for thing in self.tracks[p.slot].held(p.slot, p.posed, time_s)))
+        return (*self.cast.things, *(thing for p in people for thing in self.tracks[p.slot].held(p.slot, p.posed, time_s)))
 
     def everybody(self) -> Iterator[ScenePerson]:
         """Everybody in every frame."""
@@ -78,61 +76,63 @@ class Film(NamedTuple):
         return driver.at(time_s).wheel_angle if driver is not None and self.cast.cabin.steering_wheel is not None else 0.0
 
 
-def make_film(
-    number: int,
-    sequence: SequenceConfig,
-    seed: int,
-    draw_cast: Callable[[np.random.Generator], tuple[Cast, tuple[PlacedThing, ...] | Blocked]],
-    goals: Callable[[Cast], DrawGoals],
-    free_camera: FreeCamera,
-    *,
-    weights: Mapping[str, Mapping[str, float]],
-    recorded: Collection[str],
-    in_hand: float,
-    poses_per_person: int,
-) -> Film:
-    """Plan a sequence.
+class Films:
+    """The sequences of a dataset, each planned once: sequence n is its frames n * frames .. (n + 1) * frames - 1."""
 
-    Parameters
-    ----------
-    number, sequence, seed
-        Which one of a dataset, and how long; all randomness comes from its first frame.
-    draw_cast, goals, free_camera
-        Draw who is in which car with what on its seats, what people seek, and the camera.
-    weights, recorded, in_hand, poses_per_person
-        See `plan_tracks`.
+    def __init__(self, scenes: CarScenes, sequence: SequenceConfig, seed: int) -> None:
+        """sequence: that of the scenes' configuration."""
+        self._scenes, self._sequence, self._seed = scenes, sequence, seed
+        self.film = cached_once(64)(self._make_film)
 
-    Raises
-    ------
-    SceneError
-        Where no scene is found in which everybody has a way.
-    """
-    first = number * sequence.frames
-    rng = frame_rng(seed, first)
-    causes: Counter[Rejection] = Counter()
-    tried, proposals = list[str](), 0
-    for attempt in range(_SCENES):
-        cast, things = draw_cast(rng)
-        tried.append(f"{place_name(cast.car)} ({', '.join(f'{name} as {slot}' for slot, name in cast.names.items())})")
-        if isinstance(things, Blocked):
-            causes[things.rejection] += 1
-            continue
-        tracks, draws = plan_tracks(
-            sequence, cast.people, cast.cabin, cast.validator, cast.settings, goals(cast), weights,
-            recorded=recorded, things=things, in_hand=in_hand, seed=seed, first=first, attempt=attempt,
-            poses_per_person=poses_per_person, causes=causes,
-        )  # fmt: skip
-        proposals += draws
-        if tracks is None:
-            continue
-        film = Film(cast, tracks, things, sequence, "", np.eye(4), proposals, causes)
-        empty = cast.validator.empty(cast.settings, film.wheel_angle(0.0), things)
-        view = free_camera(cast, film.everybody, empty, rng)
-        if view is not None:
-            return film._replace(pov=view[0], camera=view[1])
-        causes[Rejection("camera")] += len(tracks)
-    raise SceneError(
-        f"sequence {number}: no way without collision was found for everybody: {most_common(causes, 4)}."
-        f" Tried: {'; '.join(tried[:3])}",
-        hint="choose other activities with scene.sequence.activities, take away an occupant, or make the sequence longer",
-    )
+    def scene(self, index: int, later_s: float = 0.0) -> Scene:
+        """Frame `index` of the dataset as a frame of its sequence, or what is to be seen so much later."""
+        number, frame = divmod(index, self._sequence.frames)
+        film, time_s = self.film(number), frame / self._sequence.rate_hz + later_s
+        rng = sequence_rng(self._seed, number * self._sequence.frames, 0)  # the same belts in all frames
+        people = film.people(time_s)
+        things = film.things_with(people, time_s)
+        shown = self._scenes.assembled(film.cast, people, film.wheel_angle(time_s), things, film.viewpoint, rng=rng)
+        counted = film.attempts if frame == 0 else Attempts()
+        return replace(
+            shown, proposals=counted.proposals, rejections=counted.rejections, sequence=number, sync_ns=round(1e9 * time_s)
+        )
+
+    def exposed(self, index: int, scene: Scene, times_s: Floats) -> Sequence[Scene]:
+        """The scene of frame `index` at some times (S,) s before and after its own.
+
+        Times between which nothing moves by more than `_SAME_M` share one scene, at their mean; where nothing moves at all, it is
+        the given one.
+        """
+        number, frame = divmod(index, self._sequence.frames)
+        time_s = frame / self._sequence.rate_hz
+        moved = self.film(number).moved_m(time_s + float(times_s[0]), time_s + float(times_s[-1]))
+        moments = np.array_split(times_s, min(max(1, math.ceil(moved / _SAME_M)), len(times_s)))
+        if len(moments) == 1:
+            return [scene] * len(times_s)
+        return [
+            shown for moment in moments for shown in [self.scene(index, float(moment.mean()))] * len(moment)
+        ]  # fmt: skip
+
+    def _make_film(self, number: int) -> Film:
+        """Sequence `number`. Raises SceneError where no scene is found in which everybody has a way."""
+        first = number * self._sequence.frames
+        rng = frame_rng(self._seed, first)
+        attempts = Attempts()
+        for attempt in range(_SCENES):
+            cast = self._scenes.furnished_cast(first, attempts, rng=rng)
+            if cast is None:
+                continue
+            tracks = plan_tracks(cast, self._scenes.posing, SequenceDraw(self._sequence, self._seed, first, attempt), attempts)
+            if tracks is None:
+                continue
+            film = Film(cast, tracks, self._sequence, attempts)
+            empty = cast.validator.empty(cast.settings, film.wheel_angle(0.0), cast.things)
+            viewpoint = self._scenes.free_viewpoint(cast, first, film.everybody, empty, rng=rng)
+            if viewpoint is not None:
+                return film._replace(viewpoint=viewpoint)
+            attempts.rejections[Rejection("camera")] += len(tracks)
+        raise SceneError(
+            f"sequence {number}: no way without collision was found for everybody: {most_common(attempts.rejections, 4)}."
+            f" Tried: {'; '.join(attempts.scenes[:3])}",
+            hint="choose other activities with scene.sequence.activities, take away an occupant, or make the sequence longer",
+        )

@@ -1,108 +1,91 @@
-"""The sequences of a dataset: sequence n is its frames n * frames .. (n + 1) * frames - 1, planned as a whole and once."""
+"""The motion of everybody in a sequence, from poses that hold together."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
-from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
 from cabinpose.scene.body import Person, PosedBody
-from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.things import PlacedThing
+from cabinpose.synth.casting import Cast
+from cabinpose.synth.config import CabinScene
 from cabinpose.synth.motion.activities import RECORDED, activities_for, inboard_neighbour, program_of, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
-from cabinpose.synth.posing import pose_people
+from cabinpose.synth.posing import Posing
 from cabinpose.synth.posture.actions import IN_CHILD_SEAT, OWN_ACTIONS, inboard_side
 from cabinpose.synth.posture.grasps import Hold, can_hold, handed, hold
 from cabinpose.synth.posture.places import GIVE, Reach
-from cabinpose.synth.posture.sampling import Drawn, OccupantPose
+from cabinpose.synth.posture.sampling import Doing, Drawn, OccupantPose
+from cabinpose.synth.profiles import MocapProfile
+from cabinpose.synth.scene import Attempts
 from cabinpose.synth.streams import sequence_rng, weighted
 from cabinpose.synth.things import bring_along
-from cabinpose.synth.validate import Rejection, Seated, Validator
+from cabinpose.synth.validate import Rejection, Seated
 
 _PROGRAM_WEIGHT = 2.0  # of an activity of several actions, beside the actions' own
 _DRAWS = 16  # of one person's habits: streams of a sequence
 
-# Draws the goals of whoever sits in a slot: the action, the wheel's angle instead of a drawn one, what is held, where hands
-# reach beside the car's own places, the child seat, the time (s) since the first frame, and the source of randomness.
-DrawGoals = Callable[
-    [str, str, float | None, Hold | None, Reach | None, PlacedThing | None, float, np.random.Generator], Drawn
-]  # fmt: skip
+
+class SequenceDraw(NamedTuple):
+    """One draw of a sequence: which dataset's, its first frame, and how often its scene was drawn before."""
+
+    sequence: SequenceConfig
+    seed: int
+    first: int
+    attempt: int
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """A generator of the sequence."""
+        return sequence_rng(self.seed, self.first, stream)
+
+    def streams(self, cast: Cast) -> Mapping[str, int]:
+        """The first of everybody's `_DRAWS` streams, by slot."""
+        return {slot: 1 + _DRAWS * (len(cast.people) * self.attempt + i) for i, slot in enumerate(cast.people)}
+
+    def recorded_index(self, scene: CabinScene, slot: str, time_s: float) -> int:
+        """Which pose of a recording somebody follows at a time since the first frame; else the first frame."""
+        profile = scene.profile_of(slot)
+        if not isinstance(profile, MocapProfile):
+            return self.first
+        return round((self.first / self.sequence.rate_hz + time_s) * profile.rate_hz)
 
 
-def plan_tracks(
-    sequence: SequenceConfig,
-    people: Mapping[str, Person],
-    cabin: Cabin,
-    validator: Validator,
-    settings: Mapping[str, SeatSetting],
-    draw: DrawGoals,
-    weights: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
-    *,
-    recorded: Collection[str] = (),
-    things: tuple[PlacedThing, ...] = (),
-    in_hand: float = 0.0,
-    seed: int,
-    first: int,
-    attempt: int,
-    poses_per_person: int,
-    causes: Counter[Rejection],
-) -> tuple[dict[str, Track] | None, int]:
+def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attempts) -> dict[str, Track] | None:
     """The motion of everybody in a car, from poses that hold together.
 
     Parameters
     ----------
-    sequence
-        How long it lasts and what may be done.
-    people
-        By slot.
-    cabin, validator, settings
-        The car, its judge, and how its seats are set.
+    cast
+        Who sits where, with what is on the seats.
+    posing
+        Draws the goals of actions; the same randomness gives the same habits: feet, grips, place in the seat.
     draw
-        Draws the goals of an action; the same randomness gives the same habits: feet, grips, place in the seat.
-    weights
-        Of the actions by slot, where they are not the usual ones.
-    recorded
-        The slots of those whom recordings move.
-    things, in_hand
-        What stands on the seats, and the share of people with something in the hand, of those who do what needs it.
-    seed, first, attempt
-        Of the dataset, the sequence's first frame, and how often its scene was drawn before.
-    poses_per_person
-        Draws of one person's first pose before all is given up.
-    causes
-        Counts what was in the way, in place.
+        Which sequence.
+    attempts
+        Counts the poses and activities that were tried and what was in the way, in place.
 
     Returns
     -------
     dict or None
         Tracks by slot; None where somebody has no free way.
-    int
-        The number of poses and activities that were tried.
     """
+    scene, sequence, people, cabin = posing.scene, draw.sequence, cast.people, cast.cabin
     lasts_s = (sequence.frames - 1) / sequence.rate_hz
-    streams = {slot: 1 + _DRAWS * (len(people) * attempt + i) for i, slot in enumerate(people)}
-    plans = {slot: sequence_rng(seed, first, stream) for slot, stream in streams.items()}
-    on = {thing.slot: thing for thing in things if thing.thing.sitting and thing.slot in people}
-    free = [slot for slot in people if slot not in recorded and slot not in on]  # to give and to take
-
-    def choices(slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
-        bare = at_first or in_hand == 0.0
-        return _choices(sequence, cabin, slot, people, free, weights.get(slot), hold, bare=bare, child=slot in on)
-
+    streams = draw.streams(cast)
+    plans = {slot: draw.rng(stream) for slot, stream in streams.items()}
+    choices = _Choices(cast, scene, sequence)
     holds: dict[str, Hold | None] = {}
     for slot, person in people.items():
         waits = [giver for giver, held in holds.items() if held is not None and held.place is GIVE]
-        takes = slot in (inboard_neighbour(cabin.seats[giver], cabin, free) for giver in waits)
+        takes = slot in (inboard_neighbour(cabin.seats[giver], cabin, choices.free) for giver in waits)
         holds[slot] = None
-        if slot not in recorded and not takes:
-            chosen = choices(slot, None, at_first=True)
-            holds[slot] = _held(person, chosen, in_hand, inboard_side(cabin.seats[slot]), rng=plans[slot])
+        if slot not in scene.recorded and not takes:
+            chosen = choices.of(slot, None, at_first=True)
+            holds[slot] = _held(person, chosen, scene.in_hand, inboard_side(cabin.seats[slot]), rng=plans[slot])
     habits = dict.fromkeys(people, 0)
     actions = {slot: resting(cabin.seats[slot], cabin, holds[slot]) for slot in people}
 
@@ -114,45 +97,41 @@ def plan_tracks(
         slot: str, action: str, wheel_angle: float | None, hold: Hold | None, number: int = 0, time_s: float = 0.0,
         reach: Reach | None = None,
     ) -> Drawn:  # fmt: skip
-        rng = sequence_rng(seed, first, streams[slot] + (habits[slot] + number - 1) % (_DRAWS - 1) + 1)
-        return draw(slot, action, wheel_angle, hold, reach, on.get(slot), time_s, rng)
+        rng = draw.rng(streams[slot] + (habits[slot] + number - 1) % (_DRAWS - 1) + 1)
+        doing = Doing(action, wheel_angle, carried=hold, reach=reach)
+        return posing.goals(cast, slot, draw.recorded_index(scene, slot, time_s), doing, rng=rng)
 
     def bring(slot: str, pose: OccupantPose, body: PosedBody, seated: Seated) -> tuple[Rejection | None, Seated]:
-        return bring_along(None, slot, pose, body, validator, seated, rng=plans[slot])
+        return bring_along(None, slot, pose, body, cast.validator, seated, rng=plans[slot])
 
-    posed, tried = pose_people(
-        people, cabin, validator, settings, first_goals, poses_per_person=poses_per_person, causes=causes,
-        things=things, bring=bring,
-    )  # fmt: skip
+    posed = posing.pose(cast, first_goals, bring, attempts)
     if posed is None:
-        return None, tried
-    around = Surroundings(cabin, validator, settings, sequence.rate_hz, things)
+        return None
+    around = Surroundings(cabin, cast.validator, cast.settings, sequence.rate_hz, cast.things)
     planners, followers = {}, []
     for slot, (pose, _) in posed.poses.items():
-        who = Somebody(slot, people[slot], partial(goals, slot), partial(choices, slot))
+        who = Somebody(slot, people[slot], partial(goals, slot), partial(choices.of, slot))
         start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
-        if slot in recorded:
+        if slot in scene.recorded:
             around.people[slot] = people[slot], Track(start, RECORDED, Idle.drawn(rng=plans[slot]), 0.0)
             followers.append(who)
         else:
             around.people[slot] = people[slot], Track(start, actions[slot], Idle.drawn(rng=plans[slot]), 0.0, holds[slot])
-            planners[slot] = Planner(who, around, causes, lasts_s=lasts_s, rng=plans[slot])
-    around.partners = {slot: planner for slot, planner in planners.items() if slot in free}
+            planners[slot] = Planner(who, around, attempts.rejections, lasts_s=lasts_s, rng=plans[slot])
+    around.partners = {slot: planner for slot, planner in planners.items() if slot in choices.free}
     # One after the other: those whose motion is planned are known over time, the others sit still. Where things are handed over
     # all go on together, so that nobody is far ahead of who waits.
     together = any(hold is not None and hold.place is GIVE for hold in holds.values())
     if followers:
         from cabinpose.synth.motion.replay import replay  # noqa: PLC0415 - scipy's interpolation, for recordings alone
     for who in followers:
-        if not replay(who, around, causes, action=actions[who.slot], lasts_s=lasts_s):
-            return None, tried
+        if not replay(who, around, attempts.rejections, action=actions[who.slot], lasts_s=lasts_s):
+            return None
     possible = all(planner.breathe() for planner in planners.values())
     while possible and (moving := [planner for planner in planners.values() if planner.time_s < lasts_s]):
         possible = min(moving, key=lambda planner: planner.time_s if together else 0.0).advance()
-    tried += sum(p.tried for p in planners.values())
-    if not possible:
-        return None, tried
-    return {slot: track for slot, (_, track) in around.people.items()}, tried
+    attempts.proposals += sum(p.tried for p in planners.values())
+    return {slot: track for slot, (_, track) in around.people.items()} if possible else None
 
 
 def _held(person: Person, choices: Mapping[str, float], in_hand: float, inboard: int, *, rng: np.random.Generator) -> Hold | None:
@@ -169,26 +148,36 @@ def _held(person: Person, choices: Mapping[str, float], in_hand: float, inboard:
     return None
 
 
-def _choices(
-    sequence: SequenceConfig, cabin: Cabin, slot: str, taken: Iterable[str], free: Collection[str],
-    weights: Mapping[str, float] | None, hold: Hold | None, *, bare: bool, child: bool,
-) -> dict[str, float]:  # fmt: skip
-    """The activities of whoever sits in a slot, by weight; where none of those asked for makes sense there, any that does.
+class _Choices:
+    """What everybody may do in a sequence. free: the seats of those who can give and take things."""
 
-    free: the seats of those who can hand over · bare: whether empty hands also do what needs a thing, and not only where there is
-    nothing else to do · child: whether it is somebody in a child seat.
-    """
-    seat = cabin.seats[slot]
-    asked_for = [*(sequence.activities or ()), *(weights or ())]
-    possible = activities_for(seat, cabin, hold, taken, in_child_seat=child, asked_for=asked_for)
-    if slot not in free or inboard_neighbour(seat, cabin, taken) not in free or not (bare or hold):
-        possible = tuple(name for name in possible if name != "hand_over")
-    if weights is None and child:
-        held = {name: 1.0 for name, action in OWN_ACTIONS.items() if action.in_hand == "always"}
-        weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **held}
-    if weights is None:
-        weights = {name: OWN_ACTIONS[name].weight if name in OWN_ACTIONS else _PROGRAM_WEIGHT for name in possible}
-    usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
-    result = {name: 1.0 for name in possible if name in (sequence.activities or ())} or usual
-    handless = result if bare or hold is not None else {name: w for name, w in result.items() if program_of(name).held_at is None}
-    return handless or result
+    def __init__(self, cast: Cast, scene: CabinScene, sequence: SequenceConfig) -> None:
+        self._cast, self._activities, self._weights = cast, sequence.activities or (), scene.weights
+        self._empty = scene.in_hand == 0.0
+        self.free = [slot for slot in cast.people if slot not in scene.recorded and slot not in cast.child_seats]
+
+    def of(self, slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
+        """Activities by weight; where none of those asked for makes sense in a seat, any that does.
+
+        at_first: when it is drawn what is in the hand, so that empty hands also do what needs a thing. Later they do so where
+        there is nothing else to do, or where nobody has anything in the hand.
+        """
+        bare = at_first or self._empty
+        cabin, taken, child = self._cast.cabin, self._cast.people, slot in self._cast.child_seats
+        seat = cabin.seats[slot]
+        weights = self._weights.get(slot)
+        asked_for = [*self._activities, *(weights or ())]
+        possible = activities_for(seat, cabin, hold, taken, in_child_seat=child, asked_for=asked_for)
+        if slot not in self.free or inboard_neighbour(seat, cabin, taken) not in self.free or not (bare or hold):
+            possible = tuple(name for name in possible if name != "hand_over")
+        if weights is None and child:
+            held = {name: 1.0 for name, action in OWN_ACTIONS.items() if action.in_hand == "always"}
+            weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **held}
+        if weights is None:
+            weights = {name: OWN_ACTIONS[name].weight if name in OWN_ACTIONS else _PROGRAM_WEIGHT for name in possible}
+        usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
+        result = {name: 1.0 for name in possible if name in self._activities} or usual
+        handless = (
+            result if bare or hold is not None else {name: w for name, w in result.items() if program_of(name).held_at is None}
+        )
+        return handless or result

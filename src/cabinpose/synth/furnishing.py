@@ -1,0 +1,64 @@
+"""What is brought along: child seats and objects on the seats, in hands and on laps, what is draped, and the belts around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cabinpose.scene import Surface
+from cabinpose.scene.body import PosedBody
+from cabinpose.scene.things import PlacedThing
+from cabinpose.synth.casting import Cast
+from cabinpose.synth.config import CabinScene
+from cabinpose.synth.draping import draped
+from cabinpose.synth.once import cached_once
+from cabinpose.synth.posture.sampling import OccupantPose
+from cabinpose.synth.restraints import fastening, restrained
+from cabinpose.synth.scene import ScenePerson
+from cabinpose.synth.things import Blocked, SeatThings, bring_along, is_cloth
+from cabinpose.synth.validate import Rejection, Seated
+
+
+class Furnishing:
+    """Puts what a cast brings along where it belongs."""
+
+    def __init__(self, scene: CabinScene) -> None:
+        self._scene = scene
+        self._seat_things = cached_once(20)(SeatThings)
+
+    def furnish(self, cast: Cast, *, rng: np.random.Generator) -> Cast | Blocked:
+        """The cast with what stands on the seats, of which empty ones may be moved to make room."""
+        if self._scene.things:
+            return replace(cast, things=tuple(thing.placed for thing in self._scene.things if not is_cloth(thing.kind)))
+        if not any(cast.brought) or cast.validator.contact is None:
+            return cast
+        settings, attachments = dict(cast.settings), self._scene.attachments
+        found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng=rng)
+        if isinstance(found, Blocked):
+            return found
+        things = tuple(restrained(thing, attachments, taken=thing.slot in cast.people, rng=rng) for thing in found)
+        return replace(cast, settings=settings, things=things)
+
+    @staticmethod
+    def bring(
+        cast: Cast, slot: str, pose: OccupantPose, posed: PosedBody, seated: Seated, *, rng: np.random.Generator
+    ) -> tuple[Rejection | None, Seated]:
+        """Put what somebody holds, and what is for this lap, to the rest; why there is no room for it where there is none."""
+        return bring_along(cast.brought.objects.get(slot), slot, pose, posed, cast.validator, seated, rng=rng)
+
+    @staticmethod
+    def drape(cast: Cast, people: Sequence[ScenePerson]) -> tuple[PlacedThing, ...]:
+        """The blankets and jackets over seats and the laps of these people, who are dressed."""
+        cloths = []
+        for slot, (kind, variant) in cast.soft.items():
+            who = next((p for p in people if p.slot == slot), None)
+            below = ((), None) if who is None else (who.surfaces, who.posed)
+            cloths.append(draped(kind, variant, slot, cast.cabin, cast.settings[slot], below[1], below[0]))
+        return tuple(cloth for cloth in cloths if cloth is not None)
+
+    @staticmethod
+    def fasten(cast: Cast) -> tuple[Surface, ...]:
+        """The belts that hold child seats."""
+        return tuple(fastening(t, cast.cabin, cast.settings[t.slot]) for t in cast.things if t.attachment == "belt")

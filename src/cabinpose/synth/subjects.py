@@ -1,0 +1,100 @@
+"""The people of a dataset by their names: named ones of the package, the user's own, a crowd, and children for child seats."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from cabinpose.core import ConfigError, unknown_name
+from cabinpose.scene.body import SUBJECTS, YEARS_LIMITS, BodyModel, Outfit, Person, Phenotype, age_of, usual_stature_m
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.once import cached_once
+from cabinpose.synth.people import CHILD_NAME, OwnPerson, People
+from cabinpose.synth.streams import CHILD_STREAM, PEOPLE_STREAM, frame_rng, own_rng
+
+CHILDREN, _CHILD_YEARS = 24, (3.0, 11.5)  # for child seats, of evenly spread ages
+_MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
+_WEIGHT = 0.65  # of own people; about the average of S01 .. S18
+
+
+class Subjects:
+    """The people of one dataset. Holds the bodies used last, a bounded number."""
+
+    def __init__(self, people: People, seed: int, *, like: Subjects | None = None) -> None:
+        """like: those of a dataset whose bodies are taken over where people and seed make the same ones."""
+        self._people, self._seed = people, seed
+        self.person = cached_once(32)(self._make_person)
+        self.drives = cached_once(1024)(self._old_enough)
+        if like is not None and like._seed == seed and like._people == people:
+            self.person = like.person
+
+    def body(self, name: str) -> tuple[Phenotype, Outfit]:
+        """Shape and clothes of somebody; a function of people, seed and name alone, whatever was drawn before."""
+        phenotype, outfit = self._symmetric_body(name)
+        if self._people.asymmetric:  # whoever has a name is the same in all datasets
+            named = name in SUBJECTS or name in self._people.own
+            phenotype = replace(phenotype, asymmetry=int(own_rng(0 if named else self._seed, name).integers(1, 1 << 31)))
+        return phenotype, outfit
+
+    def children(self, stature_m: tuple[float, float]) -> list[str]:
+        """The children whose stature is in a range, m."""
+        statures = {name: self.body(name)[0].stature_m or 0.0 for name in (f"K{number:02d}" for number in range(CHILDREN))}
+        return [name for name, stature in statures.items() if stature_m[0] <= stature <= stature_m[1]]
+
+    def _symmetric_body(self, name: str) -> tuple[Phenotype, Outfit]:
+        if name in SUBJECTS:
+            return SUBJECTS[name].phenotype, SUBJECTS[name].outfit
+        if name in self._people.own:
+            try:
+                return _own_body(self._people.own[name])
+            except ConfigError as error:
+                raise ConfigError(f"{name}: {error}", hint=error.hint) from None
+        if child := CHILD_NAME.fullmatch(name):
+            rng = frame_rng(self._seed, CHILD_STREAM + int(child[1]))
+            years = np.interp(int(child[1]) + rng.random(), (0, CHILDREN), _CHILD_YEARS)
+            body, outfit = Phenotype.random({"years": (years, years)}, rng=rng), Outfit.random(rng=rng)
+            return body, replace(outfit, beard=False, hair="short" if outfit.hair == "bald" else outfit.hair)
+        crowd = self._people.random
+        if crowd is None or not name.startswith("R"):
+            raise unknown_name("subject", name, self._people.names)
+        rng = frame_rng(self._seed, PEOPLE_STREAM - int(name[1:]))
+        phenotype = Phenotype.random({name: (r.min, r.max) for name, r in crowd.ranges.items()}, rng=rng)
+        return phenotype, Outfit.random(rng=rng)
+
+    def _old_enough(self, name: str) -> bool:
+        """Whether somebody drives in this dataset."""
+        least = self._people.driver_years
+        return least <= YEARS_LIMITS[0] or self.body(name)[0].years >= least
+
+    def _make_person(self, name: str) -> Person:
+        if name in SUBJECTS and not self._people.asymmetric:
+            return _named_person(name)
+        return BodyModel.load().person(*self.body(name))
+
+
+def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
+    """Shape and clothes of a person of a dataset; a function of the arguments alone."""
+    return Subjects(config.people, seed).body(subject)
+
+
+@cached_once(len(SUBJECTS))
+def _named_person(name: str) -> Person:
+    return BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
+
+
+def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:
+    """Raises ConfigError where no body has the mass."""
+    gender = {"male": 0.0, "female": 1.0}.get(own.gender, 0.5) if isinstance(own.gender, str) else own.gender
+    age = age_of(own.years)
+    stature = own.stature_cm / 100.0 if own.stature_cm is not None else usual_stature_m(gender, age)[0]
+    muscles = _MUSCLES if own.muscle is None else (own.muscle,)
+    weight = _WEIGHT if own.weight is None else own.weight
+    body = Phenotype(gender, age, muscles[0], weight, own.height, own.proportions, stature)
+    if own.mass_kg is None:
+        return body, own.outfit
+    for muscle in muscles[:-1]:
+        with suppress(ConfigError):
+            return BodyModel.load().with_mass(replace(body, muscle=muscle), own.mass_kg), own.outfit
+    return BodyModel.load().with_mass(replace(body, muscle=muscles[-1]), own.mass_kg), own.outfit

@@ -1,0 +1,157 @@
+"""What a generated frame holds: each variable, the configurations that ask for it, and how it is made.
+
+A variable is a row of `VARIABLES` in `store.schema`, which says its dimensions, type and meaning, and a row of `TABLE`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cabinpose.core import CABINPOSE, Camera, Floats, Skeleton, apply, invert
+from cabinpose.scene.body import joints_in_body
+from cabinpose.scene.sensor import SensorFrame
+from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
+from cabinpose.store import OPTIONAL, joints_variable
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.gaze import GAZE_VARIABLES, gaze_labels
+from cabinpose.synth.render import RenderedFrame
+from cabinpose.synth.scene import Scene, ScenePerson
+from cabinpose.synth.style.settings import STYLE_VARIABLES
+
+Frame = dict[str, Any]  # every variable of the dataset standard by its name
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """All that is known of a frame: what its variables are made of.
+
+    slots: the places (P,) of the dataset · joints_3d: (P, 20, 3) m, see `joints_in_camera` · rendered, sensed: the
+    scene as it is and as the camera delivers it · pictures, styled: what was made beside them, by name.
+    """
+
+    config: SynthConfig
+    seed: int
+    slots: tuple[str, ...]
+    scene: Scene
+    joints_3d: Floats
+    rendered: RenderedFrame
+    sensed: SensorFrame
+    pictures: Mapping[str, Any]
+    styled: Mapping[str, Any]
+
+    @property
+    def camera(self) -> Camera:
+        """The sensor's intrinsics."""
+        return self.config.camera.sensor_model.camera
+
+    def each(self, of: Callable[[ScenePerson], Any], nobody: Any = "") -> list[Any]:
+        """(P,) a value of whoever is in each place; `nobody` where nobody is."""
+        found = {person.slot: of(person) for person in self.scene.people}
+        return [found.get(slot, nobody) for slot in self.slots]
+
+    def child_seats(self, of: Callable[[PlacedThing], str]) -> list[str]:
+        """(P,) a value of the child seat in each place; "" where there is none."""
+        seats = {t.slot: of(t) for t in self.scene.things if t.at == "seat" and t.thing.label in CHILD_SEAT_LABELS}
+        return [seats.get(slot, "") for slot in self.slots]
+
+    def taken(self, slot: str) -> bool:
+        """Whether somebody is in a place."""
+        return any(person.slot == slot for person in self.scene.people)
+
+
+class Made(NamedTuple):
+    """A row of the table: variables that are made together.
+
+    names: those that a configuration asks for, in the order of the manifest · make: their values by name.
+    """
+
+    names: Callable[[SynthConfig], Iterable[str]]
+    make: Callable[[FrameFacts], Mapping[str, Any]]
+
+
+def _one(name: str, make: Callable[[FrameFacts], Any], asked: Callable[[SynthConfig], bool] = lambda _: True) -> Made:
+    """A variable that is made alone, in datasets whose configuration asks for it."""
+    return Made(lambda config: (name,) if asked(config) else (), lambda facts: {name: make(facts)})
+
+
+def _tells_restraints(config: SynthConfig) -> bool:
+    return config.scene.tells_restraints
+
+
+def _pictures(config: SynthConfig) -> Iterable[str]:
+    return () if config.images is None else (*config.images.variables, "light", "renderer")
+
+
+def _things(facts: FrameFacts) -> list[str]:
+    kinds = [(thing.slot, thing.thing.kind.removesuffix("_in_use")) for thing in facts.scene.things]
+    return [",".join(sorted(kind for at, kind in kinds if at == slot)) for slot in facts.slots]
+
+
+def _micrometres(facts: FrameFacts) -> np.ndarray:
+    """Sigma (H, W) m, NaN or infinite where there is none, as 16 bits of micrometres; 0 is unknown."""
+    return np.minimum(np.nan_to_num(np.rint(facts.sensed.noise_m * 1e6), posinf=0.0), 65535.0).astype(np.uint16)
+
+
+def joints_in_camera(scene: Scene, slots: Sequence[str], skeleton: Skeleton = CABINPOSE) -> Floats:
+    """(P, J, 3) m, the joints of a set in the camera; NaN for places where nobody is."""
+    joints, camera_from_world = np.full((len(slots), len(skeleton.joints), 3), np.nan), invert(scene.world_from_camera)
+    for person in scene.people:
+        joints[slots.index(person.slot)] = apply(camera_from_world, joints_in_body(skeleton, person.posed))
+    return joints
+
+
+def _other_joints(facts: FrameFacts) -> Mapping[str, Floats]:
+    sets = facts.config.skeletons
+    return {joints_variable(each.name): joints_in_camera(facts.scene, facts.slots, each) for each in sets}
+
+
+TABLE: tuple[Made, ...] = (
+    _one("depth", lambda facts: facts.sensed.depth_m),
+    _one("depth_clean", lambda facts: facts.rendered.depth_clean),
+    _one("amplitude", lambda facts: facts.sensed.amplitude),
+    _one("confidence", lambda facts: facts.sensed.confidence),
+    _one("labels", lambda facts: facts.rendered.labels),
+    _one("instance", lambda facts: facts.rendered.instance),
+    Made(_pictures, lambda facts: facts.pictures),
+    Made(lambda config: STYLE_VARIABLES if config.style else (), lambda facts: facts.styled),
+    _one("noise", _micrometres, lambda config: config.output.noise),
+    Made(lambda config: [joints_variable(each.name) for each in config.skeletons], _other_joints),
+    _one("things", _things, lambda config: config.scene.brings_things),
+    _one("belt", lambda facts: facts.each(lambda person: person.belt), _tells_restraints),
+    _one("child", lambda facts: np.array(facts.each(lambda person: person.child, nobody=False), np.uint8), _tells_restraints),
+    _one("child_seat", lambda f: f.child_seats(lambda seat: "taken" if f.taken(seat.slot) else "empty"), _tells_restraints),
+    _one("attachment", lambda facts: facts.child_seats(lambda seat: seat.attachment or ""), _tells_restraints),
+    Made(lambda config: GAZE_VARIABLES if config.output.gaze else (), lambda facts: gaze_labels(facts.scene, facts.slots)),
+    _one("joints_3d", lambda facts: facts.joints_3d),
+    _one("joints_2d", lambda facts: facts.camera.project(facts.joints_3d)),
+    _one("visibility", lambda facts: facts.rendered.visibility),
+    _one("camera_k", lambda facts: facts.camera.k),
+    _one("camera_dist", lambda facts: np.array(facts.camera.dist)),
+    _one("vehicle_from_camera", lambda facts: facts.scene.world_from_camera),
+    _one("sync_ns", lambda facts: facts.scene.sync_ns),
+    _one("sequence", lambda facts: facts.scene.sequence),
+    _one("seed", lambda facts: facts.seed),
+    _one("subject", lambda facts: facts.each(lambda person: person.subject)),
+    _one("action", lambda facts: facts.each(lambda person: person.action)),
+    _one("car", lambda facts: facts.scene.place),
+    _one("pov", lambda facts: facts.scene.pov),
+)
+
+
+def manifest_variables(config: SynthConfig) -> tuple[str, ...]:
+    """The variables of a dataset that its manifest names: those that not every dataset has."""
+    return tuple(name for row in TABLE for name in row.names(config) if name in OPTIONAL)
+
+
+def rows_of(config: SynthConfig) -> tuple[Made, ...]:
+    """The rows of the table that a configuration asks for."""
+    return tuple(row for row in TABLE if any(True for _ in row.names(config)))
+
+
+def make_variables(rows: Iterable[Made], facts: FrameFacts) -> Frame:
+    """A frame of these rows."""
+    return {name: value for row in rows for name, value in row.make(facts).items()}
