@@ -18,7 +18,7 @@ def main() -> None:
         camera=Camera(sensor="pico_monstar_105/3", views={"driver": 1.0}),
         output=Output(frames_per_part=5),
     )
-    report = generate(config, 10, OUT, seed=1, workers=1, resume=True)
+    report = generate(config, 10, OUT, seed=1, workers=1, existing="resume")
     print(f"{report.frames} frames made, {report.frames_total} in {OUT}")
     if report.proposals:
         print(f"{100 * report.acceptance:.0f} % of {report.proposals} poses accepted, rejected: {dict(report.rejections)}")

@@ -90,7 +90,7 @@ def main() -> None:
             "camera": {"views": {"driver": 1.0}},
         }
     )
-    report = generate(config, 5, Path("my-car-dataset"), seed=1, workers=1, overwrite=True)
+    report = generate(config, 5, Path("my-car-dataset"), seed=1, workers=1, existing="overwrite")
     print(f"{report.frames} frames, {100 * report.acceptance:.0f} % of {report.proposals} poses accepted")
 
 

@@ -61,9 +61,7 @@ def traced(
     own: float = 0.0,
 ) -> Array:  # fmt: skip
     grid = grid_of(camera)
-    fine = trace(
-        scene, without_panes(scene), colours, grid.pinhole, world_from_camera, light, samples=samples, seed=5, own_light=own
-    )
+    fine = trace(scene, colours, grid.pinhole, world_from_camera, replace(light, own=own), samples=samples, seed=5)
     return grid.mean(fine)
 
 
@@ -111,7 +109,7 @@ def test_silhouettes_are_those_of_the_instance_image(
     else:
         grid = grid_of(camera)
         found = hits(Rasteriser(grid.pinhole, 1), scene, without_panes(scene), invert(view))
-        image = grid.mean(shaded(found, colours[found.face], DARK, own_light=1.0))
+        image = grid.mean(shaded(found, colours[found.face], replace(DARK, own=1.0)))
     seen = truth.face_id >= 0
     who = np.array([1, 2, 0])[np.nan_to_num(image).argmax(axis=-1)]
     inner = seen & away_from_edges(truth.instance)

@@ -21,7 +21,7 @@ from cabinpose.synth.generate import generate
 from synth_scenes import small_config
 if __name__ == "__main__":
     out, workers, resume, scene = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "resume", json.loads(sys.argv[5])
-    generate(small_config(**scene), int(sys.argv[4]), out, seed=7, workers=workers, resume=resume,
+    generate(small_config(**scene), int(sys.argv[4]), out, seed=7, workers=workers, existing="resume" if resume else "refuse",
              progress=lambda p: print("done", p.frames_done, flush=True))
 """
 

@@ -139,8 +139,8 @@ def test_dataset_is_the_same_with_two_workers_and_resumed(tmp_path: Path) -> Non
     generate(small_config(**CARS), PART, tmp_path / "parts", seed=7)
     other = small_config(cars=["hatchback", WIDE | {"w9_mm": 400}])
     with pytest.raises(CabinposeError, match="config"):
-        generate(other, frames, tmp_path / "parts", seed=7, resume=True)
-    generate(small_config(**CARS), frames, tmp_path / "parts", seed=7, resume=True)
+        generate(other, frames, tmp_path / "parts", seed=7, existing="resume")
+    generate(small_config(**CARS), frames, tmp_path / "parts", seed=7, existing="resume")
     assert fingerprint(tmp_path / "parts") == fingerprint(tmp_path / "one")
 
 

@@ -54,7 +54,7 @@ def test_killed_and_resumed_writes_the_same_bytes(reference: Path, tmp_path: Pat
     assert 1 <= len(done) < FRAMES // PART
     with pytest.raises(DatasetError):
         generate(small_config(), FRAMES, out, seed=7, workers=1)
-    report = generate(small_config(), FRAMES, out, seed=7, workers=1, resume=True)
+    report = generate(small_config(), FRAMES, out, seed=7, workers=1, existing="resume")
     assert report.frames == FRAMES - PART * len(done)
     assert fingerprint(out) == fingerprint(reference)
 
@@ -62,9 +62,19 @@ def test_killed_and_resumed_writes_the_same_bytes(reference: Path, tmp_path: Pat
 def test_a_dataset_grows_from_any_number_of_frames(reference: Path, tmp_path: Path) -> None:
     out = tmp_path / "grown"
     generate(small_config(), PART + 1, out, seed=7, workers=1)
-    report = generate(small_config(), FRAMES, out, seed=7, workers=1, resume=True)
+    report = generate(small_config(), FRAMES, out, seed=7, workers=1, existing="resume")
     assert (report.frames, report.frames_total) == (FRAMES - PART, FRAMES)
     assert fingerprint(out) == fingerprint(reference)
+
+
+def test_old_keywords_go_on_working_and_say_the_new_ones(reference: Path) -> None:
+    with pytest.warns(DeprecationWarning, match='existing="resume"'):
+        report = generate(small_config(), FRAMES, reference, seed=7, workers=1, resume=True)  # type: ignore[call-arg]
+    assert (report.frames, report.frames_total) == (0, FRAMES)
+    with pytest.warns(DeprecationWarning, match="existing"), pytest.raises(ConfigError, match="either resumed or overwritten"):
+        generate(small_config(), FRAMES, reference, resume=True, overwrite=True)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="resumed"):
+        generate(small_config(), FRAMES, reference, resumed=True)  # type: ignore[call-arg]
 
 
 @pytest.mark.slow
@@ -92,7 +102,7 @@ def test_a_cluster_makes_the_same_bytes_though_a_worker_dies(reference: Path, tm
             with Client(cluster) as client:
                 client.wait_for_workers(2, timeout=120)
             out = tmp_path / "wounded"
-            report = generate(small_config(), FRAMES, out, seed=7, scheduler=cluster.scheduler_address, progress=kill_it)
+            report = generate(small_config(), FRAMES, out, seed=7, workers=cluster.scheduler_address, progress=kill_it)
         finally:
             other.kill()
             other.wait(timeout=60)
@@ -137,7 +147,7 @@ def test_frames_hold_together(reference: Path) -> None:
 
 def test_a_finished_dataset_is_neither_overwritten_nor_mixed(reference: Path) -> None:
     before = fingerprint(reference)
-    for config, options in [(small_config(), {}), (small_config(belted=0.0), {"resume": True})]:
+    for config, options in [(small_config(), {}), (small_config(belted=0.0), {"existing": "resume"})]:
         with pytest.raises(DatasetError) as caught:
             generate(config, FRAMES, reference, seed=7, workers=1, **options)
         assert caught.value.hint
@@ -166,7 +176,7 @@ def test_a_scene_that_cannot_be_ends_with_its_cause(tmp_path: Path) -> None:
         (0, {}, "0 frames"),
         (1, {"workers": 0}, "0 workers"),
         (1, {"seed": -1}, "seed"),
-        pytest.param(1, {"scheduler": "tcp://127.0.0.1:9"}, "127.0.0.1:9", marks=pytest.mark.slow),  # tried for ten seconds
+        pytest.param(1, {"workers": "tcp://127.0.0.1:9"}, "127.0.0.1:9", marks=pytest.mark.slow),  # tried for ten seconds
     ],
 )
 def test_bad_numbers(frames: int, options: dict[str, int], word: str, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from .exact import exact_config as exact_config
 from .exact import exact_scene as exact_scene
 from .exact import without_defaults as without_defaults
 from .frame_maker import FrameMaker as FrameMaker
+from .generate import Existing as Existing
 from .generate import GenerationReport as GenerationReport
 from .generate import Progress as Progress
 from .generate import generate as generate

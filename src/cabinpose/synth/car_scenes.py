@@ -11,10 +11,10 @@ from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.casting import Cast, Casting
 from cabinpose.synth.config import CabinScene, SynthConfig
-from cabinpose.synth.dressing import dressed
 from cabinpose.synth.furnishing import Furnishing
 from cabinpose.synth.plan import Plan
 from cabinpose.synth.posing import Posing
+from cabinpose.synth.restraints import dressed
 from cabinpose.synth.scene import Attempts, Scene, ScenePerson
 from cabinpose.synth.things import Blocked
 from cabinpose.synth.validate import Rejection, Seated, Verdict

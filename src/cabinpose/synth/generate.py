@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, ParamSpec, get_args
 
 import cabinpose
 from cabinpose.core import ConfigError, optional_module
@@ -24,6 +26,9 @@ from cabinpose.synth.things import CLOTH_LABELS
 from cabinpose.synth.validate import Rejection, by_cause
 from cabinpose.synth.variables import manifest_variables
 from cabinpose.synth.write import Content, FrameReport, make_frames
+
+P = ParamSpec("P")
+Existing = Literal["refuse", "resume", "overwrite"]
 
 
 @dataclass(frozen=True)
@@ -60,16 +65,36 @@ class GenerationReport:
     label_shift: Mapping[str, float]
 
 
+def _with_old_keywords(function: Callable[P, GenerationReport]) -> Callable[P, GenerationReport]:
+    """`generate` also with `resume`, `overwrite` and `scheduler`, which are `existing` and `workers` now."""
+
+    @wraps(function)
+    def called(*args: P.args, **given: P.kwargs) -> GenerationReport:
+        new: dict[str, Any] = dict(given)
+        old = {name: new.pop(name) for name in ("resume", "overwrite", "scheduler") if name in new}
+        if old:
+            instead = 'existing="resume", existing="overwrite" and workers=ADDRESS'
+            warnings.warn(f"generate({', '.join(f'{name}=' for name in old)}): give {instead}", DeprecationWarning, stacklevel=2)
+        if old.get("resume") and old.get("overwrite"):
+            raise ConfigError("a dataset is either resumed or overwritten", hint="give one of the two as `existing`")
+        if old.get("resume") or old.get("overwrite"):
+            new["existing"] = "resume" if old.get("resume") else "overwrite"
+        if old.get("scheduler") is not None:
+            new["workers"] = old["scheduler"]
+        return function(*args, **new)
+
+    return called
+
+
+@_with_old_keywords
 def generate(
     config: SynthConfig,
     frames: int,
     out: Path,
     *,
     seed: int = 0,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
+    workers: int | str | None = None,
+    existing: Existing = "refuse",
     progress: Callable[[Progress], None] | None = None,
 ) -> GenerationReport:
     """Generate frames into a dataset folder.
@@ -85,13 +110,9 @@ def generate(
     seed
         Seed of all randomness.
     workers
-        Threads; default: one per core.
-    scheduler
-        Address of a running Dask cluster instead, whose workers see `out` under the same path.
-    resume
-        Go on where a run of the same configuration stopped.
-    overwrite
-        Replace a dataset of ours.
+        Threads, by default one per core; or the address of a running Dask cluster, whose workers see `out` under the same path.
+    existing
+        What becomes of a dataset that is there: "refuse" it, "resume" where a run of the same configuration stopped, "overwrite".
     progress
         Called before the work starts and after every frame (on a cluster: every part).
 
@@ -110,7 +131,7 @@ def generate(
     if frames < 1:
         raise ConfigError(f"cannot generate {frames} frames", hint="ask for at least 1 frame")
     check_seed(seed)
-    if workers is not None and workers < 1:
+    if isinstance(workers, int) and workers < 1:
         raise ConfigError(f"cannot work with {workers} workers", hint="ask for at least 1 worker")
     tell = progress or (lambda _: None)
     tell(Progress(0, frames, 0, {}, "checking the configuration"))
@@ -118,11 +139,11 @@ def generate(
     manifest = build_manifest(config, frames, seed)
     started = time.perf_counter()
     total = FrameReport()
-    with create_dataset(out, manifest, overwrite=overwrite, resume=resume) as dataset:
+    with create_dataset(out, manifest, overwrite=existing == "overwrite", resume=existing == "resume") as dataset:
         plans = dataset.missing()
         before = sum(plan.frames for plan in dataset.complete())
         tell(Progress(before, frames, 0, {}, "preparing cars and people"))
-        for report in _make(plans, config, manifest, out, workers, scheduler):
+        for report in _make(plans, config, manifest, out.resolve(), workers):
             total.add(report)
             tell(Progress(before + total.frames, frames, total.proposals, dict(total.rejections), "posing"))
     return _summary(out, total, before, time.perf_counter() - started)
@@ -152,15 +173,14 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
 
 
 def _make(
-    plans: list[PartPlan], config: SynthConfig, manifest: Manifest, out: Path, workers: int | None, scheduler: str | None
+    plans: list[PartPlan], config: SynthConfig, manifest: Manifest, folder: Path, workers: int | str | None
 ) -> Iterator[FrameReport]:
     """Make the parts and yield reports as frames, or the parts of a cluster, are finished."""
-    folder = out.resolve()
-    if scheduler is not None:
+    if isinstance(workers, str):
         optional_module("distributed", purpose="a cluster", hint="pip install 'cabinpose[cluster]'")
         from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - the extra `cluster`
 
-        return make_parts(folder, plans, config, manifest, scheduler)
+        return make_parts(folder, plans, config, manifest, workers)
     return make_frames(folder, plans, config, manifest, threads=workers or os.cpu_count() or 1)
 
 

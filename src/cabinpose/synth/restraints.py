@@ -1,16 +1,21 @@
-"""What holds children and child seats: guides and harnesses, the belt or the isofix of a seat."""
+"""Clothes, and what holds people, children and child seats: belts, guides and harnesses, the isofix of a seat."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
-from cabinpose.core import CABINPOSE, Floats, apply, invert
+from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import Cabin, SeatSetting, fastening_surface
+from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, belt_surface, fastening_surface, harness_surface
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
+from cabinpose.synth.casting import Cast
+from cabinpose.synth.config import CabinScene
+from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.things import drawn
 
 _GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it
@@ -72,3 +77,32 @@ def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
     places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (_sitting(on).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
     slots, hips = (np.stack([_beside_back(on, z, ahead, s * aside) for s in (1.0, -1.0)]) for z, ahead, aside in places)
     return slots, hips
+
+
+def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.random.Generator) -> ScenePerson:
+    """The person with clothes on, and with the belt over them for the configured share of people."""
+    seat, on = cast.cabin.seats[person.slot], cast.child_seats.get(person.slot)
+    clothed = person.posed.surface(1 + OCCUPANT_SLOTS.index(person.slot))
+    how = _belt_wear(scene, person.slot, rng)
+    body = clothed.vertices, clothed.faces, person.posed.joints
+    if on is not None and _sitting(on).harness:
+        harness = harness_surface(*body, *straps(on, person.posed), labels=clothed.label)
+        return replace(person, surfaces=(clothed, harness), belt="harness")
+    if seat.belt is None or how == "none":
+        return replace(person, surfaces=(clothed,))
+    guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
+    setting = cast.settings[person.slot]
+    belt = belt_surface(*body, seat, setting, cast.cabin, labels=clothed.label, worn=how, guide=guide)
+    return replace(person, surfaces=(clothed, belt), belt=how)
+
+
+def _belt_wear(scene: CabinScene, slot: str, rng: np.random.Generator) -> BeltWear | Literal["none"]:
+    """How the belt of a seat is worn."""
+    given = scene.occupant(slot)
+    worn = rng.random() < scene.belted
+    misused = drawn(scene.belt_misuse, rng=rng) if scene.belt_misuse else None
+    if given.belt is not None:
+        return given.belt
+    if given.belted is not None:
+        return "worn" if given.belted else "none"
+    return (misused or "worn") if worn else "none"

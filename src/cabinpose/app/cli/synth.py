@@ -17,7 +17,7 @@ from cabinpose.app.cli.output import listed, print_json, print_rows, progress
 from cabinpose.core import ConfigError
 
 if TYPE_CHECKING:
-    from cabinpose.synth import Progress
+    from cabinpose.synth import Existing, Progress
 
 _FEW_POSES, _HARDLY_ANY = 100, 0.05  # after so many poses, an acceptance below this is explained on stderr
 
@@ -63,6 +63,8 @@ def run(command: Synth) -> None:
             "--workers are threads of this process, --scheduler is a cluster elsewhere",
             hint="give one of --workers and --scheduler",
         )
+    if command.resume and command.overwrite:
+        raise ConfigError("a dataset is either resumed or overwritten", hint="give one of --resume and --overwrite")
     styled = () if command.style is None else (f"style.by={json.dumps(str(command.style.resolve()))}",)
     config = SynthConfig.load(command.config, (*command.overrides, *styled))
     frames = config.frames_or_all(command.frames)
@@ -80,10 +82,9 @@ def run(command: Synth) -> None:
                 warn_at = 4 * state.proposals
                 _warn_of_rejections(state, accepted)
 
-        result = generate(
-            config, frames, command.out, seed=command.seed, workers=command.workers, scheduler=command.scheduler,
-            resume=command.resume, overwrite=command.overwrite, progress=show,
-        )  # fmt: skip
+        existing: Existing = "resume" if command.resume else "overwrite" if command.overwrite else "refuse"
+        workers = command.workers if command.scheduler is None else command.scheduler
+        result = generate(config, frames, command.out, seed=command.seed, workers=workers, existing=existing, progress=show)
     if command.as_json:
         print_json(dataclasses.asdict(result))
         return

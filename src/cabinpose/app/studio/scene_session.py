@@ -53,7 +53,9 @@ class Generation:
 
     def _run(self, config: SynthConfig, seed: int, resume: bool) -> None:
         try:
-            report = generate(config, self.frames, self.out, seed=seed, resume=resume, progress=self._told)
+            report = generate(
+                config, self.frames, self.out, seed=seed, existing="resume" if resume else "refuse", progress=self._told
+            )
             self.words = f"{report.frames_total} frames in {self.out.name}, {report.frames_per_s:.1f} a second"
         except _CancelledError:
             self.words = f"cancelled; `cabinpose synth --resume` goes on with {self.out.name}"

@@ -30,7 +30,8 @@ class Light:
     kind, words: for the dataset · dome: (H, W, 3) float32 radiance of the directions `dome_directions` ·
     sun: towards it (3,) and its irradiance (3,), None where there is none · lamps: places (m) and intensities of points ·
     infrared: share of dome and sun that is there at 850 nm, as radiance of a white ground over that by the camera's own light
-    from 1 m; lamps are LEDs, which have none.
+    from 1 m; lamps are LEDs, which have none · own: radiance of a white surface that faces the
+    camera's own light at 1 m.
     """
 
     kind: LightKind
@@ -39,6 +40,7 @@ class Light:
     sun: tuple[Floats, Floats] | None = None
     lamps: tuple[tuple[Floats, Floats], ...] = ()
     infrared: float = 0.0
+    own: float = 0.0
 
     def seen(self, directions: Floats) -> Floats32:
         """Radiance (..., 3) of the dome in directions (..., 3) of any length; that of the nearest of its points."""

@@ -66,7 +66,7 @@ class PictureMaker:
             result["rgb"] = develop(self._radiance(scene, surface, self._look(scene), light, found, seeds[0]), _KEY[light.kind])
         if "nir" in self._images.variables:
             reflectance = near_infrared(surface)
-            seen = self._radiance(scene, surface, reflectance, _infrared(light), found, seeds[1], own_light=1.0)
+            seen = self._radiance(scene, surface, reflectance, _infrared(light), found, seeds[1])
             result["nir"] = _exposed(seen[..., 1], self._sensor, rng=rng)
         return result
 
@@ -87,19 +87,14 @@ class PictureMaker:
         parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in scene.fastenings]
         return np.concatenate(parts)
 
-    def _radiance(
-        self, scene: Scene, surface: Surface, colours: Floats32, light: Light, found: Hits, seed: int, own_light: float = 0.0
-    ) -> Floats:
+    def _radiance(self, scene: Scene, surface: Surface, colours: Floats32, light: Light, found: Hits, seed: int) -> Floats:
         """(H, W, 3), 0 in pixels through which the lens shows nothing."""
         hit = found.face >= 0
         albedo = np.where(hit[:, None], colours[found.face], 1.0)
         if self._images.renderer == "raster":
-            return np.nan_to_num(self._grid.mean(shaded(found, albedo, light, own_light)))
+            return np.nan_to_num(self._grid.mean(shaded(found, albedo, light)))
         paths = max(1, -(-self._images.samples // FINER**2))
-        fine = trace(
-            surface, without_panes(surface), colours, self._grid.pinhole, scene.world_from_camera, light,
-            samples=paths, seed=seed, own_light=own_light,
-        )  # fmt: skip
+        fine = trace(surface, colours, self._grid.pinhole, scene.world_from_camera, light, samples=paths, seed=seed)
         if self._images.denoise:
             fine = denoised(fine, albedo, found, self._grid)
         return np.nan_to_num(self._grid.mean(fine))
@@ -123,7 +118,7 @@ def develop(radiance: Floats, key: float) -> Bytes:
     return np.asarray((255.0 * srgb).round(), np.uint8)
 
 
-def shaded(found: Hits, albedo: Floats, light: Light, own_light: float) -> Floats:
+def shaded(found: Hits, albedo: Floats, light: Light) -> Floats:
     """Radiance (N, 3) of the raster preview: light from above and below and from the camera, without shadows."""
     rows = light.dome.shape[0]
     half = light.dome[: rows // 2].mean(axis=(0, 1)), light.dome[rows // 2 :].mean(axis=(0, 1))
@@ -131,7 +126,7 @@ def shaded(found: Hits, albedo: Floats, light: Light, own_light: float) -> Float
     cosine = -np.einsum("ij,ij->i", found.normal, found.direction) / np.linalg.norm(found.direction, axis=1)
     received = 0.25 * (up * half[0] + (1.0 - up) * half[1]) * (0.4 + 0.6 * cosine[:, None])
     distance = found.depth_m * np.linalg.norm(found.direction, axis=1)
-    received = received + own_light * (cosine / np.maximum(distance, 0.05) ** 2)[:, None]
+    received = received + light.own * (cosine / np.maximum(distance, 0.05) ** 2)[:, None]
     return np.where(found.face[:, None] >= 0, albedo * received, light.seen(found.direction))
 
 
@@ -145,7 +140,7 @@ def _infrared(light: Light) -> Light:
     """The light at 850 nm, in radiance of white by the camera's own light from 1 m."""
     grey = (light.dome @ _LUMINANCE.astype(np.float32) * np.float32(light.infrared))[..., None].repeat(3, axis=-1)
     sun = None if light.sun is None else (light.sun[0], np.full(3, light.sun[1] @ _LUMINANCE * light.infrared))
-    return Light(light.kind, light.words, grey, sun)
+    return Light(light.kind, light.words, grey, sun, own=1.0)
 
 
 def _exposed(radiance: Floats, sensor: Sensor, *, rng: np.random.Generator) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cabinpose.core import Bools, Camera, Floats, Floats32, Matrix, optional_module
 from cabinpose.scene import Surface
+from cabinpose.synth.pictures.grid import without_panes
 from cabinpose.synth.pictures.light import Light
 from cabinpose.synth.pictures.look import ROUGHNESS
 
@@ -29,27 +30,24 @@ def mitsuba() -> Any:
 
 
 def trace(
-    surface: Surface, shown: Bools, colours: Floats32, pinhole: Camera, world_from_camera: Matrix, light: Light, *,
-    samples: int, seed: int, own_light: float = 0.0,
+    surface: Surface, colours: Floats32, pinhole: Camera, world_from_camera: Matrix, light: Light, *, samples: int, seed: int
 ) -> Floats:  # fmt: skip
     """Radiance (N, 3) of a surface on the rays of a pinhole with square pixels, each the mean over the pixel.
 
     Parameters
     ----------
-    surface, shown
-        In the scene's frame, and which triangles (F,) of it are there.
+    surface
+        In the scene's frame; light passes through its panes and lenses.
     colours
         Diffuse reflectance (F, 3) of its triangles.
     pinhole, world_from_camera
         Which rays, from where.
     light
-        All light but the camera's own.
+        All light.
     samples
         Paths through a pixel.
     seed
         Of the paths, 32 bits.
-    own_light
-        Radiance of a white surface that faces a light in the camera's place at 1 m.
 
     Raises
     ------
@@ -63,12 +61,12 @@ def trace(
         "camera": _sensor(mi, pinhole, world_from_camera, samples),
         **_emitters(mi, light),
     }
-    if own_light > 0.0:
+    if light.own > 0.0:
         place = np.asarray(world_from_camera)[:3, 3].tolist()
         described["own_light"] = {
-            "type": "point", "position": place, "intensity": {"type": "rgb", "value": [np.pi * own_light] * 3}
+            "type": "point", "position": place, "intensity": {"type": "rgb", "value": [np.pi * light.own] * 3}
         }  # fmt: skip
-    for number, (roughness, where) in enumerate(_finishes(surface, shown)):
+    for number, (roughness, where) in enumerate(_finishes(surface, without_panes(surface))):
         described[f"surface{number}"] = _mesh(mi, surface, colours, where, roughness)
     scene = mi.load_dict(described)
     image = scene.integrator().render(scene, scene.sensors()[0], seed=seed)
