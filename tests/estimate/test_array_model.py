@@ -115,6 +115,13 @@ def test_a_method_has_the_name_that_it_is_registered_by(monkeypatch: pytest.Monk
         METHODS["mean"]
 
 
+def test_a_task_that_does_not_exist_is_told_with_its_package(tmp_path: Path) -> None:
+    module = tmp_path / "installed" / "mean_pose.py"
+    module.write_text(module.read_text().replace('task = "joints"', 'task = "joint"'))
+    with pytest.raises(ExtensionError, match="mean-pose cannot be loaded: TypeError: the task of MeanMethod is none of"):
+        METHODS["mean"]
+
+
 def test_a_file_answers_what_was_fitted(trained_mean: Path) -> None:
     model = load_model(trained_mean)
     assert isinstance(model.model, ArrayModel)

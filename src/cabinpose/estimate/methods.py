@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -28,6 +28,7 @@ Arrays = Mapping[str, NDArray[Any]]
 # Batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is being done.
 Progress = Callable[[int, int, str], None]
 S = TypeVar("S", bound=Settings)
+TaskName = Literal["joints", "parts", "lift"]
 
 
 class Method(ABC, Generic[S]):
@@ -42,7 +43,8 @@ class Method(ABC, Generic[S]):
         classes of pixels; its answer is (N, h, w) uint8, 0 = nobody, else 1 + the position of the part in the settings' `parts`.
         "lift": 2D joints of one person to 3D; its answer is (N, J, 3) m in the camera frame, NaN = no answer.
     settings_type
-        Its settings, all with defaults. For "parts" they also have `parts`, the `Part`s that it tells apart.
+        Its settings, all with defaults. For "parts" they also have `parts`, the `Part`s that it tells apart; for "lift" `noise`
+        and `drop`, by which training disturbs 2D joints, and `presence`, the least of a 2D joint that is lifted.
     room
         Settings with which `experiment compare` trains it to find ITOP's joints of one person in a room, beside those that it
         gives to every method that has them (see `app/compare.py`).
@@ -51,11 +53,15 @@ class Method(ABC, Generic[S]):
     """
 
     name: ClassVar[str]
-    task: ClassVar[Literal["joints", "parts", "lift"]]
+    task: ClassVar[TaskName]
     settings_type: type[S]
     room: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     learning_rate: ClassVar[float] = 3e-3
     weight_decay: ClassVar[float] = 0.02
+
+    def __init_subclass__(cls) -> None:
+        if cls.__dict__.get("task", "joints") not in get_args(TaskName):
+            raise TypeError(f"the task of {cls.__name__} is none of {', '.join(get_args(TaskName))}")
 
     def settings(self, values: Mapping[str, Any]) -> S:
         """The settings that plain data describes; ConfigError names what is wrong."""

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -37,7 +37,7 @@ class Train(PrintsJson):
     """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv, curves.png."""
     datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
-    method: Annotated[Optional[str], arg(help_behavior_hint=_methods)] = None
+    method: Annotated[Maybe[str], arg(help_behavior_hint=_methods)] = None
     """Method, if the configuration names none."""
     config: Maybe[Path] = None
     """Configuration of the run (YAML); every key has a default."""
