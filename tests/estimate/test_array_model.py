@@ -32,7 +32,7 @@ from cabinpose.store import open_dataset
 from cabinpose.store.predictions import read_predictions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text("utf-8").split("## A detector")[1]
-SETTINGS = {"width": 64, "height": 48, "focal": 51.2, "slots": list(small.PERSONS)}
+SETTINGS = {"body": "full", "width": 64, "height": 48, "focal": 51.2, "slots": list(small.PERSONS)}
 
 
 @pytest.fixture(autouse=True)
@@ -105,7 +105,7 @@ def test_another_packages_method_is_listed_and_compared_where_it_is_named(capsys
     assert "mean" in of_joints()
     assert "mean" not in of_joints(own=True)
     settings = METHODS["mean"].settings(recipe("mean", None, None).settings)
-    assert (settings.skeleton, settings.slots, settings.view.width) == ("itop", ("standing",), 96)
+    assert (settings.body, settings.slots, settings.view.width) == ("itop", ("standing",), 96)
 
 
 def test_a_method_has_the_name_that_it_is_registered_by(monkeypatch: pytest.MonkeyPatch) -> None:
