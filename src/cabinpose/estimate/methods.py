@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from cabinpose.estimate.augment import AugmentConfig
 
 Arrays = Mapping[str, NDArray[Any]]
-# Batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is being done.
+"""Arrays by name."""
 Progress = Callable[[int, int, str], None]
+"""Called with batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is done."""
 S = TypeVar("S", bound=Settings)
 TaskName = Literal["joints", "parts", "lift"]
 
@@ -155,6 +156,7 @@ class ArrayMethod(Method[S]):
 
 
 METHODS: Registry[Method[Any]] = Registry("cabinpose.methods", "method", Method, named=True)
+"""The methods by name, those of extensions too: `METHODS.names()` imports none, `METHODS["compact"]` that one."""
 
 
 def method_of(path: Path, name: str) -> Method[Any]:
