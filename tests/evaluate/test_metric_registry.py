@@ -10,7 +10,6 @@ import pytest
 import xarray as xr
 
 from cabinpose.app.cli import main
-from cabinpose.core import registry
 from cabinpose.evaluate import METRICS, EvaluationOptions, evaluate
 from cabinpose.evaluate.metrics import TABLE
 from cabinpose.store.predictions import Predictions, write_predictions
@@ -35,23 +34,10 @@ Install = Callable[..., None]
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
-    """`install(hands="HANDS")`: a package "ours-not" with the module above, and entry points for what is in it."""
-    folder = tmp_path / "site"
-    info = folder / "ours_not-1.0.dist-info"
-    info.mkdir(parents=True)
-    (folder / "hand_metrics.py").write_text(HANDS)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ours-not\nVersion: 1.0\n")
-    monkeypatch.syspath_prepend(str(folder))
-
-    def add(**names: str) -> None:
-        rows = "".join(f"{name} = hand_metrics:{what}\n" for name, what in names.items())
-        (info / "entry_points.txt").write_text(f"[cabinpose.metrics]\n{rows}")
-        registry._offers.cache_clear()
-        monkeypatch.setattr(METRICS, "_loaded", {})
-
-    yield add
-    registry._offers.cache_clear()
+def install(extension: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> Install:
+    """`install(hands="HANDS")`: a package "acme" with the module above, and entry points for what is in it."""
+    monkeypatch.setattr(METRICS, "_loaded", {})
+    return lambda **names: extension("acme", {"metrics": names}, HANDS)
 
 
 def test_our_own_are_registered_in_the_order_of_reports() -> None:
@@ -86,9 +72,9 @@ def test_a_metric_of_another_package_is_in_every_report_after_ours(
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ({"odd": "BROKEN"}, "the metric 'odd' of ours-not is left out of the report: ValueError: no such thing"),
-        ({"odd": "ABSENT"}, "the metric 'odd' of ours-not cannot be loaded: AttributeError"),
-        ({"odd": "NO_METRIC"}, "the metric 'odd' of ours-not is not a Metric, but 'text'"),
+        ({"odd": "BROKEN"}, "the metric 'odd' of acme is left out of the report: ValueError: no such thing"),
+        ({"odd": "ABSENT"}, "the metric 'odd' of acme cannot be loaded: AttributeError"),
+        ({"odd": "NO_METRIC"}, "the metric 'odd' of acme is not a Metric, but 'text'"),
     ],
 )
 def test_one_that_fails_is_left_out_with_a_warning(
@@ -104,8 +90,9 @@ def test_one_that_fails_is_left_out_with_a_warning(
 
 def test_a_name_of_ours_stays_ours(install: Install, dataset: xr.Dataset, predictions: Predictions) -> None:
     plain = evaluate(dataset, predictions, OPTIONS)
+    METRICS._loaded.clear()
     install(pck="BROKEN")
-    with pytest.warns(UserWarning, match="the metric 'pck' of ours-not is left out: cabinpose has one of this name"):
+    with pytest.warns(UserWarning, match="the metric 'pck' of acme is left out: cabinpose has one of this name"):
         report = evaluate(dataset, predictions, OPTIONS)
     assert same(plain.values, report.values)
 
