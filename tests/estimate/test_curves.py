@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cabinpose.app.report.curves import curves_chart, write_curves
 from cabinpose.app.report.html import Html
+from cabinpose.app.report.raster import curves_chart, write_curves
 
 ROWS = [{"train_loss": 9.5 - i, "val_loss": v} for i, v in enumerate([9.0, 6.0, math.nan, 8.0])]
 

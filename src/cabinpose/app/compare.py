@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.report.curves import write_curves
+from cabinpose.app.report.raster import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
 from cabinpose.core import ITOP, ConfigError, DatasetError, FrameBatch, unknown_name
 from cabinpose.estimate import METHODS, load_model

@@ -23,6 +23,11 @@ from cabinpose.evaluate.sample_view import ANY, IMAGE, NO_THRESHOLD, PEOPLE, Num
 TRUE = "true joints that count; one that was not found is wrong"
 FOUND = "true joints that count and were found"
 HITS = "true joints that count, found within d"
+_TP_FP = "TP + FP: found within d, or found where there is none"
+_TP_FN = "TP + FN: true joints, found within d or not"
+_IN_A_ROW = "joints that count and were found in three frames in a row"
+_ALIGNED = "found joints of people with three or more of them"
+_BOTH_ENDS = "bones of which both ends count and were found"
 _ANSWERED = "joints with a position, however improbable, but those too hidden to count"
 _PEOPLE = "true people with a joint that counts"
 
@@ -104,48 +109,14 @@ def _head_size(view: SampleView) -> str:
     return f"head size ({size})" if view.options.head == "thesis" else "true head-neck length"
 
 
-def _mean_error(view: SampleView) -> Iterator[Number]:
-    return view.mean(view.error, view.found, FOUND)
-
-
-def _mean_error_of_hits(view: SampleView) -> Iterator[Number]:
-    return view.mean(view.error, view.near, HITS, threshold=view.length(view.hit))
-
-
-def _found(view: SampleView) -> Iterator[Number]:
-    return view.share(view.found, view.counts, TRUE)
-
-
 # The thesis' numbers: per joint, then averaged over the joints. TP: a true joint, found within d. FN: a true joint that is not
 # found, or found farther than d. FP: found where no true joint is. By that formula, mAR = TP / (TP + FN) has all true joints
 # below the line; "detected" asks only that a joint is found.
 
 
-def _mad(view: SampleView) -> Iterator[Number]:
-    return view.mean(view.error, view.found, FOUND, per_joint=True)
-
-
-def _mad_at_d(view: SampleView) -> Iterator[Number]:
-    return view.mean(view.error, view.near, HITS, threshold=view.length(view.hit), per_joint=True)
-
-
 def _map_literal(view: SampleView) -> Iterator[Number]:
     false = view.samples.absent & view.errors.found
-    of_what = "TP + FP: found within d, or found where there is none"
-    return view.share(view.near, view.near | false, of_what, threshold=view.length(view.hit), per_joint=True)
-
-
-def _map_among_detected(view: SampleView) -> Iterator[Number]:
-    return view.share(view.near, view.found, FOUND, threshold=view.length(view.hit), per_joint=True)
-
-
-def _mar_literal(view: SampleView) -> Iterator[Number]:
-    of_what = "TP + FN: true joints, found within d or not"
-    return view.share(view.near, view.counts, of_what, threshold=view.length(view.hit), per_joint=True)
-
-
-def _mar_detected(view: SampleView) -> Iterator[Number]:
-    return view.share(view.found, view.counts, TRUE, per_joint=True)
+    return view.share(view.near, view.near | false, _TP_FP, threshold=view.d, per_joint=True)
 
 
 # What single joints do not show: the pose as a whole, its sides, its bones, its steadiness.
@@ -158,18 +129,6 @@ def _swaps(view: SampleView) -> Iterator[Number]:
 
 def _known(view: SampleView, values: NDArray[np.float32], denominator: str) -> Iterator[Number]:
     return view.mean(values, np.isfinite(values), denominator)
-
-
-def _jitter(view: SampleView) -> Iterator[Number]:
-    return _known(view, view.errors.jitter, "joints that count and were found in three frames in a row")
-
-
-def _p_mpjpe(view: SampleView) -> Iterator[Number]:
-    return _known(view, view.errors.aligned, "found joints of people with three or more of them")
-
-
-def _bone_length(view: SampleView) -> Iterator[Number]:
-    return _known(view, view.errors.bone, "bones of which both ends count and were found")
 
 
 # Whether joints, and people, were predicted to be there.
@@ -257,20 +216,28 @@ TABLE: Mapping[str, Metric] = MappingProxyType(
         "pck": _accuracy("PCK", "%", "more", _pck),
         "pckh": _accuracy("PCKh", "%", "more", _pckh),
         "auc_of_pckh": _accuracy("AUC of PCKh", "%", "more", _auc),
-        "mean_error": _accuracy("mean error", "px", "less", _mean_error, spaces=("2d",)),
-        "mpjpe": _accuracy("MPJPE", "cm", "less", _mean_error, spaces=("3d",)),
-        "mean_error_of_hits": _accuracy("mean error of hits", "{length}", "less", _mean_error_of_hits),
-        "found": _accuracy("found", "%", "more", _found),
-        "mad": _pose("mAD", "{length}", "less", _mad),
-        "mad_at_d": _pose("mAD@d", "{length}", "less", _mad_at_d),
+        "mean_error": _accuracy("mean error", "px", "less", lambda v: v.mean(v.error, v.found, FOUND), spaces=("2d",)),
+        "mpjpe": _accuracy("MPJPE", "cm", "less", lambda v: v.mean(v.error, v.found, FOUND), spaces=("3d",)),
+        "mean_error_of_hits": _accuracy(
+            "mean error of hits", "{length}", "less", lambda v: v.mean(v.error, v.near, HITS, threshold=v.d)
+        ),
+        "found": _accuracy("found", "%", "more", lambda v: v.share(v.found, v.counts, TRUE)),
+        "mad": _pose("mAD", "{length}", "less", lambda v: v.mean(v.error, v.found, FOUND, per_joint=True)),
+        "mad_at_d": _pose("mAD@d", "{length}", "less", lambda v: v.mean(v.error, v.near, HITS, threshold=v.d, per_joint=True)),
         "map_literal": _pose("mAP@d (literal)", "%", "more", _map_literal),
-        "map_among_detected": _pose("mAP@d (among detected)", "%", "more", _map_among_detected),
-        "mar_literal": _pose("mAR@d (literal)", "%", "more", _mar_literal),
-        "mar_detected": _pose("mAR (detected)", "%", "more", _mar_detected),
+        "map_among_detected": _pose(
+            "mAP@d (among detected)", "%", "more", lambda v: v.share(v.near, v.found, FOUND, threshold=v.d, per_joint=True)
+        ),
+        "mar_literal": _pose(
+            "mAR@d (literal)", "%", "more", lambda v: v.share(v.near, v.counts, _TP_FN, threshold=v.d, per_joint=True)
+        ),
+        "mar_detected": _pose("mAR (detected)", "%", "more", lambda v: v.share(v.found, v.counts, TRUE, per_joint=True)),
         "left_right_swaps": _pose("left-right swaps", "%", "less", _swaps),
-        "jitter": _pose("jitter", "{length}/frame²", "less", _jitter),
-        "p_mpjpe": _pose("P-MPJPE", "cm", "less", _p_mpjpe, spaces=("3d",)),
-        "bone_length_error": _pose("bone length error", "cm", "less", _bone_length, spaces=("3d",)),
+        "jitter": _pose("jitter", "{length}/frame²", "less", lambda v: _known(v, v.errors.jitter, _IN_A_ROW)),
+        "p_mpjpe": _pose("P-MPJPE", "cm", "less", lambda v: _known(v, v.errors.aligned, _ALIGNED), spaces=("3d",)),
+        "bone_length_error": _pose(
+            "bone length error", "cm", "less", lambda v: _known(v, v.errors.bone, _BOTH_ENDS), spaces=("3d",)
+        ),
         "presence_precision": _of_image("presence precision", "%", "more", _presence_precision),
         "presence_recall": _of_image("presence recall", "%", "more", _presence_recall),
         "presence_precision_of_people": _of_image("presence precision", "%", "more", _people_precision),

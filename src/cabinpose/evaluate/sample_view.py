@@ -126,6 +126,11 @@ class SampleView:
         return self.options.hit_px if self.space == "2d" else self.options.hit_m
 
     @property
+    def d(self) -> Threshold:
+        """The threshold d as numbers name it."""
+        return self.length(self.hit)
+
+    @property
     def hit_shown(self) -> float:
         """The threshold d in the unit of reports."""
         return round(self.hit * self.per_unit, 9)

@@ -74,7 +74,7 @@ def run(command: Train) -> None:
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress(silent=helps)), False
         report.phase("loading torch")
-        from cabinpose.app.report.curves import write_curves
+        from cabinpose.app.report.raster import write_curves
         from cabinpose.app.training import read_train_config
         from cabinpose.estimate import METHODS, ArrayMethod, Machines, Observers, Start, fit, frame_spec
 

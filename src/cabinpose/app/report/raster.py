@@ -1,21 +1,24 @@
-"""The charts of the pages as one PNG: what `charts` draws, painted with Pillow on white."""
+"""The charts of the pages, and the curves of a training run, as one PNG: what `charts` draws, painted with Pillow on white."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, fromstring
 
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from cabinpose.app.report.charts import COLOURS, text
+from cabinpose.app.report.charts import COLOURS, ValueScale, series_chart, text
 from cabinpose.app.report.html import Html, el
 
 _INK, _SOFT, _LINE = "#1d2129", "#626b79", "#dde1e7"  # the colours of the pages by day
 _SHARP, _FINER = 2, 2  # px of the picture a px of the chart, and how many times larger it is painted
 _NUMBER = re.compile(r"-?[\d.]+")
 _ANCHORS = {"end": "rs", "middle": "ms"}
+_LINES = {"train_loss": "training loss", "val_loss": "validation loss"}  # blue and red, as in the thesis' figure 6.22
+_WIDE = 10.0  # losses that differ by more are drawn on a logarithmic axis
 
 
 def write_png(path: Path, drawn: Sequence[Html], names: Iterable[str] = ()) -> None:
@@ -85,3 +88,25 @@ def _write(image: Image.Image, part: Element, kind: str, at: dict[str, float], s
     layer = Image.new("L", (2 * half, 2 * half))
     ImageDraw.Draw(layer).text((half, half), words, 255, font, anchor)
     image.paste(ink, (round(x * scale) - half, round(y * scale) - half), layer.rotate(-degrees, Image.Resampling.BICUBIC))
+
+
+def curves_chart(rows: Sequence[Mapping[str, float]], best: int | None, monitor: str, stops: bool) -> Html:
+    """Training and validation loss over the epochs, with the best epoch and, where the run was ended early, the stop.
+
+    rows: the figures of each epoch by name · best: its row, decided by the figure `monitor`.
+    """
+    epochs = [float(i + 1) for i in range(len(rows))]
+    lines = {_LINES[name]: (epochs, [row.get(name, math.nan) for row in rows]) for name in _LINES}
+    known = [y for _, ys in lines.values() for y in ys if math.isfinite(y)]
+    log = bool(known) and min(known) > 0 and max(known) > _WIDE * min(known)
+    marks = {} if best is None else {f"best: {monitor} {rows[best][monitor]:.4g}": float(best + 1)}
+    if stops:
+        marks["stop"] = float(len(rows))
+    return series_chart("", "epoch", lines, scale=ValueScale(log=log), size=(480, 260), marks=marks)
+
+
+def write_curves(path: Path, rows: Sequence[Mapping[str, float]], best: int | None, monitor: str, stops: bool) -> None:
+    """Write the picture; the file is replaced when it is whole."""
+    partial = path.with_suffix(".tmp")
+    write_png(partial, [curves_chart(rows, best, monitor, stops)], _LINES.values())
+    partial.replace(path)
