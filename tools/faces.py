@@ -70,7 +70,9 @@ def constants(text: str) -> dict[str, Constant]:
     The comment is the string below the assignment, or what is written behind it or in the lines before it.
     """
     lines = text.splitlines()
-    body = ast.parse(text).body
+    body: list[ast.stmt] = []
+    for statement in ast.parse(text).body:
+        body += [*statement.orelse, *statement.body] if isinstance(statement, ast.If) else [statement]
     found = {}
     for node, after in zip(body, [*body[1:], None], strict=True):
         if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:

@@ -14,11 +14,8 @@ import cabinpose
 
 ROOT = Path(__file__).resolve().parents[2]
 FACES = faces.faces()
-# These go with the tables of joints and of formats that they are part of.
-WAITING = {
-    "JOINTS", "MVN_JOINTS", "PARENT", "REACH_M", "UPPER_BODY", "FORMATS", "IMPORTS", "RECORDING_EXPORTS", "RECORDING_FORMATS",
-    "RECORDING_IMPORTS",
-}  # fmt: skip
+# These go with the table of formats that they are part of.
+WAITING = {"FORMATS", "IMPORTS", "RECORDING_EXPORTS", "RECORDING_FORMATS", "RECORDING_IMPORTS"}
 ROOMS = sorted({face.split(".")[1] for face in FACES})
 
 

@@ -231,7 +231,7 @@ _MAPS: dict[str, Mapping[str, str]] = {
 }  # fmt: skip
 
 
-CABINPOSE = Skeleton(
+CABINPOSE = Skeleton(  # ours of 20 joints
     name="cabinpose",
     title="cabinpose",
     definition="the MakeHuman CMU rig's: head = C1 (skull base), neck = C7, chest = T8, hip = L5, lpelvis and rpelvis = the femur"
@@ -262,7 +262,7 @@ CABINPOSE = Skeleton(
     maps=_MAPS,
 )  # fmt: skip
 
-ITOP = Skeleton(
+ITOP = Skeleton(  # ITOP's 15
     name="itop",
     title="ITOP",
     definition="ITOP's (Haque et al. 2016) on a body: head = the middle of the head, neck midway between the shoulders, torso"
@@ -285,10 +285,10 @@ ITOP = Skeleton(
 
 # The sets by name; the first is that of the dataset standard's own joints, the others' are variables of their own.
 SKELETONS: MappingProxyType[str, Skeleton] = MappingProxyType({each.name: each for each in (CABINPOSE, ITOP)})
-OTHER_SKELETONS = tuple(each for each in SKELETONS.values() if each != CABINPOSE)
+OTHER_SKELETONS = tuple(each for each in SKELETONS.values() if each != CABINPOSE)  # but ours
 if TYPE_CHECKING:
-    SkeletonName: TypeAlias = str
-    OtherSkeletonName: TypeAlias = str
+    SkeletonName: TypeAlias = str  # one of `SKELETONS`, as settings name it
+    OtherSkeletonName: TypeAlias = str  # one of `OTHER_SKELETONS`
 else:  # what settings may say
     SkeletonName, OtherSkeletonName = Literal[tuple(SKELETONS)], Literal[tuple(each.name for each in OTHER_SKELETONS)]
 
@@ -318,6 +318,7 @@ MVN_SEGMENTS: tuple[str, ...] = (
     "LeftShoulder", "LeftUpperArm", "LeftForearm", "LeftHand", "RightUpperLeg", "RightLowerLeg", "RightFoot", "RightToe",
     "LeftUpperLeg", "LeftLowerLeg", "LeftFoot", "LeftToe",
 )  # fmt: skip
+# Joints of MVN's segments: name, segment that it hangs on, segment that hangs on it.
 MVN_JOINTS: tuple[tuple[str, str, str], ...] = (
     ("jL5S1", "Pelvis", "L5"), ("jL4L3", "L5", "L3"), ("jL1T12", "L3", "T12"), ("jT9T8", "T12", "T8"), ("jT1C7", "T8", "Neck"),
     ("jC1Head", "Neck", "Head"),
