@@ -41,14 +41,7 @@ _RAY_STEP = 8  # pixels between the rays that the page is given
 
 
 def write_view(
-    dataset: xr.Dataset,
-    manifest: Manifest,
-    folder: Path,
-    out: Path,
-    *,
-    frames: int,
-    rows: int,
-    report: Callable[[int], None],
+    dataset: xr.Dataset, manifest: Manifest, folder: Path, out: Path, *, frames: int, rows: int, report: Callable[[int], None]
 ) -> None:
     """Write the contact sheet of `rows` frames and the page of `frames` frames, evenly spread: `VIEW_FILES` in the folder `out`.
 

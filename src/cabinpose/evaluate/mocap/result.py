@@ -151,13 +151,7 @@ def summarise(
 
 
 def _summaries(
-    runs: Sequence[Errors],
-    condition: str,
-    rng: np.random.Generator,
-    resamples: int,
-    block_s: float | None,
-    *,
-    several: bool,
+    runs: Sequence[Errors], condition: str, rng: np.random.Generator, resamples: int, block_s: float | None, *, several: bool
 ) -> Iterable[Summary]:
     """The numbers of one measure under one condition: over all names, then of each where there are several."""
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
