@@ -11,6 +11,7 @@ import re
 import shlex
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,7 +85,9 @@ def resolve(dotted: str) -> object:
     found: object = importlib.import_module(parts[0])
     for depth, part in enumerate(parts[1:], 2):
         if not hasattr(found, part):
-            importlib.import_module(".".join(parts[:depth]))
+            with suppress(ImportError):
+                importlib.import_module(".".join(parts[:depth]))
+            found = importlib.import_module(".".join(parts[: depth - 1]))  # a face may have a function of the module's name
         found = getattr(found, part)
     return found
 
