@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from cabinpose.core.errors import CabinposeError, ConfigError, ExtensionError, unknown_name
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+    from importlib.metadata import Distribution, EntryPoint
 
 T = TypeVar("T")
 OURS = "cabinpose"
@@ -146,7 +146,13 @@ def _offers(group: str) -> dict[str, list[EntryPoint]]:
 
 
 def _package(entry: EntryPoint) -> str:
-    return entry.dist.name if entry.dist is not None else "an unnamed package"
+    return _name(entry.dist) if entry.dist is not None else "an unnamed package"
+
+
+@cache
+def _name(package: Distribution) -> str:
+    """Its name, for which the file of its metadata is read."""
+    return package.name
 
 
 def _check_version(entry: EntryPoint) -> None:

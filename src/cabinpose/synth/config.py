@@ -41,7 +41,18 @@ from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
-from cabinpose.synth.things import Choice, check_child_seats, check_shares, is_cloth, weights_of
+from cabinpose.synth.things import (
+    CLOTH,
+    EMPTY_CHILD_SEATS,
+    HELD,
+    ON_SEATS,
+    Choice,
+    check_child_seats,
+    check_held,
+    check_shares,
+    is_cloth,
+    weights_of,
+)
 
 # Named one by one: what is added to the presets joins the datasets of those who ask for it.
 _CARS = ("city_car", "hatchback", "sedan", "coupe", "suv", "van", "shuttle")
@@ -108,7 +119,7 @@ class CabinScene(Model):
     child_seats: Mapping[str, Choice] = Field(
         {},
         exclude_if=operator.not_,
-        description="By seat: infant, toddler, booster, booster_cushion, any (of the first three), or how likely each is."
+        description=f"By seat: {', '.join(EMPTY_CHILD_SEATS)}, any (of the first three), or how likely each is."
         " Occupants who are named for the seat sit in it; the others are empty, but for `children`.",
     )
     children: Probability = Field(
@@ -125,14 +136,19 @@ class CabinScene(Model):
     objects: Mapping[str, Choice] = Field(
         {},
         exclude_if=operator.not_,
-        description="By seat: box, bag, backpack, bottle, cup, book, laptop, phone, any (of these), blanket, jacket, or how"
-        " likely each is, on the seat or on the lap of whoever sits there.",
+        description=f"By seat: {', '.join(ON_SEATS)}, any (of these), {', '.join(CLOTH)}, or how likely each is, on the seat or"
+        " on the lap of whoever sits there.",
     )
     in_hand: Probability = Field(
         0.0,
         exclude_if=operator.not_,
         description="Share of people on the telephone who have one in the hand; above 0 people also drink and read, which always"
-        " have a bottle, a cup or a book in the hand. In sequences: share of those who do any of this.",
+        " have something in the hand. In sequences: share of those who do any of this.",
+    )
+    held: tuple[str, ...] = Field(
+        (),
+        exclude_if=operator.not_,
+        description=f"What hands hold, at the places where they hold it; left out: {', '.join(HELD)}.",
     )
     things: tuple[ExactThing, ...] = Field(
         (), exclude_if=operator.not_, description="Child seats and objects to the last bit, in place of drawn ones."
@@ -213,6 +229,7 @@ class CabinScene(Model):
                 hint="leave out the occupant's subject, or give factorial.seat another seat",
             )
         check_child_seats(self.child_seats, self.always_taken, self.objects)
+        check_held(self.held)
         check_shares("attachments", self.attachments)
         check_shares("belt_misuse", self.belt_misuse)
         if not any(self.occupancy.values()) and not self.always_taken:

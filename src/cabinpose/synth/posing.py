@@ -60,7 +60,7 @@ class Posing:
         on = cast.child_seats.get(slot)
         seated = SeatContext(cast.people[slot], seat, cast.settings[slot], cast.cabin, offset, neighbours, on)
         if doing is None:
-            doing = Doing(action, in_hand=_in_hand(scene, action, rng))
+            doing = Doing(action, in_hand=_in_hand(scene, action, rng), things=scene.held)
         initial = scene.occupant(slot).initial
         return draw_pose(seated, doing, Prescribed(scene.profile_of(slot), initial, index), rng=rng)
 

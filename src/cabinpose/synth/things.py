@@ -43,12 +43,13 @@ from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by
 Name = TypeVar("Name", bound=str)
 Choice = str | Mapping[str, Probability]  # a kind, "any", or how likely each is
 ANY_CHILD_SEAT = ("infant", "toddler", "booster")  # what `any` stands for
-ON_SEATS = tuple(name for name, kind in OBJECTS.items() if kind.on_seat)  # likewise, on seats and on laps
+ON_SEATS = tuple(name for name, kind in OBJECTS.items() if kind.on_seat)  # likewise on seats, and on laps
 ON_LAPS = tuple(name for name, kind in OBJECTS.items() if kind.on_lap)
-_CLOTH = tuple(name for name, kind in OBJECTS.items() if isinstance(kind, Cloth))
-CLOTH_LABELS = frozenset(OBJECTS[name].label for name in _CLOTH)
-_CHILD_SEATS = tuple(name for name in CHILD_SEATS if not name.endswith("_in_use"))
-_HOLDING_CHILDREN = tuple(name for name in _CHILD_SEATS if CHILD_SEATS[name].sitting)
+CLOTH = tuple(name for name, kind in OBJECTS.items() if isinstance(kind, Cloth))
+HELD = tuple(name for name, kind in OBJECTS.items() if kind.held_at)
+CLOTH_LABELS = frozenset(OBJECTS[name].label for name in CLOTH)
+EMPTY_CHILD_SEATS = tuple(name for name in CHILD_SEATS if not name.endswith("_in_use"))
+_HOLDING_CHILDREN = tuple(name for name in EMPTY_CHILD_SEATS if CHILD_SEATS[name].sitting)
 _PLACES = 6  # tried for an object before the scene is drawn anew
 _CUSHION_M = 0.40  # of a cushion's length is used, from the backrest
 _LAP_PLACES, _FARTHER_M = 8, 0.015  # tried on a lap, each farther from the trunk
@@ -111,7 +112,7 @@ def check_child_seats(child_seats: Mapping[str, Choice], occupied: Sequence[str]
         if slot not in OCCUPANT_SLOTS:
             raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
     for slot, choice in child_seats.items():
-        check_choice(f"child_seats.{slot}", choice, "child seat", _CHILD_SEATS)
+        check_choice(f"child_seats.{slot}", choice, "child seat", EMPTY_CHILD_SEATS)
         if slot == "driver":
             raise ConfigError("no child seat stands in the driver's seat", hint="give it to another seat")
         empty = [kind for kind, weight in weights_of(choice, ANY_CHILD_SEAT).items() if weight > 0.0 and not stature_range(kind)]
@@ -121,9 +122,16 @@ def check_child_seats(child_seats: Mapping[str, Choice], occupied: Sequence[str]
                 hint=f"leave out one of the two, or give the child {' or '.join(_HOLDING_CHILDREN)}",
             )
     for slot, choice in objects.items():
-        check_choice(f"objects.{slot}", choice, "object", (*ON_SEATS, *_CLOTH))
+        check_choice(f"objects.{slot}", choice, "object", (*ON_SEATS, *CLOTH))
         if slot == "driver" and any(is_cloth(kind) for kind in weights_of(choice, ())):
             raise ConfigError("nothing is draped over the driver", hint="give blanket and jacket to another seat")
+
+
+def check_held(held: Sequence[str]) -> None:
+    """Raises ConfigError for names of no thing, and for things that hands do not hold."""
+    for name in held:
+        if not THINGS[name].held_at:
+            raise ConfigError(f"hands do not hold a {name}", hint=f"they hold: {', '.join(HELD)}")
 
 
 def check_size(name: str, stature_m: float, kind: str) -> None:
@@ -167,12 +175,7 @@ def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, *, rng: np
 
 
 def draw_objects(
-    objects: Mapping[str, Choice],
-    cabin: Cabin,
-    taken: Sequence[str],
-    child_seats: Mapping[str, str],
-    *,
-    rng: np.random.Generator,
+    objects: Mapping[str, Choice], cabin: Cabin, taken: Sequence[str], child_seats: Mapping[str, str], *, rng: np.random.Generator
 ) -> dict[str, str]:
     """The kinds of objects of one frame, by seat: where somebody sits those that lie on a lap, none where a child seat stands."""
     result = {}
@@ -216,12 +219,7 @@ class SeatThings:
         return invert(seat.vehicle_from_seat(setting)) @ at
 
     def place(
-        self,
-        brought: Brought,
-        taken: Sequence[str],
-        settings: dict[str, SeatSetting],
-        *,
-        rng: np.random.Generator,
+        self, brought: Brought, taken: Sequence[str], settings: dict[str, SeatSetting], *, rng: np.random.Generator
     ) -> list[PlacedThing] | Blocked:
         """Put everything onto seats that nobody has taken.
 
@@ -286,12 +284,7 @@ class SeatThings:
             yield {s: SeatSetting(x, settings[s].height_m, settings[s].torso_angle) for s, x in moved.items()}
 
     def _object(
-        self,
-        slot: str,
-        kind: str,
-        settings: Mapping[str, SeatSetting],
-        others: Sequence[PlacedThing],
-        rng: np.random.Generator,
+        self, slot: str, kind: str, settings: Mapping[str, SeatSetting], others: Sequence[PlacedThing], rng: np.random.Generator
     ) -> PlacedThing | Blocked:
         placed = self._contact.at(settings)
         around = placed.with_groups([t.group() for t in others])

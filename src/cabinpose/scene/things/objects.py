@@ -41,10 +41,7 @@ def _bag(variant: int) -> tuple[Piece, ...]:
         )
         for s in (-1.0, 1.0)
     ]
-    return (
-        Piece("body", box.deformed(bend), "seat_leather", CLOTH_M),
-        Piece("handles", join(handles), "seat_leather", CLOTH_M),
-    )
+    return (Piece("body", box.deformed(bend), "seat_leather", CLOTH_M), Piece("handles", join(handles), "seat_leather", CLOTH_M))
 
 
 def _backpack(variant: int) -> tuple[Piece, ...]:
@@ -121,11 +118,7 @@ def _laptop(variant: int) -> tuple[Piece, ...]:
     base = standing_box((deep, wide, 0.014), 0.004)
     keys = rounded_box((0.42 * deep, 0.86 * wide, 0.003), 0.001, (1, 1, 1), corner=1).shifted(0.12 * deep, 0.0, 0.0145)
     screen = standing_box((0.006, wide, deep), 0.003).turned("y", opened).shifted(0.5 * deep - 0.006, 0.0, 0.008)
-    return (
-        Piece("base", base, "metal"),
-        Piece("keys", keys, "hard_plastic"),
-        Piece("screen", screen, "hard_plastic"),
-    )
+    return (Piece("base", base, "metal"), Piece("keys", keys, "hard_plastic"), Piece("screen", screen, "hard_plastic"))
 
 
 def _phone(variant: int) -> tuple[Piece, ...]:

@@ -30,10 +30,23 @@ class Piece(NamedTuple):
 class Kind:
     """A kind of thing, and all that is known of it.
 
-    label: the class of its pixels, one of `THING_LABELS`: ids are a standard of datasets, so a kind has one of those that there
-    are · make: the pieces of a design (0, 1, ...), in the frame of `Thing`; None for `Cloth` · on_seat: how it is put on a seat,
-    "stands", "lies" on its side, or "leans" on the backrest; None for what is not · on_lap: whether it lies across two thighs ·
-    held_at: names of the places at which hands hold it, of `synth.posture.PLACES`.
+    Parameters
+    ----------
+    label
+        The class of its pixels, one of those of things that there are: ids are a standard of datasets.
+    make
+        The pieces of a design (0, 1, ...), in the frame of `Thing`; None for `Cloth`.
+    on_seat
+        How it is put on a seat: on its underside, on its side, or against the backrest; None for what is not.
+    on_lap
+        Whether it lies across two thighs.
+    held_at
+        Names of the places at which hands hold it, of `cabinpose.synth.posture.PLACES`.
+
+    Raises
+    ------
+    ValueError
+        For a class that does not exist.
     """
 
     label: str

@@ -29,10 +29,11 @@ class Step(NamedTuple):
 
 
 class Program(NamedTuple):
-    """An activity: its steps, and the place of the hand that needs something in it, None where none does."""
+    """An activity: its steps, the place of the hand that needs something in it (None: none does), and what, if not the usual."""
 
     steps: tuple[Step, ...]
     held_at: HandPlace | None = None
+    things: tuple[str, ...] = ()
 
 
 # What takes more than one action, or needs something in a hand; every other action is an activity of one step.
@@ -72,7 +73,7 @@ def program_of(activity: str) -> Program:
         raise unknown_name("activity", activity, list(ACTIVITIES))
     action = ACTIONS[activity]
     always = (place for place in (action.inboard, action.outboard) if place.held is not None and action.in_hand == "always")
-    return Program((Step(activity, _SINGLE_HOLD_S),), next(always, None))
+    return Program((Step(activity, _SINGLE_HOLD_S),), next(always, None), action.things)
 
 
 def resting(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> str:

@@ -85,7 +85,7 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
         holds[slot] = None
         if slot not in scene.recorded and not takes:
             chosen = choices.of(slot, None, at_first=True)
-            holds[slot] = _held(person, chosen, scene.in_hand, inboard_side(cabin.seats[slot]), rng=plans[slot])
+            holds[slot] = _held(person, chosen, scene, inboard_side(cabin.seats[slot]), rng=plans[slot])
     habits = dict.fromkeys(people, 0)
     actions = {slot: resting(cabin.seats[slot], cabin, holds[slot]) for slot in people}
 
@@ -134,15 +134,17 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
     return {slot: track for slot, (_, track) in around.people.items()} if possible else None
 
 
-def _held(person: Person, choices: Mapping[str, float], in_hand: float, inboard: int, *, rng: np.random.Generator) -> Hold | None:
+def _held(
+    person: Person, choices: Mapping[str, float], scene: CabinScene, inboard: int, *, rng: np.random.Generator
+) -> Hold | None:
     """What a person has in the hand, for an activity drawn of these; None where it needs nothing, or nothing fits."""
-    activity = weighted(choices, rng=rng) if in_hand > 0.0 else ""
-    place = program_of(activity).held_at if activity else None
-    if place is None or rng.random() >= in_hand:
+    program = program_of(weighted(choices, rng=rng)) if scene.in_hand > 0.0 else None
+    place = None if program is None else program.held_at
+    if program is None or place is None or rng.random() >= scene.in_hand:
         return None
     side = int(rng.integers(2))
     side = inboard if place is GIVE else side
-    for kind, variant in handed(place, rng=rng):
+    for kind, variant in handed(place, scene.held or program.things, rng=rng):
         if can_hold(person, place, kind, variant):
             return hold(person, place, kind, variant, side)
     return None

@@ -51,13 +51,37 @@ class Gaze:
 class Action:
     """One named action, and all that is known of it.
 
-    inboard, outboard: the place of each hand, of `PLACES` or one's own · targets: names of `cabin.reach_targets`, tried in order,
-    for hands that reach ({side}: left or right of the car, {row}: "" or "rear_", {slot}, {visor}) · trunk: flexion, lateral and
-    rotation of loins and chest added to the seated ones, by degree of freedom (deg); lateral and rotation count towards
-    the side where the busy hand goes (or the random side) · pelvis: forward pitch of the pelvis, deg · weight: share in a
-    random choice of actions · seats: where it makes sense, if the seat has its places and one of its targets; front: of a car
-    with a steering wheel · in_hand: whether a hand holds a thing in it: for the share `scene.in_hand` of people, or always ·
-    most_neighbours: within touch, with whom there is room for it in a random choice.
+    Parameters
+    ----------
+    name
+        By which it is asked for.
+    inboard, outboard
+        The place of each hand, of `PLACES` or one's own.
+    gaze
+        Where its person looks.
+    targets
+        Names of `Cabin.reach_targets`, tried in order, for hands that reach ({side}: left or right of the car, {row}: "" or
+        "rear_", {slot}, {visor}).
+    trunk
+        Flexion, lateral and rotation of loins and chest added to the seated ones, by degree of freedom, deg; lateral and rotation
+        count towards the side where the busy hand goes, or a random one.
+    pelvis
+        Its forward pitch, deg.
+    weight
+        Its share in a random choice of actions.
+    seats
+        Where it makes sense, if the seat has its places and one of its targets; "front": in a car with a steering wheel.
+    in_hand
+        Whether a hand holds a thing in it: "sometimes" for the share `scene.in_hand` of people.
+    things
+        Which, of `THINGS`; () for what hands usually hold at these places.
+    most_neighbours
+        Within touch, with whom there is room for it in a random choice.
+
+    Raises
+    ------
+    ValueError
+        For a gaze that follows a hand where neither place is one that gazes go to.
     """
 
     name: str
@@ -70,6 +94,7 @@ class Action:
     weight: float = 1.0
     seats: Literal["any", "front", "driver", "front_passenger"] = "any"
     in_hand: Literal["never", "sometimes", "always"] = "never"
+    things: tuple[str, ...] = ()
     most_neighbours: int = 2
 
     def __post_init__(self) -> None:

@@ -7,12 +7,12 @@ the thing is taken. A hand that hardly touches it cannot hold it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
+from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
 from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
@@ -85,9 +85,15 @@ def serves(held: Hold, place: HandPlace) -> bool:
     return place.name in THINGS[held.kind].held_at and held.place.passes_on == place.passes_on
 
 
-def handed(place: HandPlace, *, rng: np.random.Generator) -> list[tuple[str, int]]:
-    """Every kind and design of ours that hands hold at a place, in random order."""
-    kinds = [name for name, kind in OBJECTS.items() if place.name in kind.held_at]
+def handed(place: HandPlace, named: Sequence[str] = (), *, rng: np.random.Generator) -> list[tuple[str, int]]:
+    """Every kind and design that hands hold at a place, in random order: of those `named`, or else of our own.
+
+    Raises ConfigError where there is none.
+    """
+    kinds = [name for name in named if place.name in THINGS[name].held_at]
+    kinds = kinds or [name for name, kind in OBJECTS.items() if place.name in kind.held_at]
+    if not kinds:
+        raise ConfigError(f"hands hold nothing at the place '{place.name}'", hint="name a thing that they do in scene.held")
     designs = [(kind, variant) for kind in kinds for variant in range(VARIANTS)]
     return [designs[n] for n in rng.permutation(len(designs)).tolist()]
 

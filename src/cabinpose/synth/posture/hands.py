@@ -50,18 +50,6 @@ BY_GRIP = np.full(6, np.nan)
 _HAND_SIGMA, _FINGER_SIGMA, _CLOSED_SIGMA = 0.05, 0.035, 0.2
 
 
-class LimbTask(NamedTuple):
-    """A palm's or sole's target: vehicle_from_target (4, 4), weights (3,) of position and rotation (m/rad) along and about
-    the target's axes (0: free), and the comfortable posture (7 or 6,) rad with its stiffness.
-    """
-
-    target: Floats
-    position_weight: Floats
-    rotation_weight: Floats
-    prior: Floats
-    stiffness: Floats
-
-
 RIM_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
@@ -75,6 +63,28 @@ _STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.006, 0.012, 0.008])
 FIRM = np.full(3, 5.0)
 STAYS = np.full(3, 20.0)
 _GRASP = np.full(3, 5.0)  # a hand around the rim moves along it, not into it
+
+
+class LimbTask(NamedTuple):
+    """A palm's or sole's target: vehicle_from_target (4, 4), weights (3,) of position and rotation (m/rad) along and about
+    the target's axes (0: free), and the comfortable posture (7 or 6,) rad with its stiffness.
+    """
+
+    target: Floats
+    position_weight: Floats
+    rotation_weight: Floats
+    prior: Floats
+    stiffness: Floats
+
+    @staticmethod
+    def firm(palm: Matrix, turning: tuple[float, float, float], arm: Floats) -> LimbTask:
+        """A palm at vehicle_from_palm (4, 4), kept there firmly.
+
+        turning: weights of turning it about its axes, m/rad · arm: the comfortable one, (7,) rad: flexion, abduction, rotation of
+        the shoulder, flexion of the elbow, pronation, flexion and radial deviation of the wrist.
+        """
+        return LimbTask(palm, FIRM, np.array(turning), arm, STIFFNESS)
+
 
 # Comfortable arms, deg: shoulder flexion, abduction, rotation; elbow flexion, pronation; wrist flexion, radial.
 WHEEL_ARM = np.radians((42.0, 24.0, 14.0, 58.0, 10.0, -8.0, 0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -44,14 +45,17 @@ def with_fingers(hands: Hands, seated: SeatContext) -> Hands:
     return left, right
 
 
-def holding(person: Person, hands: Hands, *, rng: np.random.Generator) -> tuple[Hands, Hold | None]:
-    """What one of the hands holds, the first design that fits into it; a second hand beside it goes to the lap."""
+def holding(person: Person, hands: Hands, named: Sequence[str] = (), *, rng: np.random.Generator) -> tuple[Hands, Hold | None]:
+    """What one of the hands holds, the first design that fits into it; a second hand beside it goes to the lap.
+
+    named: kinds, in place of those that hands usually hold.
+    """
     able = [side for side in (0, 1) if hands[side].place.held is not None]
     if not able:
         return hands, None
     side = able[int(rng.integers(len(able)))]
     place = hands[side].place
-    order = handed(place, rng=rng)
+    order = handed(place, named, rng=rng)
     kind, variant = next((d for d in order if can_hold(person, place, *d)), order[0])
     rest = [h._replace(place=THIGH) if s != side and s in able else h for s, h in enumerate(hands)]
     return (rest[0], rest[1]), hold(person, place, kind, variant, side)

@@ -95,12 +95,28 @@ class Flat(NamedTuple):
 class HandPlace:
     """A place that hands seek.
 
-    name: by which things say where hands hold them · carried_by: the bone that takes the place along, {side}: l or r; "" for the
-    vehicle · shapes: how fingers may lie, () where they follow the grip · grip: by which they are closed, 0 to 1 · miss_m: how
-    far a palm may stay from it · held: how a thing lies in a hand there, None where hands hold none · spared: whether a hand may
-    leave it to hold something · reaches: whether the trunk turns to its side · watched: whether a gaze that follows a hand goes
-    there · on_wheel: whether the hand is closed around the wheel · passes_on: whether it leaves room for another hand at what it
-    holds.
+    Attributes
+    ----------
+    name
+        By which things say where hands hold them (`Kind.held_at`).
+    carried_by
+        The bone that takes the place along, {side}: l or r; "" for the vehicle.
+    shapes
+        How fingers may lie there, () where they follow the grip.
+    grip
+        By which fingers are closed that nothing else bends, 0 to 1.
+    miss_m
+        How far a palm may stay from it.
+    held
+        How a thing lies in a hand there, None where hands hold none.
+    spared
+        Whether a hand may leave it to hold something.
+    reaches, watched
+        Whether the trunk turns to its side, and whether a gaze that follows a hand goes there.
+    on_wheel
+        Whether the hand is closed around the wheel.
+    passes_on
+        Whether the hand leaves room for another one at what it holds.
     """
 
     name: ClassVar[str]
@@ -206,7 +222,7 @@ class _Armrest(HandPlace):
         middle = point + (0.10 + 0.02 * hand.noise[0]) * s.forward + beside
         pitched = transform(axis_rotation("y", lies.pitch))
         target = at.palm_frame(middle + (lies.above + _OVER_ARMREST_M) * _UP, -_UP, s.forward) @ pitched
-        return _firmly(target, (0.06, 0.06, 0.02), at.SIDE_ARM)
+        return LimbTask.firm(target, (0.06, 0.06, 0.02), at.SIDE_ARM)
 
 
 class _Either(HandPlace):
@@ -232,7 +248,7 @@ class _Ear(HandPlace):
         point = head[:3, :3] @ local + head[:3, 3]
         fingers = head[:3, :3] @ np.array([-0.25, 0.0, 1.0])
         target = at.palm_frame(point, head[:3, :3] @ np.array([0.15, -s, 0.0]), fingers)
-        return _firmly(target, (0.04, 0.04, 0.04), at.FACE_ARM)
+        return LimbTask.firm(target, (0.04, 0.04, 0.04), at.FACE_ARM)
 
 
 class _Mouth(HandPlace):
@@ -254,7 +270,7 @@ class _Mouth(HandPlace):
         inwards = head[:3, :3] @ np.array((-0.35, -s, 0.0))
         fingers = head[:3, :3] @ np.array((1.0, -0.35 * s, 0.15))
         target = at.palm_frame(point, inwards, fingers)
-        return _firmly(target, (0.04, 0.02, 0.04), at.FACE_ARM)
+        return LimbTask.firm(target, (0.04, 0.02, 0.04), at.FACE_ARM)
 
 
 class _Drink(_Mouth):
@@ -293,7 +309,7 @@ class _Chest(HandPlace):
         point = thorax[:3, 3] + thorax[:3, :3] @ np.array([forward, s * out, up])
         to_face = trunk.skeleton.bone("head")[:3, 3] - point
         target = at.palm_frame(point, to_face, thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35]))
-        return _firmly(target, (0.04, 0.04, 0.02), at.FACE_ARM)
+        return LimbTask.firm(target, (0.04, 0.04, 0.02), at.FACE_ARM)
 
 
 class _Book(_Chest):
@@ -321,7 +337,7 @@ class _Carry(HandPlace):
             over, normal, fingers = max(_CARRIED_M, hand.below_m + _OVER_THIGH_M), inwards, ahead
         point = bone[:3, 3] + _CARRIED_ALONG * femur * ahead + (top + over) * up + 0.02 * inwards
         target = at.palm_frame(point, normal, fingers)
-        return _firmly(target, (0.04, 0.02, 0.04), at.CARRY_ARM)
+        return LimbTask.firm(target, (0.04, 0.02, 0.04), at.CARRY_ARM)
 
 
 class _Belt(HandPlace):
@@ -344,7 +360,7 @@ class _Belt(HandPlace):
         if 1.0 - 2.0 * side == s:  # the hand of the same side comes from below, its fingers to the middle
             fingers = thorax[:3, :3] @ np.array([0.1, -s * 0.6, 0.8])
         target = at.palm_frame(point, back, fingers)
-        return _firmly(target, (0.03, 0.03, 0.02), at.CROSS_ARM)
+        return LimbTask.firm(target, (0.03, 0.03, 0.02), at.CROSS_ARM)
 
 
 class _Reach(HandPlace):
@@ -377,11 +393,6 @@ class _Take(_Give):
     name, held = "take", Around(0.70)
 
 
-def _firmly(palm: Matrix, turning: tuple[float, float, float], arm: Floats) -> LimbTask:
-    """A palm (4, 4) sought firmly; turning: weights of turning it about its axes, m/rad · arm: the comfortable one, rad."""
-    return LimbTask(palm, at.FIRM, np.array(turning), arm, at.STIFFNESS)
-
-
 def _skin(person: Person, segment: str) -> Floats:
     """(N, 3) m of a segment at rest."""
     return person.rest_skin[person.skin_segment == SEGMENTS.index(segment)].astype(np.float64)
@@ -396,17 +407,11 @@ def _pointing_at(point: Floats, shoulder: Floats, prior: Floats) -> LimbTask:
     direction = point - shoulder
     direction = direction / np.linalg.norm(direction)
     target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
-    return _firmly(target, (0.02, 0.04, 0.04), prior)
+    return LimbTask.firm(target, (0.02, 0.04, 0.04), prior)
 
 
-WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN = (
-    _Wheel(), _Thigh(), _Armrest(), _Either(), _Ear(), _Mouth(), _Drink(), _Shin()
-)  # fmt: skip
-CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE = _Chest(), _Book(), _Carry(), _Belt(), _Give(), _Reach(), _Take()
+WHEEL, THIGH, ARMREST, EITHER, SHIN, CARRY, BELT = _Wheel(), _Thigh(), _Armrest(), _Either(), _Shin(), _Carry(), _Belt()
+EAR, MOUTH, DRINK, CHEST, BOOK, GIVE, REACH, TAKE = _Ear(), _Mouth(), _Drink(), _Chest(), _Book(), _Give(), _Reach(), _Take()
+_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE)
 # Where a hand can be, by name.
-PLACES: Mapping[str, HandPlace] = MappingProxyType(
-    {
-        place.name: place
-        for place in (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE)
-    }
-)
+PLACES: Mapping[str, HandPlace] = MappingProxyType({place.name: place for place in _ALL})

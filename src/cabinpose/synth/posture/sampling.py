@@ -15,15 +15,7 @@ from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.scene.contact import PlacedField
 from cabinpose.synth.posture import hands as at
-from cabinpose.synth.posture.actions import (
-    BREATHING,
-    OWN_ACTIONS,
-    Action,
-    Spread,
-    action_named,
-    actions_for,
-    inboard_side,
-)
+from cabinpose.synth.posture.actions import BREATHING, OWN_ACTIONS, Action, Spread, action_named, actions_for, inboard_side
 from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.feet import MISS_M, FootPlan, default_plans, foot_goals
 from cabinpose.synth.posture.frames import frames
@@ -109,7 +101,8 @@ class Doing(NamedTuple):
 
     action: its name, of `ACTIONS` · wheel_angle: how the wheel is turned, rad, + left · in_hand: whether a hand holds what the
     action speaks of: a telephone, a drink, a book · carried: what a hand holds whatever is done; the action must leave it that
-    hand (`inboard_hand`) · reach: where hands reach that have no place of the cabin to reach for.
+    hand (`inboard_hand`) · reach: where hands reach that have no place of the cabin to reach for · things: what may
+    be in the hand, in place of what usually is.
     """
 
     action: str
@@ -117,6 +110,7 @@ class Doing(NamedTuple):
     in_hand: bool = False
     carried: Hold | None = None
     reach: Reach | None = None
+    things: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -175,7 +169,7 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     if carried is not None:
         hands = carrying(hands, carried)
     elif doing.in_hand:
-        hands, held = holding(seated.person, hands, rng=rng)
+        hands, held = holding(seated.person, hands, doing.things or action.things, rng=rng)
     hands = with_fingers(hands, seated)
     turned = _WHEEL_SIGMA if any(hand.place.on_wheel for hand in hands) else 0.3 * _WHEEL_SIGMA
     wheel_angle = _clip(float(rng.normal(0.0, turned)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
