@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 from cabinpose.app.cli import main
-from cabinpose.evaluate import METRICS, EvaluationOptions, evaluate
+from cabinpose.evaluate import METRICS, EvaluationOptions, Metric, evaluate
 from cabinpose.evaluate.metrics import TABLE
 from cabinpose.store.predictions import Predictions, write_predictions
 
@@ -100,3 +100,9 @@ def test_a_name_of_ours_stays_ours(install: Install, dataset: xr.Dataset, predic
 def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
     """Whether values are equal, NaN being NaN."""
     return str(one) == str(other)
+
+
+@pytest.mark.parametrize("wrong", [{"spaces": ("4d",)}, {"listed_by": ("unit",)}])
+def test_a_space_or_an_order_that_there_is_not_is_refused(wrong: dict[str, tuple[str, ...]]) -> None:
+    with pytest.raises(ValueError, match=r"x: (4d|unit): not one of"):
+        Metric("x", "%", "more", lambda view: (), **wrong)

@@ -69,6 +69,12 @@ class Metric:
     by_visibility: bool = False
     listed_by: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for a space or a field that there is not, which would be left out silently."""
+        for given, known in ((self.spaces, ("2d", "3d", IMAGE)), (self.listed_by, ("space", "visibility", "joints"))):
+            if unknown := set(given) - set(known):
+                raise ValueError(f"{self.name}: {', '.join(sorted(unknown))}: not one of {', '.join(known)}")
+
     def values(self, view: SampleView) -> Iterator[Value]:
         """What it measures in a view, with its name and unit; nothing where the view is none that it is for."""
         if view.space not in self.spaces or (view.visibility != ANY and not self.by_visibility):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import groupby
 from typing import Any
 
@@ -101,7 +102,14 @@ def _values(views: Sequence[SampleView]) -> Iterator[Value]:
     }
     for fields, rows in groupby(METRICS.items(), key=lambda row: row[1].listed_by):
         values = [value for name, metric in rows for value in _measured(name, metric, views)]
-        yield from sorted(values, key=lambda v: [order[field].index(getattr(v, field)) for field in fields])
+        known = {field: order[field] for field in fields}
+        yield from sorted(values, key=partial(_place, known))
+
+
+def _place(order: Mapping[str, Sequence[str]], value: Value) -> list[int]:
+    """Where a value stands by its fields; last with a name that is not in their order."""
+    names = {field: getattr(value, field) for field in order}
+    return [known.index(names[field]) if names[field] in known else len(known) for field, known in order.items()]
 
 
 def _measured(name: str, metric: Metric, views: Sequence[SampleView]) -> list[Value]:
