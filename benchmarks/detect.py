@@ -31,14 +31,7 @@ _EXTRA = ("torch", "lightning", "onnx")
 
 
 def run(
-    *,
-    model: Sequence[str],
-    frames: int,
-    repeats: int,
-    threads: int,
-    skip_fresh: bool,
-    skip_peers: bool,
-    say: Say,
+    *, model: Sequence[str], frames: int, repeats: int, threads: int, skip_fresh: bool, skip_peers: bool, say: Say
 ) -> dict[str, Any]:
     """Measure detectors. Without torch, fresh weights and peers are left out, and named in `left_out`.
 

@@ -69,14 +69,7 @@ def _config(cars: tuple[str, ...], slots: Sequence[str], frames_per_part: int) -
 
 
 def run(
-    *,
-    frames: int,
-    repeats: int,
-    workers: int,
-    skip_blender: bool,
-    memory_frames: int,
-    say: Say,
-    scenes: int = 7,
+    *, frames: int, repeats: int, workers: int, skip_blender: bool, memory_frames: int, say: Say, scenes: int = 7
 ) -> dict[str, Any]:
     """Measure generation.
 

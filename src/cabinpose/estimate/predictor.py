@@ -15,15 +15,8 @@ from cabinpose.estimate.array_model import SUFFIX, ArrayModel
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.lifter import Lifter
 from cabinpose.estimate.methods import METHODS
-from cabinpose.estimate.onnx_model import (
-    METADATA_KEY,
-    OnnxModel,
-    TrainedModel,
-    cameras_of,
-    packaged_models,
-    slices,
-    view_inputs,
-)
+from cabinpose.estimate.onnx_model import METADATA_KEY, OnnxModel, TrainedModel, cameras_of, slices, view_inputs
+from cabinpose.estimate.onnx_model import packaged_models as packaged_models
 
 
 class PartSegmenter:
@@ -115,6 +108,3 @@ def _method(path: Path) -> str:
     text = data[data.index(b'{"', data.rindex(METADATA_KEY.encode() + b"\x12")) :]
     said, _ = json.JSONDecoder().raw_decode(text.decode("utf-8", errors="ignore"))
     return str(said["method"])
-
-
-__all__ = ["PartSegmenter", "describe_model", "load_model", "open_model", "packaged_detectors", "packaged_models"]

@@ -36,7 +36,8 @@ from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.onnx_model import packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
-from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig, with_old_keywords
+from cabinpose.estimate.train_config import Machines, Observers, Start, with_old_keywords
+from cabinpose.estimate.train_config import TrainConfig as TrainConfig
 from cabinpose.estimate.weights import measure_norms, read_weights
 
 _MEASURED = 500  # training frames that open settings are measured on
@@ -118,10 +119,7 @@ class Detector(lightning.LightningModule):
         named = list(self.network.named_parameters())
         decayed = [p for name, p in named if p.ndim > 1 and not name.endswith("bias")]
         others = [p for name, p in named if p.ndim <= 1 or name.endswith("bias")]
-        groups = [
-            {"params": decayed, "weight_decay": self.settings.weight_decay},
-            {"params": others, "weight_decay": 0.0},
-        ]
+        groups = [{"params": decayed, "weight_decay": self.settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
         rate = self.settings.learning_rate
         optimiser = (torch.optim.Adam if self.settings.optimiser == "adam" else torch.optim.AdamW)(groups, lr=rate)
         if self.settings.schedule == "constant":
@@ -430,16 +428,3 @@ def _some(training: Frames | Sequence[Kept]) -> list[Kept]:
         return list(islice(iter(training), _MEASURED))
     count = len(cast(Sized, training))
     return [training[int(i)] for i in np.unique(np.linspace(0, count - 1, min(count, _MEASURED)).astype(int))]
-
-
-__all__ = [
-    "Detector",
-    "TrainConfig",
-    "begin_with",
-    "check_same",
-    "complete",
-    "fit",
-    "frame_spec",
-    "load_detector",
-    "read_checkpoint",
-]

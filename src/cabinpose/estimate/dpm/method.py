@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from cabinpose.estimate.dpm.config import DpmConfig
 from cabinpose.estimate.dpm.find import check, find
-from cabinpose.estimate.found import Found
 from cabinpose.estimate.inputs import Kept
-from cabinpose.estimate.methods import ArrayMethod, Arrays, Progress
+from cabinpose.estimate.methods import ArrayMethod, Progress
 
 if TYPE_CHECKING:
     from cabinpose.estimate.augment import AugmentConfig
@@ -27,23 +26,13 @@ class DpmMethod(ArrayMethod[DpmConfig]):
     room: ClassVar[Mapping[str, Any]] = MappingProxyType({"width": 120, "height": 120, "focal": 142.9, "rounds": 3})
 
     def fit(
-        self,
-        settings: DpmConfig,
-        frames: Sequence[Kept],
-        augment: AugmentConfig,  # noqa: ARG002 - nothing is varied
-        progress: Progress,
-        *,
-        seed: int,
-    ) -> dict[str, NDArray[Any]]:
+        self, settings: DpmConfig, frames: Sequence[Kept], augment: AugmentConfig, progress: Progress, *, seed: int,  # noqa: ARG002
+    ) -> dict[str, NDArray[Any]]:  # fmt: skip
         from cabinpose.estimate.dpm.fit import fit  # noqa: PLC0415 - for training alone
 
         return fit(settings, frames, progress, seed=seed)
 
-    def find(self, arrays: Arrays, settings: DpmConfig, seen: Arrays) -> Found:
-        return find(arrays, settings, seen)
-
-    def check(self, arrays: Arrays, settings: DpmConfig) -> None:
-        check(arrays, settings)
+    find, check = staticmethod(find), staticmethod(check)
 
 
 METHOD = DpmMethod()

@@ -30,9 +30,6 @@ def loss(network: Lifting, people: PeopleBatch) -> dict[str, Tensor]:
     z = joints[:, root, 2]
     across = ((lifted.root[:, :2] - joints[:, root, :2] / z.unsqueeze(-1)) * z.unsqueeze(-1)).square().sum(-1)
     along = (torch.log(lifted.root[:, 2] / z) * z).square()
-    terms = {
-        "relative": _PER_M**2 * squared.sum() / known.sum().clamp(min=1),
-        "root": _PER_M**2 * (across + along).mean(),
-    }
+    terms = {"relative": _PER_M**2 * squared.sum() / known.sum().clamp(min=1), "root": _PER_M**2 * (across + along).mean()}
     terms["loss"] = terms["relative"] + terms["root"]
     return terms

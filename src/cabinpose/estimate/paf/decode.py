@@ -50,11 +50,7 @@ def _single(peaks: list[Peaks]) -> NDArray[np.int64]:
 
 
 def _place(
-    people: NDArray[np.int64],
-    peaks: list[Peaks],
-    config: PafConfig,
-    uv: NDArray[np.float64],
-    score: NDArray[np.float64],
+    people: NDArray[np.int64], peaks: list[Peaks], config: PafConfig, uv: NDArray[np.float64], score: NDArray[np.float64]
 ) -> None:
     """Fill uv (S, J, 2), px of the view, and score (S, J) with people (P, J), rows of their joints' peaks or -1."""
     joints = np.full((*people.shape, 2), np.nan)

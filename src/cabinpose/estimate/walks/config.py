@@ -20,8 +20,7 @@ class WalksConfig(ViewSettings):
     skeleton: Annotated[SkeletonName, Field(description="Joints to find.")] = "cabinpose"
     samples: Annotated[_Count, Field(description="Points in every training frame that a tree learns from.")] = 40
     spread_m: Annotated[
-        float,
-        Field(gt=0, description="Greatest standard deviation of them about the joint (m); half on the way there."),
+        float, Field(gt=0, description="Greatest standard deviation of them about the joint (m); half on the way there.")
     ] = 0.25
     features: Annotated[_Count, Field(description="Features that a node tries.")] = 200
     node_samples: Annotated[_Count, Field(description="Samples at most that a node tries them on.")] = 4000

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.typing import NDArray
 
-from cabinpose.estimate.found import Found
 from cabinpose.estimate.inputs import Kept
-from cabinpose.estimate.methods import ArrayMethod, Arrays, Progress
+from cabinpose.estimate.methods import ArrayMethod, Progress
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.find import check, find
 
@@ -33,11 +32,7 @@ class WalksMethod(ArrayMethod[WalksConfig]):
 
         return fit(settings, frames, progress, seed=seed, mirrored=augment.flip > 0)
 
-    def find(self, arrays: Arrays, settings: WalksConfig, seen: Arrays) -> Found:
-        return find(arrays, settings, seen)
-
-    def check(self, arrays: Arrays, settings: WalksConfig) -> None:
-        check(arrays, settings)
+    find, check = staticmethod(find), staticmethod(check)
 
 
 METHOD = WalksMethod()
