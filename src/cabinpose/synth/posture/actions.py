@@ -6,10 +6,13 @@ how the trunk departs from the backrest, all with a spread. `sampling` turns it 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
+
+import numpy as np
 
 from cabinpose.core import ConfigError, Registry
 from cabinpose.scene.cabin import Cabin, Seat
@@ -180,6 +183,11 @@ OWN_ACTIONS: Mapping[str, Action] = MappingProxyType(
 # Those of other packages are done where they are asked for by name.
 ACTIONS: Registry[Action] = Registry("cabinpose.actions", "action", Action)
 IN_CHILD_SEAT: Mapping[str, float] = MappingProxyType({"rest_lap": 3.0, "look_around": 2.0, "sleep": 2.0, "phone_text": 1.0})
+
+
+def drawn_angle(spread: Spread, *, rng: np.random.Generator) -> float:
+    """An angle (rad) of a normal spread."""
+    return math.radians(spread[0] + spread[1] * float(rng.standard_normal()))
 
 
 def inboard_side(seat: Seat) -> int:

@@ -25,10 +25,8 @@ _HANGING = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
 _SHIN_LEAN = math.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
-_SEAT_BASE_M = (
-    0.10,
-    0.20,
-)  # of what a front seat stands on behind its H-point: feet go under the rear of a high seat, not of a low one
+# Of what a front seat stands on behind its H-point: feet go under the rear of a high seat, not of a low one.
+_SEAT_BASE_M = (0.10, 0.20)
 _HIGH_SEAT_M = 0.25  # of an H-point above the floor
 _FOOT_SHARE = 0.155  # length of a shoe, of the stature
 _SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front seat) leaves no more

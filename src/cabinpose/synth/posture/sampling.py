@@ -15,14 +15,14 @@ from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.scene.contact import PlacedField
 from cabinpose.synth.posture import hands as at
-from cabinpose.synth.posture.actions import BREATHING, OWN_ACTIONS, Action, Spread, action_named, actions_for, inboard_side
+from cabinpose.synth.posture.actions import BREATHING, OWN_ACTIONS, Action, action_named, actions_for, drawn_angle, inboard_side
 from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.feet import MISS_M, FootPlan, default_plans, foot_goals
 from cabinpose.synth.posture.frames import frames
-from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation, look_angles
+from cabinpose.synth.posture.gaze import head_goal
 from cabinpose.synth.posture.goals import TASKS, HandGoal, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
-from cabinpose.synth.posture.intents import Hands, carrying, holding, intents, with_fingers
+from cabinpose.synth.posture.intents import carrying, holding, intents, with_fingers
 from cabinpose.synth.posture.neighbours import LOW_TUNNEL_M, NOBODY, Neighbours, tunnel_m
 from cabinpose.synth.posture.places import Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
@@ -174,7 +174,7 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     turned = _WHEEL_SIGMA if any(hand.place.on_wheel for hand in hands) else 0.3 * _WHEEL_SIGMA
     wheel_angle = _clip(float(rng.normal(0.0, turned)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
     wheel_angle = wheel_angle if doing.wheel_angle is None else doing.wheel_angle
-    root = seated.vehicle_from_root(_draw(action.pelvis, rng))
+    root = seated.vehicle_from_root(drawn_angle(action.pelvis, rng=rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
     feet = foot_goals(seated, root, _foot_plans(seated, rng))
@@ -185,7 +185,7 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     fingers = np.stack([hand.fingers for hand in hands])
     if held is not None:
         fingers[held.side, :5] = held.grasp.curl
-    who, name = sitter(trunk, (left, right), feet, _gaze(trunk, action, hands, side_sign, rng)), doing.action
+    who, name = sitter(trunk, (left, right), feet, head_goal(trunk, action, hands, side_sign, rng=rng)), doing.action
     for profile in (prescribed.initial, prescribed.profile):
         if profile is not None:
             who = _with_profile(who, profile, prescribed.index, rng)
@@ -284,10 +284,6 @@ def _clip(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-def _draw(spread: Spread, rng: np.random.Generator) -> float:
-    return math.radians(spread[0] + spread[1] * float(rng.standard_normal()))
-
-
 def _names_grip(profile: Profile, side: int) -> bool:
     return bool(profile.followed) or "lr"[side] + "hand.grip" in profile.held
 
@@ -309,11 +305,11 @@ def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
 
 def _move_trunk(q: Floats, action: Action, side_sign: float, rng: np.random.Generator) -> None:
     for name, spread in BREATHING.items():
-        value = _draw(spread, rng)
+        value = drawn_angle(spread, rng=rng)
         if name in action.trunk:
             mean, sigma = action.trunk[name]
             sign = 1.0 if name.endswith(".flexion") else side_sign
-            value += sign * _draw((mean, sigma), rng)
+            value += sign * drawn_angle((mean, sigma), rng=rng)
         d = DOF_INDEX[name]
         q[d] = _clip(q[d] + value, LOWER[d], UPPER[d])
 
@@ -354,20 +350,3 @@ def _varied_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[F
 def _hanging(plan: FootPlan, rests: bool) -> FootPlan:
     """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the `rests` of its seat."""
     return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M if rests else plan.out)
-
-
-def _gaze(trunk: Trunk, action: Action, hands: Hands, side_sign: float, rng: np.random.Generator) -> Matrix:
-    """vehicle_from_head (4, 4), its rotation, of somebody who looks where the action says."""
-    gaze, heading = action.gaze, trunk.seated.seat.facing_yaw
-    yaw, pitch, tilt = _draw(gaze.yaw, rng), _draw(gaze.pitch, rng), _draw((0.0, gaze.tilt), rng)
-    if gaze.either_side:
-        yaw *= side_sign
-    if gaze.at_hand:
-        side, hand = next((side, hand) for side, hand in enumerate(hands) if hand.place.watched)
-        point = hand.reach.point if hand.reach is not None else hand.place.task(trunk, hand, side).target[:3, 3]
-        head = trunk.skeleton.bone("head")
-        eye = head[:3, 3] + head[:3, :3] @ np.array([0.09, 0.0, 0.06])
-        towards_yaw, towards_pitch = look_angles(eye, point, heading)
-        # Eyes do not always stay on the hand; downwards the head lags most.
-        yaw, pitch = towards_yaw + 0.5 * yaw, max(towards_pitch, -0.9) + 0.5 * pitch
-    return head_rotation(heading + HEAD_SHARE[0] * yaw, HEAD_SHARE[1] * pitch, tilt)
