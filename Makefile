@@ -29,7 +29,7 @@ demo: $(VENV)/.base  ## install, generate 1000 frames and look at them; then tra
 	$(BIN)/cabinpose synth --config docs/examples/demo-unseen.yaml --frames $(UNSEEN) --workers $(WORKERS) --seed 2 --out $(DEMO)/unseen --resume
 	@$(MAKE) --no-print-directory $(VENV)/.train
 	$(BIN)/cabinpose train $(DEMO)/dataset --config docs/examples/demo-train.yaml --out $(DEMO)/run --resume
-	$(BIN)/cabinpose export --onnx $(DEMO)/run/best.ckpt --out $(DEMO)/demo.onnx --overwrite
+	$(BIN)/cabinpose export onnx $(DEMO)/run/best.ckpt --out $(DEMO)/demo.onnx --overwrite
 	$(BIN)/cabinpose evaluate $(DEMO)/unseen --model $(DEMO)/demo.onnx in_car --persons driver front_passenger \
 	  --out $(DEMO)/report --overwrite
 	@echo "open $(DEMO)/view/index.html and $(DEMO)/report/index.html"

@@ -13,7 +13,8 @@ from benchmarks import Say
 from cabinpose.align.calibration import Calibration, PoseCorrection
 from cabinpose.align.project import align_take
 from cabinpose.align.session import Session, calibrate, correct_pose
-from cabinpose.app.lab.laboratory import SESSION, Plan, drive_take, record_session
+from cabinpose.app.lab.laboratory import record_session
+from cabinpose.app.lab.plan import SESSION, Plan, drive_take
 from cabinpose.app.lab.rig import ERRORS, VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.store.recording import Recording

@@ -80,7 +80,7 @@ def detector(folder: Path, data: Path, recipe: Mapping[str, Any]) -> Path:
         file = folder.with_suffix(".yaml")
         file.write_text(yaml.safe_dump(dict(recipe)))
         run("train", str(data), "--config", str(file), "--out", str(folder))
-        run("export", "--onnx", str(folder / "best.ckpt"), "--out", str(model))
+        run("export", "onnx", str(folder / "best.ckpt"), "--out", str(model))
     return model
 
 

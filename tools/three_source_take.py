@@ -144,8 +144,9 @@ class _Run:
     def _optical(self, port: int, name: str, first: int, seconds: float | None = None) -> tuple[subprocess.Popen[bytes], int]:
         """An optical system that listens, and its port."""
         plan = self.plan
-        arguments = ["--port", port, "--rate", plan.optical_hz, "--drop", plan.loss, "--first-frame", first, "--seed", plan.seed]
-        arguments += ["--log", plan.out / f"{name}.jsonl", *(() if seconds is None else ("--seconds", max(seconds, 0.1)))]
+        arguments = ["--port", port, "--rate-hz", plan.optical_hz, "--drop", plan.loss, "--first-frame", first]
+        arguments += ["--seed", plan.seed, "--log", plan.out / f"{name}.jsonl"]
+        arguments += () if seconds is None else ("--seconds", max(seconds, 0.1))
         process = self._start(name, "emulate", "vicon", *arguments)
         said = plan.out / f"{name}.err"
         _until(lambda: "streaming" in said.read_text(encoding="utf-8"), process, name)
@@ -153,7 +154,7 @@ class _Run:
 
     def _suit(self, port: int) -> subprocess.Popen[bytes]:
         plan = self.plan
-        flags = ["--port", port, "--types", *MVN_KINDS, "--rate", plan.suit_hz, "--loss", plan.loss, "--reorder", plan.late]
+        flags = ["--port", port, "--kinds", *MVN_KINDS, "--rate-hz", plan.suit_hz, "--loss", plan.loss, "--reorder", plan.late]
         flags += ["--seconds", plan.seconds, "--seed", plan.seed, "--log", plan.out / "suit.jsonl"]
         return self._start("suit", "emulate", "mvn", *flags)
 

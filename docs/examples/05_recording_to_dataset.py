@@ -39,7 +39,7 @@ def run(*words: str) -> None:
 
 
 def main() -> None:
-    run("lab", "--out", str(LAB), "--subjects", *SUBJECTS, "--seconds", "8", "--rate", "4", "--views", "14", "--no-exercises")
+    run("lab", "--out", str(LAB), "--subjects", *SUBJECTS, "--seconds", "8", "--rate-hz", "4", "--views", "14", "--no-exercises")
     RECORDED.mkdir(exist_ok=True)
     takes = []
     for subject in SUBJECTS:

@@ -14,7 +14,7 @@ from cabinpose.core.frames import apply, invert, look_at, transform
 from cabinpose.core.skeleton import CABINPOSE, JOINTS, MVN_SEGMENTS
 from cabinpose.signals.clock import ClockMap
 from cabinpose.signals.recorded import Message, Sample, SegmentPoses, ToFFrame
-from cabinpose.store.recording import Participant, RecordingWriter, Take
+from cabinpose.store.recording import Chunking, Participant, RecordingWriter, Take
 
 START_NS = 1_750_000_000_000_000_000
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
@@ -121,7 +121,7 @@ class Made:
         seats = (self.seat, "front_passenger" if self.seat else None)
         people = tuple(Participant(code=code, seat=seat) for code, seat in zip(self.codes, seats, strict=False))
         take = Take(action="reach", car=self.car, subjects=people)
-        with RecordingWriter(path, take, host=self.host, flush_s=np.inf, sync_s=0.0) as writer:
+        with RecordingWriter(path, take, host=self.host, chunking=Chunking(flush_s=np.inf, sync_s=0.0)) as writer:
             for source, sample in samples:
                 writer.write(source, sample)
         return self.true_s.get("tof", np.zeros(0))

@@ -14,7 +14,7 @@ import yaml
 from cabinpose.scene.materials import MATERIAL_ID
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, Sensor, simulate
 from cabinpose.signals.recorded import Sample, ToFFrame
-from cabinpose.store.recording import RecordingWriter
+from cabinpose.store.recording import Chunking, RecordingWriter
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import Source, blank_frame, import_source
 from cabinpose.synth.config import SynthConfig
@@ -47,7 +47,7 @@ def frames_of(distance: float, count: int) -> Iterator[dict[str, Any]]:
 
 
 def record(path: Path, distance: float, count: int = 40, sources: tuple[str, ...] = ("tof",)) -> Path:
-    with RecordingWriter(path, started_ns=NOW, sync_s=0) as writer:
+    with RecordingWriter(path, started_ns=NOW, chunking=Chunking(sync_s=0)) as writer:
         for i, f in enumerate(frames_of(distance, count)):
             depth = np.round(np.nan_to_num(f["depth"]) / STEP_M).astype(np.uint16)
             none = np.zeros((0, 0), np.uint8)

@@ -184,29 +184,29 @@ def test_config_schema_is_json(run: Run) -> None:
 
 def test_export(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "coco"
-    code, text, _ = run("export", "--format", "coco", "--out", out, dataset_folder, "--json")
+    code, text, _ = run("export", "coco", "--out", out, dataset_folder, "--json")
     assert code == 0
     assert json.loads(text) == {"out": str(out), "format": "coco", "frames": 5}
     assert (out / "annotations" / "person_keypoints.json").exists()
-    code, _, err = run("export", "--format", "coco", "--out", out, dataset_folder)
+    code, _, err = run("export", "coco", "--out", out, dataset_folder)
     assert code == 2
     assert "hint: --overwrite" in err
-    code, _, err = run("export", "--format", "coc", "--out", tmp_path / "x", dataset_folder)
+    code, _, err = run("export", "coc", "--out", tmp_path / "x", dataset_folder)
     assert code == 2
-    assert "hint: known: bvh, c3d, coco, csv, itop, ntu, ply, png-json, sto, trc, yolo" in err
+    assert "hint: known: bvh, c3d, coco, csv, itop, ntu, onnx, ply, png-json, sto, trc, yolo" in err
 
 
 def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     splits = tmp_path / "splits.yaml"
     splits.write_text("train: {car: [sedan, van]}\ntest: {car: [coupe]}\n")
     out = tmp_path / "ply"
-    code, _, _ = run("export", "--format", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "test")
+    code, _, _ = run("export", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "test")
     assert code == 0
     assert [p.name for p in out.iterdir()] == ["00000002.ply"]
-    code, _, err = run("export", "--format", "ply", "--out", out, dataset_folder, "--splits", splits)
+    code, _, err = run("export", "ply", "--out", out, dataset_folder, "--splits", splits)
     assert code == 2
     assert "--split NAME" in err
-    code, _, err = run("export", "--format", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "val")
+    code, _, err = run("export", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "val")
     assert code == 2
     assert "known: test, train" in err
 

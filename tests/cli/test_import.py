@@ -50,12 +50,18 @@ def test_help(run: Run) -> None:
     code, out, _ = run("import", "--help")
     assert code == 0
     assert "usage: cabinpose import" in out
-    assert all(name in out for name in ("png-json", "coco", "itop", "ntu", "--keep-invalid", "--intrinsics"))
+    assert all(name in out for name in ("png-json", "coco", "itop", "ntu", "bvh"))
+    assert "yolo" not in out
+    code, out, _ = run("import", "itop", "--help")
+    assert code == 0
+    assert "usage: cabinpose import itop" in out
+    assert all(flag in out for flag in ("--keep-invalid", "--intrinsics"))
+    assert "--images" not in out
 
 
 def test_import(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    arguments = ("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", out)
+    arguments = ("import", "itop", itop_folder(tmp_path / "itop"), "--out", out)
     code, text, err = run(*arguments, "--json")
     assert (code, err) == (0, "")
     assert json.loads(text) == {"out": str(out), "format": "itop", "frames": 3, "variables": ["depth", "itop_joints_3d"]}
@@ -75,22 +81,23 @@ def test_import(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("flags", "message"),
+    ("words", "message"),
     [
-        (("--format", "fbx"), "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, itop, mvnx, ntu, png-json, rosbag2, ticam, xdf"),
-        (("--format", "bvh"), "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu, ticam"),
-        (("--format", "coco", "--keep-invalid"), "hint: leave out --keep-invalid"),
-        (("--format", "itop", "--images", "x"), "hint: leave out --images"),
-        (("--format", "itop", "--intrinsics", "0", "1", "2", "3"), "hint: give fx, fy, cx and cy"),
-        (("--format", "ntu"), "hint: give a file, or the folder that has them"),
-        (("--format", "itop", "--every", "2"), "--every is of the format ticam or ntu, not itop"),
-        (("--format", "ticam", "--every", "0"), "hint: give --every a number above 0"),
-        (("--format", "ticam", "--topic", "/depth"), "hint: leave out --topic"),
+        ("fbx", "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, coco-labels, itop, mvnx, ntu, png-json, rosbag2, ticam, xdf"),
+        ("bvh", "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu, ticam"),
+        ("coco --keep-invalid", "hint: --keep-invalid is of itop"),
+        ("itop --images x", "hint: --images is of coco, ntu"),
+        ("itop --intrinsics 0 1 2 3", "hint: give fx, fy, cx and cy"),
+        ("ntu", "hint: give a file, or the folder that has them"),
+        ("itop --every 2", "hint: --every is of ntu, ticam"),
+        ("ticam --every 0", "hint: give --every a number above 0"),
+        ("ticam --topic /depth", "hint: --topic is of rosbag2"),
     ],
 )
-def test_mistakes(run: Run, tmp_path: Path, flags: tuple[str, ...], message: str) -> None:
+def test_mistakes(run: Run, tmp_path: Path, words: str, message: str) -> None:
     (tmp_path / "source").mkdir()
-    code, out, err = run("import", tmp_path / "source", "--out", tmp_path / "out", *flags)
+    name, *flags = words.split()
+    code, out, err = run("import", name, tmp_path / "source", "--out", tmp_path / "out", *flags)
     assert (code, out) == (2, "")
     assert message in err
     assert [p.name for p in tmp_path.iterdir()] == ["source"]
@@ -99,7 +106,7 @@ def test_mistakes(run: Run, tmp_path: Path, flags: tuple[str, ...], message: str
 def test_joints_only(run: Run, tmp_path: Path) -> None:
     """A dataset without images: info and evaluate work, what needs depth says so."""
     data = tmp_path / "data"
-    assert run("import", coco_file(tmp_path / "a.json"), "--format", "coco", "--out", data).code == 0
+    assert run("import", "coco", coco_file(tmp_path / "a.json"), "--out", data).code == 0
     code, out, _ = run("info", data, "--verify")
     assert code == 0
     assert "120x100, no depth" in out
@@ -109,7 +116,7 @@ def test_joints_only(run: Run, tmp_path: Path) -> None:
     assert code == 2
     assert "error: the dataset has no depth to show" in err
     for name in ("coco", "itop", "ply"):
-        code, _, err = run("export", data, "--format", name, "--out", tmp_path / "x")
+        code, _, err = run("export", name, data, "--out", tmp_path / "x")
         assert code == 2
         assert "which the dataset lacks" in err
 
@@ -135,7 +142,7 @@ def test_joints_only(run: Run, tmp_path: Path) -> None:
 
 def test_depth_without_segmentation_or_extrinsics(run: Run, tmp_path: Path) -> None:
     data = tmp_path / "data"
-    assert run("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", data).code == 0
+    assert run("import", "itop", itop_folder(tmp_path / "itop"), "--out", data).code == 0
     assert np.isnan(open_dataset(data).vehicle_from_camera.values).all()
     code, _, err = run("view", data, "--out", tmp_path / "view", "--frames", "1", "--rows", "1")
     assert code == 0
@@ -154,22 +161,20 @@ def test_depth_without_intrinsics(run: Run, tmp_path: Path, dataset_folder: Path
     for image in content["images"]:
         del image["camera_k"]
     file.write_text(json.dumps(content))
-    assert run("import", exported, "--format", "coco", "--out", tmp_path / "data").code == 0
-    for verb in (("view",), ("export", "--format", "ply")):
-        code, _, err = run(verb[0], tmp_path / "data", *verb[1:], "--out", tmp_path / "out")
+    assert run("import", "coco", exported, "--out", tmp_path / "data").code == 0
+    for verb in (("view",), ("export", "ply")):
+        code, _, err = run(*verb, tmp_path / "data", "--out", tmp_path / "out")
         assert code == 2
         assert "hint: import it again with --intrinsics" in err or "'labels', which the dataset lacks" in err
     flags = ("--intrinsics", "51.2", "51.2", "31.5", "23.5")
-    assert run("import", exported, "--format", "coco", "--out", tmp_path / "data", "--overwrite", *flags).code == 0
+    assert run("import", "coco", exported, "--out", tmp_path / "data", "--overwrite", *flags).code == 0
     assert run("view", tmp_path / "data", "--out", tmp_path / "view", "--frames", "1", "--rows", "1").code == 0
 
 
 def test_a_dataset_without_joints(run: Run, tmp_path: Path) -> None:
     """TICaM: masks and depth, nobody's joints."""
     data = tmp_path / "data"
-    done = run(
-        "import", ticam_folder(tmp_path / "ticam"), "--format", "ticam", "--out", data, "--sequences", "p01", "--every", "2"
-    )
+    done = run("import", "ticam", ticam_folder(tmp_path / "ticam"), "--out", data, "--sequences", "p01", "--every", "2")
     assert (done.code, done.out) == (0, f"{data}: 2 frames of ticam\n"), done.err
     code, out, _ = run("info", data, "--verify")
     assert code == 0
@@ -188,7 +193,7 @@ def test_segmentation_learns_from_ticam(run: Run, tmp_path: Path) -> None:
     from cabinpose.estimate.training import TrainConfig, frame_spec
 
     root = ticam_folder(tmp_path / "ticam")
-    assert run("import", root, "--format", "ticam", "--out", tmp_path / "data").code == 0
+    assert run("import", "ticam", root, "--out", tmp_path / "data").code == 0
     dataset = open_dataset(tmp_path / "data")
     size = {"width": 32, "height": 32, "focal": 12.28, "levels": 2, "channels": 2, "slots": ("driver", "front_passenger")}
 
@@ -212,7 +217,7 @@ def test_training_takes_an_import(run: Run, tmp_path: Path) -> None:
     from cabinpose.estimate.inputs import InputView
 
     data = tmp_path / "data"
-    assert run("import", itop_folder(tmp_path / "itop"), "--format", "itop", "--out", data).code == 0
+    assert run("import", "itop", itop_folder(tmp_path / "itop"), "--out", data).code == 0
     f = 1 / 0.0035 / 2
     view = InputView(160, 120, f)
     spec = FrameSpec(view, ("standing",), "itop", ("head", "rhand"), amplitude=False)

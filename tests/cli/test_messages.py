@@ -12,6 +12,7 @@ from typing import Any, get_args
 import pytest
 
 from cabinpose.app.cli import VERBS, verb_module
+from cabinpose.app.cli.commands import Choices
 from cabinpose.scene.sensor import Sensor
 
 Run = Callable[..., Any]
@@ -67,12 +68,12 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "the dataset follows the verb: cabinpose train DATASET",
         ),
         (
-            "export --onnx scene.yaml --out x.onnx",
+            "export onnx scene.yaml --out x.onnx",
             "scene.yaml is no checkpoint of `cabinpose train`, or it is cut short",
             "give best.ckpt or last.ckpt of a run",
         ),
         (
-            "export --onnx nope.ckpt --out x.onnx",
+            "export onnx nope.ckpt --out x.onnx",
             "cannot read nope.ckpt: No such file or directory",
             "give best.ckpt or last.ckpt of a run",
         ),
@@ -82,8 +83,8 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "`cabinpose lab --help` says what each flag takes",
         ),
         (
-            "lab --rate 0 --out l",
-            "--rate: input should be greater than 0, not 0.0",
+            "lab --rate-hz 0 --out l",
+            "--rate-hz: input should be greater than 0, not 0.0",
             "`cabinpose lab --help` says what each flag takes",
         ),
         ("predict d --model in_car --out q.csv", "q.csv is no name of a predictions file", "let it end in .jsonl or .parquet"),
@@ -135,7 +136,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "give the folder that holds dataset.yaml, or a recording (.mcap)",
         ),
         (
-            "export scene.yaml --format csv --out t",
+            "export csv scene.yaml --out t",
             "scene.yaml is neither a dataset nor a recording",
             "give the folder that holds dataset.yaml, or a recording (.mcap)",
         ),
@@ -147,18 +148,18 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "write one object a line; docs/evaluation.md describes the format",
         ),
         (
-            "import two.jsonl --format coco --out z",
+            "import coco two.jsonl --out z",
             "two.jsonl is no whole JSON object (parse error: trailing garbage)",
             "it may be cut short; copy it again, or give another file",
         ),
-        ("import x --format coco --out z --role me", "--role is of --corrects", "leave out --role"),
-        ("import x --format itop --out z --corrects d", "--corrects is of the format coco, not itop", "leave out --corrects"),
+        ("import coco-labels x --out z.jsonl --corrects nope", "nope does not exist", "give the folder of a dataset"),
+        ("import", "`cabinpose import` needs a format", "`cabinpose import --help` lists them"),
+        ("emulate tof", "unknown device 'tof'", "known: mvn, stepper, vicon"),
         (
-            "import x --format coco --out z.jsonl --corrects d --overwrite",
-            "--corrects adds to the labels of a dataset, without --overwrite",
-            "leave out --overwrite",
+            "lab --together --out l",
+            "together needs two subjects",
+            "`cabinpose lab --help` says what each flag takes",
         ),
-        ("import x --format coco --out z.jsonl --corrects nope", "nope does not exist", "give the folder of a dataset"),
         ("evaluate d", "there is nothing to evaluate", "give DATASET with --predictions or --model, or --itop-npz with --model"),
         (
             "train d --synth scene.yaml --out run",
@@ -166,22 +167,12 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "give DATASET or --synth, not both",
         ),
         (
-            "export d --format nope --out z",
+            "export nope d --out z",
             "unknown format 'nope'",
-            "known: bvh, c3d, coco, csv, itop, ntu, ply, png-json, sto, trc, yolo",
+            "known: bvh, c3d, coco, csv, itop, ntu, onnx, ply, png-json, sto, trc, yolo",
         ),
         (
-            "export d --format ply --images depth8 --out z",
-            "ply has no images of the kind depth8",
-            "leave out --images, which is of coco, yolo",
-        ),
-        (
-            "export d --format yolo --images depth16 --out z",
-            "yolo has no images of the kind depth16",
-            "choose one of depth8, amplitude8, rgb",
-        ),
-        (
-            "export d --format yolo --splits splits.yaml --split test --out z",
+            "export yolo d --splits splits.yaml --split test --out z",
             "yolo needs the splits train and val, not test",
             "name them train and val (or validate) in the file of --splits, and leave out --split",
         ),
@@ -244,7 +235,8 @@ def helps() -> list[tuple[str, ...]]:
     """Every verb, and every verb of a verb."""
     found: list[tuple[str, ...]] = []
     for verb in VERBS:
-        inner = [each.__metadata__[0].name for each in get_args(verb_module(verb).COMMAND)]
+        command = verb_module(verb).COMMAND
+        inner = command.names() if isinstance(command, Choices) else [each.__metadata__[0].name for each in get_args(command)]
         found += [(verb, name) for name in inner] or [(verb,)]
     return found
 
@@ -252,7 +244,7 @@ def helps() -> list[tuple[str, ...]]:
 def test_no_help_shows_an_empty_default(run: Run) -> None:
     verbs = helps()
     assert {verb[0] for verb in verbs} == set(VERBS)
-    assert {("bench", "lab"), ("evaluate-mocap", "dfe"), ("config", "init")} <= set(verbs)
+    assert {("bench", "lab"), ("evaluate-mocap", "dfe"), ("config", "init"), ("import", "coco"), ("emulate", "mvn")} <= set(verbs)
     for verb in verbs:
         text = " ".join(run(*verb, "--help").out.split())
         assert f"usage: cabinpose {' '.join(verb)}" in text
@@ -275,7 +267,7 @@ CHOICES = [(("--select", "car=sedan,van", "pov=driver"), 3), (("--splits", "spli
 @pytest.mark.parametrize(("flags", "count"), CHOICES)
 def test_every_verb_chooses_frames_alike(run: Run, here: Path, flags: tuple[str, ...], count: int) -> None:
     assert json.loads(run("info", "d", "--json", *flags).out)["selected"] == count
-    assert json.loads(run("export", "d", "--format", "ply", "--out", "clouds", "--json", *flags).out)["frames"] == count
+    assert json.loads(run("export", "ply", "d", "--out", "clouds", "--json", *flags).out)["frames"] == count
     assert len(list(Path("clouds").glob("*.ply"))) == count
     found = json.loads(run("predict", "d", "--model", "in_car", "--out", "f.jsonl", "--json", *flags).out)
     assert found["frames"] == count
@@ -306,19 +298,19 @@ def test_selections_fail_alike(run: Run, here: Path, verb: str, flags: str, erro
 
 def test_export_of_all_splits(run: Run, here: Path) -> None:
     Path("some.yaml").write_text("train: {car: [sedan]}\nval: {car: [coupe]}\n")
-    done = run("export", "d", "--format", "coco", "--splits", "some.yaml", "--out", "c")
+    done = run("export", "coco", "d", "--splits", "some.yaml", "--out", "c")
     assert done == (0, "c: 3 frames as coco: train 2, val 1\n", "2 frames belong to no split and are left out\n")
-    one = run("export", "d", "--format", "coco", "--splits", "some.yaml", "--split", "val", "--out", "one", "--json")
+    one = run("export", "coco", "d", "--splits", "some.yaml", "--split", "val", "--out", "one", "--json")
     assert json.loads(one.out) == {"out": "one", "format": "coco", "frames": 1, "splits": {"val": 1}}
     assert [path.name for path in Path("one/annotations").iterdir()] == ["person_keypoints_val.json"]
-    held = run("export", "d", "--format", "yolo", "--out", "y")
+    held = run("export", "yolo", "d", "--out", "y")
     assert held == (0, "y: 4 frames as yolo: train 3, val 1\n", "1 frames belong to no split and are left out\n")
 
 
 def test_an_import_of_grey_images_says_what_is_missing(run: Run, here: Path) -> None:
-    assert run("export", "d", "--format", "coco", "--out", "c").code == 0
-    assert run("import", "c", "--format", "coco", "--out", "z").err == (
+    assert run("export", "coco", "d", "--out", "c").code == 0
+    assert run("import", "coco", "c", "--out", "z").err == (
         "the images are depth8, too coarse for a dataset: joints and masks are imported without them "
-        "(`export --images depth16` keeps the depth)\n"
+        "(`export coco --images depth16` keeps the depth)\n"
         "see what it holds with: cabinpose info z\n"
     )

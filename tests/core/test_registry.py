@@ -94,3 +94,28 @@ def test_a_name_of_ours_stays_ours(extension: Install) -> None:
     assert found.package("replay") == OURS
     with pytest.warns(UserWarning, match="the kind of source 'replay' of acme is left out: cabinpose has one of this name"):
         assert found["replay"].__module__ == "cabinpose.record.sources.replay"
+
+
+OUTLINED = """
+class One(Base):
+    '''The first.
+
+    More.
+    '''
+
+    def work(self): ...
+
+UNIT = One()
+MADE = build()
+"""
+
+
+def test_a_class_is_outlined_without_being_imported(extension: Install) -> None:
+    extension("acme", {"tries": {"one": "One", "unit": "UNIT", "made": "MADE"}}, OUTLINED)
+    found = of_classes()
+    for name in ("one", "unit"):
+        assert found.outline(name) == ("The first.", ("Base",), {"work"})
+    assert found.outline("made") is None
+    assert "acme" not in sys.modules
+    with pytest.raises(ConfigError, match="unknown try 'four'"):
+        found.outline("four")

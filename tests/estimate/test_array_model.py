@@ -91,7 +91,7 @@ def test_from_a_dataset_to_answers_by_the_command_line(data: Path, tmp_path: Pat
     for wrong, words in (
         (train, "already holds a trained model"),
         ([*train, "--resume"], "is fitted in one go"),
-        (["export", "--onnx", model, "--out", str(tmp_path / "m.onnx")], "it is the model already: give it to --model"),
+        (["export", "onnx", model, "--out", str(tmp_path / "m.onnx")], "it is the model already: give it to --model"),
     ):
         capsys.readouterr()
         assert main(wrong) == 2

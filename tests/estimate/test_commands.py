@@ -1,4 +1,4 @@
-"""`cabinpose train` and `cabinpose export --onnx` for every method, from a dataset's folder to a model that answers."""
+"""`cabinpose train` and `cabinpose export onnx` for every method, from a dataset's folder to a model that answers."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_train_and_export(
     assert told[0] >= 0
     best = json.loads(said.out.strip().splitlines()[-1])["best"]
     assert Image.open(out / "curves.png").size == (960, 2 * (260 + 28))
-    assert run("export", "--onnx", best, "--out", str(tmp_path / "model.onnx"), "--json") == 0
+    assert run("export", "onnx", best, "--out", str(tmp_path / "model.onnx"), "--json") == 0
     assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["difference"] <= 1e-4
 
 

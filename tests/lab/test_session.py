@@ -13,7 +13,8 @@ from cabinpose.align.project import align_take
 from cabinpose.align.session import Calibrated, Session, calibrate
 from cabinpose.app.cli import main
 from cabinpose.app.cli.selection import opened
-from cabinpose.app.lab.laboratory import PAIR, RIG, SESSION, Plan, drive_take, load_rig, load_truth, record_session
+from cabinpose.app.lab.laboratory import load_rig, load_truth, record_session
+from cabinpose.app.lab.plan import PAIR, RIG, SESSION, Plan, drive_take
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.app.lab.takes import dress_up, write_action_take, write_head_take, write_pose_take

@@ -26,7 +26,7 @@ from cabinpose.app.cli.panel import drawn, line
 from cabinpose.core.errors import ConfigError
 from cabinpose.record.lane import LaneStatus
 from cabinpose.record.recorder import RecorderStatus
-from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, survey
+from cabinpose.store.recording import Chunking, Participant, Recording, RecordingWriter, SourceStatus, Take, survey
 
 RIG: dict[str, Any] = {
     "take": {"action": "reach", "subjects": [{"code": "S07", "seat": "driver", "consent": "C-1"}]},
@@ -47,7 +47,9 @@ def rig(tmp_path: Path) -> Path:
 
 def take_of(path: Path, *codes: str, cut: float = 1.0) -> Path:
     path.parent.mkdir(exist_ok=True, parents=True)
-    with RecordingWriter(path, Take(subjects=tuple(Participant(code=code) for code in codes)), sync_s=0) as writer:
+    with RecordingWriter(
+        path, Take(subjects=tuple(Participant(code=code) for code in codes)), chunking=Chunking(sync_s=0)
+    ) as writer:
         for source, sample in take_samples(12, rng=np.random.default_rng(3)):
             writer.write(source, sample)
     os.truncate(path, int(path.stat().st_size * cut))

@@ -21,7 +21,7 @@ from cabinpose.record.sources.numbered import NumberedSettings, NumberedSource
 from cabinpose.record.split import SplitWriter
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Channels, Counts, Sample
-from cabinpose.store.recording import Recording, RecordingWriter, SourceStatus
+from cabinpose.store.recording import Chunking, Recording, RecordingWriter, SourceStatus
 from cabinpose.store.recording.scan import Chunk, Scanner
 
 PATIENCE_S = 60.0  # of a busy machine
@@ -85,7 +85,7 @@ def recorder_of(
 ) -> Recorder:
     clock, wake = clock or HostClock(), threading.Event()
     lanes = [Lane(source, "scripted", clock, wake, queue_bytes=queue_bytes) for source in sources]
-    writer = SplitWriter(path, lambda file, part: RecordingWriter(file, sync_s=0, part=part, **options), clock)
+    writer = SplitWriter(path, lambda file, part: RecordingWriter(file, part=part, chunking=Chunking(sync_s=0, **options)), clock)
     return Recorder(lanes, writer, clock, wake)
 
 

@@ -18,14 +18,14 @@ from recorded_things import MESSAGES, SAMPLES, bits, take_samples, tof_frame
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.signals.recorded import Channels, Facts, Markers, Message, Sample, SegmentPoses
-from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, recover
+from cabinpose.store.recording import Chunking, Participant, Recording, RecordingWriter, SourceStatus, Take, recover
 
 TAKE = Take(action="reach", car="sedan", subjects=(Participant(code="S07", seat="driver", consent="C-12"),))
 NOW = 1_700_000_000_000_000_000
 
 
 def written(path: Path, samples: list[tuple[str, Sample]], **options: object) -> list[tuple[str, Sample]]:
-    with RecordingWriter(path, TAKE, started_ns=NOW, sync_s=0, **options) as writer:
+    with RecordingWriter(path, TAKE, started_ns=NOW, chunking=Chunking(sync_s=0, **options)) as writer:
         for source, sample in samples:
             assert writer.write(source, sample) == []
     with Recording(path) as recording:
@@ -201,7 +201,7 @@ def test_what_cannot_be_written_is_said_and_the_raw_bytes_are_kept(tmp_path: Pat
 
 def test_a_device_that_renames_itself_all_the_time_fills_no_memory(tmp_path: Path) -> None:
     nobody = np.zeros((0, 3)), np.zeros((0, 4))
-    with RecordingWriter(tmp_path / "a.mcap", TAKE, sync_s=0) as writer:
+    with RecordingWriter(tmp_path / "a.mcap", TAKE, chunking=Chunking(sync_s=0)) as writer:
         refused = sum(
             len(writer.write("suit", Sample(i, NOW + i, None, b"x", (SegmentPoses(f"S{i}", (), *nobody),)))) for i in range(4200)
         )
@@ -282,3 +282,10 @@ def test_a_take_survives_as_text() -> None:
     assert Take.from_metadata(take.as_metadata()) == take
     with pytest.raises(ValueError, match="twice"):
         Take(subjects=(Participant(code="S1"), Participant(code="S1")))
+
+
+def test_keywords_of_the_last_release(tmp_path: Path) -> None:
+    with pytest.warns(DeprecationWarning, match=r"RecordingWriter\(sync_s\) is RecordingWriter\(chunking=Chunking"):
+        RecordingWriter(tmp_path / "a.mcap", sync_s=0).close()
+    with pytest.raises(TypeError, match="speed"):
+        RecordingWriter(tmp_path / "b.mcap", speed=2)

@@ -20,7 +20,7 @@ from recorded_things import bits, markers, poses, take_samples, tof_frame
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.signals.recorded import Channels, Facts, Sample
-from cabinpose.store.recording import Participant, Recording, RecordingWriter, SourceStatus, Take, recover, survey
+from cabinpose.store.recording import Chunking, Participant, Recording, RecordingWriter, SourceStatus, Take, recover, survey
 from cabinpose.store.recording.scan import Chunk, RawMessage, Scanner, _uncompressed, messages_in
 
 TAKE = Take(action="reach", subjects=(Participant(code="S07"),))
@@ -42,7 +42,7 @@ def made(
 ) -> bytes:
     """A small file of several chunks."""
     how = {"compression": compression, "chunk_bytes": chunk_bytes, "definitions_s": definitions_s}
-    with RecordingWriter(path, TAKE, rig=RIG, sync_s=0, **how) as writer:
+    with RecordingWriter(path, TAKE, rig=RIG, chunking=Chunking(sync_s=0, **how)) as writer:
         for source, sample in samples:
             writer.write(source, sample)
     return path.read_bytes()
@@ -167,7 +167,7 @@ def test_a_sample_is_whole_or_left_out(tmp_path: Path, compression: str, chunk_b
 
 def test_a_sample_with_a_status_behind_it_is_whole(tmp_path: Path) -> None:
     (source, first), (_, second) = [sample for sample in SAMPLES if sample[0] == "suit"][:2]
-    with RecordingWriter(tmp_path / "a.mcap", TAKE, sync_s=0, flush_s=60.0, chunk_bytes=1 << 24) as writer:
+    with RecordingWriter(tmp_path / "a.mcap", TAKE, chunking=Chunking(sync_s=0, flush_s=60.0, chunk_bytes=1 << 24)) as writer:
         writer.write(source, first)
         writer.write_status(SourceStatus(source, "mvn", "recording"), first.host_ns + 1)
         writer.write(source, second)

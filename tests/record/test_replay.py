@@ -15,7 +15,7 @@ from cabinpose.record.session import begin
 from cabinpose.record.sources.replay import ReplaySettings, ReplaySource
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Sample
-from cabinpose.store.recording import Recording, RecordingWriter
+from cabinpose.store.recording import Chunking, Recording, RecordingWriter
 
 SAMPLES = take_samples(60, rng=np.random.default_rng(2))
 
@@ -23,7 +23,7 @@ SAMPLES = take_samples(60, rng=np.random.default_rng(2))
 @pytest.fixture(scope="module")
 def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("take") / "a.mcap"
-    with RecordingWriter(path, sync_s=0) as writer:
+    with RecordingWriter(path, chunking=Chunking(sync_s=0)) as writer:
         for source, sample in SAMPLES:
             writer.write(source, sample)
     return path
@@ -80,7 +80,7 @@ def test_recorded_again_it_is_the_same(take: Path, tmp_path: Path) -> None:
 
 def test_gaps_are_seen_as_they_were(tmp_path: Path) -> None:
     numbers = [0, 1, 4, 3, 3, 9]
-    with RecordingWriter(tmp_path / "a.mcap", sync_s=0) as writer:
+    with RecordingWriter(tmp_path / "a.mcap", chunking=Chunking(sync_s=0)) as writer:
         for i, number in enumerate(numbers):
             writer.write("suit", Sample(number, 10 + i, None, b"x"))
     source = ReplaySource("suit", ReplaySettings(path=tmp_path / "a.mcap", speed=0), HostClock())

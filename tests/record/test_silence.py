@@ -14,7 +14,7 @@ import yaml
 
 from cabinpose.record.config import parse_rig
 from cabinpose.signals.recorded import Channels, Facts, Sample
-from cabinpose.store.recording import RecordingWriter, SourceStatus, survey
+from cabinpose.store.recording import Chunking, RecordingWriter, SourceStatus, survey
 from cabinpose.store.recording.messages import decode_status
 
 Run = Callable[..., Any]
@@ -112,7 +112,7 @@ def test_gaps_reach_from_the_start_of_the_take_to_its_end(tmp_path: Path) -> Non
         message = Facts("server", {}) if number is None else Channels(("n",), np.array([1.0]))
         return Sample(number, at(seconds), None, b"", (message,))
 
-    with RecordingWriter(tmp_path / "a.mcap", started_ns=at(-3), sync_s=0) as writer:
+    with RecordingWriter(tmp_path / "a.mcap", started_ns=at(-3), chunking=Chunking(sync_s=0)) as writer:
         for name in ("late", "dead", "over"):
             writer.write_status(SourceStatus(name, "scripted", "recording"), at(0))
         for i in range(100):

@@ -26,6 +26,7 @@ from cabinpose.record.split import Limit, SplitWriter
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Counts, Sample
 from cabinpose.store.recording import (
+    Chunking,
     Participant,
     Recording,
     RecordingWriter,
@@ -47,7 +48,7 @@ def write_split(folder: Path, name: str = "take.mcap", started_ns: int = 1) -> l
     """The samples in files of twenty, and the names of these."""
 
     def make(path: Path, part: int | None) -> RecordingWriter:
-        return RecordingWriter(path, TAKE, rig="rig: 1", started_ns=started_ns, sync_s=0, part=part)
+        return RecordingWriter(path, TAKE, rig="rig: 1", started_ns=started_ns, chunking=Chunking(sync_s=0), part=part)
 
     writer = SplitWriter(folder / name, make, HostClock(), Limit(bytes=1e12))
     for i, (source, sample) in enumerate(SAMPLES):
@@ -96,7 +97,7 @@ def test_all_of_them_are_one_take(tmp_path: Path) -> None:
     files = write_split(tmp_path)
     whole = tmp_path / "whole"
     whole.mkdir()
-    with RecordingWriter(whole / "one.mcap", TAKE, started_ns=1, sync_s=0) as writer:
+    with RecordingWriter(whole / "one.mcap", TAKE, started_ns=1, chunking=Chunking(sync_s=0)) as writer:
         for source, sample in SAMPLES:
             writer.write(source, sample)
     assert samples_in(files[0]) == samples_in(tmp_path) == samples_in(whole) == GIVEN
@@ -140,7 +141,7 @@ def test_a_missing_file_is_said(tmp_path: Path, run: Run) -> None:
     told = run("info", files[0])
     assert told.code == 0
     assert "take-002.mcap is missing" in told.err
-    assert run("export", files[0], "--format", "csv", "--out", tmp_path / "csv").code == 2
+    assert run("export", "csv", files[0], "--out", tmp_path / "csv").code == 2
 
 
 def test_files_that_only_look_like_parts_are_not_taken(tmp_path: Path) -> None:
@@ -186,7 +187,7 @@ def test_the_recorder_loses_nothing_at_the_seams(tmp_path: Path) -> None:
     lanes = [Lane(Counting(name, 2000), "counting", clock, wake) for name in ("suit", "tof")]
 
     def make(path: Path, part: int | None) -> RecordingWriter:
-        return RecordingWriter(path, sync_s=0, chunk_bytes=4000, part=part)
+        return RecordingWriter(path, part=part, chunking=Chunking(sync_s=0, chunk_bytes=4000))
 
     writer = SplitWriter(tmp_path / "a.mcap", make, clock, Limit(bytes=30_000))
     recorder = Recorder(lanes, writer, clock, wake)
@@ -249,7 +250,10 @@ class Hours(HostClock):
 def test_a_file_ends_when_it_is_so_old(tmp_path: Path) -> None:
     clock = Hours()
     writer = SplitWriter(
-        tmp_path / "a.mcap", lambda path, part: RecordingWriter(path, sync_s=0, part=part), clock, Limit.of("10min")
+        tmp_path / "a.mcap",
+        lambda path, part: RecordingWriter(path, chunking=Chunking(sync_s=0), part=part),
+        clock,
+        Limit.of("10min"),
     )
     clock.seconds = 599
     assert not writer.full
@@ -263,7 +267,9 @@ def test_a_file_ends_when_it_is_so_old(tmp_path: Path) -> None:
     writer.close()
     writer.close()
     assert [file.name for file in writer.files] == ["a.mcap", "a-001.mcap"]
-    alone = SplitWriter(tmp_path / "b.mcap", lambda path, part: RecordingWriter(path, sync_s=0, part=part), clock)
+    alone = SplitWriter(
+        tmp_path / "b.mcap", lambda path, part: RecordingWriter(path, chunking=Chunking(sync_s=0), part=part), clock
+    )
     clock.seconds = 1e9
     assert not alone.full
     alone.close()

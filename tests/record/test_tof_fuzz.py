@@ -20,7 +20,7 @@ from test_tof_royale import roypy  # noqa: F401
 
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.signals.recorded import Sample, ToFFrame
-from cabinpose.store.recording import RecordingWriter
+from cabinpose.store.recording import Chunking, RecordingWriter
 
 Rng = np.random.Generator
 SIZES = (0, 1, -1, 2, 31, 32, 64, 65535, 65536, 1 << 24, (1 << 31) - 1, 1 << 31, 1 << 40)
@@ -58,7 +58,7 @@ def odd(values: np.ndarray, rng: Rng) -> Any:
 def sound(samples: list[Sample], folder: Path) -> int:
     """Frames whose images fit each other, which a recording takes as they are."""
     found = 0
-    with RecordingWriter(folder / "take.mcap", sync_s=0) as writer:
+    with RecordingWriter(folder / "take.mcap", chunking=Chunking(sync_s=0)) as writer:
         for sample in samples:
             assert writer.write("tof", sample) == []
             for frame in (m for m in sample.messages if isinstance(m, ToFFrame)):

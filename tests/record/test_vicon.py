@@ -489,7 +489,7 @@ def test_the_command(run: Callable[..., Any], tmp_path: Path) -> None:
 
     thread = threading.Thread(target=take)
     thread.start()
-    flags = ("--port", port, "--seconds", "2", "--rate", "50", "--subjects", "2", "--drop", "0.1", "--json")
+    flags = ("--port", port, "--seconds", "2", "--rate-hz", "50", "--subjects", "2", "--drop", "0.1", "--json")
     code, out, err = run("emulate", "vicon", *flags, "--log", tmp_path / "sent.jsonl")
     over.set()
     thread.join(PATIENCE_S)
@@ -510,7 +510,7 @@ def test_the_command(run: Callable[..., Any], tmp_path: Path) -> None:
 
 def test_the_commands_mistakes(run: Callable[..., Any], tmp_path: Path) -> None:
     for flags, words in (
-        (("--drop", "2"), "drop: Input should be less than or equal to 1"),
+        (("--drop", "2"), "--drop: input should be less than or equal to 1, not 2.0"),
         (("--motion", "dance"), "unknown motion 'dance'"),
         (("--motion", tmp_path / "none.c3d"), "cannot read"),
         (("--log", tmp_path), "cannot write"),

@@ -13,7 +13,8 @@ from cabinpose.core.errors import MocapError
 from cabinpose.signals.recorded import Channels, Facts, Markers
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.c3d_write import write_c3d
-from cabinpose.store.convert.recordings import RecordingOptions, Selection, export_recording, import_recording
+from cabinpose.store.convert.recordings import export_recording, import_recording
+from cabinpose.store.recording import Participant, Take
 
 ezc3d = pytest.importorskip("ezc3d")
 pytestmark = pytest.mark.filterwarnings("error")
@@ -40,15 +41,19 @@ def stranger(path: Path, frames: int = 8, labels: tuple[str, ...] = ("neck", "to
     return path
 
 
+def taken(*codes: str) -> Take:
+    return Take(subjects=tuple(Participant(code=code) for code in codes))
+
+
 def markers(path: Path) -> list[Markers]:
     return [message for _, _, message in read_c3d(path) if isinstance(message, Markers)]
 
 
 def test_a_file_that_names_nobody_is_the_subjects(tmp_path: Path) -> None:
     path, take = stranger(tmp_path / "a.c3d"), tmp_path / "a.mcap"
-    import_recording(path, "c3d", take, options=RecordingOptions(subjects=("S07",)))
+    import_recording(path, "c3d", take, take=taken("S07"))
     for name in ("trc", "c3d"):
-        export_recording(take, name, tmp_path / f"of.{name}", selection=Selection(subject="S07"))
+        export_recording(take, name, tmp_path / f"of.{name}", subject="S07")
     assert "neck\t\t\ttoe\t\t\n" in (tmp_path / "of.trc").read_text()
     assert {(m.subject, m.names) for m in markers(tmp_path / "of.c3d")} == {("S07", ("neck", "toe"))}
 
@@ -77,9 +82,9 @@ def test_codes_come_in_the_order_of_the_file(tmp_path: Path) -> None:
 )
 def test_a_subject_that_is_not_there(tmp_path: Path, name: str, codes: tuple[str, ...], message: str, hint: str) -> None:
     take = tmp_path / "a.mcap"
-    import_recording(stranger(tmp_path / "a.c3d"), "c3d", take, options=RecordingOptions(subjects=codes))
+    import_recording(stranger(tmp_path / "a.c3d"), "c3d", take, take=taken(*codes))
     with pytest.raises(MocapError) as raised:
-        export_recording(take, name, tmp_path / "b", selection=Selection(subject="S09"))
+        export_recording(take, name, tmp_path / "b", subject="S09")
     assert str(raised.value) == message
     assert hint in str(raised.value.hint)
     assert not (tmp_path / "b").exists()
@@ -104,7 +109,7 @@ def parameters(path: Path) -> Any:
 def test_parameters_go_round(tmp_path: Path) -> None:
     path, take = stranger(tmp_path / "a.c3d", **GROUPS), tmp_path / "a.mcap"
     import_recording(path, "c3d", take)
-    export_recording(take, "c3d", tmp_path / "b.c3d", selection=Selection())
+    export_recording(take, "c3d", tmp_path / "b.c3d")
     again = parameters(tmp_path / "b.c3d")
     platform = again["FORCE_PLATFORM"]
     assert (platform["USED"]["value"].tolist(), platform["TYPE"]["value"].tolist()) == ([1], [2])

@@ -16,15 +16,16 @@ from xdf_file import XdfStream, write_xdf
 from cabinpose.core.errors import RecordingError
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.signals.recorded import Channels, Facts, JointAngles, Markers, Message, SegmentPoses, SensorReadings
-from cabinpose.store.convert import RECORDING_IMPORTS
+from cabinpose.store.convert import FORMATS, RecordingFormat
 from cabinpose.store.convert.bvh_write import write_bvh
 from cabinpose.store.convert.c3d_write import write_c3d
-from cabinpose.store.convert.recordings import RecordingOptions, read_entries
+from cabinpose.store.convert.recordings import read_entries
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a crash is looked for in a process of its own")
 FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60, "rosbag2": 60, "xdf": 60}  # those that read slowly
 MANY = {"azure-mkv": 300, "adtfdat": 500, "c3d": 300, "rosbag2": 300, "xdf": 300}
 NEEDS = {"adtfdat": "adtf_file", "xdf": "pyxdf", "c3d": "ezc3d", "azure-mkv": "av", "rosbag2": "rosbags"}
+READ = [name for name, form in FORMATS.items() if isinstance(form, RecordingFormat) and form.reads]
 
 
 def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:
@@ -79,15 +80,13 @@ def originals(name: str, folder: Path) -> dict[str, bytes]:
 
 def reader(name: str) -> Read:
     def read(path: Path) -> None:
-        for _ in read_entries(path, name, RecordingOptions()):
+        for _ in read_entries(path, name):
             pass
 
     return read
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in FEW else []) for name in RECORDING_IMPORTS]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] if name in FEW else []) for name in READ])
 def test_damaged_files_are_read_or_refused(tmp_path: Path, name: str) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
@@ -101,7 +100,7 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RECORDING_IMPORTS)
+@pytest.mark.parametrize("name", READ)
 def test_many_damaged_files(tmp_path: Path, name: str) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])

@@ -14,13 +14,12 @@ import xarray as xr
 
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.store import open_dataset, read_manifest
-from cabinpose.store.convert import IMPORTS, export_dataset, open_source
-from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.convert import FORMATS, DatasetFormat, ImportOptions, export_dataset, open_source
 from cabinpose.store.source import Source, import_source
 
 
 def imported(path: Path, name: str, out: Path, **options: Any) -> xr.Dataset:
-    return open_dataset(import_source(open_source(path, name, ImportOptions(**options)), out))
+    return open_dataset(import_source(open_source(path, name, **options), out))
 
 
 @pytest.fixture(scope="session")
@@ -141,7 +140,7 @@ def test_a_damaged_export_leaves_nothing_behind(
 
 def test_what_is_there_is_kept(dataset_folder: Path, png_json: Path, tmp_path: Path) -> None:
     out = copy_of(dataset_folder, tmp_path / "out")
-    source = open_source(png_json, "png-json", ImportOptions())
+    source = open_source(png_json, "png-json")
     with pytest.raises(DatasetError, match="already holds a dataset") as error:
         import_source(source, out)
     assert "--overwrite" in str(error.value.hint)
@@ -153,25 +152,27 @@ def test_what_is_there_is_kept(dataset_folder: Path, png_json: Path, tmp_path: P
     broken = copy_of(png_json, tmp_path / "broken")
     remove(broken / "depth" / "00000004.png")
     with pytest.raises(DatasetError, match="cannot read the image"):
-        import_source(open_source(broken, "png-json", ImportOptions()), out, overwrite=True)
+        import_source(open_source(broken, "png-json"), out, overwrite=True)
     assert open_dataset(out).attrs["generator"] == "spheres"
     import_source(source, out, overwrite=True)
     assert open_dataset(out).attrs["generator"] == "import png-json"
     inside = copy_of(png_json, out / "source")
     with pytest.raises(DatasetError, match="holds the source"):
-        import_source(open_source(inside, "png-json", ImportOptions()), out, overwrite=True)
+        import_source(open_source(inside, "png-json"), out, overwrite=True)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken", "mine", "out"]
 
 
 def test_unknown_sources(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown format 'ply'") as error:
-        open_source(tmp_path, "ply", ImportOptions())
-    assert all(name in str(error.value.hint) for name in IMPORTS)
-    for name in IMPORTS:
+    with pytest.raises(ConfigError, match="the format 'ply' reads no datasets") as error:
+        open_source(tmp_path, "ply")
+    assert error.value.hint == "those that do: png-json, coco, itop, ntu, ticam"
+    with pytest.raises(ConfigError, match="itop has no option 'every'"):
+        open_source(tmp_path, "itop", every=2)
+    for name in (name for name, form in FORMATS.items() if isinstance(form, DatasetFormat) and form.reads):
         with pytest.raises(DatasetError, match="does not exist"):
-            open_source(tmp_path / "none", name, ImportOptions())
+            open_source(tmp_path / "none", name)
         with pytest.raises(DatasetError) as wrong:
-            open_source(tmp_path, name, ImportOptions())
+            open_source(tmp_path, name)
         assert wrong.value.hint
 
 

@@ -16,7 +16,6 @@ from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import export_dataset, open_source
-from cabinpose.store.convert.reading import ImportOptions
 from cabinpose.store.source import import_source
 
 COCO_17 = [
@@ -26,7 +25,7 @@ COCO_17 = [
 
 
 def imported(path: Path, out: Path, **options: Any) -> xr.Dataset:
-    return open_dataset(import_source(open_source(path, "coco", ImportOptions(**options)), out))
+    return open_dataset(import_source(open_source(path, "coco", **options), out))
 
 
 def person(number: int, image: int, shift: float = 0.0, **changes: Any) -> dict[str, Any]:
@@ -164,7 +163,7 @@ def test_grey_images_of_our_export_are_not_taken_for_depth(dataset_folder: Path,
     """Joints and masks come back; the images do only where they are named, as the grey pictures that they are."""
     before = open_dataset(dataset_folder)
     out = export_dataset(before, "coco", tmp_path / "exported", images=kind)
-    source = open_source(out, "coco", ImportOptions())
+    source = open_source(out, "coco")
     assert source.note.startswith(f"the images are {kind}, too coarse for a dataset")
     after = open_dataset(import_source(source, tmp_path / "back"))
     assert [name for name in after.data_vars if "y" in after[name].dims] == ["instance"]
@@ -172,9 +171,9 @@ def test_grey_images_of_our_export_are_not_taken_for_depth(dataset_folder: Path,
     known = after.visibility.values > 0
     assert known.sum() > 40
     np.testing.assert_allclose(after.joints_2d.values[known], before.joints_2d.values[known], atol=5.1e-4)
-    named = open_source(out, "coco", ImportOptions(images=out / "images"))
+    named = open_source(out, "coco", images=out / "images")
     assert (named.note, named.manifest.variables) == ("", ("rgb", "instance"))
-    assert open_source(export_dataset(before, "coco", tmp_path / "d", images="depth16"), "coco", ImportOptions()).note == ""
+    assert open_source(export_dataset(before, "coco", tmp_path / "d", images="depth16"), "coco").note == ""
 
 
 def test_a_split_of_our_export(dataset_folder: Path, tmp_path: Path) -> None:
@@ -260,13 +259,13 @@ def test_memory_follows_the_people_and_not_the_file(tmp_path: Path) -> None:
 
     data = by_hand()
     path = written(tmp_path / "coco", data)
-    open_source(path, "coco", ImportOptions())  # what is imported on the way is not the file's
+    open_source(path, "coco")  # what is imported on the way is not the file's
     data["annotations"] += [{"id": 100 + i, "image_id": 10, "category_id": 1, "bbox": [1] * 120} for i in range(20_000)]
     path.write_text(json.dumps(data))
     size = path.stat().st_size
     del data
     tracemalloc.start()
-    open_source(path, "coco", ImportOptions())
+    open_source(path, "coco")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert size > 7e6

@@ -17,8 +17,7 @@ from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE, ITOP
 from cabinpose.store import PartWriter, create_dataset, open_dataset, points_m
 from cabinpose.store.convert import export_dataset, open_source
-from cabinpose.store.convert.itop_import import label_rows
-from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.convert.itop import label_rows
 from cabinpose.store.source import import_source
 
 FRAMES = 20  # more than are read at a time
@@ -27,7 +26,7 @@ HEAD, RHAND, LHIP, LKNEE, LFOOT = (ITOP.joints.index(n) for n in ("head", "rhand
 
 
 def imported(path: Path, out: Path, **options: Any) -> xr.Dataset:
-    return open_dataset(import_source(open_source(path, "itop", ImportOptions(**options)), out))
+    return open_dataset(import_source(open_source(path, "itop", **options), out))
 
 
 def by_hand(folder: Path, stem: str = "ITOP_side_test_", *, segmented: bool = True) -> Path:

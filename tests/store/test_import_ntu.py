@@ -19,7 +19,6 @@ from cabinpose.core.skeleton import CABINPOSE, NTU_JOINTS
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import export_dataset, open_source
 from cabinpose.store.convert.ntu import KINECT_V2
-from cabinpose.store.convert.reading import ImportOptions
 from cabinpose.store.source import import_source
 
 NAME = "S001C002P003R001A013"
@@ -27,7 +26,7 @@ FX, CX, CY = 365.456, 254.878, 205.395  # of the mirrored image, as the files ha
 
 
 def imported(path: Path, out: Path, **options: Any) -> xr.Dataset:
-    return open_dataset(import_source(open_source(path, "ntu", ImportOptions(**options)), out))
+    return open_dataset(import_source(open_source(path, "ntu", **options), out))
 
 
 def facing(shift: float = 0.0) -> np.ndarray:
@@ -148,9 +147,9 @@ def test_depth_maps_elsewhere_and_unmasked(tmp_path: Path) -> None:
     by_hand(skeletons, NAME.replace("A013", "A014"))
     (tmp_path / "maps").mkdir()
     depth_maps(tmp_path / "maps" / NAME, "Depth")
-    assert open_source(skeletons, "ntu", ImportOptions()).manifest.variables == ()
+    assert open_source(skeletons, "ntu").manifest.variables == ()
     with pytest.raises(DatasetError, match="A014 does not exist") as error:
-        open_source(skeletons, "ntu", ImportOptions(images=tmp_path / "maps"))
+        open_source(skeletons, "ntu", images=tmp_path / "maps")
     assert "--sequences" in str(error.value.hint)
     ds = imported(skeletons, tmp_path / "out", images=tmp_path / "maps", sequences=("*A013",))
     assert ds.depth.shape == (4, 424, 512)

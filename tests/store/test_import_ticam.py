@@ -17,12 +17,12 @@ from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.scene.labels import LABEL_ID, LABELS, RGB, ticam_class
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.convert import open_source, ticam
-from cabinpose.store.convert.reading import ImportOptions
+from cabinpose.store.convert.reading import SequenceOptions
 from cabinpose.store.source import import_source
 
 
 def imported(path: Path, out: Path, **options: Any) -> xr.Dataset:
-    return open_dataset(import_source(open_source(path, "ticam", ImportOptions(**options)), out))
+    return open_dataset(import_source(open_source(path, "ticam", **options), out))
 
 
 def where(image: np.ndarray, who: str) -> np.ndarray:
@@ -110,27 +110,27 @@ def test_a_part_of_it(tmp_path: Path) -> None:
     ds = imported(root / "Train_images", tmp_path / "a", every=2)
     assert ds.sync_ns.values.tolist() == [333333333, 400000000, 166666667]
     for pattern in ("p07", "two/*", "*07"):
-        assert open_source(root, "ticam", ImportOptions(sequences=(pattern,))).manifest.frames == 2
+        assert open_source(root, "ticam", sequences=(pattern,)).manifest.frames == 2
     imported(root, tmp_path / "c", sequences=("p0*",), intrinsics=(20, 21, 15, 16))
     assert read_manifest(tmp_path / "c").config == {
         "format": "ticam", "source": "ticam", "intrinsics_px": [20, 21, 15, 16], "sequences": ["one/p01", "two/p07"], "every": 1,
     }  # fmt: skip
     with pytest.raises(ConfigError, match="every 0th"):
-        ImportOptions(every=0)
+        SequenceOptions(every=0)
     with pytest.raises(DatasetError, match="has no sequence p9") as error:
-        open_source(root, "ticam", ImportOptions(sequences=("p01", "p9*")))
+        open_source(root, "ticam", sequences=("p01", "p9*"))
     assert error.value.hint == "it has one/p01, two/p07"
 
 
 def test_without_labels(tmp_path: Path) -> None:
     root = ticam_folder(tmp_path / "ticam", "Test", labelled=False)
-    source = open_source(root, "ticam", ImportOptions())
+    source = open_source(root, "ticam")
     assert source.manifest.variables == ("depth", "amplitude")
     assert source.note == "Test_images has no labels beside it: depth and infrared alone"
     ds = imported(root, tmp_path / "out")
     assert set(ds.subject.values.ravel()) == {""}
     shutil.rmtree(root / "Test_images/IR")
-    assert open_source(root, "ticam", ImportOptions()).manifest.variables == ("depth",)
+    assert open_source(root, "ticam").manifest.variables == ("depth",)
 
 
 def damage(root: Path) -> dict[str, tuple[Callable[[], Any], str]]:

@@ -16,7 +16,6 @@ from cabinpose.core.skeleton import ITOP
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.convert import open_source
 from cabinpose.store.convert.itop_correct import REACH_M, corrected, grown, person_mask
-from cabinpose.store.convert.reading import ImportOptions
 from cabinpose.store.itop import K
 from cabinpose.store.source import import_source
 
@@ -116,14 +115,14 @@ def test_an_import_records_and_tells_it(tmp_path: Path) -> None:
     with h5py.File(folder / "a_labels.h5", "w") as file:
         file["id"], file["is_valid"], file["visible_joints"] = ids, np.ones(3), np.ones((3, 15))
         file["real_world_coordinates"] = np.stack((up, up, up)).astype(np.float16)
-    source = open_source(folder, "itop", ImportOptions(correct="head"))
+    source = open_source(folder, "itop", correct="head")
     out = import_source(source, tmp_path / "out")
     assert source.outcome() == (
         "4 of 45 joints were moved, by 8.5 cm in the median and 12.6 cm at most; "
         "frames that show nobody where their labels are, and keep them: 1"
     )
     assert read_manifest(out).config["correct"] == "head"
-    after, plain = open_dataset(out), open_source(folder, "itop", ImportOptions())
+    after, plain = open_dataset(out), open_source(folder, "itop")
     moved = np.flatnonzero(np.linalg.norm(after.itop_joints_3d.values[0, 0] - joints, axis=1) > 0.01)
     np.testing.assert_array_equal(moved, [RHAND, LHAND])
     np.testing.assert_allclose(after.joints_2d.sel(joint="rhand")[0, 0], (130, 120), atol=0.3)

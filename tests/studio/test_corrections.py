@@ -23,7 +23,7 @@ Run = Callable[..., Any]
 @pytest.fixture
 def exported(run: Run, dataset_folder: Path, tmp_path: Path) -> Path:
     """The annotations of an export."""
-    assert run("export", dataset_folder, "--format", "coco", "--out", tmp_path / "coco").code == 0
+    assert run("export", "coco", dataset_folder, "--out", tmp_path / "coco").code == 0
     return tmp_path / "coco" / "annotations" / "person_keypoints.json"
 
 
@@ -73,7 +73,7 @@ def person_at(dataset: xr.Dataset, frame: int, keypoints: list[float]) -> int:
 
 
 def correct(run: Run, source: Path, folder: Path, *flags: str) -> Any:
-    return run("import", source, "--format", "coco", "--corrects", folder, "--out", labels_of(folder), *flags)
+    return run("import", "coco-labels", source, "--corrects", folder, "--out", labels_of(folder), *flags)
 
 
 def labels_of(folder: Path) -> Path:

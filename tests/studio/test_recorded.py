@@ -69,7 +69,7 @@ def test_wrists_and_hips_of_the_suit_are_corrected(recorded: Path) -> None:
 
 def test_recording_goes_to_cvat_and_back(recorded: Path, run: Callable[..., Any], tmp_path: Path) -> None:
     """Nobody's pixels are known: the box is that about the keypoints; only the joint that was moved becomes a label."""
-    assert run("export", recorded, "--format", "coco", "--out", tmp_path / "coco").code == 0
+    assert run("export", "coco", recorded, "--out", tmp_path / "coco").code == 0
     path = tmp_path / "coco" / "annotations" / "person_keypoints.json"
     coco = json.loads(path.read_text())
     dataset = open_dataset(recorded)
@@ -87,7 +87,7 @@ def test_recording_goes_to_cvat_and_back(recorded: Path, run: Callable[..., Any]
         del person["slot"]
     path.write_text(json.dumps(coco))
     journal = tmp_path / "recorded.labels.jsonl"
-    assert run("import", path, "--format", "coco", "--corrects", recorded, "--out", journal).code == 0
+    assert run("import", "coco-labels", path, "--corrects", recorded, "--out", journal).code == 0
     ((key, label),) = read_labels(journal)[1].items()
     assert key == (3, "driver", "lwrist")
     assert (label.uv, label.visibility) == ((70.0, 80.0), Visibility.VISIBLE)

@@ -29,7 +29,7 @@ def load_model(model: str | Path, *, threads: int | None = None) -> JointPredict
     ----------
     model
         The name of a model of the package ("in_car", "five_seats", "room", "room_top", "paf"), an ONNX file that
-        `cabinpose export --onnx` wrote, or an .npz file that `cabinpose train` wrote.
+        `cabinpose export onnx` wrote, or an .npz file that `cabinpose train` wrote.
     threads
         Threads of a network; default: ONNX Runtime's.
 

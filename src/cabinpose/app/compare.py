@@ -35,7 +35,7 @@ from cabinpose.store import (
     read_itop_reference,
     read_manifest,
 )
-from cabinpose.store.convert import ImportOptions, open_source
+from cabinpose.store.convert import open_source
 
 if TYPE_CHECKING:
     from cabinpose.estimate import TrainConfig
@@ -149,7 +149,7 @@ def open_test(path: Path, out: Path, correct: Any) -> Test:
     if not (path / MANIFEST_NAME).exists():
         folder = out / "data" / f"{path.stem}{f'-{correct}' if correct else ''}"
         if not (folder / MANIFEST_NAME).exists():
-            import_source(open_source(path, "itop", ImportOptions(correct=correct)), folder)
+            import_source(open_source(path, "itop", correct=correct), folder)
     manifest, dataset = read_manifest(folder), open_dataset(folder)
     if "itop_joints_3d" not in dataset:
         raise DatasetError(f"{path} has no joints of ITOP", hint="test on scenes in a room, or on ITOP's files")

@@ -75,11 +75,11 @@ class TrainedModel(ABC):
 
 
 class OnnxModel(TrainedModel):
-    """A network that `cabinpose export --onnx` wrote, with its method and settings."""
+    """A network that `cabinpose export onnx` wrote, with its method and settings."""
 
     kind = NetworkMethod
     method: NetworkMethod[Any]
-    _again = "export it again with `cabinpose export --onnx`"
+    _again = "export it again with `cabinpose export onnx`"
 
     def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
         """Raises ModelError for a file that is missing, truncated, or not a model of this package."""

@@ -14,7 +14,7 @@ from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
 from cabinpose.record.split import Limit, SplitWriter
 from cabinpose.signals import HostClock
-from cabinpose.store.recording import RecordingWriter
+from cabinpose.store.recording import Chunking, RecordingWriter
 
 _CLOCK = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _INTERFACES = Path("/sys/class/net")
@@ -55,10 +55,13 @@ def start_recorder(rig: Rig, lanes: Sequence[Lane], out: Path, clock: HostClock,
     """Record lanes that have not begun, as the rig's storage says; `begin` names arguments and errors."""
     storage, started_ns, host = rig.storage, clock.now_ns(), host_facts()
 
+    chunking = Chunking(
+        compression=storage.compression, chunk_bytes=int(storage.chunk_mb * 1e6), flush_s=storage.flush_s, sync_s=storage.sync_s
+    )  # fmt: skip
+
     def make(path: Path, part: int | None) -> RecordingWriter:
         return RecordingWriter(
-            path, rig.take, rig=rig.text, host=host, started_ns=started_ns, compression=storage.compression,
-            chunk_bytes=int(storage.chunk_mb * 1e6), flush_s=storage.flush_s, sync_s=storage.sync_s, part=part,
+            path, rig.take, rig=rig.text, host=host, started_ns=started_ns, part=part, chunking=chunking
         )  # fmt: skip
 
     writer = SplitWriter(out, make, clock, None if storage.split_every is None else Limit.of(storage.split_every))

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
-from inspect import isclass
 from keyword import iskeyword
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -41,7 +40,7 @@ GROUPS = MappingProxyType(
 )
 VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
 # Their first argument is the dataset.
-_OF_DATASETS = ("info", "view", "export", "evaluate", "train", "predict", "calibrate-confidence")
+_OF_DATASETS = ("info", "view", "evaluate", "train", "predict", "calibrate-confidence")
 
 
 def _module_name(verb: str) -> str:
@@ -53,8 +52,8 @@ def verb_module(verb: str) -> ModuleType:
     """The module of a verb.
 
     Its first line is "`cabinpose VERB`: what it does." `COMMAND` is the type that tyro makes from the words behind the verb: a
-    dataclass, or several from `one_of`. `run(command)` does the work and returns the exit code, None for 0. `OLD_FLAGS`,
-    where there is one, is what `renamed` needs.
+    dataclass, several from `one_of`, a function that gives one, or `Choices`. `modernised(words)`, where there is one, gives
+    words of an earlier release in today's spelling. `run(command)` does the work and returns the exit code, None for 0.
     """
     return import_module(f"{__name__}.{_module_name(verb)}")
 
@@ -103,26 +102,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
         if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
             raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
-        import tyro
-        from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
-        from cabinpose.app.cli.arguments import READS, renamed
+        from cabinpose.app.cli.commands import parsed
 
         module = verb_module(verb)
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
-            rest = renamed(rest, getattr(module, "OLD_FLAGS", {}))
-            flags = [word.partition("=")[0] for word in rest if word.startswith("--")]
+            words = module.modernised(rest) if hasattr(module, "modernised") else rest
+            flags = [word.partition("=")[0] for word in words if word.startswith("--")]
             if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
                 raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
-            command = tyro.cli(
-                module.COMMAND,
-                prog=f"cabinpose {verb}",
-                description=None if isclass(module.COMMAND) else _summary(verb),
-                args=rest,
-                config=(DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes),
-                registry=READS,
-            )
+            command = parsed(verb, module.COMMAND, words, _summary(verb))
             code: int | None = module.run(command)
             return code or 0
     except CabinposeError as error:

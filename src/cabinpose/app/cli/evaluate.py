@@ -6,13 +6,14 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, SelectsFrames, metres, refuse_existing, several
+from cabinpose.app.cli.arguments import Maybe, SelectsFrames, metres, refuse_existing, renamed, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
 from cabinpose.core import ConfigError, DatasetError
@@ -65,7 +66,7 @@ class Evaluate(SelectsFrames):
 
 
 COMMAND = Evaluate
-OLD_FLAGS = MappingProxyType({"--pck-cm": ("--pck-m", metres), "--hit-cm": ("--hit-m", metres)})
+modernised = partial(renamed, old=MappingProxyType({"--pck-cm": ("--pck-m", metres), "--hit-cm": ("--hit-m", metres)}))
 
 
 def run(command: Evaluate) -> None:

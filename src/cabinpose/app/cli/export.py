@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, Suppress, arg
 
-from cabinpose.app.cli.arguments import Maybe, SelectsFrames, several
+from cabinpose.app.cli.arguments import DatasetArgument, Maybe, PrintsJson, SelectsFrames, is_recording, several
+from cabinpose.app.cli.formats import choices, modern, names_of
 from cabinpose.app.cli.output import listed, print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
@@ -18,75 +20,82 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from cabinpose.store import Splits
+    from cabinpose.store.convert import DatasetFormat
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(SelectsFrames):
-    """Write a dataset or a recording in another format, or a trained model as ONNX.
+class _Export(PrintsJson):
+    """Flags of every format."""
 
-    Datasets: png-json, coco, yolo, itop, ntu, ply. Recordings: c3d, bvh, trc, sto, csv.
-    """
-
-    out: Path
-    """Folder to write (a file for --onnx and for recordings other than csv); it appears when the export is complete."""
-    dataset: Annotated[Positional[Path | None], several("DATASET|RECORDING")] = None
-    """Folder of the dataset, or a recording (.mcap)."""
-    format: Maybe[str] = None
-    """Format to write; see above and docs."""
-    onnx: Maybe[Path] = None
-    """Checkpoint of `cabinpose train` to write as an ONNX model, in place of a dataset."""
-    name: Maybe[str] = None
-    """Name of the ONNX model in reports; default: the file's."""
-    card: Maybe[Path] = None
-    """YAML file of what is known of the model (data, seeds, metrics, limits), stored in the ONNX file."""
-    mirrored: bool = False
-    """The ONNX model answers with the mean over a frame and its mirror image: smaller errors, at twice the time."""
-    half: bool = False
-    """The ONNX file holds its weights in half precision: half the bytes, the same speed."""
-    images: Maybe[Literal["depth8", "amplitude8", "rgb", "depth16"]] = None
-    """coco, yolo: what the pictures show, in 8 bits of grey, in colour or (coco) 16 bits of millimetres; default: depth8."""
-    splits: Annotated[Path | None, several("FILE")] = None
-    """YAML file of splits, of which --split names one; coco, yolo: without --split all of them, each by itself."""
-    labels: Maybe[Path] = None
-    """Datasets: corrected labels, as the studio writes them (.labels.jsonl)."""
-    source: Annotated[tuple[str, ...], several("NAME [NAME ...]")] = ()
-    """Recordings: sources to export; default: all, or the only one that has what the format holds."""
-    subject: Maybe[str] = None
-    """Recordings: the subject to export (c3d, bvh, trc, sto); required where there are several."""
-    span: Annotated[tuple[float, float] | None, several("FROM TO")] = None
-    """Recordings: seconds from the start of the take."""
-    rate: Maybe[float] = None
-    """Recordings: frames a second (c3d, trc, sto); default: the rate that the device reported, or the median."""
-    angles: bool = False
-    """sto: joint angles in place of orientations."""
+    form: ClassVar[Any]
+    format: ClassVar[str]
+    settings: Annotated[Any, Suppress] = None
     overwrite: bool = False
     """Replace existing files."""
 
 
-COMMAND = Export
+@dataclass(frozen=True, kw_only=True)
+class ExportDataset(_Export, SelectsFrames):
+    """Flags of formats of datasets. Where the format tells splits apart, --splits without --split writes all, each by itself."""
+
+    dataset: DatasetArgument
+    out: Path
+    """Folder to write; it appears when the export is complete."""
+    labels: Maybe[Path] = None
+    """Corrected labels, as the studio writes them (.labels.jsonl)."""
 
 
-def run(command: Export) -> None:
-    """Export with a progress bar and name what was written."""
-    from cabinpose.app.cli.recording_exchange import export_recording
-    from cabinpose.store.convert import check_export, export_parts, write_parts
+@dataclass(frozen=True, kw_only=True)
+class ExportRecording(_Export):
+    """Flags of formats of recordings."""
 
-    if command.onnx is not None:
-        _export_model(command, command.onnx)
-        return
-    if command.dataset is None or command.format is None:
-        raise ConfigError("there is nothing to export", hint="give DATASET or RECORDING and --format, or --onnx CHECKPOINT")
-    if export_recording(command, command.dataset, command.format):
-        return
-    check_export(command.format, command.images)
-    dataset, splits = _frames(command, command.dataset, command.format)
-    parts = export_parts(dataset, command.format, splits)
+    recording: Annotated[Positional[Path], arg(metavar="RECORDING", help="A recording (.mcap).")]
+    out: Path
+    """File to write (csv: folder); it appears when the export is complete."""
+    source: Annotated[tuple[str, ...], several("NAME [NAME ...]")] = ()
+    """Sources to export; default: all, or the only one that has what the format holds."""
+    span: Annotated[tuple[float, float] | None, several("FROM TO")] = None
+    """Seconds from the start of the take."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportModel(_Export):
+    """Flags of formats of models."""
+
+    checkpoint: Annotated[Positional[Path], arg(metavar="CHECKPOINT", help="Checkpoint of `cabinpose train`.")]
+    out: Path
+    """File to write."""
+
+
+COMMAND = choices("writes", {"datasets": ExportDataset, "recordings": ExportRecording, "models": ExportModel})
+modernised = partial(modern, "export")
+
+
+def run(command: ExportDataset | ExportRecording | ExportModel) -> None:
+    """Export, and name what was written."""
+    if isinstance(command, ExportDataset):
+        _export_dataset(command)
+    elif isinstance(command, ExportRecording):
+        _export_recording(command)
+    else:
+        _export_model(command)
+
+
+def _export_dataset(command: ExportDataset) -> None:
+    from cabinpose.store.convert import write_parts
+
+    if is_recording(command.dataset):
+        raise ConfigError(
+            f"{command.format} is a format of datasets, and {command.dataset} is no dataset",
+            hint=f"recordings go to {', '.join(names_of('writes', 'recordings'))}",
+        )
+    form: DatasetFormat = command.form
+    dataset, splits = _frames(command, form)
+    parts = form.parts(dataset, splits)
     counts = {name: part.sizes["frame"] for name, part in parts.items()}
     frames = sum(counts.values())
     with progress(frames, "frames") as report:
-        folder = write_parts(
-            parts, command.format, command.out, images=command.images, overwrite=command.overwrite, report=report
-        )
+        folder = write_parts(form, parts, command.out, command.settings, overwrite=command.overwrite, report=report)
     by_split = {} if "" in counts else {"splits": counts}
     if command.as_json:
         print_json({"out": str(folder), "format": command.format, "frames": frames} | by_split)
@@ -97,41 +106,49 @@ def run(command: Export) -> None:
         print(f"{left} frames belong to no split and are left out", file=sys.stderr)
 
 
-def _frames(command: Export, folder: Path, name: str) -> tuple[xr.Dataset, Splits]:
+def _frames(command: ExportDataset, form: DatasetFormat) -> tuple[xr.Dataset, Splits]:
     """The frames to export, and the splits to write them by: one that is named or all, where the format can tell splits apart."""
     from cabinpose.app.cli.selection import frames_with, opened, selected, selection
     from cabinpose.store import read_splits
-    from cabinpose.store.convert import IMAGE_KINDS
 
-    dataset = opened(folder, command.labels)
-    if command.splits is None or name not in IMAGE_KINDS:
+    dataset = opened(command.dataset, command.labels)
+    if command.splits is None or not form.tells_splits:
         return selected(dataset, command), {}
     splits = read_splits(command.splits, None if command.split is None else [command.split])
     return frames_with(dataset, [selection(command.select)]), splits
 
 
-def _export_model(command: Export, checkpoint: Path) -> None:
-    if command.dataset is not None or command.format is not None:
-        raise ConfigError("a dataset or a model is exported, not both", hint="give DATASET and --format, or --onnx CHECKPOINT")
-    if checkpoint.suffix == ".npz":
-        raise ConfigError(f"{checkpoint} holds no network", hint="it is the model already: give it to --model")
-    require("train")
-    from cabinpose.estimate import export_onnx
+def _export_recording(command: ExportRecording) -> None:
+    path = command.recording
+    if not is_recording(path):
+        raise ConfigError(
+            f"{command.format} is a format of recordings, and {path} is no recording",
+            hint=f"datasets go to {', '.join(names_of('writes', 'datasets'))}",
+        )
+    if command.out.resolve() == path.resolve():
+        raise ConfigError(f"{path} is the recording itself", hint="give another file with --out")
+    require("record")
+    from cabinpose.store.convert import export_recording
 
-    name = command.name or command.out.stem
+    options = vars(command.settings)
+    paths = export_recording(
+        path, command.format, command.out, sources=command.source, span_s=command.span, overwrite=command.overwrite, **options
+    )
+    if command.as_json:
+        print_json({"out": str(command.out), "format": command.format, "files": [str(each) for each in paths]})
+    else:
+        for each in paths:
+            print(f"{each}: {each.stat().st_size / 1e6:.1f} MB")
+
+
+def _export_model(command: ExportModel) -> None:
+    if command.checkpoint.suffix == ".npz":
+        raise ConfigError(f"{command.checkpoint} holds no network", hint="it is the model already: give it to --model")
+    require("train")
     with progress() as report:
         report.phase("exporting and comparing with torch")
-        difference = export_onnx(
-            checkpoint, command.out, name=name, card=_card(command.card), mirrored=command.mirrored, half=command.half,
-            overwrite=command.overwrite,
-        )  # fmt: skip
+        difference = command.form.write(command.checkpoint, command.out, command.settings, overwrite=command.overwrite)
     if command.as_json:
-        print_json({"out": str(command.out), "format": "onnx", "difference": difference})
+        print_json({"out": str(command.out), "format": command.format, "difference": difference})
     else:
         print(f"{command.out}: differs from torch by at most {difference:.1e}")
-
-
-def _card(path: Path | None) -> dict[str, Any]:
-    from cabinpose.store import read_mapping
-
-    return {} if path is None else read_mapping(path, hint="give a YAML file of `key: value` lines with --card")

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Annotated, Any
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson
+from tyro.conf import Suppress
+
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, renamed
+from cabinpose.app.cli.commands import with_settings
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,56 +29,30 @@ class Lab(PrintsJson):
     """Rig of the laboratory (YAML): camera, clocks, errors; default: one with the errors of real devices."""
     only: Maybe[str] = None
     """Switch on this error alone; `exact`: no error."""
-    seconds: float = 20.0
-    """Length of the driver's take, s."""
-    rate: Maybe[float] = None
-    """Frames per second of the camera in the driver's take; default: the rig's."""
-    views: int = 50
-    """Poses of the checkerboard."""
-    car: str = "sedan"
-    """Name of a preset car."""
-    subjects: tuple[str, ...] = ("S01",)
-    """People of the package who are recorded, one after the other."""
-    together: bool = False
-    """Record the first two of them in one car as well, driver and front passenger, each in a suit of their own."""
-    exercises: bool = True
-    """Record movements in each anatomical plane outside the car as well, for `evaluate-mocap`."""
-    seed: int = 0
-    """Seed of all random numbers."""
+    settings: Annotated[Any, Suppress] = None
 
 
-COMMAND = Lab
+def COMMAND() -> type:  # noqa: N802 - in place of the class, which is made when it is asked for
+    """The command, with a plan's fields as flags."""
+    from cabinpose.app.lab.plan import Plan
+
+    return with_settings(Lab, "plan", Plan, __doc__=Lab.__doc__)
+
+
+modernised = partial(renamed, old={"--rate": ("--rate-hz", str)})
 
 
 def run(command: Lab) -> None:
     """Record the session, and say what to do with it."""
     require("record")
-    from pydantic import ValidationError
-
-    from cabinpose.app.lab.laboratory import PAIR, SESSION, Plan, drive_take, exercise_take, load_rig, record_session
+    from cabinpose.app.lab.laboratory import load_rig, record_session
+    from cabinpose.app.lab.plan import PAIR, SESSION, Plan, drive_take, exercise_take
     from cabinpose.app.lab.rig import VirtualRig
 
+    plan: Plan = command.settings
     rig = load_rig(command.rig) if command.rig is not None else VirtualRig()
     if command.only is not None:
         rig = rig.noise_free() if command.only == "exact" else rig.only(command.only)
-    try:
-        plan = Plan(
-            views=command.views,
-            seconds=command.seconds,
-            rate_hz=command.rate,
-            car=command.car,
-            subjects=command.subjects,
-            together=command.together,
-            exercises=command.exercises,
-            seed=command.seed,
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        flag = str(first["loc"][0]).removesuffix("_hz") if first["loc"] else "together"
-        reason = first["msg"][0].lower() + first["msg"][1:]
-        raise ConfigError(
-            f"--{flag}: {reason}, not {first['input']}", hint="`cabinpose lab --help` says what each flag takes"
-        ) from error
     with progress(plan.steps, "takes") as report:
         truths = record_session(command.out, rig, plan, report)
     out, frames = command.out, sum(len(truth.tof_ns) for truth in truths.values())
@@ -85,8 +63,8 @@ def run(command: Lab) -> None:
     print(f"{out}: calibration takes and {frames} frames of {', '.join(truths)} at the wheel, with their truth")
     print(f"calibrate with: cabinpose calibrate {out / SESSION} --out {calibration}", file=sys.stderr)
     print(f"align with: cabinpose align {takes} --calibration {calibration} --out {out / 'dataset'}", file=sys.stderr)
-    if command.together:
+    if plan.together:
         print(f"and both in one car: {out / PAIR}", file=sys.stderr)
-    if command.exercises:
-        exercises = out / exercise_take(command.subjects[0])
+    if plan.exercises:
+        exercises = out / exercise_take(plan.subjects[0])
         print(f"judge the suit with: cabinpose evaluate-mocap dfe {exercises} --out {out / 'dfe'}", file=sys.stderr)

@@ -107,7 +107,7 @@ def run(command: Train) -> None:
         if best.suffix == ".npz":
             print(f"it is the model: cabinpose models {best}", file=sys.stderr)
             return
-        print(f"export it with: cabinpose export --onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
+        print(f"export it with: cabinpose export onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
 
 
 def _frames(command: Train, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]:

@@ -4,16 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.align import Board
 from cabinpose.app.lab.calibration import board_take, pendulum_take, write_board_take, write_pendulum_take
 from cabinpose.app.lab.exercises import ARMS_OFF_DEG
+from cabinpose.app.lab.plan import (
+    BOARD,
+    PAIR,
+    PENDULUM,
+    PERSON_TAKES,
+    RIG,
+    RIG_TAKES,
+    SESSION,
+    Plan,
+    drive_take,
+    exercise_take,
+    head_take,
+    pose_take,
+)
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.app.lab.takes import (
     Actor,
@@ -28,59 +41,6 @@ from cabinpose.app.lab.takes import (
 )
 from cabinpose.core import ConfigError, invert
 from cabinpose.store import read_mapping, validated
-
-SESSION, RIG = "session.yaml", "rig.yaml"
-BOARD, PENDULUM = "board.mcap", "pendulum.mcap"
-PAIR = "together.mcap"
-_RIG_TAKES, _PERSON_TAKES = 2, 4
-
-
-class Plan(BaseModel):
-    """What is recorded in the laboratory."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    views: int = Field(50, ge=6, description="poses of the board")
-    frames_per_view: int = Field(3, ge=1, description="of the camera, averaged, in each")
-    pendulum_s: float = Field(25.0, gt=5, description="length of the pendulum take")
-    seconds: float = Field(20.0, gt=1, description="length of the take of the driver")
-    rate_hz: float | None = Field(None, gt=0, description="frames per second in it; left out: the rig's")
-    exercises: bool = Field(True, description="movements in each anatomical plane outside the car as well")
-    together: bool = Field(False, description="a take of the first two subjects in one car as well, each in a suit of their own")
-    car: str = Field("sedan", description="a preset car")
-    subjects: tuple[str, ...] = Field(("S01",), min_length=1, description="of the package's people, one after the other")
-    seed: int = Field(0, ge=0, description="of everything that is drawn")
-
-    @model_validator(mode="after")
-    def _has_two(self) -> Self:
-        if self.together and len(self.subjects) < 2:
-            raise ValueError("together needs two subjects")
-        return self
-
-    @property
-    def steps(self) -> int:
-        """Takes of the session."""
-        return _RIG_TAKES + _PERSON_TAKES * len(self.subjects) + self.together
-
-
-def head_take(subject: str) -> str:
-    """Name of the recording of a subject's turning head."""
-    return f"head-{subject}.mcap"
-
-
-def pose_take(subject: str) -> str:
-    """Name of the recording of a subject's N-pose."""
-    return f"pose-{subject}.mcap"
-
-
-def drive_take(subject: str) -> str:
-    """Name of the recording of a subject who drives."""
-    return f"drive-{subject}.mcap"
-
-
-def exercise_take(subject: str) -> str:
-    """Name of the recording of a subject's movements outside the car."""
-    return f"exercises-{subject}.mcap"
 
 
 def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[int], None] = lambda _: None) -> dict[str, Truth]:
@@ -102,11 +62,11 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
     write_board_take(folder / BOARD, rig, shown, frames_per_view=plan.frames_per_view, rng=drawn(1))
     report(1)
     write_pendulum_take(folder / PENDULUM, rig, pendulum_take(rig, duration_s=plan.pendulum_s, rng=drawn(2)), rng=drawn(3))
-    report(_RIG_TAKES)
+    report(RIG_TAKES)
     truths: dict[str, Truth] = {}
     actors = []
     for number, subject in enumerate(plan.subjects):
-        done = _RIG_TAKES + _PERSON_TAKES * number
+        done = RIG_TAKES + PERSON_TAKES * number
         worn: dict[str, Any] = {"suit": "suit2", "head": "head2"} if plan.together and number == 1 else {}
         actor = dress_up(plan.car, subject, **worn, rng=drawn(4, number))
         actors.append(actor)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from cabinpose.app.lab.clocks import Clock, Times
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.signals import Message, Sample
-from cabinpose.store.recording import RecordingWriter, Take
+from cabinpose.store.recording import Chunking, RecordingWriter, Take
 
 
 def samples(clock: Clock, true_ns: Times, host_ns: Times, messages: Callable[[int], tuple[Message, ...]]) -> Iterator[Sample]:
@@ -31,6 +32,7 @@ def write_recording(
         return ((sample.host_ns, source, sample) for sample in samples)
 
     started_ns = rig.start_ns + round(start_s * 1e9)
-    with RecordingWriter(path, take, started_ns=started_ns, compression="lz4", sync_s=0) as writer:
+    chunking = Chunking(compression="lz4", sync_s=0, definitions_s=math.inf)
+    with RecordingWriter(path, take, started_ns=started_ns, chunking=chunking) as writer:
         for _, source, sample in heapq.merge(*(arrivals(*stream) for stream in streams.items()), key=lambda row: row[:2]):
             writer.write(source, sample)

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from cabinpose.app.label.labelling import Labelling, nowhere
 from cabinpose.core import DatasetError, Visibility
 from cabinpose.store import JointLabel, Key
-from cabinpose.store.convert import FLAG, Keypoints, read_keypoints
+from cabinpose.store.convert import FLAG, Keypoints
 
 MOVED_PX = 0.01  # Datumaro, which CVAT exports with, rounds to 0.01 px, our export to 0.001
 _FAR_PX = 1e4  # stands for the distance of people who have no joint in common
@@ -48,16 +48,16 @@ class Corrections(NamedTuple):
         return [f"{count} {words}" for words, count in told.items() if count]
 
 
-def corrections(labelling: Labelling, path: Path) -> Corrections:
-    """What a COCO file, or a folder with `annotations/`, says otherwise than the dataset and its labels ever did.
+def corrections(labelling: Labelling, path: Path, people: Sequence[Keypoints]) -> Corrections:
+    """What the people in a file say otherwise than the dataset and its labels ever did.
 
-    Raises DatasetError for a file that is no COCO, or of another dataset.
+    Raises DatasetError for a file of another dataset.
     """
     earlier: dict[Key, list[JointLabel | None]] = defaultdict(list)
     for change in labelling.labels.history:
         earlier[change.frame, change.person, change.joint].append(change.label)
     by_image: dict[int, list[Keypoints]] = defaultdict(list)
-    for each in read_keypoints(path):
+    for each in people:
         by_image[_row(labelling, each, path)].append(each)
     changes: list[tuple[Key, JointLabel | None]] = []
     same = known = back = unknown = 0

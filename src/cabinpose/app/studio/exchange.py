@@ -11,11 +11,11 @@ import xarray as xr
 from nicegui import run, ui
 from nicegui.events import UploadEventArguments
 
-from cabinpose.app.label.corrections import corrections
+from cabinpose.app.label.corrections import Corrections, corrections
 from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError
-from cabinpose.store.convert import export_dataset
+from cabinpose.store.convert import COCO_LABELS, NoOptions, export_dataset
 
 MOST_FRAMES = 2000  # of a download: about 100 MB, made in a minute
 MOST_BYTES = 64_000_000  # of an upload: the annotations of some ten thousand frames
@@ -44,7 +44,7 @@ class Exchange:
     async def _give(self) -> None:
         frames = self._labelling.dataset.sizes["frame"]
         if frames > MOST_FRAMES:
-            line = f"cabinpose export {self._workspace.folder} --labels {self._labelling.labels.path} --format coco --out FOLDER"
+            line = f"cabinpose export coco {self._workspace.folder} --labels {self._labelling.labels.path} --out FOLDER"
             ui.notify(f"{frames} frames are too many for a download: {line}", multi_line=True, timeout=15_000)
             return
         self._download.disable()
@@ -63,7 +63,7 @@ class Exchange:
         path = Path(self._folder.name) / "corrected.json"
         await event.file.save(path)
         try:
-            found = await run.io_bound(corrections, self._labelling, path)
+            found = await run.io_bound(_corrections, self._labelling, path)
             if found is None:
                 return
             self._labelling.take_in(found.changes)
@@ -73,6 +73,10 @@ class Exchange:
         told = "; ".join([f"{len(found.changes)} joints corrected in {found.frames} frames", *found.notes()])
         ui.notify(told, type="positive", multi_line=True)
         self._changed()
+
+
+def _corrections(labelling: Labelling, path: Path) -> Corrections:
+    return corrections(labelling, path, COCO_LABELS.read(path, NoOptions()))
 
 
 def zipped(workspace: Workspace, dataset: xr.Dataset, folder: Path) -> Path:

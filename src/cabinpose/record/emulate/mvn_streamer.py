@@ -51,7 +51,7 @@ class MvnEmulatorSettings(BaseModel):
     rate_hz: Annotated[float, Field(gt=0, le=100_000)] = 60.0
     """Samples a second that are sent."""
     capture_rate_hz: Annotated[float | None, Field(gt=0)] = None
-    """Samples a second that are counted, at least rate_hz; None: the same."""
+    """Samples a second that are counted, at least rate_hz; default: the same."""
     kinds: tuple[Literal[1, 2, 3, 5, 20, 21, 22, 23, 24, 25], ...] = (2,)
     """Types of datagrams with each sample."""
     meta_every_s: Annotated[float, Field(ge=0)] = 1.0

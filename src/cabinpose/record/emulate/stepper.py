@@ -26,12 +26,19 @@ class StepperEmulatorSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     dialect: Literal["grbl", "marlin"] = "grbl"
+    """What it speaks."""
     axis: Literal["X", "Y", "Z"] = "X"
+    """Which axis turns the shaft."""
     backlash_deg: float = Field(0.0, ge=0)
+    """Degrees by which the shaft stays behind where the motor turns back."""
     miss_every: int = Field(0, ge=0)
-    miss_deg: float = 0.0
+    """Every so many moves the motor misses steps; 0: never."""
+    miss_deg: float = 0.9
+    """Degrees that it misses then."""
     fault: Literal["none", "error", "alarm", "hang", "drop", "garbage"] = "none"
+    """What goes wrong: a refusal, an alarm, silence, the line, or what comes over it."""
     fault_at: int = Field(1, ge=0)
+    """At which move, counted from 1; 0: from the start."""
 
 
 class StepperEmulator:

@@ -37,7 +37,7 @@ class ViconEmulatorSettings(BaseModel):
     port: Annotated[int, Field(ge=0, le=65535)] = 0
     """Port to listen on; 0 takes a free one. The vendor's is 801, which most systems keep for the administrator."""
     rate_hz: Annotated[float | None, Field(gt=0, le=20_000)] = None
-    """Frames a second; None: the motion's."""
+    """Frames a second; default: the motion's (generated: 100)."""
     first_frame: Annotated[int, Field(ge=1, lt=vicon.FRAME_COUNTER)] = 1
     """Number of the first frame, as the SDK tells it: how far the server's frame clock was when we came."""
     drift_ppm: Annotated[float, Field(ge=-100_000, le=100_000)] = 0.0

@@ -6,7 +6,7 @@ description are left out. The package tells times in microseconds, since the rec
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from cabinpose.core import RecordingError, optional_module
 from cabinpose.signals import Channels, Facts
 from cabinpose.store.convert.apart import CrashedError, items_apart
+from cabinpose.store.convert.format import NoOptions, RecordingFormat
 from cabinpose.store.convert.rows import Entry
 
 _MOST_LEAVES = 10_000  # numbers of one array
@@ -39,6 +40,17 @@ def read_adtfdat(path: Path) -> Iterator[Entry]:
         yield from items_apart(_read, path)
     except (CrashedError, RuntimeError) as error:
         raise RecordingError(f"{path} is no whole ADTF file: {error}", hint="copy or record it again") from error
+
+
+class AdtfdatFormat(RecordingFormat):
+    """ADTF files."""
+
+    def read(self, path: Path, _options: NoOptions, _subjects: Sequence[str]) -> Iterator[Entry]:
+        """As `read_adtfdat`."""
+        return read_adtfdat(path)
+
+
+ADTFDAT = AdtfdatFormat()
 
 
 def _adtf_file() -> Any:

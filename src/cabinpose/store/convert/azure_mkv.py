@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from cabinpose.core import RationalLens, RecordingError, fit_lens, optional_module
 from cabinpose.signals import Facts, Message, SensorReadings, ToFFrame
-from cabinpose.store.convert.rows import Row, epoch_ns
+from cabinpose.store.convert.format import RecordingFormat
+from cabinpose.store.convert.rows import Entry, Row, epoch_ns
 
 DEPTH_UNIT_M = 0.001
 _LARGEST_CALIBRATION = 1 << 20
@@ -204,6 +205,27 @@ def read_azure_mkv(path: Path) -> Iterator[Row]:
     """The messages of a recording: facts on the camera, frames, inertial readings. Raises DependencyError or RecordingError."""
     with AzureFile(path) as file:
         yield from file.rows()
+
+
+@dataclass(frozen=True, kw_only=True)
+class AzureMkvImport:
+    """What may be said of a recording of an Azure Kinect."""
+
+    name: str = "tof"
+    """Name of the source."""
+
+
+class AzureMkvFormat(RecordingFormat):
+    """Recordings of an Azure Kinect."""
+
+    import_options = AzureMkvImport
+
+    def read(self, path: Path, options: AzureMkvImport, _: Sequence[str]) -> Iterator[Entry]:
+        """As `read_azure_mkv`."""
+        return ((options.name, *row) for row in read_azure_mkv(path))
+
+
+AZURE_MKV = AzureMkvFormat()
 
 
 def rational_lens(calibration: Mapping[str, Any], mode: DepthMode) -> RationalLens:

@@ -8,7 +8,7 @@ SLERP). Files are in centimetres, y up.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -17,9 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
-from cabinpose.signals import F64, Facts, SegmentPoses, resample_positions, resample_rotations
-from cabinpose.store.convert.bvh import WORLD_FROM_FILE
-from cabinpose.store.convert.rows import Row, whole_file
+from cabinpose.signals import F64, Facts, Sample, SegmentPoses, resample_positions, resample_rotations
+from cabinpose.store.convert.bvh import WORLD_FROM_FILE, UpAxis, read_bvh_rows
+from cabinpose.store.convert.format import RecordingFormat
+from cabinpose.store.convert.rows import Entry, Row, begun_ns, rows_of, whole_file
 
 _UNIT_M = 0.01
 _UP = "y"
@@ -27,6 +28,51 @@ _RIGID_M = 1e-4  # a bone's end that moves less in its parent's frame is an offs
 _STILL = 1e-6  # of a rotation matrix: an end site turns with its joint
 _EULER = "ZYX"  # intrinsic, the order in which most files list rotations
 _MOST_VALUES = 1 << 28  # of the poses in memory: an hour of 60 segments at 240 Hz
+
+
+@dataclass(frozen=True, kw_only=True)
+class BvhImport:
+    """What may be said of a BVH file."""
+
+    name: str = "motion"
+    """Name of the source."""
+    begun: str | None = None
+    """When it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the file does not tell."""
+    unit_m: float | None = None
+    """Metres of the unit of length; default: that of the CMU database."""
+    up: UpAxis | None = None
+    """The axis that points up; default: y."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BvhExport:
+    """What may be said of a BVH file that is written."""
+
+    subject: str | None = None
+    """The subject to export; default: the first."""
+
+
+class BvhFormat(RecordingFormat):
+    """Biovision Hierarchy: poses for animation programs."""
+
+    import_options, export_options = BvhImport, BvhExport
+
+    def read(self, path: Path, options: BvhImport, subjects: Sequence[str]) -> Iterator[Entry]:
+        """As `read_bvh_rows`."""
+        start_ns = begun_ns(options.begun)
+        rows = read_bvh_rows(path, unit_m=options.unit_m, up=options.up, subjects=subjects, start_ns=start_ns)
+        return ((options.name, *row) for row in rows)
+
+    def topics(self, _: BvhExport) -> tuple[str, ...]:
+        """Segments' poses."""
+        return ("poses",)
+
+    def write(self, out: Path, samples: Iterable[tuple[str, Sample]], options: BvhExport, *, overwrite: bool) -> list[Path]:
+        """As `write_bvh`."""
+        return [write_bvh(out, rows_of(samples), subject=options.subject, overwrite=overwrite)]
+
+
+BVH = BvhFormat()
 
 
 @dataclass(frozen=True)

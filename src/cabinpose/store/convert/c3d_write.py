@@ -10,7 +10,8 @@ from __future__ import annotations
 import shutil
 import struct
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,11 +19,12 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import MocapError
-from cabinpose.signals import F64, Channels, Facts, JointAngles, Markers
-from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d
-from cabinpose.store.convert.c3d_up import WORLD_FROM_UP
-from cabinpose.store.convert.rows import Row, whole_file
-from cabinpose.store.convert.table import Table, chosen_subject, told_rate
+from cabinpose.signals import F64, Channels, Facts, JointAngles, Markers, Sample
+from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d, read_c3d
+from cabinpose.store.convert.c3d_up import WORLD_FROM_UP, Axis
+from cabinpose.store.convert.format import RecordingFormat
+from cabinpose.store.convert.rows import Entry, Row, begun_ns, rows_of, whole_file
+from cabinpose.store.convert.table import Table, TableExport, chosen_subject, told_rate
 
 _MM = 1e3
 _BLOCK, _HEADER_SCALE = 512, 12  # bytes
@@ -143,6 +145,43 @@ def write_c3d(
             out.write(header)
             shutil.copyfileobj(source, out)
     return path
+
+
+@dataclass(frozen=True, kw_only=True)
+class C3dImport:
+    """What may be said of a C3D file."""
+
+    name: str = "optical"
+    """Name of the source."""
+    begun: str | None = None
+    """When it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the file does not tell."""
+    up: Axis | None = None
+    """The axis that points up; default: found from markers or file."""
+    keep_whole_frames: bool = False
+    """Of a truncated file, import the complete frames, and report how many are lost."""
+
+
+class C3dFormat(RecordingFormat):
+    """C3D: markers, joint angles and analog channels."""
+
+    import_options, export_options = C3dImport, TableExport
+
+    def read(self, path: Path, options: C3dImport, subjects: Sequence[str]) -> Iterator[Entry]:
+        """As `read_c3d`."""
+        start_ns, whole_frames = begun_ns(options.begun), options.keep_whole_frames
+        rows = read_c3d(path, subjects=subjects, start_ns=start_ns, up=options.up, whole_frames=whole_frames)
+        return ((options.name, *row) for row in rows)
+
+    def topics(self, _: TableExport) -> tuple[str, ...]:
+        """Markers."""
+        return ("markers",)
+
+    def write(self, out: Path, samples: Iterable[tuple[str, Sample]], options: TableExport, *, overwrite: bool) -> list[Path]:
+        """As `write_c3d`."""
+        return [write_c3d(out, rows_of(samples), **vars(options), overwrite=overwrite)]
+
+
+C3D = C3dFormat()
 
 
 def _label(subject: str, name: str) -> str:

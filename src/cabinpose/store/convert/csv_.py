@@ -23,6 +23,7 @@ import numpy as np
 
 from cabinpose.core import RecordingError
 from cabinpose.signals import ARRAYS, TOPICS, Channels, Facts, Markers, Message, Sample, ToFFrame
+from cabinpose.store.convert.format import NoOptions, RecordingFormat
 from cabinpose.store.convert.rows import whole_file
 
 _MOST_TABLES = 400  # open at the same time
@@ -73,6 +74,17 @@ def write_csv(folder: Path, samples: Iterable[tuple[str, Sample]], *, overwrite:
     finally:
         if new and not any(folder.iterdir()):
             folder.rmdir()
+
+
+class CsvFormat(RecordingFormat):
+    """CSV tables, one a source and kind of message."""
+
+    def write(self, out: Path, samples: Iterable[tuple[str, Sample]], _: NoOptions, *, overwrite: bool) -> list[Path]:
+        """As `write_csv`."""
+        return write_csv(out, samples, overwrite=overwrite)
+
+
+CSV = CsvFormat()
 
 
 class _Tables:

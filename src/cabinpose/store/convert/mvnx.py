@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
 from cabinpose.signals import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
-from cabinpose.store.convert.rows import Row
+from cabinpose.store.convert.format import RecordingFormat
+from cabinpose.store.convert.rows import Entry, Row
 
 _CHUNK = 1 << 16
 _ELEMENT_LIMIT = 1 << 20  # characters of one element's text; a frame's largest array has about 2000
@@ -173,6 +174,27 @@ def read_mvnx(path: Path, *, subjects: Sequence[str] = ()) -> Iterator[Row]:
         raise RecordingError(f"{path} is no whole MVNX file, after {line}: {error}", hint=hint) from error
     if reader is None:
         raise RecordingError(f"{path} holds no subject", hint="export it from MVN with its frames")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MvnxImport:
+    """What may be said of an MVNX file."""
+
+    name: str = "suit"
+    """Name of the source."""
+
+
+class MvnxFormat(RecordingFormat):
+    """MVNX files of Xsens MVN."""
+
+    import_options = MvnxImport
+
+    def read(self, path: Path, options: MvnxImport, subjects: Sequence[str]) -> Iterator[Entry]:
+        """As `read_mvnx`."""
+        return ((options.name, *row) for row in read_mvnx(path, subjects=subjects))
+
+
+MVNX = MvnxFormat()
 
 
 class _SubjectReader:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -30,10 +30,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import CABINPOSE, NTU_JOINTS, Camera, DatasetError, Visibility
+from cabinpose.store.convert.format import DatasetFormat, NoOptions
 from cabinpose.store.convert.reading import (
-    ImportOptions,
+    Origin,
+    SequenceOptions,
     check_projection,
     depth_ticks_of_mm,
+    given_camera,
     make_manifest,
     put_camera,
     put_person,
@@ -56,47 +59,82 @@ _BODY_LINES = 2 + len(NTU_JOINTS)
 _HINT = "the file may be cut short, or be no skeleton file of NTU RGB+D; copy it again"
 
 
+@dataclass(frozen=True, kw_only=True)
+class NtuImport(SequenceOptions):
+    """What may be said of skeletons of NTU RGB+D."""
+
+    images: Path | None = None
+    """Folder of the clips' depth maps; default: that of the skeletons, else joints only."""
+
+
+class NtuFormat(DatasetFormat):
+    """Skeletons of NTU RGB+D; depth maps are read too."""
+
+    import_options = NtuImport
+
+    def read(self, path: Path, options: NtuImport) -> Source:
+        """The frames of a `.skeleton` file, or of all in a folder by name, one `sequence` a file.
+
+        Depth maps are in folders of the clips' names in `options.images`, or beside the files; where there are none, there are
+        joints only. A person keeps one place for as long as the body is tracked. All bodies have the performer of the file's
+        name as `subject`: it does not say who the second one is. Raises `DatasetError` for a file that is damaged or named
+        otherwise, and where some of the depth maps are missing.
+        """
+        stems = {file.stem: file for file in (sorted(path.glob("*.skeleton")) if path.is_dir() else [path])}
+        if not stems:
+            raise DatasetError(f"{path} holds no .skeleton file", hint="give a file, or the folder that has them")
+        files = [stems[stem] for stem in options.chosen(path, list(stems))]
+        for file in files:
+            if _NAME.fullmatch(file.stem) is None:
+                raise DatasetError(f"{file.name} is no name of NTU RGB+D", hint="name it as S001C002P003R001A013.skeleton")
+        counts = [_count(file) for file in files]
+        bodies = max(1, *(most for _, most in counts))
+        camera = given_camera(options, (KINECT_V2.width, KINECT_V2.height)) or KINECT_V2
+        maps = _maps(files, options.images)
+        manifest = make_manifest(
+            Origin("ntu", path, options),
+            frames=sum(-(-count // options.every) for count, _ in counts),
+            size=(camera.width, camera.height),
+            persons=tuple(f"person_{i + 1}" for i in range(bodies)),
+            variables=("depth",) if maps else (),
+        )
+
+        def all_frames() -> Iterator[dict[str, Any]]:
+            for sequence, file in enumerate(files):
+                clip = _frames(file, sequence, camera, manifest)
+                for index, frame in islice(enumerate(clip), 0, None, options.every):
+                    if maps:
+                        frame["depth"] = _depth_map(maps[sequence], index)
+                    yield frame
+
+        return Source(path, manifest, all_frames)
+
+    def write(self, parts: Mapping[str, xr.Dataset], folder: Path, _: NoOptions, report: Report) -> None:
+        """Write every clip into `folder`, and `names.json`, which says what the numbers of the names stand for.
+
+        depthX and depthY are where a Kinect v2 in the camera's place would see a joint; colour pixels and orientations are 0, as
+        are joints that are absent or that ours do not have. Raises `DatasetError` for what the names have no room for.
+        """
+        (dataset,) = parts.values()
+        clips = _clips(dataset)
+        stems, names = _file_names(clips)
+        (folder / "names.json").write_text(json.dumps(names, indent=1, ensure_ascii=False), encoding="utf-8")
+        rest, done = frames(dataset, ()), 0
+        for clip, stem in zip(clips, stems, strict=True):
+            with (folder / f"{stem}.skeleton").open("w", encoding="ascii") as file:
+                file.write(f"{clip.frames}\n")
+                for frame in islice(rest, clip.frames):
+                    persons = people(frame)
+                    file.write(f"{len(persons)}\n")
+                    file.writelines(map(_body_text, persons))
+                    done += 1
+                    report(done)
+
+
+NTU = NtuFormat()
+
+
 # ---------------------------------------------------------------------------------------------------------- reading
-
-
-def read(path: Path, options: ImportOptions) -> Source:
-    """The frames of a `.skeleton` file, or of all in a folder by name, one `sequence` a file.
-
-    Depth maps are in folders of the clips' names in `options.images`, or beside the files; where there are none, there are joints
-    only. A person keeps one place for as long as the body is tracked. All bodies have the performer of the file's name as
-    `subject`: it does not say who the second one is. Raises `DatasetError` for a file that is damaged or named otherwise, and
-    where some of the depth maps are missing.
-    """
-    stems = {file.stem: file for file in (sorted(path.glob("*.skeleton")) if path.is_dir() else [path])}
-    if not stems:
-        raise DatasetError(f"{path} holds no .skeleton file", hint="give a file, or the folder that has them")
-    files = [stems[stem] for stem in options.chosen(path, list(stems))]
-    for file in files:
-        if _NAME.fullmatch(file.stem) is None:
-            raise DatasetError(f"{file.name} is no name of NTU RGB+D", hint="name it as S001C002P003R001A013.skeleton")
-    counts = [_count(file) for file in files]
-    bodies = max(1, *(most for _, most in counts))
-    camera = options.camera(KINECT_V2.width, KINECT_V2.height) or KINECT_V2
-    maps = _maps(files, options.images)
-    manifest = make_manifest(
-        "ntu",
-        path,
-        options,
-        frames=sum(-(-count // options.every) for count, _ in counts),
-        size=(camera.width, camera.height),
-        persons=tuple(f"person_{i + 1}" for i in range(bodies)),
-        variables=("depth",) if maps else (),
-    )
-
-    def all_frames() -> Iterator[dict[str, Any]]:
-        for sequence, file in enumerate(files):
-            clip = _frames(file, sequence, camera, manifest)
-            for index, frame in islice(enumerate(clip), 0, None, options.every):
-                if maps:
-                    frame["depth"] = _depth_map(maps[sequence], index)
-                yield frame
-
-    return Source(path, manifest, all_frames)
 
 
 def _maps(files: list[Path], folder: Path | None) -> list[Path]:
@@ -263,27 +301,6 @@ class _Clip:
     pov: str
     who: tuple[str, str] | None  # subject and action
     frames: int = 1
-
-
-def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
-    """Write every clip of `dataset` into `folder`, and `names.json`, which says what the numbers of the names stand for.
-
-    depthX and depthY are where a Kinect v2 in the camera's place would see a joint; colour pixels and orientations are 0, as are
-    joints that are absent or that ours do not have. Raises `DatasetError` for what the names have no room for.
-    """
-    clips = _clips(dataset)
-    stems, names = _file_names(clips)
-    (folder / "names.json").write_text(json.dumps(names, indent=1, ensure_ascii=False), encoding="utf-8")
-    rest, done = frames(dataset, ()), 0
-    for clip, stem in zip(clips, stems, strict=True):
-        with (folder / f"{stem}.skeleton").open("w", encoding="ascii") as file:
-            file.write(f"{clip.frames}\n")
-            for frame in islice(rest, clip.frames):
-                persons = people(frame)
-                file.write(f"{len(persons)}\n")
-                file.writelines(map(_body_text, persons))
-                done += 1
-                report(done)
 
 
 def _clips(dataset: xr.Dataset) -> list[_Clip]:

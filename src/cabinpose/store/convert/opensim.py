@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,9 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core import ZUP_FROM_YUP, MocapError
-from cabinpose.signals import F64, Facts, JointAngles, Markers, SegmentPoses
-from cabinpose.store.convert.rows import Row, whole_file
-from cabinpose.store.convert.table import Table, chosen_subject, told_rate
+from cabinpose.signals import F64, Facts, JointAngles, Markers, Sample, SegmentPoses
+from cabinpose.store.convert.format import RecordingFormat
+from cabinpose.store.convert.rows import Row, rows_of, whole_file
+from cabinpose.store.convert.table import Table, TableExport, chosen_subject, told_rate
 
 _MM = 1e3
 _Message = Markers | SegmentPoses | JointAngles
@@ -101,6 +103,46 @@ def write_sto(
         for k, frame in enumerate(cells):
             file.write("\t".join([f"{first_ns * 1e-9 + k / rate:.9f}", *frame]) + "\n")
     return path
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoExport(TableExport):
+    """What may be said of a .sto file."""
+
+    angles: bool = False
+    """Joint angles in place of orientations."""
+
+
+class TrcFormat(RecordingFormat):
+    """Markers for OpenSim."""
+
+    export_options = TableExport
+
+    def topics(self, _: TableExport) -> tuple[str, ...]:
+        """Markers."""
+        return ("markers",)
+
+    def write(self, out: Path, samples: Iterable[tuple[str, Sample]], options: TableExport, *, overwrite: bool) -> list[Path]:
+        """As `write_trc`."""
+        return [write_trc(out, rows_of(samples), subject=options.subject, rate_hz=options.rate_hz, overwrite=overwrite)]
+
+
+class StoFormat(RecordingFormat):
+    """Orientations or joint angles for OpenSim."""
+
+    export_options = StoExport
+
+    def topics(self, options: StoExport) -> tuple[str, ...]:
+        """Segments' poses or joint angles."""
+        return ("joint_angles",) if options.angles else ("poses",)
+
+    def write(self, out: Path, samples: Iterable[tuple[str, Sample]], options: StoExport, *, overwrite: bool) -> list[Path]:
+        """As `write_sto`."""
+        return [write_sto(out, rows_of(samples), **vars(options), overwrite=overwrite)]
+
+
+TRC = TrcFormat()
+STO = StoFormat()
 
 
 def _table(

@@ -7,7 +7,7 @@ from 0 to 255 at 500 of the camera's raw units and beyond (the scale of the thes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from cabinpose.core import ConfigError
 from cabinpose.store.frames import depth_mm, file_stem, frames, write_png
 
 _FARTHEST_M = 4.0  # holds cars, vans and people in a room: one scale for all datasets, in steps of 16 mm
@@ -47,6 +48,12 @@ PICTURES = MappingProxyType(
         "rgb": Picture("rgb", np.asarray, MappingProxyType({"colour": "sRGB"})),
     }
 )
+
+
+def check_kind(kind: str, kinds: Sequence[str]) -> None:
+    """Raise ConfigError unless a format has pictures of this kind."""
+    if kind not in kinds:
+        raise ConfigError(f"there are no images of the kind {kind}", hint=f"choose one of {', '.join(kinds)}")
 
 
 def pictured(dataset: xr.Dataset, folder: Path, kind: str) -> Iterator[xr.Dataset]:

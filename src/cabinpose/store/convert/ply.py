@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from cabinpose.store.convert.format import DatasetFormat, NoOptions
 from cabinpose.store.frames import file_stem, frames, label_colours, require_variables
 from cabinpose.store.lazy import points_m
 from cabinpose.store.source import Report
@@ -16,16 +18,23 @@ from cabinpose.store.source import Report
 _PLY_TYPE = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 
 
-def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
-    """Write the points of every frame of `dataset` into `folder`; invalid pixels have no point.
+class PlyFormat(DatasetFormat):
+    """Point clouds, one file a frame."""
 
-    Raises `DatasetError` without depth or classes.
-    """
-    require_variables(dataset, "PLY", ("depth", "labels"))
-    colours = label_colours(dataset)
-    for done, frame in enumerate(frames(dataset, ("depth", "labels", "instance", "amplitude")), 1):
-        write_ply(folder / f"{file_stem(frame)}.ply", cloud(frame, colours))
-        report(done)
+    def write(self, parts: Mapping[str, xr.Dataset], folder: Path, _: NoOptions, report: Report) -> None:
+        """Write the points of every frame into `folder`; invalid pixels have no point.
+
+        Raises `DatasetError` without depth or classes.
+        """
+        (dataset,) = parts.values()
+        require_variables(dataset, "PLY", ("depth", "labels"))
+        colours = label_colours(dataset)
+        for done, frame in enumerate(frames(dataset, ("depth", "labels", "instance", "amplitude")), 1):
+            write_ply(folder / f"{file_stem(frame)}.ply", cloud(frame, colours))
+            report(done)
+
+
+PLY = PlyFormat()
 
 
 def cloud(frame: xr.Dataset, colours: NDArray[np.uint8]) -> NDArray[Any]:

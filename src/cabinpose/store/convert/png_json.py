@@ -7,7 +7,7 @@ and `pose/`; a file's name is the frame's index. `labels.json` is the table of c
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import DatasetError, Visibility
-from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_image, read_json
+from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
+from cabinpose.store.convert.reading import (
+    Origin,
+    depth_ticks_of_mm,
+    given_camera,
+    make_manifest,
+    put_camera,
+    read_image,
+    read_json,
+)
 from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
 from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import Report, Source, blank_frame
@@ -27,27 +36,58 @@ _NUMBERS = ("sequence", "sync_ns", "seed")
 _DAMAGED = "the export is not whole, or not of this layout; export it again"
 
 
-def export(dataset: xr.Dataset, folder: Path, report: Report) -> None:
-    """Write every frame of `dataset` into `folder`."""
-    images = [name for name in _IMAGES if name in dataset]
-    for name in [*images, "pose"]:
-        (folder / name).mkdir()
-    colours = label_colours(dataset) if "labels" in dataset else None
-    if colours is not None:
-        rows = [{**row, "rgb": f"#{row['rgb']:06x}"} for row in label_table(dataset)]
-        (folder / "labels.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    (folder / "dataset.json").write_text(json.dumps(_shared(dataset), indent=1), encoding="utf-8")
-    for done, frame in enumerate(frames(dataset, images), 1):
-        stem = file_stem(frame)
-        for name in images:
-            pixels = frame[name].values
-            if name.startswith("depth"):
-                pixels = depth_mm(pixels)
-            elif name == "labels" and colours is not None:
-                pixels = colours[pixels]
-            write_png(folder / name / f"{stem}.png", pixels)
-        (folder / "pose" / f"{stem}.json").write_text(json.dumps(pose_record(frame), indent=1), encoding="utf-8")
-        report(done)
+class PngJsonFormat(DatasetFormat):
+    """16-bit PNG images and a JSON of poses a frame."""
+
+    def read(self, path: Path, options: ImportOptions) -> Source:
+        """The frames of an export, in the order of their numbers, which begin at 0 again.
+
+        Joints come to 5 digits of a metre, depth to a millimetre. Raises `DatasetError` for a folder of another layout.
+        """
+        folder = _Folder.open(path)
+        shared = folder.shared
+        stems = sorted(p.stem for p in (path / "pose").glob("*.json"))
+        try:
+            manifest = make_manifest(
+                Origin("png-json", path, options),
+                frames=len(stems),
+                size=(int(shared["size"][0]), int(shared["size"][1])),
+                persons=tuple(map(str, shared["persons"])),
+                joints=tuple(map(str, shared["joints"])),
+                variables=folder.images,
+                licence=str(shared["licence"]),
+                labels=folder.rows if "labels" in folder.images else (),
+                config={"exported_from": str(shared["generator"])},
+            )
+        except (KeyError, IndexError, TypeError, ValueError) as error:  # pydantic's errors are ValueErrors
+            raise DatasetError(f"{path}: dataset.json or labels.json is damaged ({error!r})", hint=_DAMAGED) from error
+        return Source(path, manifest, lambda: _frames(folder, manifest, stems, options))
+
+    def write(self, parts: Mapping[str, xr.Dataset], folder: Path, _: NoOptions, report: Report) -> None:
+        """Write every frame into `folder`."""
+        (dataset,) = parts.values()
+        images = [name for name in _IMAGES if name in dataset]
+        for name in [*images, "pose"]:
+            (folder / name).mkdir()
+        colours = label_colours(dataset) if "labels" in dataset else None
+        if colours is not None:
+            rows = [{**row, "rgb": f"#{row['rgb']:06x}"} for row in label_table(dataset)]
+            (folder / "labels.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+        (folder / "dataset.json").write_text(json.dumps(_shared(dataset), indent=1), encoding="utf-8")
+        for done, frame in enumerate(frames(dataset, images), 1):
+            stem = file_stem(frame)
+            for name in images:
+                pixels = frame[name].values
+                if name.startswith("depth"):
+                    pixels = depth_mm(pixels)
+                elif name == "labels" and colours is not None:
+                    pixels = colours[pixels]
+                write_png(folder / name / f"{stem}.png", pixels)
+            (folder / "pose" / f"{stem}.json").write_text(json.dumps(pose_record(frame), indent=1), encoding="utf-8")
+            report(done)
+
+
+PNG_JSON = PngJsonFormat()
 
 
 def _shared(dataset: xr.Dataset) -> dict[str, Any]:
@@ -102,33 +142,6 @@ def _known(values: NDArray[np.float64]) -> list[Any] | None:
 def _rounded(values: Any, digits: int) -> list[float] | None:
     """Rounded numbers; None where one is missing, which JSON has no number for."""
     return [round(float(v), digits) for v in values] if np.isfinite(values).all() else None
-
-
-def read(path: Path, options: ImportOptions) -> Source:
-    """The frames of an export, in the order of their numbers, which begin at 0 again.
-
-    Joints come to 5 digits of a metre, depth to a millimetre. Raises `DatasetError` for a folder of another layout.
-    """
-    folder = _Folder.open(path)
-    shared = folder.shared
-    stems = sorted(p.stem for p in (path / "pose").glob("*.json"))
-    try:
-        manifest = make_manifest(
-            "png-json",
-            path,
-            options,
-            frames=len(stems),
-            size=(int(shared["size"][0]), int(shared["size"][1])),
-            persons=tuple(map(str, shared["persons"])),
-            joints=tuple(map(str, shared["joints"])),
-            variables=folder.images,
-            licence=str(shared["licence"]),
-            labels=folder.rows if "labels" in folder.images else (),
-            config={"exported_from": str(shared["generator"])},
-        )
-    except (KeyError, IndexError, TypeError, ValueError) as error:  # pydantic's errors are ValueErrors
-        raise DatasetError(f"{path}: dataset.json or labels.json is damaged ({error!r})", hint=_DAMAGED) from error
-    return Source(path, manifest, lambda: _frames(folder, manifest, stems, options))
 
 
 @dataclass(frozen=True)
@@ -192,7 +205,7 @@ def _classes(image: NDArray[Any], ids: dict[int, int], file: Path) -> NDArray[np
 
 def _frames(folder: _Folder, manifest: Manifest, stems: list[str], options: ImportOptions) -> Iterator[dict[str, Any]]:
     ids = {row["rgb"]: row["id"] for row in folder.rows}
-    camera = options.camera(manifest.width, manifest.height)
+    camera = given_camera(options, (manifest.width, manifest.height))
     for stem in stems:
         file = folder.path / "pose" / f"{stem}.json"
         frame = blank_frame(manifest)

@@ -1,4 +1,4 @@
-"""What importers of datasets share: what a user may say of a source, its manifest, filling in frames, reading files."""
+"""What importers of datasets share: sequences, the manifest, filling in frames, reading files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from PIL import Image
 
 from cabinpose import __version__
 from cabinpose.core import Camera, ConfigError, DatasetError, Visibility
+from cabinpose.store.convert.format import ImportOptions
 from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import UNKNOWN
 
@@ -21,35 +22,19 @@ _MOST_PX = 20.0  # between the pixels that a file gives and the projection of it
 _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 
 
-@dataclass(frozen=True)
-class ImportOptions:
-    """What a user may say about a source.
+@dataclass(frozen=True, kw_only=True)
+class SequenceOptions(ImportOptions):
+    """What may be said of a source of several sequences."""
 
-    keep_invalid: ITOP's frames without valid labels too, their joints absent · intrinsics: (fx, fy, cx, cy) px in place of the
-    source's, undistorted · images: folder of COCO's images or of NTU's depth maps · licence: of the data, for `dataset.yaml` ·
-    sequences: patterns of the names of those to take, of TICaM and NTU (none: all) · every: take every nth frame of a sequence ·
-    correct: ITOP's labels, on the person that grows from this joint (`itop_correct`).
-    """
-
-    keep_invalid: bool = False
-    intrinsics: tuple[float, float, float, float] | None = None
-    images: Path | None = None
-    licence: str | None = None
     sequences: tuple[str, ...] = ()
+    """Only the sequences of these names, in which * stands for anything."""
     every: int = 1
-    correct: Literal["head", "torso"] | None = None
+    """Only every Nth frame of a sequence."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.every < 1:
             raise ConfigError(f"every {self.every}th frame is none", hint="give --every a number above 0")
-        if self.intrinsics is not None and not (
-            all(np.isfinite(self.intrinsics)) and self.intrinsics[0] > 0 and self.intrinsics[1] > 0
-        ):
-            raise ConfigError(f"no intrinsics: {self.intrinsics}", hint="give fx, fy, cx and cy in px, fx and fy above 0")
-
-    def camera(self, width: int, height: int) -> Camera | None:
-        """The camera that the user gave, for images of a size."""
-        return Camera(width, height, *self.intrinsics) if self.intrinsics is not None else None
 
     def chosen(self, path: Path, names: list[str]) -> list[str]:
         """Those of the sequences' names that `sequences` asks for; a pattern is of a whole name, or of what follows its `/`."""
@@ -63,10 +48,21 @@ def _matches(name: str, pattern: str) -> bool:
     return fnmatchcase(name, pattern) or fnmatchcase(name.rpartition("/")[2], pattern)
 
 
+def given_camera(options: ImportOptions, size: tuple[int, int]) -> Camera | None:
+    """The camera that the user gave, for images of a size (width, height)."""
+    return Camera(*size, *options.intrinsics) if options.intrinsics is not None else None
+
+
+class Origin(NamedTuple):
+    """Where a dataset comes from: the name of the format, the file or folder, and what the user says of it."""
+
+    format: str
+    path: Path
+    options: ImportOptions
+
+
 def make_manifest(
-    format_name: str,
-    path: Path,
-    options: ImportOptions,
+    origin: Origin,
     *,
     frames: int,
     size: tuple[int, int],
@@ -76,14 +72,15 @@ def make_manifest(
     **values: Any,
 ) -> Manifest:
     """The manifest of an import; `size` is (width, height), `licence` what the source says of its own."""
+    name, path, options = origin
     if not frames:
         raise DatasetError(f"{path} holds no frame to import", hint="check the folder, and what the format leaves out")
-    images = [name for name in variables if VARIABLE[name].is_image]
-    config = {"format": format_name, "source": path.name} | values.pop("config", {})
+    images = [each for each in variables if VARIABLE[each].is_image]
+    config = {"format": name, "source": path.name} | values.pop("config", {})
     if options.intrinsics is not None:
         config["intrinsics_px"] = list(options.intrinsics)
     return Manifest(
-        generator=f"import {format_name}",
+        generator=f"import {name}",
         generator_version=__version__,
         seed=0,
         licence=options.licence or licence,

@@ -1,46 +1,25 @@
-"""Recordings from the files of other tools, and back: see `RECORDING_FORMATS`. What is written gets its name when it is whole."""
+"""Recordings from the files of other tools, and back. What is written gets its name when it is whole."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from cabinpose.core import ConfigError, RecordingError, unknown_name
+from cabinpose.core import RecordingError
 from cabinpose.signals import Sample
-from cabinpose.store.convert import RECORDING_EXPORTS, RECORDING_FORMATS, RECORDING_IMPORTS
-from cabinpose.store.convert.c3d_up import Axis
-from cabinpose.store.convert.rows import Entry, Row
-from cabinpose.store.recording import Recording, RecordingWriter, Take
+from cabinpose.store.convert.format import RecordingFormat, format_of, made_options
+from cabinpose.store.convert.rows import Entry
+from cabinpose.store.recording import Chunking, Recording, RecordingWriter, Take
 
 _NO_NAME = re.compile(r"[^a-z0-9_-]+")
 _NAME_LENGTH = 32
-
-
-@dataclass(frozen=True)
-class RecordingOptions:
-    """How a file becomes a recording. None of it is needed.
-
-    subjects: codes of the file's subjects, in its order · name: of the source, in formats that hold one · start_ns: host time of
-    the beginning, in formats that know no time of day · unit_m: unit of length of a BVH file · up: vertical axis of a BVH file
-    (default: y), or of a C3D file in place of what is found · whole_frames: take those of a C3D file that is cut off · topics: of
-    depth, and infrared, in a bag of ROS 2.
-    """
-
-    subjects: tuple[str, ...] = ()
-    name: str | None = None
-    start_ns: int = 0
-    unit_m: float | None = None
-    up: Axis | None = None
-    whole_frames: bool = False
-    topics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -53,34 +32,8 @@ class Imported:
     reason: str
 
 
-@dataclass(frozen=True)
-class Selection:
-    """What of a recording is exported: sources (none named: all that the format takes), a subject, a span of seconds since the
-    start of the take. rate_hz: of the frames, where nothing tells it · angles: joint angles in place of orientations (sto).
-    """
-
-    sources: tuple[str, ...] = ()
-    subject: str | None = None
-    span_s: tuple[float, float] | None = None
-    rate_hz: float | None = None
-    angles: bool = False
-
-
-_FLAGS = {
-    "name": "--name", "start_ns": "--begun", "unit_m": "--unit-m", "up": "--up", "whole_frames": "--keep-whole-frames",
-    "topics": "--topic", "subject": "--subject", "rate_hz": "--rate", "angles": "--angles",
-}  # fmt: skip
-"""Options that some formats have no use for, and their flags."""
-
-
 def import_recording(
-    path: Path,
-    name: str,
-    out: Path,
-    *,
-    take: Take | None = None,
-    options: RecordingOptions | None = None,
-    overwrite: bool = False,
+    path: Path, name: str, out: Path, /, *, take: Take | None = None, overwrite: bool = False, **options: Any
 ) -> Imported:
     """Make a recording of a file. Same file, same bytes.
 
@@ -89,28 +42,26 @@ def import_recording(
     path
         The file.
     name
-        Its format, one of `RECORDING_IMPORTS`.
+        Its format, one of `FORMATS` that reads recordings.
     out
         The recording to make; it appears when it is whole.
     take
         Who did what, where.
-    options
-        How the file is read.
     overwrite
         Replace `out`.
+    **options
+        The format's own, such as `unit_m=0.01` of bvh.
 
     Raises
     ------
     ConfigError
-        For an unknown format, or an option that it has no use for.
+        For an unknown format, or an option that it does not have.
     RecordingError, MocapError
         Where the file cannot be read to its end or `out` exists; then nothing is left behind, and what was in `out` stays.
     DependencyError
         Where a package is missing.
     """
-    if name not in RECORDING_IMPORTS:
-        raise unknown_name("format", name, RECORDING_IMPORTS)
-    found = read_entries(path, name, options or RecordingOptions())
+    found = read_entries(path, name, take.codes if take is not None else (), **options)
     if out.exists() and not overwrite:
         raise RecordingError(f"{out} exists", hint="--overwrite replaces it, or give another file with --out")
     temporary = out.with_name(f".{out.name}.import.tmp")
@@ -121,9 +72,8 @@ def import_recording(
         first = next(entries, None)
         if first is None:
             raise RecordingError(f"{path} holds nothing that is recorded", hint="give another file")
-        with RecordingWriter(
-            temporary, take, started_ns=max(first[1], 0), sync_s=0, flush_s=math.inf, definitions_s=math.inf
-        ) as writer:
+        chunking = Chunking(sync_s=0, flush_s=math.inf, definitions_s=math.inf)
+        with RecordingWriter(temporary, take, started_ns=max(first[1], 0), chunking=chunking) as writer:
             samples: Counter[str] = Counter()
             for source, sample in _samples(chain([first], entries)):
                 refused += writer.write(source, sample)
@@ -138,7 +88,15 @@ def import_recording(
 
 
 def export_recording(
-    path: Path, name: str, out: Path, *, selection: Selection | None = None, overwrite: bool = False
+    path: Path,
+    name: str,
+    out: Path,
+    /,
+    *,
+    sources: tuple[str, ...] = (),
+    span_s: tuple[float, float] | None = None,
+    overwrite: bool = False,
+    **options: Any,
 ) -> list[Path]:
     """Write a recording, or part of it, in another format.
 
@@ -147,13 +105,17 @@ def export_recording(
     path
         The recording.
     name
-        The format, one of `RECORDING_EXPORTS`.
+        The format, one of `FORMATS` that writes recordings.
     out
         The file to write (csv: folder); it appears when it is whole.
-    selection
-        What of the recording is written.
+    sources
+        Those that are written; none named: all that the format takes.
+    span_s
+        Seconds since the start of the take.
     overwrite
         Replace `out`.
+    **options
+        The format's own, such as `angles=True` of sto.
 
     Returns
     -------
@@ -163,54 +125,31 @@ def export_recording(
     Raises
     ------
     ConfigError
-        For an unknown format, or a selection that it has no use for.
+        For an unknown format, or an option that it does not have.
     RecordingError, MocapError
         Where the recording lacks what the format needs or has more than it can hold; then nothing is left behind.
     """
-    if name not in RECORDING_EXPORTS:
-        raise unknown_name("format", name, RECORDING_EXPORTS)
-    form, chosen = RECORDING_FORMATS[name], selection or Selection()
-    given = _given(name, chosen, form.write_options)
-    write = _function(form.writes)
+    form = format_of(name, RecordingFormat, "writes")
+    chosen = made_options(name, form.export_options, options)
     with Recording(path) as recording:
-        sources = _sources(recording, name, ("joint_angles",) if chosen.angles else form.topics, chosen.sources)
+        named = _sources(recording, name, form.topics(chosen), sources)
         start_ns, end_ns = 0, 1 << 64
-        if chosen.span_s is not None:
-            start_ns, end_ns = (recording.head.started_ns + round(seconds * 1e9) for seconds in chosen.span_s)
-        samples = recording.samples(sources, start_ns=max(start_ns, 0), end_ns=max(end_ns, 0))
-        if form.topics:
-            return [write(out, _rows(samples), overwrite=overwrite, **given)]
-        files: list[Path] = write(out, samples, overwrite=overwrite, **given)
-        return files
-
-
-def _function(place: str) -> Any:
-    """A function of a format, by its module and name."""
-    module, name = place.split(".")
-    return getattr(import_module(f"cabinpose.store.convert.{module}"), name)
-
-
-def _given(name: str, options: RecordingOptions | Selection, used: tuple[str, ...]) -> dict[str, Any]:
-    """The options that a format uses. Raises ConfigError where another one is given."""
-    for option, flag in _FLAGS.items():
-        if option not in used and getattr(options, option, None):
-            having = [n for n, form in RECORDING_FORMATS.items() if option in (*form.read_options, *form.write_options)]
-            raise ConfigError(f"{flag} is of {', '.join(having)}, not of {name}", hint=f"leave out {flag}")
-    return {option: getattr(options, option) for option in used}
+        if span_s is not None:
+            start_ns, end_ns = (recording.head.started_ns + round(seconds * 1e9) for seconds in span_s)
+        samples = recording.samples(named, start_ns=max(start_ns, 0), end_ns=max(end_ns, 0))
+        return form.write(out, samples, chosen, overwrite=overwrite)
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def read_entries(path: Path, name: str, options: RecordingOptions) -> Iterator[Entry]:
+def read_entries(path: Path, name: str, subjects: Sequence[str] = (), /, **options: Any) -> Iterator[Entry]:
     """What a file in the format `name` holds, with the names of sources as the file has them; raises as `import_recording`."""
-    form = RECORDING_FORMATS[name]
-    given = _given(name, options, form.read_options)
+    form = format_of(name, RecordingFormat, "reads")
+    chosen = made_options(name, form.import_options, options)
     if not path.exists():
         raise RecordingError(f"{path} does not exist", hint="give the file to import")
-    source = given.pop("name", None) or form.source
-    found = _function(form.reads)(path, **given)
-    return ((source, *row) for row in found) if form.source else found
+    return form.read(path, chosen, subjects)
 
 
 def _named(entries: Iterator[Entry]) -> Iterator[Entry]:
@@ -255,9 +194,3 @@ def _sources(recording: Recording, name: str, topics: tuple[str, ...], named: tu
     if len(fit) > 1:
         raise RecordingError(f"{name} holds one source, and {', '.join(fit)} could be meant", hint="name one with --source")
     return tuple(fit)
-
-
-def _rows(samples: Iterable[tuple[str, Sample]]) -> Iterator[Row]:
-    for _, sample in samples:
-        for message in sample.messages:
-            yield sample.host_ns, sample.device_ns, message

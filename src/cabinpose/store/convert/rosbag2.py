@@ -11,7 +11,8 @@ the facts say what is left, and keep the numbers.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 
 from cabinpose.core import RationalLens, RecordingError, fit_lens, optional_module
 from cabinpose.signals import Facts, ToFFrame
-from cabinpose.store.convert.rows import Row
+from cabinpose.store.convert.format import RecordingFormat
+from cabinpose.store.convert.rows import Entry, Row
 
 _IMAGE, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -57,6 +59,29 @@ def read_rosbag2(path: Path, *, topics: tuple[str, ...] = ()) -> Iterator[Row]:
         raise
     except Exception as error:
         raise RecordingError(f"cannot read {path} as a bag of ROS 2: {error}", hint=_COPY) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rosbag2Import:
+    """What may be said of a bag of ROS 2."""
+
+    name: str = "tof"
+    """Name of the source."""
+    topic: tuple[str, ...] = ()
+    """Topic of the depth images, and of infrared; default: the only ones there are."""
+
+
+class Rosbag2Format(RecordingFormat):
+    """Bags of ROS 2 with the images of a depth camera."""
+
+    import_options = Rosbag2Import
+
+    def read(self, path: Path, options: Rosbag2Import, _: Sequence[str]) -> Iterator[Entry]:
+        """As `read_rosbag2`."""
+        return ((options.name, *row) for row in read_rosbag2(path, topics=options.topic))
+
+
+ROSBAG2 = Rosbag2Format()
 
 
 class _Bag:

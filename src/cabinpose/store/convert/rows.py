@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
-from cabinpose.core import RecordingError
-from cabinpose.signals import Message
+from cabinpose.core import ConfigError, RecordingError
+from cabinpose.signals import Message, Sample
 
 Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
 Entry: TypeAlias = tuple[str, int, int | None, Message]  # source, then as in a row
@@ -30,6 +30,21 @@ def whole_file(path: Path, *, overwrite: bool, binary: bool = False) -> Iterator
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def rows_of(samples: Iterable[tuple[str, Sample]]) -> Iterator[Row]:
+    """The messages of samples, whose sources are left out."""
+    for _, sample in samples:
+        for message in sample.messages:
+            yield sample.host_ns, sample.device_ns, message
+
+
+def begun_ns(begun: str | None) -> int:
+    """Nanoseconds since the Unix epoch of the option `begun` of formats that know no time of day; 0 where it is not given."""
+    try:
+        return 0 if begun is None else epoch_ns(begun)
+    except ValueError as error:
+        raise ConfigError(f"--begun {begun}: {error}", hint="as in 2026-11-21T14:30:00+01:00") from error
 
 
 def epoch_ns(moment: str) -> int:

@@ -8,10 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import MocapError
+from cabinpose.core import ConfigError, MocapError
 from cabinpose.signals import F64
 
 _CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableExport:
+    """What may be said of a file of frames at one rate."""
+
+    subject: str | None = None
+    """The subject to export; default: the only one (c3d: everybody)."""
+    rate_hz: float | None = None
+    """Frames a second; default: the rate that the device reported, or the median."""
+
+    def __post_init__(self) -> None:
+        if self.rate_hz is not None and not self.rate_hz > 0:
+            raise ConfigError(f"{self.rate_hz:g} frames a second are none", hint="give --rate-hz more than 0")
 
 
 @dataclass

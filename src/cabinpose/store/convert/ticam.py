@@ -23,7 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import Camera, DatasetError
-from cabinpose.store.convert.reading import ImportOptions, depth_ticks_of_mm, make_manifest, put_camera, read_grey, read_image
+from cabinpose.store.convert.format import DatasetFormat
+from cabinpose.store.convert.reading import (
+    Origin,
+    SequenceOptions,
+    depth_ticks_of_mm,
+    given_camera,
+    make_manifest,
+    put_camera,
+    read_grey,
+    read_image,
+)
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
@@ -92,48 +102,54 @@ class _Sequence:
     activities: Sequence[_Activity]
 
 
-def read(path: Path, options: ImportOptions) -> Source:
-    """The frames of `Train_images` or `Test_images`, or of a folder that holds one of the two.
+class TicamFormat(DatasetFormat):
+    """TICaM: depth, infrared, masks and activities in a simulator."""
 
-    `labels`, `instance`, `things` and `child` are there where the labels lie beside the images. Raises `DatasetError` for folders
-    that lack something, frames without one of their images, and images of another size.
-    """
-    images, labels = _folders(path)
-    names = sorted(f"{folder.parent.name}/{folder.name}" for folder in (images / "Depth").glob("*/*") if folder.is_dir())
-    sequences = [_open(images, labels, name, options.every) for name in options.chosen(images, names)]
-    infrared, labelled = bool(sequences and sequences[0].infrared), labels is not None
-    size = (0, 0)
-    if sequences:
-        first = read_image(next(iter(sequences[0].depth.values())))
-        size = (first.shape[1], first.shape[0])
-    manifest = make_manifest(
-        "ticam",
-        path,
-        options,
-        frames=sum(len(sequence.depth) for sequence in sequences),
-        size=size,
-        persons=_PLACES,
-        variables=("depth", *("amplitude",) * infrared, *("labels", "instance", "things", "child") * labelled),
-        labels=LABELS if labelled else (),
-        config={"sequences": [sequence.name for sequence in sequences], "every": options.every},
-    )
-    focal = size[0] / 2 / tan(radians(FIELD_DEG / 2))
-    camera = options.camera(*size) or Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+    import_options = SequenceOptions
 
-    def frames() -> Iterator[dict[str, Any]]:
-        for number, sequence in enumerate(sequences):
-            for index in sequence.depth:
-                frame = blank_frame(manifest)
-                frame["sequence"], frame["sync_ns"] = np.int64(number), np.int64(round(index * _FRAME_NS))
-                frame["car"], frame["pov"] = "simulator", "mirror"
-                put_camera(frame, camera)
-                _put_images(frame, sequence, index, size)
-                if labelled:
-                    _put_people(frame, sequence, index, manifest)
-                yield frame
+    def read(self, path: Path, options: SequenceOptions) -> Source:
+        """The frames of `Train_images` or `Test_images`, or of a folder that holds one of the two.
 
-    note = "" if labelled else f"{images.name} has no labels beside it: depth and infrared alone"
-    return Source(path, manifest, frames, note)
+        `labels`, `instance`, `things` and `child` are there where the labels lie beside the images. Raises `DatasetError` for
+        folders that lack something, frames without one of their images, and images of another size.
+        """
+        images, labels = _folders(path)
+        names = sorted(f"{folder.parent.name}/{folder.name}" for folder in (images / "Depth").glob("*/*") if folder.is_dir())
+        sequences = [_open(images, labels, name, options.every) for name in options.chosen(images, names)]
+        infrared, labelled = bool(sequences and sequences[0].infrared), labels is not None
+        size = (0, 0)
+        if sequences:
+            first = read_image(next(iter(sequences[0].depth.values())))
+            size = (first.shape[1], first.shape[0])
+        manifest = make_manifest(
+            Origin("ticam", path, options),
+            frames=sum(len(sequence.depth) for sequence in sequences),
+            size=size,
+            persons=_PLACES,
+            variables=("depth", *("amplitude",) * infrared, *("labels", "instance", "things", "child") * labelled),
+            labels=LABELS if labelled else (),
+            config={"sequences": [sequence.name for sequence in sequences], "every": options.every},
+        )
+        focal = size[0] / 2 / tan(radians(FIELD_DEG / 2))
+        camera = given_camera(options, size) or Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+
+        def frames() -> Iterator[dict[str, Any]]:
+            for number, sequence in enumerate(sequences):
+                for index in sequence.depth:
+                    frame = blank_frame(manifest)
+                    frame["sequence"], frame["sync_ns"] = np.int64(number), np.int64(round(index * _FRAME_NS))
+                    frame["car"], frame["pov"] = "simulator", "mirror"
+                    put_camera(frame, camera)
+                    _put_images(frame, sequence, index, size)
+                    if labelled:
+                        _put_people(frame, sequence, index, manifest)
+                    yield frame
+
+        note = "" if labelled else f"{images.name} has no labels beside it: depth and infrared alone"
+        return Source(path, manifest, frames, note)
+
+
+TICAM = TicamFormat()
 
 
 def _folders(path: Path) -> tuple[Path, Path | None]:

@@ -9,7 +9,7 @@ seconds, while times between the streams of the file are as good as LSL's measur
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 from cabinpose.core import RecordingError, optional_module
 from cabinpose.signals import F64, Channels, Facts, Message
 from cabinpose.store.convert.apart import items_apart
+from cabinpose.store.convert.format import NoOptions, RecordingFormat
 from cabinpose.store.convert.rows import Entry, epoch_ns
 
 _MOST_CHANNELS = 100_000
@@ -57,6 +58,17 @@ def read_xdf(path: Path) -> Iterator[Entry]:
     begun_ns = _begun_ns(header)
     each = [stream.entries(name, begun_ns, zero_s) for name, stream in zip(names, streams, strict=True)]
     yield from heapq.merge(*each, key=lambda entry: entry[1])
+
+
+class XdfFormat(RecordingFormat):
+    """XDF files of LabRecorder."""
+
+    def read(self, path: Path, _options: NoOptions, _subjects: Sequence[str]) -> Iterator[Entry]:
+        """As `read_xdf`."""
+        return read_xdf(path)
+
+
+XDF = XdfFormat()
 
 
 @dataclass(frozen=True)

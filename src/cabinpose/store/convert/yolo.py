@@ -9,8 +9,9 @@ joint. All of it is in shares of the image, whose left edge is 0 and right edge 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import xarray as xr
@@ -18,37 +19,67 @@ import yaml
 
 from cabinpose.core import ConfigError
 from cabinpose.store.convert.coco import frame_annotations
-from cabinpose.store.convert.pictures import PICTURES, pictured
+from cabinpose.store.convert.format import DatasetFormat
+from cabinpose.store.convert.pictures import PICTURES, check_kind, pictured
 from cabinpose.store.frames import dataset_skeleton, file_stem, require_variables
 from cabinpose.store.source import Report
+from cabinpose.store.split import Splits, held_out
+
+YoloImages = Literal["depth8", "amplitude8", "rgb"]
 
 
-def export(parts: Mapping[str, xr.Dataset], folder: Path, report: Report, images: str) -> None:
-    """Write the frames of every split; `ConfigError` where train or val is not among them, `DatasetError` without instances."""
-    keys = ["val" if name == "validate" else name for name in parts]
-    if not {"train", "val"} <= set(keys) or len(set(keys)) < len(keys):
-        raise ConfigError(
-            f"yolo needs the splits train and val, not {', '.join(parts)}",
-            hint="name them train and val (or validate) in the file of --splits, and leave out --split",
-        )
-    done = 0
-    for name, dataset in parts.items():
-        require_variables(dataset, "YOLO", ("instance", PICTURES[images].variable))
-        (folder / "labels" / name).mkdir(parents=True)
-        for frame in pictured(dataset, folder / "images" / name, images):
-            lines = [label(person, *frame["instance"].shape) + "\n" for person in frame_annotations(frame)]
-            (folder / "labels" / name / f"{file_stem(frame)}.txt").write_text("".join(lines), encoding="utf-8")
-            done += 1
-            report(done)
-    skeleton = dataset_skeleton(dataset)
-    content = {key: f"images/{name}" for key, name in zip(keys, parts, strict=True)} | {
-        "names": {0: "person"},
-        "kpt_shape": [len(skeleton.joints), 3],
-        "flip_idx": list(skeleton.mirror),
-        "kpt_names": {0: list(skeleton.joints)},
-    }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-    (folder / "data.yaml").write_text(text, encoding="utf-8")
+@dataclass(frozen=True, kw_only=True)
+class YoloExport:
+    """What may be said of a dataset for Ultralytics."""
+
+    images: YoloImages = "depth8"
+    """What the pictures show, in 8 bits of grey or in colour."""
+
+    def __post_init__(self) -> None:
+        check_kind(self.images, get_args(YoloImages))
+
+
+class YoloFormat(DatasetFormat):
+    """Poses for Ultralytics, with pictures."""
+
+    export_options = YoloExport
+    tells_splits = True
+
+    def parts(self, dataset: xr.Dataset, splits: Splits) -> dict[str, xr.Dataset]:
+        """Always train and val: without splits, some of the subjects are held out as in training."""
+        if splits:
+            return super().parts(dataset, splits)
+        return dict(zip(("train", "val"), held_out(dataset, "train", "val"), strict=True))
+
+    def write(self, parts: Mapping[str, xr.Dataset], folder: Path, options: YoloExport, report: Report) -> None:
+        """Write the frames of every split; `ConfigError` where train or val is none of them, `DatasetError` without instances."""
+        keys = ["val" if name == "validate" else name for name in parts]
+        if not {"train", "val"} <= set(keys) or len(set(keys)) < len(keys):
+            raise ConfigError(
+                f"yolo needs the splits train and val, not {', '.join(parts)}",
+                hint="name them train and val (or validate) in the file of --splits, and leave out --split",
+            )
+        done = 0
+        for name, dataset in parts.items():
+            require_variables(dataset, "YOLO", ("instance", PICTURES[options.images].variable))
+            (folder / "labels" / name).mkdir(parents=True)
+            for frame in pictured(dataset, folder / "images" / name, options.images):
+                lines = [label(person, *frame["instance"].shape) + "\n" for person in frame_annotations(frame)]
+                (folder / "labels" / name / f"{file_stem(frame)}.txt").write_text("".join(lines), encoding="utf-8")
+                done += 1
+                report(done)
+        skeleton = dataset_skeleton(dataset)
+        content = {key: f"images/{name}" for key, name in zip(keys, parts, strict=True)} | {
+            "names": {0: "person"},
+            "kpt_shape": [len(skeleton.joints), 3],
+            "flip_idx": list(skeleton.mirror),
+            "kpt_names": {0: list(skeleton.joints)},
+        }
+        text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+        (folder / "data.yaml").write_text(text, encoding="utf-8")
+
+
+YOLO = YoloFormat()
 
 
 def label(person: Mapping[str, Any], height: int, width: int) -> str:

@@ -23,4 +23,5 @@ from .survey import TopicSurvey as TopicSurvey
 from .survey import survey as survey
 from .take import Participant as Participant
 from .take import Take as Take
+from .writer import Chunking as Chunking
 from .writer import RecordingWriter as RecordingWriter

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from cabinpose import __version__
 from cabinpose.core import RecordingError
@@ -61,6 +63,22 @@ def recording_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
+@dataclass(frozen=True, kw_only=True)
+class Chunking:
+    """How samples become chunks of a recording, and when the disk holds them.
+
+    compression: of the chunks · chunk_bytes, flush_s: a chunk is closed when it is so large or so old · sync_s: pause between
+    requests to the disk to hold all of the file; 0: only at the end · definitions_s: how often schemas and channels are repeated,
+    so that a damaged file can be read. Infinite, with no call of `poll`: the same samples give the same bytes.
+    """
+
+    compression: Compression = "none"
+    chunk_bytes: int = 4 << 20
+    flush_s: float = 0.25
+    sync_s: float = 1.0
+    definitions_s: float = DEFINITIONS_S
+
+
 class RecordingWriter:
     """Writes one recording; leaving the `with` block ends the file as it should.
 
@@ -75,12 +93,9 @@ class RecordingWriter:
         rig: str = "",
         host: Mapping[str, str] | None = None,
         started_ns: int = 0,
-        compression: Compression = "none",
-        chunk_bytes: int = 4 << 20,
-        flush_s: float = 0.25,
-        sync_s: float = 1.0,
-        definitions_s: float = DEFINITIONS_S,
         part: int | None = None,
+        chunking: Chunking | None = None,
+        **old: Any,
     ) -> None:
         """Makes the file.
 
@@ -96,26 +111,26 @@ class RecordingWriter:
             Facts of the computer that records.
         started_ns
             `HostClock` time of the take.
-        compression
-            Of the chunks.
-        chunk_bytes, flush_s
-            A chunk is closed when it is so large or so old.
-        sync_s
-            Pause between requests to the disk to hold all of the file; 0: only at the end.
-        definitions_s
-            How often schemas and channels are repeated, so that a damaged file can be read. Infinite, with no call of `poll`:
-            the same samples give the same bytes.
         part
             The number of this file, from 0, of a take in several files.
+        chunking
+            When chunks are closed and the disk is asked to hold them.
+        **old
+            The fields of `chunking` as keywords, with a warning, for one release.
 
         Raises
         ------
         RecordingError
             Where the file exists or cannot be made.
         """
+        chunking = chunking or Chunking()
+        if old:
+            chunking = replace(chunking, **old)  # TypeError for what was never a keyword
+            told = f"RecordingWriter({', '.join(old)}) is RecordingWriter(chunking=Chunking(...)) now"
+            warnings.warn(told, DeprecationWarning, stacklevel=2)
         self.path = path
         self._take = take or Take()
-        self._chunk_bytes, self._flush_s = chunk_bytes, flush_s
+        self._chunk_bytes, self._flush_s = chunking.chunk_bytes, chunking.flush_s
         self._channels: dict[tuple[str, str, str, str, str, _About], int] = {}
         self._schemas: dict[str, int] = {}
         self._oldest: float | None = None  # time.monotonic of the first message in the open chunk
@@ -125,7 +140,11 @@ class RecordingWriter:
         self._in_last_chunk: Counter[str] = Counter()
         with recording_errors(path):
             self._file = ContainerWriter(
-                path, library=LIBRARY, profile=PROFILE, compression=compression, definitions_s=definitions_s
+                path,
+                library=LIBRARY,
+                profile=PROFILE,
+                compression=chunking.compression,
+                definitions_s=chunking.definitions_s,
             )
             values = {"format": FORMAT, "started_ns": str(started_ns), **self._take.as_metadata()}
             self._file.metadata(TAKE_METADATA, values if part is None else {**values, "part": str(part)})
@@ -139,8 +158,8 @@ class RecordingWriter:
         with recording_errors(path):
             self._file.end_chunk()
         self._stop = threading.Event()
-        self._syncing = threading.Thread(target=self._sync, args=(sync_s,), name="recording-sync", daemon=True)
-        if sync_s > 0:
+        self._syncing = threading.Thread(target=self._sync, args=(chunking.sync_s,), name="recording-sync", daemon=True)
+        if chunking.sync_s > 0:
             self._syncing.start()
 
     def __enter__(self) -> RecordingWriter:

@@ -1,0 +1,115 @@
+"""Datasets to other formats and back. What is written appears under its name when it is whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cabinpose.core import DatasetError
+from cabinpose.store.convert.format import DatasetFormat, format_of, made_options
+from cabinpose.store.schema import MANIFEST_NAME
+from cabinpose.store.source import Report, whole_folder
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from cabinpose.store.source import Source
+    from cabinpose.store.split import Splits
+
+
+def export_dataset(
+    dataset: xr.Dataset,
+    name: str,
+    out: Path | str,
+    /,
+    *,
+    splits: Splits | None = None,
+    overwrite: bool = False,
+    report: Report | None = None,
+    **options: Any,
+) -> Path:
+    """Write a dataset (or a selection of it) in another format.
+
+    Parameters
+    ----------
+    dataset
+        The frames to write.
+    name
+        The format, one of `FORMATS` that writes datasets.
+    out
+        The folder to write; it appears when the export is whole.
+    splits
+        Splits to write apart, for the formats that tell them apart.
+    overwrite
+        Replace what is in the folder.
+    report
+        Called with the number of frames done.
+    **options
+        The format's own, such as `images="depth16"` of coco.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown format, or options or splits that it does not have.
+    DatasetError
+        Where `out` exists and `overwrite` is not given, where the format cannot hold the dataset, or where the disk is full;
+        then nothing is left behind.
+    """
+    form = format_of(name, DatasetFormat, "writes")
+    chosen = made_options(name, form.export_options, options)
+    return write_parts(form, form.parts(dataset, splits or {}), Path(out), chosen, overwrite=overwrite, report=report)
+
+
+def write_parts(
+    form: DatasetFormat,
+    parts: Mapping[str, xr.Dataset],
+    folder: Path,
+    options: Any,
+    *,
+    overwrite: bool = False,
+    report: Report | None = None,
+) -> Path:
+    """Write what `form.parts` gave; everything else as in `export_dataset`."""
+    if (folder / MANIFEST_NAME).exists():
+        raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
+    with whole_folder(folder, "export", overwrite=overwrite) as temporary:
+        temporary.mkdir(parents=True)
+        form.write(parts, temporary, options, report or (lambda _: None))
+    return folder
+
+
+def open_source(path: Path | str, name: str, /, **options: Any) -> Source:
+    """Open a dataset in another format; `store.source.import_source` writes it as one of the standard.
+
+    Parameters
+    ----------
+    path
+        The file or folder.
+    name
+        Its format, one of `FORMATS` that reads datasets.
+    **options
+        What the user says of it: `intrinsics`, `licence` and the format's own, such as `correct="head"` of itop.
+
+    Returns
+    -------
+    Source
+        The manifest, and the frames to come: no image has been read yet.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown format, or an option that it does not have.
+    DatasetError
+        For a source that is not there, lacks what the format has, or contradicts itself.
+    """
+    form = format_of(name, DatasetFormat, "reads")
+    source, chosen = Path(path), made_options(name, form.import_options, options)
+    if not source.exists():
+        raise DatasetError(f"{source} does not exist", hint="give the file or folder to import")
+    return form.read(source, chosen)
