@@ -30,7 +30,7 @@ from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import open_dataset
 from cabinpose.store.part import PartWriter
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.generate import build_manifest
+from cabinpose.synth.variables import build_manifest
 
 SEED, INDEX = 3, 1
 SUV: dict[str, Any] = {"scene": {"kind": "cabin", "cars": ["suv"]}, "noise": {"kind": "physical"}}

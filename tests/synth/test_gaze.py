@@ -15,11 +15,12 @@ from cabinpose.scene.surface import Surface
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.gaze import GAZE_VARIABLES, gaze_labels, line_of_sight
-from cabinpose.synth.generate import build_manifest, generate
+from cabinpose.synth.generate import generate
 from cabinpose.synth.posture.gaze import HEAD_SHARE, head_rotation
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.variables import build_manifest
 
 SLOTS = ("driver", "front_passenger", "rear_left", "rear_center", "rear_right")
 

@@ -15,9 +15,10 @@ from cabinpose.store import open_dataset
 from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_scene
-from cabinpose.synth.generate import build_manifest, generate
+from cabinpose.synth.generate import generate
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng, noise_rng
+from cabinpose.synth.variables import build_manifest
 
 SCENE = {
     "cars": ["suv"], "occupancy": {"driver": 1.0}, "right_hand_drive": 0.0,

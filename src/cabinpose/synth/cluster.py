@@ -11,7 +11,7 @@ from distributed import Client, KilledWorker, as_completed
 from cabinpose.core import ConfigError, SceneError
 from cabinpose.store import Manifest, PartPlan
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.write import FrameReport, make_frames
 
 
@@ -44,13 +44,13 @@ def make_parts(
 def _make_part(plan: PartPlan, *, folder: Path, config: SynthConfig, manifest: Manifest) -> FrameReport:
     """What a worker does with one part."""
     total = FrameReport()
-    sampler = _sampler(config.model_dump_json(), manifest.seed)
-    for report in make_frames(folder, [plan], config, manifest, threads=1, sampler=sampler):
+    maker = _maker(config.model_dump_json(), manifest.seed).beside()
+    for report in make_frames(folder, [plan], manifest, maker, threads=1):
         total.add(report)
     return total
 
 
 @lru_cache(maxsize=2)
-def _sampler(config_json: str, seed: int) -> SceneSampler:
+def _maker(config_json: str, seed: int) -> FrameMaker:
     """One a process, configuration and seed: parts that follow each other share its people and cars."""
-    return SceneSampler(SynthConfig.model_validate_json(config_json), seed)
+    return FrameMaker(SynthConfig.model_validate_json(config_json), seed)

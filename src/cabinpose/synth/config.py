@@ -351,6 +351,11 @@ class SynthConfig(Model):
         return tuple(profile for profile in (self.scene.profile, *own) if profile is not None)
 
     @property
+    def may_skip(self) -> bool:
+        """Whether frames that no scene allows are left out."""
+        return any(profile.may_skip for profile in self.profiles)
+
+    @property
     def frames(self) -> int | None:
         """The number of frames that go through all that is to be combined; None where everything is drawn at random."""
         counts = [profile.count for profile in self.profiles if isinstance(profile, IncrementalProfile)]

@@ -9,22 +9,20 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, get_args
 
-import cabinpose
 from cabinpose.core import ConfigError, optional_module
-from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
-from cabinpose.store import Manifest, PartPlan, create_dataset
-from cabinpose.synth.config import SynthConfig, person_slots
+from cabinpose.store import create_dataset
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import check_seed
-from cabinpose.synth.things import CLOTH_LABELS
 from cabinpose.synth.validate import Rejection, by_cause
-from cabinpose.synth.variables import manifest_variables
+from cabinpose.synth.variables import build_manifest
 from cabinpose.synth.write import Content, FrameReport, make_frames
 
 P = ParamSpec("P")
@@ -143,45 +141,19 @@ def generate(
         plans = dataset.missing()
         before = sum(plan.frames for plan in dataset.complete())
         tell(Progress(before, frames, 0, {}, "preparing cars and people"))
-        for report in _make(plans, config, manifest, out.resolve(), workers):
+        folder = out.resolve()
+        if isinstance(workers, str):
+            optional_module("distributed", purpose="a cluster", hint="pip install 'cabinpose[cluster]'")
+            from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - the extra `cluster`
+
+            reports = make_parts(folder, plans, config, manifest, workers)
+        else:
+            maker = FrameMaker(config, seed)
+            reports = make_frames(folder, plans, manifest, maker, threads=workers or os.cpu_count() or 1)
+        for report in reports:
             total.add(report)
             tell(Progress(before + total.frames, frames, total.proposals, dict(total.rejections), "posing"))
     return _summary(out, total, before, time.perf_counter() - started)
-
-
-def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
-    """What `dataset.yaml` says of a run."""
-    camera = config.camera.sensor_model.camera
-    things, absent = config.scene.brings_things, CLOTH_LABELS - config.scene.cloth_labels
-    return Manifest(
-        generator="cabinpose.synth",
-        generator_version=cabinpose.__version__,
-        config=config.model_dump(mode="json"),
-        seed=seed,
-        frames=frames,
-        frames_per_part=config.output.frames_per_part,
-        width=camera.width,
-        height=camera.height,
-        persons=person_slots(config),
-        licence=config.output.licence,
-        labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS if label.name not in absent]
-        if things
-        else [label._asdict() for label in LABELS if label not in THING_LABELS],
-        materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
-        variables=manifest_variables(config),
-    )
-
-
-def _make(
-    plans: list[PartPlan], config: SynthConfig, manifest: Manifest, folder: Path, workers: int | str | None
-) -> Iterator[FrameReport]:
-    """Make the parts and yield reports as frames, or the parts of a cluster, are finished."""
-    if isinstance(workers, str):
-        optional_module("distributed", purpose="a cluster", hint="pip install 'cabinpose[cluster]'")
-        from cabinpose.synth.cluster import make_parts  # noqa: PLC0415 - the extra `cluster`
-
-        return make_parts(folder, plans, config, manifest, workers)
-    return make_frames(folder, plans, config, manifest, threads=workers or os.cpu_count() or 1)
 
 
 def _summary(out: Path, total: FrameReport, before: int, seconds: float) -> GenerationReport:

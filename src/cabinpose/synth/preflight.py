@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,35 +43,33 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         )
     for profile in config.profiles:
         profile.preflight()
-    subjects = Subjects(config.people, 0)
-    for name in config.people.own:
-        subjects.body(name)  # ConfigError where no body has the mass
+    occupants = scene.occupants if isinstance(scene, CabinScene) else {}
+    known = {slot: who for slot, o in occupants.items() if (who := o.subject) and (who in SUBJECTS or who in config.people.own)}
+    subjects = Subjects(config.people, 0)  # whose bodies are made: ConfigError where none has the mass
+    bodies = {who: subjects.body(who)[0] for who in (*config.people.own, *known.values())}
     if isinstance(scene, RoomScene):
         return
-    for slot, occupant in scene.occupants.items():
-        who = occupant.subject
-        if who is not None and slot in scene.child_seats and (who in SUBJECTS or who in config.people.own):
-            stature = subjects.body(who)[0].stature_m
-            assert stature is not None
-            for kind in weights_of(scene.child_seats[slot], ()):
-                check_size(who, stature, kind)
+    for slot, who in known.items():
+        for kind in weights_of(scene.child_seats.get(slot, {}), ()):
+            check_size(who, bodies[who].stature_m or 0.0, kind)
     if scene.factorial is not None and scene.factorial.seat == "driver":
         _check_drivers(config.people, subjects)
-    unusual = not _every_car_has(config, scene)
-    for car in scene.cars:
-        if isinstance(car, ChangedPreset):
-            _check_car(config, scene, car.name, (cabin := open_cabin(car.dimensions, "left")), tuple(cabin.seats), ours=False)
-        elif is_car_file(car) or (unusual and not is_random_car(car)):
-            cabin = open_cabin(car, "left")
-            for warning in cabin.warnings:
-                warnings.warn(f"{Path(car).name}: {warning}", stacklevel=2)
-            _check_car(config, scene, car, cabin, tuple(cabin.seats), ours=not is_car_file(car))
-    # The seats, actions and views of random cars are the same in all of them: one stands for all.
-    if unusual and any(is_random_car(car) for car in car_names(config)):
-        dimensions = car_dimensions(0, "C0000").model_copy(update={"rear_places": 3})
-        cabin = open_cabin(dimensions, "left")
-        sure = tuple(slot for slot in cabin.seats if slot != "rear_center")
-        _check_car(config, scene, "a random car", cabin, sure, ours=True)
+    for car in _cars_in_doubt(config, scene):
+        _check_seats(scene, car)
+        _check_actions(scene, car)
+        _check_views(config, car)
+
+
+class _Car(NamedTuple):
+    """A car to be checked, which may stand for others of its kind, of which every one has the seats `sure`.
+
+    ours: with our dimensions, whose views are known to be free.
+    """
+
+    name: str
+    cabin: Cabin
+    sure: tuple[str, ...]
+    ours: bool
 
 
 def _check_drivers(people: People, subjects: Subjects) -> None:
@@ -94,29 +94,52 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
-def _check_car(config: SynthConfig, scene: CabinScene, car: str, cabin: Cabin, sure: tuple[str, ...], *, ours: bool) -> None:
-    """Refuses what cannot be done in a car of this kind, of which every one has the seats `sure`; ours: with our dimensions."""
-    lacking = [slot for slot in scene.always_taken if slot not in sure]
+def _cars_in_doubt(config: SynthConfig, scene: CabinScene) -> Iterator[_Car]:
+    """The cars that are built beforehand; warns of open meshes."""
+    unusual = not _every_car_has(config, scene)
+    for car in scene.cars:
+        if isinstance(car, ChangedPreset):
+            cabin = open_cabin(car.dimensions, "left")
+            yield _Car(car.name, cabin, tuple(cabin.seats), ours=False)
+        elif is_car_file(car) or (unusual and not is_random_car(car)):
+            cabin = open_cabin(car, "left")
+            for warning in cabin.warnings:
+                warnings.warn(f"{Path(car).name}: {warning}", stacklevel=3)
+            yield _Car(car, cabin, tuple(cabin.seats), ours=not is_car_file(car))
+    # The seats, actions and views of random cars are the same in all of them: one stands for all.
+    if unusual and any(is_random_car(car) for car in car_names(config)):
+        cabin = open_cabin(car_dimensions(0, "C0000").model_copy(update={"rear_places": 3}), "left")
+        yield _Car("a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"), ours=True)
+
+
+def _check_seats(scene: CabinScene, car: _Car) -> None:
+    """Refuses people in seats that the car lacks, or in none."""
+    lacking = [slot for slot in scene.always_taken if slot not in car.sure]
     if lacking:
         raise ConfigError(
-            f"{car} has no {' and no '.join(lacking)} seat, where somebody is to sit in every frame",
-            hint=f"its seats: {', '.join(sure)}; name the cars with scene.cars",
+            f"{car.name} has no {' and no '.join(lacking)} seat, where somebody is to sit in every frame",
+            hint=f"its seats: {', '.join(car.sure)}; name the cars with scene.cars",
         )
-    if not scene.always_taken and not any(scene.occupancy.get(slot, 0.0) > 0 for slot in sure):
-        raise ConfigError(f"{car}: no seat of it is ever taken", hint=f"give one of {', '.join(sure)} an occupancy")
+    if not scene.always_taken and not any(scene.occupancy.get(slot, 0.0) > 0 for slot in car.sure):
+        raise ConfigError(f"{car.name}: no seat of it is ever taken", hint=f"give one of {', '.join(car.sure)} an occupancy")
+
+
+def _check_actions(scene: CabinScene, car: _Car) -> None:
+    """Refuses actions that make no sense in their seats."""
     actions = {slot: [name for name, weight in weights.items() if weight > 0] for slot, weights in scene.motion.items()}
     actions |= {slot: [o.action] for slot, o in scene.occupants.items() if o.action is not None and o.pose is None}
     for slot, names in actions.items():
-        if slot in cabin.seats:
-            wrong = [name for name in names if not suits(ACTIONS[name], cabin.seats[slot], cabin)]
+        if slot in car.cabin.seats:
+            seat = car.cabin.seats[slot]
+            wrong = [name for name in names if not suits(ACTIONS[name], seat, car.cabin)]
             if wrong:
-                known = ", ".join(actions_for(cabin.seats[slot], cabin))
-                raise ConfigError(f"{car}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {known}")
-    _check_views(config, car, cabin, ours=ours)
+                known = ", ".join(actions_for(seat, car.cabin))
+                raise ConfigError(f"{car.name}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {known}")
 
 
-def _check_views(config: SynthConfig, car: str, cabin: Cabin, *, ours: bool) -> None:
+def _check_views(config: SynthConfig, car: _Car) -> None:
     """Refuses a camera that stands inside a part of the car. The own views of cars with our dimensions are known to be free."""
+    cabin = car.cabin
     eyes: dict[str, Floats] = {}
     for name in config.camera.weights:
         view = config.camera.views[name]
@@ -125,11 +148,11 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin, *, ours: bool) -> 
         else:
             if any(note.startswith(f"view {name}:") for note in cabin.notes):
                 raise ConfigError(
-                    f"{car}: no free place was found for the automatic view '{name}'",
+                    f"{car.name}: no free place was found for the automatic view '{name}'",
                     hint=f"give one in that file, as views: {{{name}: {{eye: [x, y, z], target: [x, y, z]}}}}",
                 )
             anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
-            if not ours:
+            if not car.ours:
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
     if not eyes:
         return
@@ -139,6 +162,6 @@ def _check_views(config: SynthConfig, car: str, cabin: Cabin, *, ours: bool) -> 
     for (name, eye), free in zip(eyes.items(), clearance, strict=True):
         if free < LENS_M:
             raise ConfigError(
-                f"{car}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
+                f"{car.name}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
                 hint="move it into the free space of the cabin",
             )

@@ -1,26 +1,29 @@
-"""What a generated frame holds: each variable, the configurations that ask for it, and how it is made.
+"""What a generated dataset holds: each variable, the configurations that ask for it, how it is made; and the manifest.
 
 A variable is a row of `VARIABLES` in `store.schema`, which says its dimensions, type and meaning, and a row of `TABLE`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import CABINPOSE, Camera, Floats, Skeleton, apply, invert
+import cabinpose
+from cabinpose.core import Camera, Floats, Skeleton, apply, invert
+from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
 from cabinpose.scene.body import joints_in_body
 from cabinpose.scene.sensor import SensorFrame
 from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
-from cabinpose.store import OPTIONAL, joints_variable
-from cabinpose.synth.config import SynthConfig
+from cabinpose.store import OPTIONAL, Manifest, joints_variable
+from cabinpose.synth.config import SynthConfig, person_slots
 from cabinpose.synth.gaze import GAZE_VARIABLES, gaze_labels
 from cabinpose.synth.render import RenderedFrame
 from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.style.settings import STYLE_VARIABLES
+from cabinpose.synth.things import CLOTH_LABELS
 
 Frame = dict[str, Any]  # every variable of the dataset standard by its name
 
@@ -29,7 +32,8 @@ Frame = dict[str, Any]  # every variable of the dataset standard by its name
 class FrameFacts:
     """All that is known of a frame: what its variables are made of.
 
-    slots: the places (P,) of the dataset · joints_3d: (P, 20, 3) m, see `joints_in_camera` · rendered, sensed: the
+    slots: the places (P,) of the dataset · joints_3d: (P, 20, 3) m, camera frame, NaN for places where
+    nobody is · rendered, sensed: the
     scene as it is and as the camera delivers it · pictures, styled: what was made beside them, by name.
     """
 
@@ -57,6 +61,11 @@ class FrameFacts:
         """(P,) a value of the child seat in each place; "" where there is none."""
         seats = {t.slot: of(t) for t in self.scene.things if t.at == "seat" and t.thing.label in CHILD_SEAT_LABELS}
         return [seats.get(slot, "") for slot in self.slots]
+
+    def joints(self, skeleton: Skeleton) -> Floats:
+        """(P, J, 3) m, the joints of a set in the camera; NaN for places where nobody is."""
+        camera_from_world, nobody = invert(self.scene.world_from_camera), np.full((len(skeleton.joints), 3), np.nan)
+        return np.stack(self.each(lambda who: apply(camera_from_world, joints_in_body(skeleton, who.posed)), nobody))
 
     def taken(self, slot: str) -> bool:
         """Whether somebody is in a place."""
@@ -96,19 +105,6 @@ def _micrometres(facts: FrameFacts) -> np.ndarray:
     return np.minimum(np.nan_to_num(np.rint(facts.sensed.noise_m * 1e6), posinf=0.0), 65535.0).astype(np.uint16)
 
 
-def joints_in_camera(scene: Scene, slots: Sequence[str], skeleton: Skeleton = CABINPOSE) -> Floats:
-    """(P, J, 3) m, the joints of a set in the camera; NaN for places where nobody is."""
-    joints, camera_from_world = np.full((len(slots), len(skeleton.joints), 3), np.nan), invert(scene.world_from_camera)
-    for person in scene.people:
-        joints[slots.index(person.slot)] = apply(camera_from_world, joints_in_body(skeleton, person.posed))
-    return joints
-
-
-def _other_joints(facts: FrameFacts) -> Mapping[str, Floats]:
-    sets = facts.config.skeletons
-    return {joints_variable(each.name): joints_in_camera(facts.scene, facts.slots, each) for each in sets}
-
-
 TABLE: tuple[Made, ...] = (
     _one("depth", lambda facts: facts.sensed.depth_m),
     _one("depth_clean", lambda facts: facts.rendered.depth_clean),
@@ -119,7 +115,10 @@ TABLE: tuple[Made, ...] = (
     Made(_pictures, lambda facts: facts.pictures),
     Made(lambda config: STYLE_VARIABLES if config.style else (), lambda facts: facts.styled),
     _one("noise", _micrometres, lambda config: config.output.noise),
-    Made(lambda config: [joints_variable(each.name) for each in config.skeletons], _other_joints),
+    Made(
+        lambda config: [joints_variable(each.name) for each in config.skeletons],
+        lambda facts: {joints_variable(each.name): facts.joints(each) for each in facts.config.skeletons},
+    ),
     _one("things", _things, lambda config: config.scene.brings_things),
     _one("belt", lambda facts: facts.each(lambda person: person.belt), _tells_restraints),
     _one("child", lambda facts: np.array(facts.each(lambda person: person.child, nobody=False), np.uint8), _tells_restraints),
@@ -142,16 +141,24 @@ TABLE: tuple[Made, ...] = (
 )
 
 
-def manifest_variables(config: SynthConfig) -> tuple[str, ...]:
-    """The variables of a dataset that its manifest names: those that not every dataset has."""
-    return tuple(name for row in TABLE for name in row.names(config) if name in OPTIONAL)
-
-
-def rows_of(config: SynthConfig) -> tuple[Made, ...]:
-    """The rows of the table that a configuration asks for."""
-    return tuple(row for row in TABLE if any(True for _ in row.names(config)))
-
-
-def make_variables(rows: Iterable[Made], facts: FrameFacts) -> Frame:
-    """A frame of these rows."""
-    return {name: value for row in rows for name, value in row.make(facts).items()}
+def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
+    """What `dataset.yaml` says of a run."""
+    camera = config.camera.sensor_model.camera
+    things, absent = config.scene.brings_things, CLOTH_LABELS - config.scene.cloth_labels
+    return Manifest(
+        generator="cabinpose.synth",
+        generator_version=cabinpose.__version__,
+        config=config.model_dump(mode="json"),
+        seed=seed,
+        frames=frames,
+        frames_per_part=config.output.frames_per_part,
+        width=camera.width,
+        height=camera.height,
+        persons=person_slots(config),
+        licence=config.output.licence,
+        labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS if label.name not in absent]
+        if things
+        else [label._asdict() for label in LABELS if label not in THING_LABELS],
+        materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
+        variables=[name for row in TABLE for name in row.names(config) if name in OPTIONAL],  # what not every dataset has
+    )

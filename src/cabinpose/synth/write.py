@@ -18,9 +18,7 @@ from typing import Literal, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from cabinpose.store import EncodedFrame, Manifest, PartPlan, PartWriter, encode_frame
-from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.frame_maker import FrameMaker
-from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import ImpossibleSceneError, Scene
 from cabinpose.synth.style.settings import LEFT
 from cabinpose.synth.validate import Rejection, by_cause
@@ -65,11 +63,10 @@ class _Made(NamedTuple):
 def make_frames(
     folder: Path,
     plans: Sequence[PartPlan],
-    config: SynthConfig,
     manifest: Manifest,
+    maker: FrameMaker,
     *,
     threads: int,
-    sampler: SceneSampler | None = None,
 ) -> Iterator[FrameReport]:
     """Make parts one after the other; each is written whole or not at all.
 
@@ -81,44 +78,42 @@ def make_frames(
         Of the dataset.
     plans
         The parts.
-    config, manifest
-        What the frames show, and what `dataset.yaml` says.
+    manifest
+        What `dataset.yaml` says.
+    maker
+        Makes the frames of one thread; those of the others are made beside it.
     threads
         How many make frames.
-    sampler
-        A sampler of the same configuration and seed whose people and cars are used; its own by default.
 
     Yields
     ------
     FrameReport
         After every frame.
     """
-    may_skip = any(profile.may_skip for profile in config.profiles)
-    shared = sampler or SceneSampler(config, manifest.seed)
-    local = threading.local()  # a rasteriser's memory belongs to one thread
+    before = _sequences_ahead(maker, plans, threads)
+    idle, local = [maker], threading.local()  # a rasteriser's memory belongs to one thread
 
     def make(index: int) -> _Made:
         if not hasattr(local, "maker"):
-            local.maker = FrameMaker(config, manifest.seed, shared)
-        maker: FrameMaker = local.maker
-        maker.seconds.clear()
+            local.maker = idle.pop() if idle else maker.beside()
+        mine: FrameMaker = local.maker
+        mine.seconds.clear()
         try:
-            frame, scene = maker.make(index)
+            frame, scene = mine.make(index)
         except ImpossibleSceneError as error:
-            if not may_skip:
+            if not mine.config.may_skip:
                 raise
-            return _Made(None, FrameReport(0, error.attempts.proposals, error.attempts.rejections, Counter(maker.seconds)))
-        with maker.stage("write"):
+            return _Made(None, FrameReport(0, error.attempts.proposals, error.attempts.rejections, Counter(mine.seconds)))
+        with mine.stage("write"):
             encoded = encode_frame(frame, index, manifest)
         content, shift = _content(scene), {}
         if "style" in frame:
             content["styles", frame["style"]] = 1
             shift = {name: frame[f"style_{name}"] for name in ("edge_px", "part_mm")} if frame["style"] != LEFT else {}
-        return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(maker.seconds), content, shift))
+        return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(mine.seconds), content, shift))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
-    indices, before = chain.from_iterable(map(_frames, plans)), _sequences_ahead(shared, config, plans, threads)
-    with threadpool_limits(1), closing(_in_order(make, indices, threads, before)) as results:
+    with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads, before)) as results:
         for plan in plans:
             with PartWriter(folder, plan, manifest) as part:
                 total = FrameReport()
@@ -155,11 +150,9 @@ def _frames(plan: PartPlan) -> range:
     return range(plan.first, plan.first + plan.frames)
 
 
-def _sequences_ahead(
-    sampler: SceneSampler, config: SynthConfig, plans: Sequence[PartPlan], threads: int
-) -> Callable[[int], Iterator[Callable[[], None]]]:
+def _sequences_ahead(maker: FrameMaker, plans: Sequence[PartPlan], threads: int) -> Callable[[int], Iterator[Callable[[], None]]]:
     """What is to be done before a frame so that no thread waits: as many sequences are planned as there are threads."""
-    sequence = config.scene.sequence
+    sequence = maker.config.scene.sequence
     planned = -1
 
     def before(index: int) -> Iterator[Callable[[], None]]:
@@ -168,7 +161,7 @@ def _sequences_ahead(
             return
         number, last = index // sequence.frames, (plans[-1].first + plans[-1].frames - 1) // sequence.frames
         for n in range(max(planned + 1, number), min(number + threads, last + 1)):
-            yield partial(sampler.plan_sequence, n)
+            yield partial(maker.sampler.plan_sequence, n)
             planned = n
 
     return before

@@ -36,10 +36,9 @@ class FrameStyler:
         if path.suffix == ".npz":
             frame = StyleFrame.read(path)
             optional_module("torch", purpose="styling by a frame", hint="pip install 'cabinpose[train]'")
-            from cabinpose.synth.style import encoder, transfer  # noqa: PLC0415 - torch
+            from cabinpose.synth.style.transfer import FrameOptimiser  # noqa: PLC0415 - torch
 
-            loss = transfer.style_loss(frame, encoder.encoder_of(style.vgg19))
-            self._transfer = lambda inputs: transfer.optimise(transfer.Content.of(inputs), loss, style.steps)
+            self._transfer = FrameOptimiser(frame, style.vgg19, style.steps)
         else:
             session = open_network(path)
             self._transfer = lambda inputs: run_network(session, inputs)

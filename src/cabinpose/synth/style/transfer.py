@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cabinpose.core import Bools, Floats32
-from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, shown, without_slow
+from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, encoder_of, shown, without_slow
 from cabinpose.synth.style.frame import StyleFrame
 from cabinpose.synth.style.settings import METADATA_KEY
 
@@ -73,21 +73,28 @@ def style_loss(style: StyleFrame, encoder: Encoder) -> StyleLoss:
         return StyleLoss(encoder, shown(depth, valid), torch.from_numpy(style.guides)[None])
 
 
-def optimise(content: Content, loss: StyleLoss, steps: int) -> tuple[Floats32, Bools]:
-    """Style one frame by optimising it: the change (H, W), m, and the pixels that are kept."""
-    torch.set_num_threads(1)  # sums, and with them the bytes of a dataset, depend on their number
-    raw = torch.cat([0.1 * content.noise, torch.zeros_like(content.noise)], dim=1).requires_grad_()
-    optimiser = torch.optim.Adam([raw], lr=_STEP_SIZE["frame"])
-    with torch.no_grad():
-        kept = loss.content(content.shown())
-    for _ in range(steps):
-        optimiser.zero_grad()
-        found = loss(seen(content, *changed(content, raw)), content.regions(), kept)
-        _weighed(found).backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-    with torch.no_grad():
-        change, logit = changed(content, raw)
-    return change[0, 0].numpy(), logit[0, 0].numpy() > 0
+class FrameOptimiser:
+    """Styles frames by optimising each of them."""
+
+    def __init__(self, style: StyleFrame, vgg19: str | None, steps: int) -> None:
+        self._loss, self._steps = style_loss(style, encoder_of(vgg19)), steps
+
+    def __call__(self, inputs: Mapping[str, Floats32]) -> tuple[Floats32, Bools]:
+        """The change (H, W), m, of one frame as `inputs_of` has it, and the pixels that are kept."""
+        torch.set_num_threads(1)  # sums, and with them the bytes of a dataset, depend on their number
+        content = Content.of(inputs)
+        raw = torch.cat([0.1 * content.noise, torch.zeros_like(content.noise)], dim=1).requires_grad_()
+        optimiser = torch.optim.Adam([raw], lr=_STEP_SIZE["frame"])
+        with torch.no_grad():
+            kept = self._loss.content(content.shown())
+        for _ in range(self._steps):
+            optimiser.zero_grad()
+            found = self._loss(seen(content, *changed(content, raw)), content.regions(), kept)
+            _weighed(found).backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+        with torch.no_grad():
+            change, logit = changed(content, raw)
+        return change[0, 0].numpy(), logit[0, 0].numpy() > 0
 
 
 class StyleNetwork(nn.Module):
