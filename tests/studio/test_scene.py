@@ -22,6 +22,7 @@ from cabinpose.app.studio.scene_form import Field, form, with_changed_preset
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import is_rigid
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import build_cabin
@@ -279,8 +280,7 @@ def test_collision_is_shown_where_it_is(accepted: tuple[SceneEditor, Shown], pre
 
 
 def _joint(name: str) -> int:
-
-    return INDEX[name]
+    return CABINPOSE.index[name]
 
 
 @pytest.mark.parametrize("side", ["l", "r"])
