@@ -20,14 +20,9 @@ from cabinpose.store import ItopReference, project
 
 
 def evaluate_itop(
-    reference: ItopReference,
-    joints_3d: NDArray[np.floating],
-    options: EvaluationOptions,
-    *,
-    joints_2d: NDArray[np.floating] | None = None,
-    model: str = "",
-    name: str = "ITOP",
-) -> Report:
+    reference: ItopReference, joints_3d: NDArray[np.floating], options: EvaluationOptions, *,
+    joints_2d: NDArray[np.floating] | None = None, model: str = "", name: str = "ITOP",
+) -> Report:  # fmt: skip
     """The report of predictions on ITOP. Every joint of a valid frame counts: ITOP labels hidden ones too.
 
     A joint without a label (NaN) is absent, and one that is found there is a false positive.

@@ -138,15 +138,9 @@ def shared_places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]
 
 
 def evaluate(
-    dataset: xr.Dataset,
-    model: Predictions | Predictor,
-    options: EvaluationOptions,
-    *,
-    joints: Sequence[str] | None = None,
-    persons: Sequence[str] | None = None,
-    name: str = "",
-    progress: Progress | None = None,
-) -> Report:
+    dataset: xr.Dataset, model: Predictions | Predictor, options: EvaluationOptions, *, joints: Sequence[str] | None = None,
+    persons: Sequence[str] | None = None, name: str = "", progress: Progress | None = None,
+) -> Report:  # fmt: skip
     """The report of one model on a dataset or a selection of it. Frames without an answer count as missed.
 
     Parameters
@@ -176,14 +170,9 @@ def evaluate(
 
 
 def samples_of(
-    dataset: xr.Dataset,
-    model: Predictions | Predictor,
-    options: EvaluationOptions,
-    *,
-    joints: Sequence[str] | None = None,
-    persons: Sequence[str] | None = None,
-    progress: Progress | None = None,
-) -> tuple[Samples, tuple[str, ...]]:
+    dataset: xr.Dataset, model: Predictions | Predictor, options: EvaluationOptions, *, joints: Sequence[str] | None = None,
+    persons: Sequence[str] | None = None, progress: Progress | None = None,
+) -> tuple[Samples, tuple[str, ...]]:  # fmt: skip
     """The errors that `evaluate` reports on, of every person in every frame, and what there is to note; arguments as there."""
     skeleton = common_skeleton(dataset, [model])
     if joints is not None:

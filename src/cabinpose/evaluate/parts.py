@@ -56,14 +56,9 @@ class PartsReport:
 
 
 def evaluate_parts(
-    dataset: xr.Dataset,
-    model: Segmenter,
-    *,
-    name: str = "",
-    resamples: int = 1000,
-    seed: int = 0,
+    dataset: xr.Dataset, model: Segmenter, *, name: str = "", resamples: int = 1000, seed: int = 0,
     progress: Callable[[int], None] | None = None,
-) -> PartsReport:
+) -> PartsReport:  # fmt: skip
     """The report of one segmentation on a dataset or a selection of it, over all pixels of its frames.
 
     Parameters

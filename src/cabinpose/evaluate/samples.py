@@ -89,12 +89,9 @@ class Samples(NamedTuple):
 
 
 def collect(
-    chunks: Iterable[tuple[TruthChunk, PoseBatch]],
-    skeleton: Skeleton,
-    persons: Sequence[str],
-    predicted_persons: Sequence[str],
+    chunks: Iterable[tuple[TruthChunk, PoseBatch]], skeleton: Skeleton, persons: Sequence[str], predicted_persons: Sequence[str],
     options: EvaluationOptions,
-) -> Samples:
+) -> Samples:  # fmt: skip
     """Errors of all chunks.
 
     Parameters

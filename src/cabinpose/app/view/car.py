@@ -109,14 +109,9 @@ class _Plan:
 
 
 def _panel(
-    plan: _Plan,
-    cabin: Cabin,
-    camera: Camera,
-    corners: Floats,
-    labels: NDArray[np.uint8],
-    verdicts: Mapping[str, str],
+    plan: _Plan, cabin: Cabin, camera: Camera, corners: Floats, labels: NDArray[np.uint8], verdicts: Mapping[str, str],
     wrong: Sequence[Floats],
-) -> Image:
+) -> Image:  # fmt: skip
     image = np.full((plan.size[1], plan.size[0], 3), _PAPER, np.uint8)
     _grid(image, plan)
     _mesh(image, plan, corners, labels)

@@ -149,12 +149,9 @@ def cloud_colours(instance: NDArray[np.uint8], amplitude: NDArray[np.uint16], wh
 
 
 def orthographic(
-    points: NDArray[np.float64],
-    colours: NDArray[np.uint8],
-    axes: NDArray[np.float64],
-    bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
-    size: tuple[int, int],
-) -> Image:
+    points: NDArray[np.float64], colours: NDArray[np.uint8], axes: NDArray[np.float64],
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]], size: tuple[int, int],
+) -> Image:  # fmt: skip
     """Points (n, 3) seen along the third of `axes` (3, 3: right, up, towards the eye), nearest on top.
 
     bounds: lowest and highest corner (3,) of the box of points that fills the image of `size` (width, height).
@@ -173,11 +170,9 @@ def orthographic(
 
 
 def to_view(
-    points: NDArray[np.float64],
-    axes: NDArray[np.float64],
-    bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    points: NDArray[np.float64], axes: NDArray[np.float64], bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
     size: tuple[int, int],
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """Pixels (n, 2) of points (n, 3) in the picture that `orthographic` draws."""
     width, height = size
     corners = np.array(bounds) @ axes.T

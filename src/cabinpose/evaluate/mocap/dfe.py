@@ -84,15 +84,9 @@ def pelvis_frames(left_m: F64, right_m: F64, hip_m: F64) -> F64:
 
 
 def dfe_run(
-    time_s: ArrayLike,
-    suit_m: ArrayLike,
-    optical_m: ArrayLike,
-    names: Sequence[str],
-    *,
-    condition: str = "all",
-    suit_pelvis: ArrayLike | None = None,
-    optical_pelvis: ArrayLike | None = None,
-) -> DfeRun:
+    time_s: ArrayLike, suit_m: ArrayLike, optical_m: ArrayLike, names: Sequence[str], *, condition: str = "all",
+    suit_pelvis: ArrayLike | None = None, optical_pelvis: ArrayLike | None = None,
+) -> DfeRun:  # fmt: skip
     """One run: positions (T, N, 3) of the same joints at the same times in worlds with z up, NaN where one is not known.
 
     suit_pelvis, optical_pelvis (T, 4, 4): world_from_pelvis, whose axes must mean the same in both; None: from the joints

@@ -49,14 +49,9 @@ class DseRun:
 
 
 def dse_run(
-    time_s: ArrayLike,
-    suit_wxyz: ArrayLike,
-    optical_wxyz: ArrayLike,
-    names: Sequence[str],
-    *,
-    condition: str = "all",
+    time_s: ArrayLike, suit_wxyz: ArrayLike, optical_wxyz: ArrayLike, names: Sequence[str], *, condition: str = "all",
     heading_rad: float | None = None,
-) -> DseRun:
+) -> DseRun:  # fmt: skip
     """One run: orientations (T, N, 4) of the same segments at the same times, NaN where one is not known.
 
     The first frame of a segment is the first in which both systems know it. heading_rad: of optical_from_suit about the vertical;

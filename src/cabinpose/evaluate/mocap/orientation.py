@@ -32,12 +32,9 @@ class OrientationErrors:
 
 
 def orientation_errors(
-    estimate_wxyz: ArrayLike,
-    truth_wxyz: ArrayLike,
-    *,
-    counts: ArrayLike | None = None,
+    estimate_wxyz: ArrayLike, truth_wxyz: ArrayLike, *, counts: ArrayLike | None = None,
     heading: Literal["kept", "removed"] = "kept",
-) -> OrientationErrors:
+) -> OrientationErrors:  # fmt: skip
     """Of orientations (T, 4) in worlds with z up, over the frames `counts` (T,) in which both are known.
 
     Raises AlignmentError where there are none, or the lengths differ.

@@ -57,15 +57,9 @@ class SfeRun:
 
 
 def find_poses(
-    time_s: ArrayLike,
-    position_m: ArrayLike,
-    names: Sequence[str],
-    *,
-    least_s: float = 1.0,
-    limit_m_s: float = 0.05,
-    over_s: float = 0.5,
-    any_pose: bool = False,
-) -> tuple[Window, Window]:
+    time_s: ArrayLike, position_m: ArrayLike, names: Sequence[str], *, least_s: float = 1.0, limit_m_s: float = 0.05,
+    over_s: float = 0.5, any_pose: bool = False,
+) -> tuple[Window, Window]:  # fmt: skip
     """The first and the last window in which the person stands still in an N-pose; positions (T, N, 3), z up.
 
     Still: for `least_s` no segment moves faster than `limit_m_s`, as measured over `over_s`. N-pose: trunk, hanging arms and
@@ -100,16 +94,9 @@ def is_n_pose(position_m: F64, names: Sequence[str]) -> bool:
 
 
 def sfe_run(
-    time_s: ArrayLike,
-    position_m: ArrayLike,
-    orientation_wxyz: ArrayLike | None,
-    names: Sequence[str],
-    poses: tuple[Window, Window] | None = None,
-    *,
-    condition: str = "drive",
-    root: str | None = "Pelvis",
-    **old: Any,
-) -> SfeRun:
+    time_s: ArrayLike, position_m: ArrayLike, orientation_wxyz: ArrayLike | None, names: Sequence[str],
+    poses: tuple[Window, Window] | None = None, *, condition: str = "drive", root: str | None = "Pelvis", **old: Any,
+) -> SfeRun:  # fmt: skip
     """One drive: positions (T, N, 3) m and orientations (T, N, 4) of the named segments, and when the two poses are held.
 
     The first pose is the mean over its window; every frame of the last is held against it. root: the segment whose pose both are

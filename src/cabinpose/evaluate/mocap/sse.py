@@ -50,15 +50,9 @@ class SseRun:
 
 
 def find_steps(
-    time_s: ArrayLike,
-    orientation_wxyz: ArrayLike,
-    *,
-    count: int,
-    limit_rad_s: float = np.radians(1.5),
-    least_s: float = 0.5,
-    margin_s: float = 0.1,
-    over_s: float = 0.25,
-) -> NDArray[np.int64]:
+    time_s: ArrayLike, orientation_wxyz: ArrayLike, *, count: int, limit_rad_s: float = np.radians(1.5), least_s: float = 0.5,
+    margin_s: float = 0.1, over_s: float = 0.25,
+) -> NDArray[np.int64]:  # fmt: skip
     """(T,) the step that each sample belongs to, from 0, -1 while the motor turns; from the sensor's stillness alone.
 
     The sensor is still where it turns more slowly than `limit_rad_s`, measured over `over_s`, for `least_s` or more.
@@ -80,15 +74,9 @@ def find_steps(
 
 
 def sse_run(
-    time_s: ArrayLike,
-    orientation_wxyz: ArrayLike,
-    *,
-    axis: str,
-    step: ArrayLike | None = None,
-    reference_rad: ArrayLike | None = None,
-    step_rad: float = STEP_RAD,
-    samples: int | None = SAMPLES,
-) -> SseRun:
+    time_s: ArrayLike, orientation_wxyz: ArrayLike, *, axis: str, step: ArrayLike | None = None,
+    reference_rad: ArrayLike | None = None, step_rad: float = STEP_RAD, samples: int | None = SAMPLES,
+) -> SseRun:  # fmt: skip
     """One axis' run: orientations (T, 4) of the sensor in its world, turned about its axis "roll" (x), "pitch" (y), "yaw" (z).
 
     Parameters
