@@ -18,7 +18,7 @@ from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_ran
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
-from cabinpose.scene.sensor import NO_EFFECTS, SENSORS, GeometryBuffers, PhysicalNoise, Sensor, simulate
+from cabinpose.scene.sensor import NO_EFFECTS, OWN_SENSORS, SENSORS, GeometryBuffers, PhysicalNoise, Sensor, simulate
 
 C = 299_792_458.0
 DISTANCES = (0.5, 0.8, 1.2, 1.7, 2.4)
@@ -74,7 +74,7 @@ def test_read_noise_alone_and_shot_noise_alone_add_up() -> None:
     assert min(shot, read) > 0.2 * both
 
 
-@pytest.mark.parametrize("name", [n for n, s in SENSORS.items() if s.principle == "time_of_flight"])
+@pytest.mark.parametrize("name", [n for n, s in OWN_SENSORS.items() if s.principle == "time_of_flight"])
 def test_nothing_is_biased_without_effects(name: str) -> None:
     """Every pixel at its own distance, over the whole unambiguous range that the sensor delivers."""
     sensor = SENSORS[name]
@@ -249,7 +249,7 @@ def test_a_second_frequency_unwraps_to_the_common_period(frequencies: tuple[floa
 
 
 def test_preset_ranges_fit_their_modulation() -> None:
-    for name, sensor in SENSORS.items():
+    for name, sensor in OWN_SENSORS.items():
         assert sensor.range_m[1] < unambiguous_range(sensor), name
 
 

@@ -14,7 +14,7 @@ from sensor_scenes import generator, small_sensor
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import invert, is_rigid, transform
-from cabinpose.scene.sensor import SENSORS, GeometryBuffers, Sensor, jittered, place_camera, sensor_by_name
+from cabinpose.scene.sensor import OWN_SENSORS, SENSORS, GeometryBuffers, Sensor, jittered, place_camera, sensor_by_name
 
 coordinate = st.floats(-3, 3)
 point = st.tuples(coordinate, coordinate, coordinate)
@@ -89,7 +89,7 @@ def test_published_figures_of_the_presets() -> None:
             assert y[3] - y[2] == pytest.approx(vertical, abs=0.2), name
 
 
-@pytest.mark.parametrize("name", list(SENSORS))
+@pytest.mark.parametrize("name", list(OWN_SENSORS))
 def test_every_pixel_of_a_preset_has_a_ray(name: str) -> None:
     assert np.isfinite(SENSORS[name].camera.range_over_depth).all()
 

@@ -99,7 +99,7 @@ def test_every_key_is_a_field() -> None:
     expected = {key for key in keys_of(config) if not key.endswith(("kind", ".layout")) and key != "version"}
     assert "scene.cars.1.w3_mm" in expected
     shown = set(by_path(data))
-    assert expected - shown == set()
+    assert expected - shown == {"noise.effects"}  # which no installed package offers
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_every_choice_of_a_union_starts_from_something_that_can_be_edited(editor
 
 def test_names_that_exist_are_offered() -> None:
     fields = by_path({**SUV, "scene": {"kind": "cabin", "occupants": {"driver": {}}}})
-    assert set(fields["camera.sensor"].choices) == set(SENSORS)
+    assert set(fields["camera.sensor"].choices) == set(SENSORS.names())
     assert "suv" in fields["scene.cars"].choices
     assert fields["scene.occupants.driver.initial_pose_deg"].choices == tuple(dof.name for dof in DOFS)
 

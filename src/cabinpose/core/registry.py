@@ -61,6 +61,10 @@ class Registry(Generic[T]):
         offers = _offers(self.group)
         return tuple(name for name, entries in offers.items() if not own or _package(entries[0]) == OURS)
 
+    def __iter__(self) -> Iterator[str]:
+        """The names, as those of a mapping."""
+        return iter(self.names())
+
     def __contains__(self, name: object) -> bool:
         return name in _offers(self.group)
 

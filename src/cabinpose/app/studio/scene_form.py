@@ -137,7 +137,7 @@ class _Builder:
             children = tuple(
                 self.field((*path, name), each, held[name] if name in held else self._start(each, entire=False))
                 for name, each in part["properties"].items()
-                if "const" not in each
+                if "const" not in each and each.get("items") != {"not": {}}  # effects of noise, where none is installed
             )
             return Field(path, "group", value, description=description, children=children)
         if isinstance(part.get("additionalProperties"), dict):
@@ -230,7 +230,7 @@ class _Builder:
             return things_for(_THINGS[path[-2]])
         known = {
             "cars": self._cars, "preset": PRESETS, "subjects": tuple(SUBJECTS), "subject": self._subjects,
-            "sensor": tuple(SENSORS), "action": ACTIONS.names(), "seat": OCCUPANT_SLOTS,
+            "sensor": SENSORS.names(), "action": ACTIONS.names(), "seat": OCCUPANT_SLOTS,
         }  # fmt: skip
         return tuple(known.get(str(path[-1]), ()))
 

@@ -1,6 +1,9 @@
 from .buffers import GeometryBuffers as GeometryBuffers
 from .buffers import SensorFrame as SensorFrame
 from .buffers import in_parts as in_parts
+from .edges import invalidate as invalidate
+from .effects import NOISE_EFFECTS as NOISE_EFFECTS
+from .effects import NoiseEffect as NoiseEffect
 from .empirical import EmpiricalNoise as EmpiricalNoise
 from .filters import median_of_valid as median_of_valid
 from .noise_fit import EmpiricalFit as EmpiricalFit
@@ -15,6 +18,7 @@ from .physical import PhysicalNoise as PhysicalNoise
 from .physical import sample_times as sample_times
 from .placement import jittered as jittered
 from .placement import place_camera as place_camera
+from .presets import OWN_SENSORS as OWN_SENSORS
 from .presets import SENSORS as SENSORS
 from .presets import Sensor as Sensor
 from .presets import sensor_by_name as sensor_by_name

@@ -6,18 +6,16 @@ Source: Gonçalves (thesis, 2020), equation 5.6.
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cabinpose.core import Bools, Floats32
 from cabinpose.scene.sensor.buffers import SensorFrame
+from cabinpose.scene.sensor.effects import CameraNoise
 
 
-class EdgeRule(BaseModel):
-    """What is an abrupt edge of depth, and whether its pixels are taken out: the part that noise models share."""
+class EdgeRule(CameraNoise):
+    """What is an abrupt edge of depth, and whether its pixels are taken out: of noise models that know edges."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    kind: str
     edge_threshold_m: float = Field(default=0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
     edge_width_px: int = Field(default=1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
     remove_edges: bool = Field(

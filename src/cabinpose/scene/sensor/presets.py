@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import Camera, ConfigError, unknown_name
+from cabinpose.core import Camera, ConfigError, Registry
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.
@@ -171,11 +171,10 @@ _ALL = (
         range_m=(0.4, 8.0), fps=30, integration_s=1 / 30, native_scale=2.0,
     ),
 )  # fmt: skip
-SENSORS: Mapping[str, Sensor] = MappingProxyType({sensor.name: sensor for sensor in _ALL})
+OWN_SENSORS: Mapping[str, Sensor] = MappingProxyType({sensor.name: sensor for sensor in _ALL})
+SENSORS: Registry[Sensor] = Registry("cabinpose.sensors", "sensor", Sensor, named=True)
 
 
 def sensor_by_name(name: str) -> Sensor:
     """The preset of that name; `ConfigError` with the known names otherwise."""
-    if name not in SENSORS:
-        raise unknown_name("sensor", name, tuple(SENSORS))
     return SENSORS[name]

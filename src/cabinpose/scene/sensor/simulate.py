@@ -61,12 +61,16 @@ def simulate(
             f"geometry of {buffers.shape[1]}x{buffers.shape[0]} pixels for the sensor '{sensor.name}' of {size[1]}x{size[0]}",
             hint="render with the sensor's own camera",
         )
-    if isinstance(noise, StructuredLightNoise):
-        return simulate_structured_light(buffers, sensor, noise, rng=rng)
     if isinstance(noise, PhysicalNoise):
         frame = simulate_physical(buffers, sensor, noise, rng=rng, exposures=exposures)
-    else:
+    elif isinstance(noise, EmpiricalNoise):
         frame = simulate_empirical(buffers, sensor, noise, rng=rng)
+    else:
+        frame = simulate_structured_light(buffers, sensor, noise, rng=rng)
+    for effect in noise.effects:
+        effect.apply(frame, buffers, sensor, rng=rng)
+    if isinstance(noise, StructuredLightNoise):
+        return frame
     if noise.remove_edges:
         invalidate(frame, edge_pixels(buffers.depth_m, noise))
     if sensor.spatial_filter != "none":

@@ -12,20 +12,19 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cabinpose._native import sensor as native
 from cabinpose.core import Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
+from cabinpose.scene.sensor.effects import CameraNoise
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
 
 
-class StructuredLightNoise(BaseModel):
+class StructuredLightNoise(CameraNoise):
     """Depth from a projected dot pattern: quantised disparity, ragged edges, shadows and holes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["structured_light"] = "structured_light"
     axial: bool = Field(default=True, description="Axial noise after Nguyen et al. (2012).")
