@@ -9,7 +9,7 @@ import trimesh
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import axis_rotation
 from cabinpose.core.skeleton import CABINPOSE
-from cabinpose.scene.cabin import PRESETS, Cabin, belt_surface, build_cabin
+from cabinpose.scene.cabin import PRESETS, Cabin, Wearer, belt_surface, build_cabin
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.surface import Surface
 
@@ -59,7 +59,7 @@ def test_belt_lies_on_the_trunk_and_not_in_it(name: str, scale: float) -> None:
     for slot in ("driver", "rear_right"):
         seat = cabin.seats[slot]
         skin, faces, joints = dummy(cabin, slot, scale)
-        belt = belt_surface(skin, faces, joints, seat, seat.default, cabin, labels=labels_of(skin, faces))
+        belt = Wearer(skin, faces, labels_of(skin, faces), joints).belt(seat, seat.default, cabin)
         closed = trimesh.Trimesh(belt.vertices.astype(float), belt.faces, process=True)
         assert closed.is_watertight
         assert closed.volume > 0
@@ -114,7 +114,7 @@ def test_a_belt_is_straight_wherever_it_does_not_press_and_stays_in_front(lean: 
     for slot in ("driver", "front_passenger"):
         seat = cabin.seats[slot]
         skin, faces, joints = leaning(cabin, slot, lean)
-        belt = belt_surface(skin, faces, joints, seat, seat.default, cabin, labels=labels_of(skin, faces))
+        belt = Wearer(skin, faces, labels_of(skin, faces), joints).belt(seat, seat.default, cabin)
         bend, gap = pressing_bends(belt, trimesh.Trimesh(skin.astype(float), faces, process=False))
         assert (bend > 0.05).sum() > 10
         assert gap[bend > 0.05].max() < 0.016
@@ -136,7 +136,7 @@ def test_a_belt_follows_who_leans_until_the_other_shoulder_is_nearer_to_its_anch
     skins, belts, nearer = [], [], set()
     for angle in np.arange(first, first + 21.0, 2.0):
         skin, faces, joints = leaning(cabin, "driver", (axis, float(angle)))
-        belt = belt_surface(skin, faces, joints, seat, seat.default, cabin, labels=labels)
+        belt = Wearer(skin, faces, labels, joints).belt(seat, seat.default, cabin)
         skins.append(skin)
         belts.append(belt.vertices[:240].reshape(2, 40, 3, 3)[1, :, 1])
         nearer.add(min(("lshoulder", "rshoulder"), key=lambda s: np.linalg.norm(joints[INDEX[s]] - seat.belt.upper)))
@@ -156,7 +156,7 @@ def test_an_arm_before_the_chest_moves_no_belt() -> None:
     moved[forearms] += (0.8 * nearer).astype(np.float32)
     for name in ("lwrist", "rwrist", "lhand", "rhand"):
         at[INDEX[name]] += 0.8 * nearer
-    still, after = (belt_surface(v, faces, j, seat, seat.default, cabin, labels=labels) for v, j in ((skin, joints), (moved, at)))
+    still, after = (Wearer(v, faces, labels, j).belt(seat, seat.default, cabin) for v, j in ((skin, joints), (moved, at)))
     np.testing.assert_array_equal(still.vertices, after.vertices)
     body = trimesh.Trimesh(skin.astype(float), faces, process=False)
     clearance = trimesh.proximity.closest_point(body, still.vertices[::3].astype(float))[1]
@@ -167,20 +167,31 @@ def test_a_belt_behind_the_back_and_one_under_the_arm() -> None:
     cabin = build_cabin("sedan")
     seat = cabin.seats["driver"]
     skin, faces, joints = dummy(cabin, "driver")
-    body, labels = (skin, faces, joints), labels_of(skin, faces)
+    wearer = Wearer(skin, faces, labels_of(skin, faces), joints)
     at = {name: joints[i] for name, i in INDEX.items()}
     ahead = np.cross(at["lpelvis"] - at["rpelvis"], at["chest"] - at["hip"])
     ahead, up = (v / np.linalg.norm(v) for v in (ahead, at["neck"] - at["hip"]))
-    behind = belt_surface(*body, seat, seat.default, cabin, labels=labels, worn="behind_back").vertices[:-240]
+    behind = wearer.belt(seat, seat.default, cabin, worn="behind_back").vertices[:-240]
     trunk = np.abs((behind - at["hip"]) @ up - 0.25) < 0.12
     assert trunk.any()
     assert ((behind[trunk] - at["chest"]) @ ahead < 0.0).all()
-    under = belt_surface(*body, seat, seat.default, cabin, labels=labels, worn="under_arm").vertices[240:480]
+    under = wearer.belt(seat, seat.default, cabin, worn="under_arm").vertices[240:480]
     before = (under - at["chest"]) @ ahead > 0.05
     assert before.sum() > 60
     assert ((under[before] - at["lshoulder"]) @ up).max() < -0.05
-    worn = belt_surface(*body, seat, seat.default, cabin, labels=labels).vertices[:240]
+    worn = wearer.belt(seat, seat.default, cabin).vertices[:240]
     assert ((worn[(worn - at["chest"]) @ ahead > 0.05] - at["lshoulder"]) @ up).max() > 0.0
+
+
+def test_the_names_of_0_2_go_on_working_and_warn() -> None:
+    cabin = build_cabin("sedan")
+    seat = cabin.seats["driver"]
+    skin, faces, joints = dummy(cabin, "driver")
+    labels = labels_of(skin, faces)
+    with pytest.warns(DeprecationWarning, match="Wearer"):
+        before = belt_surface(skin, faces, joints, seat, seat.default, cabin, labels=labels, gap_m=0.006)
+    now = Wearer(skin, faces, labels, joints).belt(seat, seat.default, cabin, gap_m=0.006)
+    np.testing.assert_array_equal(before.vertices, now.vertices)
 
 
 def test_a_seat_of_another_cabin_is_refused() -> None:
@@ -188,4 +199,4 @@ def test_a_seat_of_another_cabin_is_refused() -> None:
     seat = sedan.seats["rear_center"]
     skin, faces, joints = dummy(sedan, "rear_center")
     with pytest.raises(ConfigError, match="rear_center"):
-        belt_surface(skin, faces, joints, seat, seat.default, coupe, labels=labels_of(skin, faces))
+        Wearer(skin, faces, labels_of(skin, faces), joints).belt(seat, seat.default, coupe)

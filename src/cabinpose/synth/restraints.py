@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, belt_surface, fastening_surface, harness_surface
+from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, Wearer, fastening_surface
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
@@ -84,15 +84,15 @@ def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.rando
     seat, on = cast.cabin.seats[person.slot], cast.child_seats.get(person.slot)
     clothed = person.posed.surface(1 + OCCUPANT_SLOTS.index(person.slot))
     how = _belt_wear(scene, person.slot, rng)
-    body = clothed.vertices, clothed.faces, person.posed.joints
+    wearer = Wearer.of(clothed, person.posed.joints)
     if on is not None and _sitting(on).harness:
-        harness = harness_surface(*body, *straps(on, person.posed), labels=clothed.label)
+        harness = wearer.harness(*straps(on, person.posed))
         return replace(person, surfaces=(clothed, harness), belt="harness")
     if seat.belt is None or how == "none":
         return replace(person, surfaces=(clothed,))
     guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
     setting = cast.settings[person.slot]
-    belt = belt_surface(*body, seat, setting, cast.cabin, labels=clothed.label, worn=how, guide=guide)
+    belt = wearer.belt(seat, setting, cast.cabin, worn=how, guide=guide)
     return replace(person, surfaces=(clothed, belt), belt=how)
 
 

@@ -13,7 +13,7 @@ from cabinpose.app.lab.motion import KeyedMotion
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core import Matrix, invert, transform
 from cabinpose.scene import Room
-from cabinpose.scene.cabin import belt_surface
+from cabinpose.scene.cabin import Wearer
 from cabinpose.scene.sensor import Sensor
 from cabinpose.signals import ToFFrame
 from cabinpose.synth import CabinScene, FrameMaker, RoomScene, Scene, ScenePerson, SynthConfig, person_slots
@@ -95,8 +95,7 @@ class SceneCamera:
         surfaces = [clothed]
         if motion.cabin is not None and (seat := motion.cabin.seats[motion.slot]).belt is not None:
             setting = motion.settings[motion.slot]
-            belt = belt_surface(clothed.vertices, clothed.faces, body.joints, seat, setting, motion.cabin, labels=clothed.label)
-            surfaces.append(belt)
+            surfaces.append(Wearer.of(clothed, body.joints).belt(seat, setting, motion.cabin))
         return ScenePerson(motion.slot, "", motion.key_at(time_s), motion.person, body, tuple(surfaces))
 
 

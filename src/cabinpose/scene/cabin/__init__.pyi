@@ -1,5 +1,6 @@
 from .belt import BeltMisuse as BeltMisuse
 from .belt import BeltWear as BeltWear
+from .belt import Wearer as Wearer
 from .belt import belt_surface as belt_surface
 from .belt import fastening_surface as fastening_surface
 from .belt import harness_surface as harness_surface

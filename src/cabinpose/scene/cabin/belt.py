@@ -5,9 +5,10 @@ Each ribbon runs in planes through its two anchors and a point of the body: the 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,73 @@ _PIECE = np.array([piece for _, _, *piece, _ in _TRUNK])[:, :, None]
 _GIRTH = np.array([girth for *_, girth in _TRUNK])
 
 
+class Wearer(NamedTuple):
+    """Who a belt is worn by: a posed body, clothed or not, vehicle frame.
+
+    vertices: (V, 3) m · faces: (F, 3) · labels: (F,) the faces' classes, of which belts lie on some · joints: (20, 3) m, of the
+    same pose.
+    """
+
+    vertices: Floats32
+    faces: Ints32
+    labels: Bytes
+    joints: Floats
+
+    @classmethod
+    def of(cls, body: Surface, joints: Floats) -> Wearer:
+        """A body as it is seen, and its joints (20, 3) m."""
+        return cls(body.vertices, body.faces, body.label, joints)
+
+    def belt(
+        self, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004, worn: BeltWear = "worn",
+        guide: Vector | None = None,
+    ) -> Surface:  # fmt: skip
+        """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
+
+        gap_m: clearance of the webbing from the surface · worn: how · guide: (3,) m, through which a booster leads the belt to
+        the shoulder. Raises ConfigError for a seat that has no belt or is not in the cabin.
+        """
+        anchors = _anchors(seat, setting, cabin)
+        body = _Trunk.of(self)
+        ahead, up, size = body.ahead, body.up, body.size
+        shoulder = body.shoulder_at(anchors.upper)
+        collar, front = body.collar(shoulder), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
+        front_of_pelvis = body.pelvis + size * (0.10 * ahead + 0.065 * up)
+        start, courses = anchors.upper, list[_Course]()
+        if worn == "behind_back":
+            behind = body.at["chest"] + 0.3 * (shoulder - body.at["neck"]) - 0.12 * size * ahead
+            courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
+        else:
+            if worn == "under_arm":
+                body = body._replace(shoulders=False)
+                armpit = shoulder + 0.2 * (body.at["neck"] - shoulder) - 0.17 * size * up
+                guide, collar = armpit - 0.03 * size * ahead, 0.5 * (armpit + body.at["chest"]) + 0.12 * size * ahead
+            elif guide is not None:
+                collar = 0.5 * (guide + anchors.buckle) + 0.3 * ahead
+            if guide is not None:
+                courses.append(_Course(start, collar, guide, None))
+                start = guide
+            courses.append(_Course(start, _kept_in_front(start, collar, anchors.buckle, front), anchors.buckle, front))
+        courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up, lap=True))
+        return merge([_ribbon(body, course, gap_m) for course in courses])
+
+    def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004) -> Surface:
+        """The harness of a child seat over the child in it, vehicle frame, class child_seat.
+
+        slots, hips: (2, 3) m, where its straps come out of the shell behind the left and the right shoulder, and beside the hips
+        · gap_m: as for `belt`.
+        """
+        body = _Trunk.of(self)
+        buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
+        courses = [
+            _Course(slot, body.collar(body.at[side + "shoulder"]), buckle, body.ahead)
+            for side, slot in zip("lr", slots, strict=True)
+        ]
+        before = body.pelvis + 0.12 * body.size * body.ahead
+        courses += [_Course(hip, before, buckle, body.ahead + body.up, lap=True) for hip in hips]
+        return merge([_ribbon(body, course, gap_m, "child_seat") for course in courses])
+
+
 class _Trunk(NamedTuple):
     """What belts lie on: the surface, the pieces of the trunk's bones, and directions and places of the body, m.
 
@@ -69,7 +137,8 @@ class _Trunk(NamedTuple):
     shoulders: bool = True
 
     @classmethod
-    def of(cls, skin: Floats32, skin_faces: Ints32, joints: Floats, labels: Bytes) -> _Trunk:
+    def of(cls, wearer: Wearer) -> _Trunk:
+        joints = wearer.joints
         at = {name: joints[i] for name, i in CABINPOSE.index.items()}
         pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
         up = at["chest"] - pelvis
@@ -80,8 +149,9 @@ class _Trunk(NamedTuple):
         size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
         ends = joints[_BONES]
         bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
-        vertices, faces = np.ascontiguousarray(skin, dtype=np.float32), np.ascontiguousarray(skin_faces, dtype=np.int32)
-        return cls(vertices, _lain_on(vertices, faces, joints, labels), bones, at, pelvis, up, ahead, size)
+        vertices = np.ascontiguousarray(wearer.vertices, dtype=np.float32)
+        faces = np.ascontiguousarray(wearer.faces, dtype=np.int32)
+        return cls(vertices, _lain_on(vertices, faces, joints, wearer.labels), bones, at, pelvis, up, ahead, size)
 
     def shoulder_at(self, anchor: Vector) -> Vector:
         """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
@@ -106,58 +176,16 @@ def _lain_on(skin: Floats32, faces: Ints32, joints: Floats, labels: Bytes) -> tu
     return np.concatenate(chest), np.concatenate(lap)
 
 
-def belt_surface(
-    skin: Floats32, skin_faces: Ints32, joints: Floats, seat: Seat, setting: SeatSetting, cabin: Cabin, *,
-    labels: Bytes, gap_m: float = 0.004, worn: BeltWear = "worn", guide: Vector | None = None,
-) -> Surface:  # fmt: skip
-    """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
-
-    skin: (V, 3) the posed body, or whatever the belt lies on (a clothed surface), m · skin_faces: (F, 3) · joints: (20, 3) of
-    the same pose · labels: (F,) the faces' classes, of which belts lie on some · gap_m: clearance of the webbing from the
-    surface · worn: how · guide: (3,) m, through which a booster leads the belt to the shoulder. Raises ConfigError for a seat
-    that has no belt or is not in the cabin.
-    """
-    anchors = _anchors(seat, setting, cabin)
-    body = _Trunk.of(skin, skin_faces, joints, labels)
-    ahead, up, size = body.ahead, body.up, body.size
-    shoulder = body.shoulder_at(anchors.upper)
-    collar, front = body.collar(shoulder), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
-    front_of_pelvis = body.pelvis + size * (0.10 * ahead + 0.065 * up)
-    start, courses = anchors.upper, list[_Course]()
-    if worn == "behind_back":
-        behind = body.at["chest"] + 0.3 * (shoulder - body.at["neck"]) - 0.12 * size * ahead
-        courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
-    else:
-        if worn == "under_arm":
-            body = body._replace(shoulders=False)
-            armpit = shoulder + 0.2 * (body.at["neck"] - shoulder) - 0.17 * size * up
-            guide, collar = armpit - 0.03 * size * ahead, 0.5 * (armpit + body.at["chest"]) + 0.12 * size * ahead
-        elif guide is not None:
-            collar = 0.5 * (guide + anchors.buckle) + 0.3 * ahead
-        if guide is not None:
-            courses.append(_Course(start, collar, guide, None))
-            start = guide
-        courses.append(_Course(start, _kept_in_front(start, collar, anchors.buckle, front), anchors.buckle, front))
-    courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up, lap=True))
-    return merge([_ribbon(body, course, gap_m) for course in courses])
+def belt_surface(skin: Floats32, faces: Ints32, joints: Floats, *where: Any, labels: Bytes, **options: Any) -> Surface:
+    """Deprecated: `Wearer.belt`, which says what the others are."""
+    warnings.warn("belt_surface(...) is Wearer(...).belt(...) now", DeprecationWarning, stacklevel=2)
+    return Wearer(skin, faces, labels, joints).belt(*where, **options)
 
 
-def harness_surface(
-    skin: Floats32, skin_faces: Ints32, joints: Floats, slots: Floats, hips: Floats, *,
-    labels: Bytes, gap_m: float = 0.004,
-) -> Surface:  # fmt: skip
-    """The harness of a child seat over the child in it, vehicle frame, class child_seat.
-
-    skin, skin_faces, joints, labels, gap_m: as for `belt_surface` · slots, hips: (2, 3) m, where its straps come out of the shell
-    behind the left and the right shoulder, and beside the hips.
-    """
-    body = _Trunk.of(skin, skin_faces, joints, labels)
-    buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
-    courses = [
-        _Course(slot, body.collar(body.at[side + "shoulder"]), buckle, body.ahead) for side, slot in zip("lr", slots, strict=True)
-    ]
-    courses += [_Course(hip, body.pelvis + 0.12 * body.size * body.ahead, buckle, body.ahead + body.up, lap=True) for hip in hips]
-    return merge([_ribbon(body, course, gap_m, "child_seat") for course in courses])
+def harness_surface(skin: Floats32, faces: Ints32, joints: Floats, *where: Any, labels: Bytes, **options: Any) -> Surface:
+    """Deprecated: `Wearer.harness`, which says what the others are."""
+    warnings.warn("harness_surface(...) is Wearer(...).harness(...) now", DeprecationWarning, stacklevel=2)
+    return Wearer(skin, faces, labels, joints).harness(*where, **options)
 
 
 def fastening_surface(surface: Surface, seat: Seat, setting: SeatSetting, cabin: Cabin, path: Floats, *, over: bool) -> Surface:

@@ -25,7 +25,7 @@ from cabinpose.scene.cabin.model import (
     in_slot_order,
 )
 from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
-from cabinpose.scene.cabin.seats import STYLES, SeatShape, seat_parts
+from cabinpose.scene.cabin.seats import STYLES, SeatShape, SeatStand, seat_parts
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, join, tube
 
@@ -88,6 +88,9 @@ def _build(d: CabinDimensions, drive_side: DriveSide) -> Cabin:
 def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
     d = layout.d
     shape = STYLES[d.seat_style]
+    if d.seat_style == "bench":
+        shape = shape.of_width(2 * d.w20_mm / 1000 - 0.01)
+    stand = SeatStand(layout.cushion, d.h30_mm / 1000, d.h58_mm / 2000)
     fixed = layout.facing
     default = SeatSetting(0.0, 0.0, float(layout.torso))
     low, high = (
@@ -100,12 +103,8 @@ def _front_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
     )
     seats = {}
     for slot, side in (("driver", 1.0), ("front_passenger", -1.0)):
-        width = 2 * d.w20_mm / 1000 - 0.01 if d.seat_style == "bench" else None
-        made, shape = seat_parts(
-            slot, d.seat_style, cushion_angle=layout.cushion, seat_height=d.h30_mm / 1000, half_travel=d.h58_mm / 2000,
-            leather=d.leather, width=width, armrests=(-1,) if side > 0.0 else (1,),  # the doors have their own
-        )  # fmt: skip
-        parts.extend(made)
+        armrests = (-1,) if side > 0.0 else (1,)  # the doors have their own
+        parts += seat_parts(slot, shape, stand, leather=d.leather, armrests=armrests)
         h = layout.h_front * (1.0, side, 1.0)
         upper = _shoulder_exit(h, shape, default.torso_angle, side, True) if fixed else _d_ring(layout, h, side)
         belt = BeltAnchors(
@@ -165,6 +164,7 @@ def _shoulder_exit(h: Vector, shape: SeatShape, torso: float, side: float, backw
 def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
     d = layout.d
     default = SeatSetting(0.0, 0.0, float(layout.torso_2))
+    stand = SeatStand(layout.cushion_2, d.h30_2_mm / 1000)
     heel_ahead = {"rows": 0.44, "facing": 0.50}[d.layout]
     three = d.rear_places == 3
     w20 = d.w20_2_mm / 1000
@@ -182,11 +182,10 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
             inner = centre_half if three else max(w20 - 0.29, 0.004)
             width = 2 * min(edge - w20, w20 - inner)
         sides = (1.0, 1.0) if style != "bench" else {"rear_left": (2.4, 0.3), "rear_right": (0.3, 2.4)}.get(slot, (0.2, 0.2))
-        made, shape = seat_parts(
-            slot, style, cushion_angle=layout.cushion_2, seat_height=d.h30_2_mm / 1000, half_travel=0.0, leather=d.leather,
-            width=width, sides=sides, headrest="none" if slot == "rear_center" and not d.centre_headrest else None, fine=False,
-        )  # fmt: skip
-        parts.extend(made)
+        shape = STYLES[style] if width is None else STYLES[style].of_width(width)
+        if slot == "rear_center" and not d.centre_headrest:
+            shape = replace(shape, headrest="none")
+        parts += seat_parts(slot, shape, stand, leather=d.leather, sides=sides, fine=False)
         h = np.array([layout.h_rear[0], y, layout.h_rear[2]])
         side = -1.0 if y < 0 else 1.0
         reach = float(np.clip(shape.width / 2, 0.21, 0.23))

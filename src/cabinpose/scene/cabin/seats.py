@@ -8,6 +8,7 @@ z up), back and headrest parts in the back frame (z along the torso line).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,19 @@ class SeatShape:
     head_height: float = 0.20  # of an integral headrest above the backrest
     shell: str = "car"  # what carries the cushion: "car", "pedestal", "box"
     armrests: bool = False
+
+    def of_width(self, width: float) -> SeatShape:
+        """The same, this wide (m)."""
+        wider = width / self.width
+        return replace(self, width=width, top_width=self.top_width * wider, insert=self.insert * wider)
+
+
+class SeatStand(NamedTuple):
+    """How a seat stands: the angle of its cushion (rad), its H-point above the floor, half of what its height varies by (m)."""
+
+    cushion_angle: float
+    height: float
+    half_travel: float = 0.0
 
 
 STYLES = {
@@ -168,9 +182,9 @@ def _back_shell(shape: SeatShape) -> Solid:
     return box.deformed(bend)
 
 
-def _under(shape: SeatShape, angle: float, height: float, half_travel: float) -> list[Solid]:
-    """What carries the cushion, down to what the lowest setting leaves above the floor; `height`: H30."""
-    floor = -height + half_travel + 0.006
+def _under(shape: SeatShape, stand: SeatStand) -> list[Solid]:
+    """What carries the cushion, down to what the lowest setting leaves above the floor."""
+    floor, angle = -stand.height + stand.half_travel + 0.006, stand.cushion_angle
     top = -shape.cushion_below_h - shape.cushion_depth
     if shape.shell == "pedestal":
         column = block((0.26, 0.28, 0.14)).shifted(0.08, 0, floor + 0.07)
@@ -205,37 +219,21 @@ def _armrests(shape: SeatShape, sides: tuple[int, ...]) -> Solid:
 
 
 def seat_parts(
-    slot: str, style: str, *, cushion_angle: float, seat_height: float, half_travel: float, leather: bool,
-    width: float | None = None, sides: tuple[float, float] = (1.0, 1.0), headrest: str | None = None, fine: bool = True,
+    slot: str, shape: SeatShape, stand: SeatStand, *, leather: bool, sides: tuple[float, float] = (1.0, 1.0), fine: bool = True,
     armrests: tuple[int, ...] = (),
-) -> tuple[list[Part], SeatShape]:  # fmt: skip
-    """The parts of one place to sit, and the shape they were made from.
+) -> list[Part]:  # fmt: skip
+    """The parts of one place to sit.
 
-    width: m, instead of the style's · sides: bolster factors of the left and right edge · headrest: instead of the
-    style's; "none" leaves it out · fine: more facets, for seats that a camera is close to ·
-    armrests: the sides (+1 left) where the style's armrests are folded down.
+    sides: bolster factors of the left and right edge · fine: more facets, for seats that a camera is close to ·
+    armrests: the sides (+1 left) where the shape's armrests are folded down.
     """
-    shape = STYLES[style]
-    changes: dict[str, object] = {}
-    if width is not None:
-        wider = width / shape.width
-        changes |= {"width": width, "top_width": shape.top_width * wider, "insert": shape.insert * wider}
-    if headrest is not None:
-        changes["headrest"] = headrest
-    if changes:
-        shape = replace(shape, **changes)  # type: ignore[arg-type]
     cover = "seat_leather" if leather else "seat_fabric"
     base, back, rest = (f"seat:{slot}/{g}" for g in ("base", "back", "headrest"))
-    under = join(_under(shape, cushion_angle, seat_height, half_travel))
+    cushion = _cushion(shape, stand.cushion_angle, sides, fine, stand.half_travel + 0.012 - stand.height)
     parts = [
-        Part(
-            f"{slot} cushion",
-            to_surface(_cushion(shape, cushion_angle, sides, fine, half_travel + 0.012 - seat_height), "seat", cover),
-            base,
-            CUSHION_GIVE,
-        ),
+        Part(f"{slot} cushion", to_surface(cushion, "seat", cover), base, CUSHION_GIVE),
         Part(f"{slot} backrest", to_surface(_back(shape, sides, fine), "seat", cover), back, BACK_GIVE),
-        Part(f"{slot} seat base", to_surface(under, "seat", "hard_plastic"), base),
+        Part(f"{slot} seat base", to_surface(join(_under(shape, stand)), "seat", "hard_plastic"), base),
     ]
     if shape.shell != "box":
         parts.append(Part(f"{slot} back shell", to_surface(_back_shell(shape), "seat", "hard_plastic"), back))
@@ -246,4 +244,4 @@ def seat_parts(
             parts.append(Part(f"{slot} headrest posts", to_surface(posts, "seat", "metal"), rest))
     if shape.armrests and armrests:
         parts.append(Part(f"{slot} armrests", to_surface(_armrests(shape, armrests), "seat", cover), base, 0.01))
-    return parts, shape
+    return parts
