@@ -1,11 +1,11 @@
 from .buffers import GeometryBuffers as GeometryBuffers
 from .buffers import SensorFrame as SensorFrame
 from .buffers import in_parts as in_parts
-from .edges import invalidate as invalidate
-from .effects import NOISE_EFFECTS as NOISE_EFFECTS
-from .effects import NoiseEffect as NoiseEffect
 from .empirical import EmpiricalNoise as EmpiricalNoise
 from .filters import median_of_valid as median_of_valid
+from .noise import NOISE_EFFECTS as NOISE_EFFECTS
+from .noise import NoiseEffect as NoiseEffect
+from .noise import invalidate as invalidate
 from .noise_fit import EmpiricalFit as EmpiricalFit
 from .noise_fit import Estimate as Estimate
 from .noise_fit import PhysicalFit as PhysicalFit

@@ -18,7 +18,7 @@ from pydantic import Field
 from cabinpose._native import sensor as native
 from cabinpose.core import Bools, Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.edges import EdgeRule
+from cabinpose.scene.sensor.noise import EdgeRule
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor

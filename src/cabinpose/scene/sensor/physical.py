@@ -20,8 +20,8 @@ from pydantic import Field
 from cabinpose._native import sensor as native
 from cabinpose.core import Bools, ConfigError, Floats, Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.edges import EdgeRule, invalidate
 from cabinpose.scene.sensor.indirect import indirect_light
+from cabinpose.scene.sensor.noise import EdgeRule, invalidate
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor

@@ -10,9 +10,9 @@ from pydantic import Field
 
 from cabinpose.core import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.edges import edge_pixels, invalidate
 from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical
 from cabinpose.scene.sensor.filters import smoothed
+from cabinpose.scene.sensor.noise import edge_pixels, invalidate
 from cabinpose.scene.sensor.physical import PhysicalNoise, simulate_physical
 from cabinpose.scene.sensor.presets import Sensor
 from cabinpose.scene.sensor.structured_light import StructuredLightNoise, simulate_structured_light

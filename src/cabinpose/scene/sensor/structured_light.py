@@ -17,7 +17,7 @@ from pydantic import Field
 from cabinpose._native import sensor as native
 from cabinpose.core import Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.effects import CameraNoise
+from cabinpose.scene.sensor.noise import CameraNoise
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor

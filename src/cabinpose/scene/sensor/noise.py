@@ -1,4 +1,7 @@
-"""Noise models' common part, and the effects that installed packages add to any of them."""
+"""What noise models have in common: effects that installed packages add to any of them, and edges of depth.
+
+Source of the rule for edges: Gonçalves (thesis, 2020), equation 5.6.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, Any
 
+import numpy as np
 from numpy.random import Generator
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetJsonSchemaHandler, SerializeAsAny
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from cabinpose.core import Registry
+from cabinpose.core import Bools, Floats32, Registry
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.presets import Sensor
 
@@ -70,3 +74,29 @@ class CameraNoise(BaseModel):
         exclude_if=operator.not_,
         description="Effects of installed packages, in the order in which they act: {kind: NAME} and the effect's own settings.",
     )
+
+
+class EdgeRule(CameraNoise):
+    """What is an abrupt edge of depth, and whether its pixels are taken out: of noise models that know edges."""
+
+    edge_threshold_m: float = Field(default=0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
+    edge_width_px: int = Field(default=1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
+    remove_edges: bool = Field(
+        default=False, description="Pixels at abrupt edges of the geometry are invalid, as the thesis sets them to 0."
+    )
+
+
+def edge_pixels(depth: Floats32, rule: EdgeRule) -> Bools:
+    """(H, W): where the central difference of depth (m, 0 = nothing) exceeds the threshold; the image's border repeats."""
+    reach = rule.edge_width_px
+    padded = np.pad(depth, reach, mode="edge")
+    across = np.abs(padded[reach:-reach, 2 * reach :] - padded[reach:-reach, : -2 * reach])
+    along = np.abs(padded[2 * reach :, reach:-reach] - padded[: -2 * reach, reach:-reach])
+    return np.asarray(np.maximum(across, along) > rule.edge_threshold_m)
+
+
+def invalidate(frame: SensorFrame, where: Bools) -> None:
+    """Make pixels (H, W) invalid, in place; their amplitude stays."""
+    frame.depth_m[where] = np.nan
+    frame.confidence[where] = 0
+    frame.noise_m[where] = np.nan
