@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,47 +17,17 @@ from cabinpose.store.schema import read_manifest
 from cabinpose.synth.config import SynthConfig
 from tests.sensor.sensor_scenes import generator, wall
 
-ACME = """
-from typing import Literal
-
-from pydantic import Field
-
-from cabinpose.core import Camera
-from cabinpose.scene.sensor import NoiseEffect, Sensor, invalidate
-
-SENSOR = Sensor(
-    name="acme_tof", camera=Camera(80, 60, 60.0, 60.0, 39.5, 29.5), range_m=(0.2, 3.0), fps=20, integration_s=5e-4,
-    frequencies_hz=(60e6,),
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+ACME = "\n\n".join(
+    block
+    for section in ("## A sensor", "## A noise effect")
+    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8").split(section)[1].split("\n## ")[0], re.DOTALL)
 )
-
-
-class Warmth(NoiseEffect):
-    "Depth grows with the camera's temperature."
-
-    kind: Literal["warmth"] = "warmth"
-    kelvin: float = Field(10.0, ge=0, description="Above that of the calibration.")
-    m_per_k: float = Field(1e-3, description="Growth of the depth.")
-
-    def apply(self, frame, buffers, sensor, *, rng):
-        frame.depth_m[:] += self.kelvin * self.m_per_k
-
-
-class Dropped(NoiseEffect):
-    "Rows are lost."
-
-    kind: Literal["dropped_rows"] = "dropped_rows"
-    share: float = Field(0.1, ge=0, le=1, description="Share of the rows.")
-
-    def apply(self, frame, buffers, sensor, *, rng):
-        lost = rng.random(len(frame.depth_m)) < self.share
-        invalidate(frame, lost[:, None] & (frame.confidence > 0))
-"""
 
 
 @pytest.fixture
 def acme(extension: Callable[..., None]) -> None:
-    offers = {"sensors": {"acme_tof": "SENSOR"}, "noise_effects": {"warmth": "Warmth", "dropped_rows": "Dropped"}}
-    extension("acme", offers, ACME)
+    extension("acme", {"sensors": {"acme_tof": "ACME_TOF"}, "noise_effects": {"warmth": "Warmth"}}, ACME)
 
 
 def depth(noise: Any) -> Any:
@@ -75,7 +46,7 @@ def test_effects_act_after_the_noise_in_their_order() -> None:
     plain = depth(PhysicalNoise())
     warmed = depth(PhysicalNoise.model_validate({"effects": [warm]}))
     np.testing.assert_allclose(warmed, plain + np.float32(0.02), atol=1e-6)
-    both = depth(PhysicalNoise.model_validate({"effects": [warm, {"kind": "dropped_rows", "share": 0.5}]}))
+    both = depth(PhysicalNoise.model_validate({"effects": [warm, {"kind": "warmth", "m_per_k": 0.0, "lost": 0.5}]}))
     lost = np.isnan(both).all(axis=1)
     assert 0.2 < lost.mean() < 0.8
     np.testing.assert_array_equal(both[~lost], warmed[~lost])
@@ -98,8 +69,10 @@ def test_a_dataset_says_both_and_can_be_made_again_of_what_it_says(run: Callable
     done = run("synth", "--frames", 1, "--seed", 3, "--out", tmp_path / "data", *chosen, warm)
     assert done.code == 0, done.err
     said = SynthConfig.parse(read_manifest(tmp_path / "data").config)
-    assert said.camera.sensor_model.camera.width == 80
-    assert [effect.model_dump() for effect in said.noise.effects] == [{"kind": "warmth", "kelvin": 10.0, "m_per_k": 2e-3}]
+    assert said.camera.sensor_model.frequency_ratio == (4, 3)
+    assert [effect.model_dump() for effect in said.noise.effects] == [
+        {"kind": "warmth", "kelvin": 10.0, "m_per_k": 2e-3, "lost": 0.0}
+    ]
 
 
 def test_nothing_is_said_of_effects_where_there_are_none() -> None:
