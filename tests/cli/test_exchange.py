@@ -117,12 +117,12 @@ def same_rows(ours: Rows, theirs: Rows, atol: float = 0.0, kinds: tuple[type, ..
 
 
 def of_recordings(can: str) -> tuple[str, ...]:
-    return tuple(name for name, form in FORMATS.items() if isinstance(form, RecordingFormat) and getattr(form, can))
+    return tuple(name for name, form in FORMATS.items() if isinstance(form, RecordingFormat) and form.can(can))
 
 
 def test_every_format_of_recordings_is_tried() -> None:
-    assert set(MAKE) == set(of_recordings("reads")) - {"azure-mkv"}
-    assert of_recordings("writes") == ("c3d", "bvh", "trc", "sto", "csv")
+    assert set(MAKE) == set(of_recordings("read")) - {"azure-mkv"}
+    assert of_recordings("write") == ("c3d", "bvh", "trc", "sto", "csv")
 
 
 @pytest.mark.parametrize("name", sorted(MAKE))
@@ -143,13 +143,13 @@ def test_file_recording_file(run: Run, tmp_path: Path, name: str) -> None:
     again_take = tmp_path / "again.mcap"
     assert run("import", name, first, "--out", again_take, "--subject", "S07", *NEEDS.get(name, ())).code == 0
     assert again_take.read_bytes() == take.read_bytes()  # same file, same bytes
-    if name in of_recordings("writes"):
+    if name in of_recordings("write"):
         code, out, err = run("export", name, take, "--out", again)
         assert code == 0, err
         ours, theirs = (read(path, name, unit_m=UNITS.get(name), subjects=("S07",)) for path in (again, first))
         kinds = (SegmentPoses, JointAngles, Markers, Channels)
         same_rows(ours, theirs, atol=2e-6, kinds=kinds)  # single precision, or text of six decimals of a millimetre or degree
-    made = {first.name, take.name, again_take.name} | ({again.name} if name in of_recordings("writes") else set())
+    made = {first.name, take.name, again_take.name} | ({again.name} if name in of_recordings("write") else set())
     assert {p.name for p in tmp_path.iterdir()} == made
 
 
@@ -169,7 +169,7 @@ def test_real_files(run: Run, real_data: Callable[[str], Path], tmp_path: Path, 
     same_rows(in_recording(take), rows)
     with Recording(take) as recording:
         assert (recording.sources, recording.take.action, recording.take.car) == ((source,), "walk", "lab")
-    if name not in of_recordings("writes"):
+    if name not in of_recordings("write"):
         return
     again = tmp_path / f"again.{name}"
     done = run("export", name, take, "--out", again)

@@ -62,7 +62,7 @@ def test_what_the_source_says_is_what_is_there(name: str) -> None:
     """`--help` reads sources; the options of a format are those that its methods take."""
     form, outline = FORMATS[name], FORMATS.outline(name)
     assert outline is not None
-    assert ("read" in outline.methods, "write" in outline.methods) == (form.reads, form.writes)
+    assert ("read" in outline.methods, "write" in outline.methods) == (form.can("read"), form.can("write"))
     assert outline.summary == (type(form).__doc__ or "").partition("\n")[0]
     for method, options in (("read", form.import_options), ("write", form.export_options)):
         if method in outline.methods:
@@ -122,7 +122,7 @@ def test_a_bad_extension_breaks_nothing_else(
 ) -> None:
     extension("acme", {"formats": {name: "COUNT"}}, code)
     with pytest.warns(UserWarning, match="acme"):
-        assert name not in names_of("writes")
+        assert name not in names_of("write")
     done = run("export", name, dataset_folder, "--out", tmp_path / name)
     assert (done.code, words in done.err) == (2, True)
     assert "hint: update or uninstall acme; everything else works without it" in done.err

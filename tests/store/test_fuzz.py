@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a crash is look
 FEW = {"azure-mkv": 40, "adtfdat": 60, "c3d": 60, "rosbag2": 60, "xdf": 60}  # those that read slowly
 MANY = {"azure-mkv": 300, "adtfdat": 500, "c3d": 300, "rosbag2": 300, "xdf": 300}
 NEEDS = {"adtfdat": "adtf_file", "xdf": "pyxdf", "c3d": "ezc3d", "azure-mkv": "av", "rosbag2": "rosbags"}
-READ = [name for name, form in FORMATS.items() if isinstance(form, RecordingFormat) and form.reads]
+READ = [name for name, form in FORMATS.items() if isinstance(form, RecordingFormat) and form.can("read")]
 
 
 def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:

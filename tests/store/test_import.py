@@ -168,7 +168,7 @@ def test_unknown_sources(tmp_path: Path) -> None:
     assert error.value.hint == "those that do: png-json, coco, itop, ntu, ticam"
     with pytest.raises(ConfigError, match="itop has no option 'every'"):
         open_source(tmp_path, "itop", every=2)
-    for name in (name for name, form in FORMATS.items() if isinstance(form, DatasetFormat) and form.reads):
+    for name in (name for name, form in FORMATS.items() if isinstance(form, DatasetFormat) and form.can("read")):
         with pytest.raises(DatasetError, match="does not exist"):
             open_source(tmp_path / "none", name)
         with pytest.raises(DatasetError) as wrong:

@@ -180,13 +180,12 @@ def _name(package: Distribution) -> str:
 def _outline(entry: EntryPoint) -> Outline | None:
     import ast  # noqa: PLC0415 - 5 ms, for lists alone
 
-    file = _source_file(entry.module)
     try:
-        tree = ast.parse(file.read_bytes()) if file is not None else None
+        tree = ast.parse(_source_file(entry.module).read_bytes())
     except (OSError, SyntaxError):
         return None
     classes: dict[str, ast.ClassDef] = {}
-    for node in getattr(tree, "body", ()):
+    for node in tree.body:
         match node:
             case ast.ClassDef(name=name):
                 classes[name] = node
@@ -200,18 +199,15 @@ def _outline(entry: EntryPoint) -> Outline | None:
     return Outline(summary, tuple(base.id for base in made.bases if isinstance(base, ast.Name)), methods)
 
 
-def _source_file(module: str) -> Path | None:
+def _source_file(module: str) -> Path:
     """The file of a module that is not imported, nor are the packages above it."""
     from importlib.util import find_spec  # noqa: PLC0415 - as above
 
     package, *inner = module.split(".")
     spec = find_spec(package)
-    if spec is None:
-        return None
-    if not inner:
-        return Path(spec.origin) if spec.origin else None
-    files = (Path(folder, *inner).with_suffix(".py") for folder in spec.submodule_search_locations or ())
-    return next((file for file in files if file.is_file()), None)
+    if spec is None or spec.origin is None:
+        raise FileNotFoundError(module)
+    return Path(spec.origin).parent.joinpath(*inner).with_suffix(".py") if inner else Path(spec.origin)
 
 
 def _check_version(entry: EntryPoint) -> None:

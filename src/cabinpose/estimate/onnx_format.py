@@ -11,7 +11,7 @@ from cabinpose.store.convert import ModelFormat
 
 @dataclass(frozen=True, kw_only=True)
 class OnnxExport:
-    """What may be said of an ONNX file."""
+    """How an ONNX file is written."""
 
     name: str | None = None
     """Name of the model in reports; default: the file's."""

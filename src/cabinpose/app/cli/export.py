@@ -67,7 +67,7 @@ class ExportModel(_Export):
     """File to write."""
 
 
-COMMAND = choices("writes", {"datasets": ExportDataset, "recordings": ExportRecording, "models": ExportModel})
+COMMAND = choices("write", {"datasets": ExportDataset, "recordings": ExportRecording, "models": ExportModel})
 modernised = partial(modern, "export")
 
 
@@ -87,7 +87,7 @@ def _export_dataset(command: ExportDataset) -> None:
     if is_recording(command.dataset):
         raise ConfigError(
             f"{command.format} is a format of datasets, and {command.dataset} is no dataset",
-            hint=f"recordings go to {', '.join(names_of('writes', 'recordings'))}",
+            hint=f"recordings go to {', '.join(names_of('write', 'recordings'))}",
         )
     form: DatasetFormat = command.form
     dataset, splits = _frames(command, form)
@@ -123,7 +123,7 @@ def _export_recording(command: ExportRecording) -> None:
     if not is_recording(path):
         raise ConfigError(
             f"{command.format} is a format of recordings, and {path} is no recording",
-            hint=f"datasets go to {', '.join(names_of('writes', 'datasets'))}",
+            hint=f"datasets go to {', '.join(names_of('write', 'datasets'))}",
         )
     if command.out.resolve() == path.resolve():
         raise ConfigError(f"{path} is the recording itself", hint="give another file with --out")

@@ -12,38 +12,38 @@ from typing import Any, Literal
 from cabinpose.app.cli.commands import Choices, with_settings
 from cabinpose.core import CabinposeError, ConfigError, unknown_name
 
-Can = Literal["reads", "writes"]
+Method = Literal["read", "write"]
 
 
-def choices(can: Can, commands: Mapping[str, type]) -> Choices:
+def choices(method: Method, commands: Mapping[str, type]) -> Choices:
     """The formats of a verb; commands: by the heading of formats, dataclasses whose flags come before the format's own."""
 
     def command(name: str) -> type:
         from cabinpose.store.convert import FORMATS
 
         if name not in FORMATS:
-            raise unknown_name("format", name, names_of(can))
+            raise unknown_name("format", name, names_of(method))
         form = FORMATS[name]
-        if not getattr(form, can):
-            verb = "read" if can == "reads" else "written"
-            raise ConfigError(f"the format '{name}' cannot be {verb}", hint=f"those that can: {', '.join(names_of(can))}")
-        options = form.import_options if can == "reads" else form.export_options
-        return with_settings(commands[form.heading], name, options, form=form, format=name, __doc__=type(form).__doc__)
+        if not form.can(method):
+            verb = "read" if method == "read" else "written"
+            raise ConfigError(f"the format '{name}' cannot be {verb}", hint=f"those that can: {', '.join(names_of(method))}")
+        about = {"form": form, "format": name, "__doc__": type(form).__doc__}
+        return with_settings(commands[form.heading], name, form.options(method), **about)
 
     def having(flag: str) -> list[str]:
         found = []
-        for name in names_of(can):
+        for name in names_of(method):
             with suppress(CabinposeError):  # of an extension, or whose package is missing
                 made: Any = command(name)
-                options = made.form.import_options if can == "reads" else made.form.export_options
-                if flag.removeprefix("--").replace("-", "_") in {each.name for each in (*fields(made), *fields(options))}:
+                known = {each.name for each in (*fields(made), *fields(made.form.options(method)))}
+                if flag.removeprefix("--").replace("-", "_") in known:
                     found.append(name)
         return found
 
-    return Choices("format", lambda: listed(can), command, having)
+    return Choices("format", lambda: listed(method), command, having)
 
 
-def listed(can: Can) -> dict[str, dict[str, str]]:
+def listed(method: Method) -> dict[str, dict[str, str]]:
     """What there is to say of the formats that are read or written, by heading and name, read from their sources."""
     from cabinpose.store.convert import FORMATS, Format
 
@@ -53,7 +53,7 @@ def listed(can: Can) -> dict[str, dict[str, str]]:
         outline = FORMATS.outline(name)
         heading = next((headings[base] for base in outline.bases if base in headings), None) if outline is not None else None
         if outline is not None and heading is not None:
-            if can.removesuffix("s") in outline.methods:
+            if method in outline.methods:
                 found[heading][name] = outline.summary
             continue
         try:  # its class is not beside it
@@ -61,14 +61,14 @@ def listed(can: Can) -> dict[str, dict[str, str]]:
         except CabinposeError as error:
             warnings.warn(f"{error.in_one_line()}; it is left out", stacklevel=2)
             continue
-        if getattr(form, can):
+        if form.can(method):
             found[form.heading][name] = (type(form).__doc__ or "").partition("\n")[0]
     return {heading: summaries for heading, summaries in found.items() if summaries}
 
 
-def names_of(can: Can, heading: str | None = None) -> list[str]:
+def names_of(method: Method, heading: str | None = None) -> list[str]:
     """The formats that are read or written, of all headings or of one."""
-    return [name for title, summaries in listed(can).items() if heading in (None, title) for name in summaries]
+    return [name for title, summaries in listed(method).items() if heading in (None, title) for name in summaries]
 
 
 def modern(verb: str, words: Sequence[str]) -> list[str]:

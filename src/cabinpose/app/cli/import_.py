@@ -71,7 +71,7 @@ class ImportLabels(_Import):
     """Who corrected, as the labels shall say."""
 
 
-COMMAND = choices("reads", {"datasets": ImportDataset, "recordings": ImportRecording, "labels of a dataset": ImportLabels})
+COMMAND = choices("read", {"datasets": ImportDataset, "recordings": ImportRecording, "labels of a dataset": ImportLabels})
 modernised = partial(modern, "import")
 
 
@@ -92,7 +92,7 @@ def _import_dataset(command: ImportDataset) -> None:
     if command.out.suffix == ".mcap":
         raise ConfigError(
             f"{command.format} gives a dataset, a folder; {command.out.name} is the name of a recording",
-            hint=f"recordings are made of {', '.join(names_of('reads', 'recordings'))}",
+            hint=f"recordings are made of {', '.join(names_of('read', 'recordings'))}",
         )
     check_new_dataset(command.out, overwrite=command.overwrite)
     source = open_source(command.source, command.format, **vars(command.settings))
@@ -115,7 +115,7 @@ def _import_recording(command: ImportRecording) -> None:
     if command.out.suffix != ".mcap":
         raise ConfigError(
             f"{command.format} gives a recording, one file; {command.out} is no name for it",
-            hint=f"--out FILE.mcap; datasets are made of {', '.join(names_of('reads', 'datasets'))}",
+            hint=f"--out FILE.mcap; datasets are made of {', '.join(names_of('read', 'datasets'))}",
         )
     require("record")
     from cabinpose.store.convert import import_recording

@@ -209,7 +209,7 @@ def read_azure_mkv(path: Path) -> Iterator[Row]:
 
 @dataclass(frozen=True, kw_only=True)
 class AzureMkvImport:
-    """What may be said of a recording of an Azure Kinect."""
+    """How a recording of an Azure Kinect is read."""
 
     name: str = "tof"
     """Name of the source."""

@@ -32,7 +32,7 @@ _MOST_VALUES = 1 << 28  # of the poses in memory: an hour of 60 segments at 240 
 
 @dataclass(frozen=True, kw_only=True)
 class BvhImport:
-    """What may be said of a BVH file."""
+    """How a BVH file is read."""
 
     name: str = "motion"
     """Name of the source."""
@@ -46,7 +46,7 @@ class BvhImport:
 
 @dataclass(frozen=True, kw_only=True)
 class BvhExport:
-    """What may be said of a BVH file that is written."""
+    """How a BVH file is written."""
 
     subject: str | None = None
     """The subject to export; default: the first."""

@@ -149,7 +149,7 @@ def write_c3d(
 
 @dataclass(frozen=True, kw_only=True)
 class C3dImport:
-    """What may be said of a C3D file."""
+    """How a C3D file is read."""
 
     name: str = "optical"
     """Name of the source."""

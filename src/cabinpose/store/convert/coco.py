@@ -53,7 +53,7 @@ _HINT = "cocodataset.org describes the format; is the file cut short, or made by
 
 @dataclass(frozen=True, kw_only=True)
 class CocoImport(ImportOptions):
-    """What may be said of a COCO file."""
+    """How a COCO file is read."""
 
     images: Path | None = None
     """Folder of the images; default: `images` beside `annotations`, else joints only."""
@@ -61,7 +61,7 @@ class CocoImport(ImportOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CocoExport:
-    """What may be said of a COCO file that is written."""
+    """How a COCO file is written."""
 
     images: CocoImages = "depth8"
     """What the pictures show, in 8 bits of grey, in colour or in 16 bits of millimetres."""

@@ -61,8 +61,8 @@ def export_dataset(
         Where `out` exists and `overwrite` is not given, where the format cannot hold the dataset, or where the disk is full;
         then nothing is left behind.
     """
-    form = format_of(name, DatasetFormat, "writes")
-    chosen = made_options(name, form.export_options, options)
+    form = format_of(name, DatasetFormat, "write")
+    chosen = made_options(name, form.options("write"), options)
     return write_parts(form, form.parts(dataset, splits or {}), Path(out), chosen, overwrite=overwrite, report=report)
 
 
@@ -108,8 +108,8 @@ def open_source(path: Path | str, name: str, /, **options: Any) -> Source:
     DatasetError
         For a source that is not there, lacks what the format has, or contradicts itself.
     """
-    form = format_of(name, DatasetFormat, "reads")
-    source, chosen = Path(path), made_options(name, form.import_options, options)
+    form = format_of(name, DatasetFormat, "read")
+    source, chosen = Path(path), made_options(name, form.options("read"), options)
     if not source.exists():
         raise DatasetError(f"{source} does not exist", hint="give the file or folder to import")
     return form.read(source, chosen)

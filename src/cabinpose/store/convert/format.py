@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 
 O = TypeVar("O")
 F = TypeVar("F", bound="Format")
+Method = Literal["read", "write"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoOptions:
-    """Nothing can be said."""
+    """None."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """What may be said of every dataset that is imported."""
+    """How any dataset is read."""
 
     intrinsics: tuple[float, float, float, float] | None = None
     """fx fy cx cy of the camera in px, in place of those of the source."""
@@ -55,19 +56,13 @@ class Format:
     import_options: ClassVar[type[Any]] = NoOptions
     export_options: ClassVar[type[Any]] = NoOptions
 
-    @property
-    def reads(self) -> bool:
-        """Whether the format is read."""
-        return self._has("read")
-
-    @property
-    def writes(self) -> bool:
-        """Whether the format is written."""
-        return self._has("write")
-
-    def _has(self, method: str) -> bool:
-        """Whether a class has such a method that is not of this module."""
+    def can(self, method: Method) -> bool:
+        """Whether the format reads, or writes: has a method that is not of this module."""
         return any(method in vars(kind) for kind in type(self).__mro__ if kind.__module__ != __name__)
+
+    def options(self, method: Method) -> type[Any]:
+        """The dataclass of what may be said of reading, or of writing."""
+        return self.import_options if method == "read" else self.export_options
 
 
 class DatasetFormat(Format):
@@ -199,13 +194,13 @@ class ModelFormat(Format):
 FORMATS: Registry[Format] = Registry("cabinpose.formats", "format", Format)
 
 
-def format_of(name: str, kind: type[F], can: Literal["reads", "writes"]) -> F:
+def format_of(name: str, kind: type[F], method: Method) -> F:
     """The format of this name. Raises ConfigError for one of another kind or without the ability, which lists those that do."""
     form = FORMATS[name]
-    if isinstance(form, kind) and getattr(form, can):
+    if isinstance(form, kind) and form.can(method):
         return form
-    able = (other for other, each in FORMATS.items() if isinstance(each, kind) and getattr(each, can))
-    raise ConfigError(f"the format '{name}' {can} no {kind.heading}", hint=f"those that do: {', '.join(able)}")
+    able = (other for other, each in FORMATS.items() if isinstance(each, kind) and each.can(method))
+    raise ConfigError(f"the format '{name}' {method}s no {kind.heading}", hint=f"those that do: {', '.join(able)}")
 
 
 def made_options(name: str, options: type[O], given: Mapping[str, object]) -> O:

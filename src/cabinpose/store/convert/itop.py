@@ -60,7 +60,7 @@ _PART_JOINT = MappingProxyType(
 
 @dataclass(frozen=True, kw_only=True)
 class ItopImport(ImportOptions):
-    """What may be said of ITOP's files."""
+    """How ITOP's files are read."""
 
     keep_invalid: bool = False
     """Keep the frames whose labels are marked as not valid, without their joints."""

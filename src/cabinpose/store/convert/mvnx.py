@@ -178,7 +178,7 @@ def read_mvnx(path: Path, *, subjects: Sequence[str] = ()) -> Iterator[Row]:
 
 @dataclass(frozen=True, kw_only=True)
 class MvnxImport:
-    """What may be said of an MVNX file."""
+    """How an MVNX file is read."""
 
     name: str = "suit"
     """Name of the source."""

@@ -61,7 +61,7 @@ _HINT = "the file may be cut short, or be no skeleton file of NTU RGB+D; copy it
 
 @dataclass(frozen=True, kw_only=True)
 class NtuImport(SequenceOptions):
-    """What may be said of skeletons of NTU RGB+D."""
+    """How skeletons of NTU RGB+D are read."""
 
     images: Path | None = None
     """Folder of the clips' depth maps; default: that of the skeletons, else joints only."""

@@ -107,7 +107,7 @@ def write_sto(
 
 @dataclass(frozen=True, kw_only=True)
 class StoExport(TableExport):
-    """What may be said of a .sto file."""
+    """How a .sto file is written."""
 
     angles: bool = False
     """Joint angles in place of orientations."""

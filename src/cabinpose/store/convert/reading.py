@@ -24,7 +24,7 @@ _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceOptions(ImportOptions):
-    """What may be said of a source of several sequences."""
+    """How a source of several sequences is read."""
 
     sequences: tuple[str, ...] = ()
     """Only the sequences of these names, in which * stands for anything."""

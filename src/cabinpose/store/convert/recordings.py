@@ -129,8 +129,8 @@ def export_recording(
     RecordingError, MocapError
         Where the recording lacks what the format needs or has more than it can hold; then nothing is left behind.
     """
-    form = format_of(name, RecordingFormat, "writes")
-    chosen = made_options(name, form.export_options, options)
+    form = format_of(name, RecordingFormat, "write")
+    chosen = made_options(name, form.options("write"), options)
     with Recording(path) as recording:
         named = _sources(recording, name, form.topics(chosen), sources)
         start_ns, end_ns = 0, 1 << 64
@@ -145,8 +145,8 @@ def export_recording(
 
 def read_entries(path: Path, name: str, subjects: Sequence[str] = (), /, **options: Any) -> Iterator[Entry]:
     """What a file in the format `name` holds, with the names of sources as the file has them; raises as `import_recording`."""
-    form = format_of(name, RecordingFormat, "reads")
-    chosen = made_options(name, form.import_options, options)
+    form = format_of(name, RecordingFormat, "read")
+    chosen = made_options(name, form.options("read"), options)
     if not path.exists():
         raise RecordingError(f"{path} does not exist", hint="give the file to import")
     return form.read(path, chosen, subjects)

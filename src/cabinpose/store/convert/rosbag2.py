@@ -63,7 +63,7 @@ def read_rosbag2(path: Path, *, topics: tuple[str, ...] = ()) -> Iterator[Row]:
 
 @dataclass(frozen=True, kw_only=True)
 class Rosbag2Import:
-    """What may be said of a bag of ROS 2."""
+    """How a bag of ROS 2 is read."""
 
     name: str = "tof"
     """Name of the source."""

@@ -16,7 +16,7 @@ _CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
 
 @dataclass(frozen=True, kw_only=True)
 class TableExport:
-    """What may be said of a file of frames at one rate."""
+    """How frames at one rate are written."""
 
     subject: str | None = None
     """The subject to export; default: the only one (c3d: everybody)."""

@@ -30,7 +30,7 @@ YoloImages = Literal["depth8", "amplitude8", "rgb"]
 
 @dataclass(frozen=True, kw_only=True)
 class YoloExport:
-    """What may be said of a dataset for Ultralytics."""
+    """How a dataset for Ultralytics is written."""
 
     images: YoloImages = "depth8"
     """What the pictures show, in 8 bits of grey or in colour."""
