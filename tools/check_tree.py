@@ -29,9 +29,9 @@ MAX_PARAMETERS = 7
 FEW_LINES = 25
 # What each figure of the structure may be at most. One that has come down is written down here, so that it stays there.
 STRUCTURE = {
-    "functions with more than 7 parameters": 2,
-    "Python modules under 25 lines of code": 44,
-    "modules under 25 lines of code, with C++": 66,
+    "functions with more than 7 parameters": 0,
+    "Python modules under 25 lines of code": 43,
+    "modules under 25 lines of code, with C++": 65,
     "import circles": 0,
     "names of classes that stand twice": 30,
     "lines of code in src and benchmarks": 53_200,
