@@ -143,6 +143,12 @@ def test_stored_frames_of_several_datasets_follow_each_other() -> None:
                 np.testing.assert_array_equal(mine, theirs)
 
 
+def test_joints_that_others_placed_are_learnt_with_a_warning() -> None:
+    given = {"a": dataset(SEATS), "b": alone("A", "E", "E").assign_attrs(generator="import coco")}
+    with pytest.warns(UserWarning, match=r"placed differently: in a the MakeHuman .*; in b those of the file's annotators"):
+        stored_frames(given, SPEC, None, "train", "validate")
+
+
 def test_another_image_may_be_read_as_depth() -> None:
     given = dataset(SEATS)
     spec = frame_spec(TrainConfig(settings=small.TINY["compact"], depth="depth_styled"))

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cabinpose.core.errors import DatasetError, PredictionsError
+from cabinpose.core.errors import ConfigError, DatasetError, PredictionsError
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE, ITOP
 from cabinpose.evaluate import offline
-from cabinpose.evaluate.offline import check_predictions, common_joints, evaluate, truth_of
+from cabinpose.evaluate.offline import check_predictions, common_joints, common_skeleton, evaluate, truth_of
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.store.predictions import Predictions
 
@@ -102,8 +102,37 @@ def test_joints_of_itop_where_the_dataset_has_them(dataset: xr.Dataset) -> None:
     mean = report.value("MPJPE", "3d")
     assert mean is not None
     assert (mean.value, mean.samples) == (pytest.approx(5.0, abs=1e-4), frames * people * 15 - 2)
-    with pytest.raises(PredictionsError, match="finds ITOP's joints, and the dataset has none"):
+    assert (report.skeleton, report.to_dict()["skeleton"]) == ("itop", "itop")
+    some = evaluate(without, answers, OPTIONS, joints=("head", "neck"))  # of ITOP's, although we have joints of these names
+    assert repr(some.value("MPJPE", "3d", joints="head")) == repr(report.value("MPJPE", "3d", joints="head"))
+    with pytest.raises(DatasetError, match="the dataset has no joints of the set itop") as caught:
         common_joints(dataset, [answers])
+    assert caught.value.hint == "it has those of cabinpose"
+
+
+def test_sets_of_joints_are_not_mixed(dataset: xr.Dataset, predictions: Predictions) -> None:
+    assert "skeleton" not in evaluate(dataset, predictions, OPTIONS).to_dict()
+    other = replace(predictions, skeleton="itop", joints=("head", "neck"), model="other")
+    with pytest.raises(PredictionsError, match="noisy's are of cabinpose, other's are of itop"):
+        common_skeleton(dataset, [predictions, other])
+    for name in ("itop", "coco"):
+        with pytest.raises(DatasetError, match=f"no joints of the set {name}"):
+            evaluate(dataset, replace(other, skeleton=name), OPTIONS)
+    with pytest.raises(PredictionsError, match="no joint torso"):
+        common_skeleton(dataset, [replace(predictions, joints=("torso", *predictions.joints[1:]))])
+    renamed = dataset.isel(joint=slice(2)).assign_coords(joint=["nose", "chin"])
+    with pytest.raises(ConfigError, match="unknown set of joints 'unknown'"):
+        common_skeleton(renamed, [replace(predictions, joints=("nose", "chin"))])
+
+
+def test_whose_joints_they_are_is_noted(dataset: xr.Dataset, predictions: Predictions) -> None:
+    ours, theirs = dataset.assign_attrs(generator="cabinpose.synth"), dataset.assign_attrs(generator="import ntu")
+    assert common_skeleton(ours, [predictions]) == CABINPOSE.subset(common_joints(ours, [predictions]))
+    assert common_skeleton(theirs, [predictions]) != common_skeleton(ours, [predictions])
+    assert evaluate(ours, predictions, OPTIONS).notes == ()
+    report = evaluate(theirs, predictions, OPTIONS)
+    assert report.notes[0].startswith("the dataset's joints are those of Kinect's body tracking; the set cabinpose is ")
+    assert repr(report.values) == repr(evaluate(ours, predictions, OPTIONS).values)
 
 
 def test_frames_left_out_count_as_missed(dataset: xr.Dataset, predictions: Predictions) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ import xarray as xr
 
 from cabinpose.core import ConfigError, DatasetError
 from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames, TrainConfig, fits_memory, joined
-from cabinpose.store import held_out, read_mapping, read_splits, split_datasets, validated
+from cabinpose.store import dataset_skeleton, held_out, read_mapping, read_splits, split_datasets, validated
 from cabinpose.synth import FrameMaker, SynthConfig, person_slots, preflight
 
 _NAMES = 5  # of subjects in a message
@@ -85,11 +86,16 @@ def stored_frames(
 ) -> tuple[Frames, Frames]:
     """Training and validation frames of datasets by their names, one dataset after the other.
 
-    Frames are kept in memory all together or not at all. Raises DatasetError as `training_split` and `StoredFrames` do.
+    Frames are kept in memory all together or not at all. Joints that different sources placed, of the same names, are learnt
+    together with a warning. Raises DatasetError as `training_split` and `StoredFrames` do.
     """
     sides = training_split(datasets, splits, train, validate)
     keep = fits_memory(sum(part.sizes["frame"] for side in sides for part in side.values()), spec)
     training, validation = (_joined(side, spec, keep=keep) for side in sides)
+    whose = {name: dataset_skeleton(dataset, spec.skeleton).definition for name, dataset in datasets.items()}
+    if len(set(whose.values())) > 1:
+        told = "; ".join(f"in {name} {definition}" for name, definition in whose.items())
+        warnings.warn(f"joints of the set {spec.skeleton} are placed differently: {told}", stacklevel=2)
     return training, validation
 
 

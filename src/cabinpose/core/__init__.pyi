@@ -65,6 +65,7 @@ from .skeleton import MVN_SEGMENTS as MVN_SEGMENTS
 from .skeleton import NTU_JOINTS as NTU_JOINTS
 from .skeleton import OTHER_SKELETONS as OTHER_SKELETONS
 from .skeleton import SKELETONS as SKELETONS
+from .skeleton import UNKNOWN_SET as UNKNOWN_SET
 from .skeleton import OtherSkeletonName as OtherSkeletonName
 from .skeleton import Skeleton as Skeleton
 from .skeleton import SkeletonName as SkeletonName

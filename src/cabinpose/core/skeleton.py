@@ -291,6 +291,7 @@ if TYPE_CHECKING:
     OtherSkeletonName: TypeAlias = str  # one of `OTHER_SKELETONS`
 else:  # what settings may say
     SkeletonName, OtherSkeletonName = Literal[tuple(SKELETONS)], Literal[tuple(each.name for each in OTHER_SKELETONS)]
+UNKNOWN_SET = "unknown"  # the name of joints that are of none
 
 
 def skeleton_with(joints: Sequence[str], name: str | None = None) -> Skeleton:
@@ -301,7 +302,7 @@ def skeleton_with(joints: Sequence[str], name: str | None = None) -> Skeleton:
     for each in SKELETONS.values():
         if name in (None, each.name) and set(joints) <= set(each.joints):
             return each.subset(joints)
-    unknown = "unknown" if name is None or name in SKELETONS else name
+    unknown = UNKNOWN_SET if name is None or name in SKELETONS else name
     return Skeleton(unknown, unknown, "not stated", tuple(joints), {}, (), {}, {}, {}, head=None)
 
 

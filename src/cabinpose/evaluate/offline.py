@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NoReturn, cast
+from typing import cast
 
 import numpy as np
 import xarray as xr
@@ -11,6 +11,7 @@ import xarray as xr
 from cabinpose.core import (
     CABINPOSE,
     SKELETONS,
+    UNKNOWN_SET,
     DatasetError,
     FrameBatch,
     PoseBatch,
@@ -40,50 +41,33 @@ def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]
 
 
 def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> Skeleton:
-    """The joints of the dataset, in its order, that all models answer for, as a set.
-
-    Parameters
-    ----------
-    dataset
-        An open dataset, with joints of the models' set: the standard's own, or those in a variable of their own.
-    models
-        Models of one set.
+    """The joints of the dataset, in its order, that all models answer for, as a set: the standard's own or another.
 
     Raises
     ------
     PredictionsError
-        Where the models' sets are not one, or the dataset lacks it or one of its joints: sets are not mixed.
+        Where the models' joints are of different sets, which are not mixed, are unknown to the dataset, or have none in common.
+    DatasetError
+        Where the dataset has no joints of the models' set.
     """
-    first = skeleton_of(models[0])
+    names = {skeleton_of(model).name: model_name(model) for model in models}
+    if len(names) > 1:
+        told = ", ".join(f"{who}'s are of {name}" for name, who in names.items())
+        raise PredictionsError(f"the models' joints are of different sets: {told}", hint="evaluate them one by one")
+    (name,) = names
+    known = dataset_skeleton(dataset, CABINPOSE.name if name == UNKNOWN_SET else name)
     for model in models:
-        joints, who = skeleton_of(model), model_name(model)
-        if joints.name not in SKELETONS:
-            _refuse_joints(dataset, who, joints)
-        if joints.name != first.name:
-            told = f"{model_name(models[0])} finds joints of the set {first.name}, {who} of {joints.name}"
-            raise PredictionsError(told, hint="evaluate them one by one")
-        if joint_dimension(joints.name) not in dataset.coords:
+        if unknown := [joint for joint in model.joints if joint not in known.joints]:
             raise PredictionsError(
-                f"{who} finds {joints.title}'s joints, and the dataset has none of them",
-                hint=f"its joints are {', '.join(dataset_skeleton(dataset).joints)}",
+                f"{model_name(model)}: the dataset has no joint {', '.join(unknown)}",
+                hint=f"its joints are {', '.join(known.joints)}",
             )
-    known = dataset_skeleton(dataset, first.name)
-    shared = [name for name in known.joints if all(name in model.joints for model in models)]
+    if name not in SKELETONS:
+        raise unknown_name("set of joints", name, list(SKELETONS))
+    shared = [joint for joint in known.joints if all(joint in model.joints for model in models)]
     if not shared:
         raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
-    return SKELETONS[first.name].subset(shared).marked_by(known.definition)
-
-
-def _refuse_joints(dataset: xr.Dataset, who: str, joints: Skeleton) -> NoReturn:
-    """Raise PredictionsError for joints of no set that is known."""
-    known = dataset_skeleton(dataset)
-    hint = f"its joints are {', '.join(known.joints)}"
-    if unknown := [name for name in joints.joints if name not in known.joints]:
-        raise PredictionsError(f"{who}: the dataset has no joint {', '.join(unknown)}", hint=hint)
-    raise PredictionsError(
-        f"{who}: its joints are those of the set '{joints.name}', which the dataset does not have",
-        hint=f"where they are placed as in a known set, `skeleton` of the file says so: {', '.join(SKELETONS)}",
-    )
+    return SKELETONS[name].subset(shared).marked_by(known.definition)
 
 
 def truth_of(dataset: xr.Dataset, skeleton: Skeleton) -> xr.Dataset:

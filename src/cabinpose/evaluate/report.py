@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cabinpose.core import CABINPOSE
 from cabinpose.evaluate.boxes import Boxes, boxes_by_range
 from cabinpose.evaluate.metrics import METRICS, Metric, Value
 from cabinpose.evaluate.options import EvaluationOptions
@@ -30,7 +31,7 @@ class Report:
     joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
     (of the head size) and for the error (px, cm) · calibration: see `_calibration` · boxes: by space, range of the error and
     joint (px, cm) · worst: numbers of the worst frames, worst first · typical: of those nearest to the median frame, best
-    first · settings: the options in words.
+    first · settings: the options in words · skeleton: the set that the joints are of.
     """
 
     model: str
@@ -46,6 +47,7 @@ class Report:
     typical: tuple[int, ...]
     settings: Mapping[str, Any]
     notes: tuple[str, ...] = ()
+    skeleton: str = CABINPOSE.name
 
     def value(
         self, metric: str, space: str = "3d", joints: str = ALL, threshold: float | None = None, visibility: str = "any"
@@ -59,8 +61,8 @@ class Report:
         return None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+        """Plain data; the set of joints is left out where it is the standard's own."""
+        return {name: value for name, value in asdict(self).items() if (name, value) != ("skeleton", CABINPOSE.name)}
 
 
 def make_report(samples: Samples, options: EvaluationOptions, model: str, dataset: str, notes: tuple[str, ...] = ()) -> Report:
@@ -90,6 +92,7 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
         typical=ranked[middle : middle + _SHOWN][::-1] if middle > 0 else (),  # few frames are all among the worst
         settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
         notes=notes,
+        skeleton=skeleton.name,
     )
 
 

@@ -12,7 +12,7 @@ from cabinpose.app.report.charts import line, svg
 from cabinpose.app.report.html import Html, el, figure, picture_uri
 from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
-from cabinpose.core import SKELETONS, PoseBatch, Predictor, Skeleton, Visibility, skeleton_of
+from cabinpose.core import SKELETONS, PoseBatch, Predictor, Skeleton, Visibility, skeleton_with
 from cabinpose.evaluate import ALL, EvaluationOptions, Report, frame_batch, truth_of
 from cabinpose.store import Predictions, joint_dimension
 
@@ -26,7 +26,7 @@ def frame_figures(
     """Figures of the frames of these numbers; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
-    skeleton = skeleton_of(model).subset(report.joint_sets[ALL])
+    skeleton = skeleton_with(report.joint_sets[ALL], report.skeleton)
     columns = [model.joints.index(name) for name in skeleton.joints]
     away = {"y", *map(joint_dimension, SKELETONS)}
     rest = dataset.drop_vars([n for n, v in dataset.variables.items() if n != "depth" and away & set(v.dims)])
