@@ -1,0 +1,120 @@
+"""The example of an extension, installed into an environment of its own: everything it adds is used from outside, by name."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "extension"
+SCENE = (
+    "scene.cars=[suv]", "scene.occupancy={driver: 1}", "scene.motion={driver: {adjust_hair: 1}}",
+    "scene.objects={front_passenger: thermos}",
+)  # fmt: skip
+
+Run = Callable[..., str]
+
+
+def test_the_example_is_small() -> None:
+    files = [EXAMPLE / "pyproject.toml", *(EXAMPLE / "cabinpose_example").glob("*.py")]
+    assert sum(len(path.read_text("utf-8").splitlines()) for path in files) < 250
+
+
+@pytest.fixture(scope="session")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The interpreter of a fresh environment that sees this one's packages, and in which the example alone is installed."""
+    folder = tmp_path_factory.mktemp("extension")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "env"], check=True)
+    found = folder / "env" / "bin" / "python"
+    ask = [found, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+    site = Path(subprocess.run(ask, check=True, capture_output=True, text=True).stdout.strip())
+    (site / "outer.pth").write_text(f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n", encoding="utf-8")
+    source = shutil.copytree(EXAMPLE, folder / "source")
+    words = ["install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation", str(source)]
+    subprocess.run([sys.executable, "-m", "pip", "--python", str(found), *words], check=True)
+    return found
+
+
+@pytest.fixture
+def run(python: Path, tmp_path: Path) -> Run:
+    """`run("synth", ...)`: what a command prints in that environment, in a folder of the test's own."""
+
+    def command(*words: object) -> str:
+        done = subprocess.run(
+            [python, "-m", "cabinpose", *map(str, words)], cwd=tmp_path, check=False, capture_output=True, text=True, timeout=600
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return command
+
+
+@pytest.fixture(scope="session")
+def dataset(python: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight frames with the example's action and thing."""
+    out = tmp_path_factory.mktemp("extension") / "dataset"
+    subprocess.run([python, "-m", "cabinpose", "synth", "--frames", "8", "--out", out, *SCENE], check=True, capture_output=True)
+    return out
+
+
+@pytest.mark.slow
+def test_synth_does_its_action_and_brings_its_thing(run: Run, dataset: Path) -> None:
+    told = json.loads(run("info", dataset, "--json"))
+    assert told["by_action"] == {"adjust_hair": 8}
+    import cabinpose
+    from cabinpose.scene import LABEL_ID
+
+    seen = (cabinpose.open(dataset).labels.values == LABEL_ID["bottle"]).any(axis=(1, 2))
+    assert seen.sum() >= 4
+
+
+@pytest.mark.slow
+def test_nothing_joins_the_defaults(run: Run, tmp_path: Path) -> None:
+    """A dataset that names nothing of the extension's has the bytes that it has without it."""
+    words = ["synth", "--frames", "3", "--seed", "4", "--workers", "1", "--out"]
+    run(*words, "with")
+    subprocess.run([sys.executable, "-m", "cabinpose", *words, "without"], cwd=tmp_path, check=True, capture_output=True)
+    made = [
+        {p.relative_to(tmp_path / name): p.read_bytes() for p in (tmp_path / name).rglob("*") if p.is_file()}
+        for name in ("with", "without")
+    ]
+    assert made[0] == made[1] != {}
+
+
+@pytest.mark.slow
+def test_its_detector_is_trained_and_judged_by_its_metric(run: Run, dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.yaml").write_text("method: mean\nsettings: {slots: [driver]}\n", encoding="utf-8")
+    run("train", dataset, "--config", "run.yaml", "--out", "run")
+    run("predict", dataset, "--model", "run/best.npz", "--out", "found.jsonl")
+    run("evaluate", dataset, "--model", "run/best.npz", "--persons", "driver", "--resamples", "20", "--out", "report")
+    told = json.loads((tmp_path / "report" / "report.json").read_text("utf-8"))
+    from cabinpose.store import read_predictions
+
+    found = read_predictions(tmp_path / "found.jsonl")
+    assert np.isfinite(found.joints_3d).any()
+    assert "median error of hands" in json.dumps(told)
+    assert "median error of hands" in (tmp_path / "report" / "index.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_its_source_is_recorded_and_watched_live(run: Run, dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text("sources:\n  wall: {kind: board, distance_m: 1.2}\n", encoding="utf-8")
+    run("record", "--config", "rig.yaml", "--out", "take.mcap", "--duration", "0.5")
+    import cabinpose
+
+    (frame, *_) = (m for _, sample in cabinpose.open(tmp_path / "take.mcap").samples(["wall"]) for m in sample.messages)
+    np.testing.assert_allclose(frame.depth_m(), 1.2, atol=1e-3)
+    *_, last = run(
+        "live", "--source", "board", "--set", "distance_m=0.8", "--model", "in_car", "--frames", "2", "--json"
+    ).splitlines()
+    assert json.loads(last)["summary"]["frames"] == 2
