@@ -79,6 +79,32 @@ def test_synth_does_its_action_and_brings_its_thing(run: Run, dataset: Path) -> 
 
 
 @pytest.mark.slow
+def test_its_sensor_sees_and_its_effect_acts(run: Run, tmp_path: Path) -> None:
+    import cabinpose
+
+    words = ("synth", "--frames", "1", "--seed", "2", *SCENE, "camera.sensor=wide_tof")
+    run(*words, "--out", "clean")
+    run(*words, "noise={kind: physical, effects: [{kind: dust, share: 0.5}]}", "--out", "dusty")
+    clean, dusty = (np.isfinite(cabinpose.open(tmp_path / name).depth.values[0]) for name in ("clean", "dusty"))
+    assert clean.shape == (120, 160)
+    assert not (dusty & ~clean).any()
+    assert dusty.sum() / clean.sum() == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.slow
+def test_its_format_is_written_and_read(run: Run, dataset: Path, tmp_path: Path) -> None:
+    import cabinpose
+
+    assert "joints" in run("export", "--help")
+    run("export", "joints", dataset, "--out", "table", "--digits", "3")
+    run("import", "joints", "table/joints.csv", "--out", "again", "--licence", "CC0-1.0")
+    before, after = cabinpose.open(dataset), cabinpose.open(tmp_path / "again")
+    there = [str(name) for name in after["person"].values]
+    theirs = before.joints_3d.sel(person=there).values
+    np.testing.assert_allclose(after.joints_3d.values, theirs, atol=6e-4)
+
+
+@pytest.mark.slow
 def test_nothing_joins_the_defaults(run: Run, tmp_path: Path) -> None:
     """A dataset that names nothing of the extension's has the bytes that it has without it."""
     words = ["synth", "--frames", "3", "--seed", "4", "--workers", "1", "--out"]
