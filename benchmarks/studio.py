@@ -47,9 +47,9 @@ OffscreenCanvasRenderingContext2D.prototype.putImageData = function (...all) {
 
 
 @contextmanager
-def studio(*arguments: object) -> Iterator[str]:
+def studio(*arguments: object, python: str = sys.executable) -> Iterator[str]:
     """A studio that is serving, as its address."""
-    words = [sys.executable, "-m", "cabinpose", "studio", *map(str, arguments), "--port", "0"]
+    words = [python, "-m", "cabinpose", "studio", *map(str, arguments), "--port", "0"]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:

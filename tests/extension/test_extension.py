@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -12,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "extension"
@@ -144,3 +143,30 @@ def test_its_source_is_recorded_and_watched_live(run: Run, dataset: Path, tmp_pa
         "live", "--source", "board", "--set", "distance_m=0.8", "--model", "in_car", "--frames", "2", "--json"
     ).splitlines()
     assert json.loads(last)["summary"]["frames"] == 2
+
+
+@pytest.mark.slow
+def test_the_studio_has_all_of_it(python: Path, tmp_path: Path) -> None:
+    """A scene with its action, thing, sensor and effect is shown; its camera is chosen, and a model runs on it."""
+    if shutil.which("chromium") is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    pytest.importorskip("nicegui", reason="needs the extra `studio`")
+    pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    from benchmarks.studio import page_of, studio
+
+    (tmp_path / "scene.yaml").write_text(
+        "scene:\n  cars: [suv]\n  occupancy: {driver: 1}\n  motion: {driver: {adjust_hair: 1}}\n"
+        "  objects: {front_passenger: thermos}\n"
+        "camera: {sensor: wide_tof}\nnoise: {kind: physical, effects: [{kind: dust}]}\n",
+        encoding="utf-8",
+    )
+    with studio(tmp_path / "scene.yaml", python=str(python)) as address, page_of(1280, 800) as page:
+        page.goto(address)
+        page.get_by_text("holds: nothing collides").wait_for()
+        page.screenshot(path=tmp_path / "scene.png")
+        page.get_by_role("tab", name="Live").click()
+        page.get_by_label("source", exact=True).click()
+        page.get_by_role("option", name="board").click()
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text(re.compile(r"^in_car: [\d.]+ ms")).wait_for()
+        page.screenshot(path=tmp_path / "live.png")
