@@ -152,7 +152,7 @@ def test_the_studio_has_all_of_it(python: Path, tmp_path: Path) -> None:
         pytest.skip("needs Chromium: apt-get install chromium")
     pytest.importorskip("nicegui", reason="needs the extra `studio`")
     pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    from benchmarks.studio import page_of, studio
+    from benchmarks.studio import choose, page_of, studio
 
     (tmp_path / "scene.yaml").write_text(
         "scene:\n  cars: [suv]\n  occupancy: {driver: 1}\n  motion: {driver: {adjust_hair: 1}}\n"
@@ -165,8 +165,7 @@ def test_the_studio_has_all_of_it(python: Path, tmp_path: Path) -> None:
         page.get_by_text("holds: nothing collides").wait_for()
         page.screenshot(path=tmp_path / "scene.png")
         page.get_by_role("tab", name="Live").click()
-        page.get_by_label("source", exact=True).click()
-        page.get_by_role("option", name="board").click()
+        choose(page, "source", "board")
         page.get_by_role("button", name="Start").click()
         page.get_by_text(re.compile(r"^in_car: [\d.]+ ms")).wait_for()
         page.screenshot(path=tmp_path / "live.png")
