@@ -110,7 +110,6 @@ def test_predictions_are_opened_and_evaluated(dataset: Path, model: JointPredict
         persons=model.persons,
         joints=model.joints,
         model="in_car",
-        skeleton="cabinpose20",
         dataset=None,
     )
     path = write_predictions(tmp_path / "found.jsonl", predictions)
