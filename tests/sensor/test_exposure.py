@@ -20,7 +20,7 @@ from cabinpose.scene.sensor import (
     sample_times,
     simulate,
 )
-from cabinpose.scene.sensor.filters import smoothed
+from cabinpose.scene.sensor.noise import smoothed
 
 C = 299_792_458.0
 

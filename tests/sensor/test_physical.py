@@ -418,7 +418,7 @@ def test_every_switch_matters(switch: str) -> None:
 
 
 def test_the_switches_are_all_there_are() -> None:
-    assert {*SWITCHES, *DETAILS} == set(PhysicalNoise.model_fields) - {"kind"}
+    assert {*SWITCHES, *DETAILS} == set(PhysicalNoise.model_fields) - {"kind", "effects"}
 
 
 # --------------------------------------------------------------------------------------------------------- what it promises

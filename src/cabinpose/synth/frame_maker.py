@@ -69,17 +69,22 @@ class FrameMaker:
 
     def make(self, index: int) -> tuple[Frame, Scene]:
         """Frame `index`: every variable of the dataset standard, and the scene it shows."""
-        return self._make_filtered(index) if self._sensor.temporal_median > 1 else self._make_alone(index)
-
-    def _make_filtered(self, index: int) -> tuple[Frame, Scene]:
-        """A frame whose depth is the median over it and those before it in its sequence; what others made is made again."""
-        assert self._sequence is not None
-        frame, scene = self._make_alone(index)
-        made = {**self._delivered, index: frame["depth"]}
-        first = max(index - self._sensor.temporal_median + 1, index // self._sequence.frames * self._sequence.frames)
-        self._delivered = {i: made[i] if i in made else self._make_alone(i)[0]["depth"] for i in range(first, index + 1)}
-        frame["depth"] = median_of_valid(np.stack(list(self._delivered.values())))
+        depths = {}
+        for i in self._filtered_over(index):
+            if i < index and i in self._delivered:  # what other threads made is made again
+                depths[i] = self._delivered[i]
+                continue
+            frame, scene = self._make_alone(i)
+            depths[i] = frame["depth"]
+        self._delivered = depths
+        if len(depths) > 1:
+            frame["depth"] = median_of_valid(np.stack(list(depths.values())))
         return frame, scene
+
+    def _filtered_over(self, index: int) -> range:
+        """The frames whose median depth the camera delivers as that of a frame: the last ones of its sequence."""
+        first = index if self._sequence is None else index // self._sequence.frames * self._sequence.frames
+        return range(max(index - self._sensor.temporal_median + 1, first), index + 1)
 
     def _make_alone(self, index: int) -> tuple[Frame, Scene]:
         """A frame as it is before a filter over time."""

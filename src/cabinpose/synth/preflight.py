@@ -13,11 +13,12 @@ from cabinpose.core import ConfigError, Floats
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import SEATS_OF_ALL, VIEWS_OF_ALL, Cabin
 from cabinpose.scene.contact import ContactField
-from cabinpose.synth.cabins import car_dimensions, car_names, open_cabin
+from cabinpose.synth.cabins import car_dimensions, open_cabin
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.people import People
 from cabinpose.synth.pictures.path_tracing import mitsuba
+from cabinpose.synth.plan import Plan
 from cabinpose.synth.posture import ACTIONS, actions_for
 from cabinpose.synth.posture.actions import suits
 from cabinpose.synth.subjects import Subjects
@@ -45,16 +46,16 @@ def preflight(config: SynthConfig, *, frames: int) -> None:
         profile.preflight()
     occupants = scene.occupants if isinstance(scene, CabinScene) else {}
     known = {slot: who for slot, o in occupants.items() if (who := o.subject) and (who in SUBJECTS or who in config.people.own)}
-    subjects = Subjects(config.people, 0)  # whose bodies are made: ConfigError where none has the mass
-    bodies = {who: subjects.body(who)[0] for who in (*config.people.own, *known.values())}
+    plan = Plan(config, 0)
+    bodies = {who: plan.subjects.body(who)[0] for who in (*config.people.own, *known.values())}
     if isinstance(scene, RoomScene):
         return
     for slot, who in known.items():
         for kind in weights_of(scene.child_seats.get(slot, {}), ()):
             check_size(who, bodies[who].stature_m or 0.0, kind)
     if scene.factorial is not None and scene.factorial.seat == "driver":
-        _check_drivers(config.people, subjects)
-    for car in _cars_in_doubt(config, scene):
+        _check_drivers(config.people, plan.subjects)
+    for car in _cars_in_doubt(config, scene, plan):
         _check_seats(scene, car)
         _check_actions(scene, car)
         _check_views(config, car)
@@ -94,7 +95,7 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
-def _cars_in_doubt(config: SynthConfig, scene: CabinScene) -> Iterator[_Car]:
+def _cars_in_doubt(config: SynthConfig, scene: CabinScene, plan: Plan) -> Iterator[_Car]:
     """The cars that are built beforehand; warns of open meshes."""
     unusual = not _every_car_has(config, scene)
     for car in scene.cars:
@@ -107,7 +108,7 @@ def _cars_in_doubt(config: SynthConfig, scene: CabinScene) -> Iterator[_Car]:
                 warnings.warn(f"{Path(car).name}: {warning}", stacklevel=3)
             yield _Car(car, cabin, tuple(cabin.seats), ours=not is_car_file(car))
     # The seats, actions and views of random cars are the same in all of them: one stands for all.
-    if unusual and any(is_random_car(car) for car in car_names(config)):
+    if unusual and any(is_random_car(car) for car in plan.cabins.names):
         cabin = open_cabin(car_dimensions(0, "C0000").model_copy(update={"rear_places": 3}), "left")
         yield _Car("a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"), ours=True)
 

@@ -2,10 +2,10 @@ from .buffers import GeometryBuffers as GeometryBuffers
 from .buffers import SensorFrame as SensorFrame
 from .buffers import in_parts as in_parts
 from .empirical import EmpiricalNoise as EmpiricalNoise
-from .filters import median_of_valid as median_of_valid
 from .noise import NOISE_EFFECTS as NOISE_EFFECTS
 from .noise import NoiseEffect as NoiseEffect
 from .noise import invalidate as invalidate
+from .noise import median_of_valid as median_of_valid
 from .noise_fit import EmpiricalFit as EmpiricalFit
 from .noise_fit import Estimate as Estimate
 from .noise_fit import PhysicalFit as PhysicalFit

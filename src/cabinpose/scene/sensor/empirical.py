@@ -8,6 +8,7 @@ go that stand before or behind all of their neighbours (`remove_spikes`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -41,6 +42,21 @@ class EmpiricalNoise(EdgeRule):
     )
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
+    def simulate(
+        self,
+        buffers: GeometryBuffers,
+        sensor: Sensor,
+        *,
+        rng: Generator,
+        exposures: Sequence[GeometryBuffers] = (),  # noqa: ARG002 - it is measured of what stands still
+    ) -> SensorFrame:
+        """The amplitude is that of the geometry, without noise."""
+        height, width = buffers.shape
+        frame = SensorFrame.empty(buffers.shape)
+        ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)
+        native.simulate_empirical(buffers, _empirical(sensor, self), self, ranks, normal_quantiles(), frame)
+        return frame
+
 
 class _Empirical(NamedTuple):
     """Lens and light of a sensor, as the kernel takes them beside the effects: sensor/empirical.cpp."""
@@ -66,12 +82,3 @@ def _empirical(sensor: Sensor, noise: EmpiricalNoise) -> _Empirical:
         near=near,
         far=far,
     )
-
-
-def simulate_empirical(buffers: GeometryBuffers, sensor: Sensor, noise: EmpiricalNoise, *, rng: Generator) -> SensorFrame:
-    """One frame with measured noise; see `simulate`. The amplitude is that of the geometry, without noise."""
-    height, width = buffers.shape
-    frame = SensorFrame.empty(buffers.shape)
-    ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)
-    native.simulate_empirical(buffers, _empirical(sensor, noise), noise, ranks, normal_quantiles(), frame)
-    return frame

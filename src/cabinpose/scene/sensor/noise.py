@@ -1,4 +1,4 @@
-"""What noise models have in common: effects that installed packages add to any of them, and edges of depth.
+"""What noise models have in common: effects that installed packages add to any of them, edges of depth, and the camera's filters.
 
 Source of the rule for edges: Gonçalves (thesis, 2020), equation 5.6.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from pydantic_core import CoreSchema
 from cabinpose.core import Bools, Floats32, Registry
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.presets import Sensor
+
+_EDGE_M = 0.03  # of the bilateral filter: neighbours that differ by more weigh little
 
 
 class NoiseEffect(BaseModel, ABC):
@@ -63,8 +65,8 @@ class _Installed:
         return {"oneOf": known} if known else {"not": {}}
 
 
-class CameraNoise(BaseModel):
-    """What all noise models have."""
+class CameraNoise(BaseModel, ABC):
+    """A noise model: its settings, and how a camera with such noise sees."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -75,6 +77,15 @@ class CameraNoise(BaseModel):
         description="Effects of installed packages, in the order in which they act: {kind: NAME} and the effect's own settings.",
     )
 
+    @abstractmethod
+    def simulate(
+        self, buffers: GeometryBuffers, sensor: Sensor, *, rng: Generator, exposures: Sequence[GeometryBuffers] = ()
+    ) -> SensorFrame:
+        """One frame of a camera, before effects of packages and its own filters; see `simulate` of the package."""
+
+    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:
+        """What the camera itself takes out of a frame in the end, in place."""
+
 
 class EdgeRule(CameraNoise):
     """What is an abrupt edge of depth, and whether its pixels are taken out: of noise models that know edges."""
@@ -84,6 +95,13 @@ class EdgeRule(CameraNoise):
     remove_edges: bool = Field(
         default=False, description="Pixels at abrupt edges of the geometry are invalid, as the thesis sets them to 0."
     )
+
+    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:
+        """Takes edges out, where they are to be, and smooths the depth as the sensor does."""
+        if self.remove_edges:
+            invalidate(frame, edge_pixels(buffers.depth_m, self))
+        if sensor.spatial_filter != "none":
+            frame.depth_m[:] = smoothed(frame.depth_m, sensor)
 
 
 def edge_pixels(depth: Floats32, rule: EdgeRule) -> Bools:
@@ -100,3 +118,32 @@ def invalidate(frame: SensorFrame, where: Bools) -> None:
     frame.depth_m[where] = np.nan
     frame.confidence[where] = 0
     frame.noise_m[where] = np.nan
+
+
+def median_of_valid(depths: Floats32) -> Floats32:
+    """(H, W) median of depths (N, H, W), without those that are NaN; NaN where the last one is."""
+    ordered = np.sort(depths, axis=0)  # NaN last
+    count = np.isfinite(depths).sum(axis=0)
+    low, high = (
+        np.take_along_axis(ordered, at[None], axis=0)[0] for at in (np.maximum(count - 1, 0) // 2, np.maximum(count, 1) // 2)
+    )
+    return np.where(np.isnan(depths[-1]), np.float32(np.nan), (low + high) / 2)
+
+
+def smoothed(depth: Floats32, sensor: Sensor) -> Floats32:
+    """Depth (H, W) through the sensor's spatial filter: of valid neighbours, and only where the pixel itself is valid."""
+    size = sensor.spatial_px
+    padded = np.pad(depth, size // 2, constant_values=np.nan)
+    height, width = depth.shape
+    beside = [padded[y : y + height, x : x + width] for y in range(size) for x in range(size)]
+    if sensor.spatial_filter == "median":
+        return median_of_valid(np.stack([*(b for i, b in enumerate(beside) if i != len(beside) // 2), depth]))
+    total, weights = np.zeros(depth.shape, np.float32), np.zeros(depth.shape, np.float32)
+    for neighbour in beside:
+        weight = np.isfinite(neighbour).astype(np.float32)
+        if sensor.spatial_filter == "bilateral":
+            weight = np.nan_to_num(np.exp(-0.5 * ((neighbour - depth) / np.float32(_EDGE_M)) ** 2))
+        weights += weight
+        total += weight * np.nan_to_num(neighbour)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isnan(depth), np.float32(np.nan), total / weights)

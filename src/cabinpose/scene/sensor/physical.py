@@ -114,6 +114,42 @@ class PhysicalNoise(EdgeRule):
     )
     circular_field: bool = Field(default=True, description="Pixels outside the lens' image circle are invalid.")
 
+    def simulate(
+        self, buffers: GeometryBuffers, sensor: Sensor, *, rng: Generator, exposures: Sequence[GeometryBuffers] = ()
+    ) -> SensorFrame:
+        """One frame of a continuous-wave camera."""
+        if sensor.principle != "time_of_flight":
+            raise ConfigError(
+                f"sensor '{sensor.name}' is not a Time-of-Flight camera, and the noise model 'physical' is one",
+                hint="choose the noise model 'structured_light' or 'empirical'",
+            )
+        expected = len(sample_times(sensor, self))
+        samples = list(exposures) or [buffers] * expected
+        if len(samples) != expected:
+            raise ConfigError(
+                f"{len(samples)} exposures for the {expected} samples of a frame of '{sensor.name}'",
+                hint="give the geometry at each of `sample_times`",
+            )
+        camera = _continuous_wave(sensor, self, buffers.supersample)
+        if self.multipath:
+            lit, falloff, unseen = _lit(buffers, sensor, self), self.vignetting, self.multipath_unseen
+            light = indirect_light(lit, sensor, camera.table, camera.frequencies, falloff=falloff, unseen=unseen)
+            camera = camera._replace(indirect=light)
+        if self.sun > 0:
+            camera = _in_the_sun(camera, buffers, sensor, self, rng=rng)
+        first = len(samples) if sensor.second_integration_s is None else len(samples) // 2
+        frame = _exposed(samples[:first], camera, sensor, self, rng=rng)
+        if sensor.second_integration_s is not None and (full := np.isinf(frame.noise_m)).any():
+            _take_shorter(frame, full, samples[first:], camera, sensor, self, rng=rng)
+        if self.low_amplitude and self.low_amplitude_spread > 0:
+            height, width = buffers.shape
+            ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]
+            floor = sensor.min_amplitude_e * np.exp(self.low_amplitude_spread * normal_quantiles()[ranks])
+            invalidate(frame, frame.amplitude < floor)
+        if self.fixed_pattern_mm > 0 or self.fixed_pattern_gain > 0:
+            _add_fixed_pattern(frame, camera, self)
+        return frame
+
 
 NO_EFFECTS = PhysicalNoise(  # a camera without noise
     shot_noise=False, read_noise=False, full_well=False, flying_pixels=False, blur=0.0, wrapping=False, consistency=False,
@@ -190,48 +226,6 @@ def _shares(which: Sequence[int], frequencies: int, planes: int) -> Floats:
         for plane, samples in ((2 + 2 * k, [0, 2]), (3 + 2 * k, [1, 3])):
             shares[:, plane] = of_moment[4 * k : 4 * k + 4][samples].mean(axis=0)
     return shares
-
-
-def simulate_physical(
-    buffers: GeometryBuffers,
-    sensor: Sensor,
-    noise: PhysicalNoise,
-    *,
-    rng: Generator,
-    exposures: Sequence[GeometryBuffers] = (),
-) -> SensorFrame:
-    """One frame of a continuous-wave camera; see `simulate`."""
-    if sensor.principle != "time_of_flight":
-        raise ConfigError(
-            f"sensor '{sensor.name}' is not a Time-of-Flight camera, and the noise model 'physical' is one",
-            hint="choose the noise model 'structured_light' or 'empirical'",
-        )
-    expected = len(sample_times(sensor, noise))
-    samples = list(exposures) or [buffers] * expected
-    if len(samples) != expected:
-        raise ConfigError(
-            f"{len(samples)} exposures for the {expected} samples of a frame of '{sensor.name}'",
-            hint="give the geometry at each of `sample_times`",
-        )
-    camera = _continuous_wave(sensor, noise, buffers.supersample)
-    if noise.multipath:
-        lit, falloff, unseen = _lit(buffers, sensor, noise), noise.vignetting, noise.multipath_unseen
-        light = indirect_light(lit, sensor, camera.table, camera.frequencies, falloff=falloff, unseen=unseen)
-        camera = camera._replace(indirect=light)
-    if noise.sun > 0:
-        camera = _in_the_sun(camera, buffers, sensor, noise, rng=rng)
-    first = len(samples) if sensor.second_integration_s is None else len(samples) // 2
-    frame = _exposed(samples[:first], camera, sensor, noise, rng=rng)
-    if sensor.second_integration_s is not None and (full := np.isinf(frame.noise_m)).any():
-        _take_shorter(frame, full, samples[first:], camera, sensor, noise, rng=rng)
-    if noise.low_amplitude and noise.low_amplitude_spread > 0:
-        height, width = buffers.shape
-        ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]
-        floor = sensor.min_amplitude_e * np.exp(noise.low_amplitude_spread * normal_quantiles()[ranks])
-        invalidate(frame, frame.amplitude < floor)
-    if noise.fixed_pattern_mm > 0 or noise.fixed_pattern_gain > 0:
-        _add_fixed_pattern(frame, camera, noise)
-    return frame
 
 
 def _exposed(

@@ -10,12 +10,11 @@ from pydantic import Field
 
 from cabinpose.core import ConfigError
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
-from cabinpose.scene.sensor.empirical import EmpiricalNoise, simulate_empirical
-from cabinpose.scene.sensor.filters import smoothed
-from cabinpose.scene.sensor.noise import edge_pixels, invalidate
-from cabinpose.scene.sensor.physical import PhysicalNoise, simulate_physical
+from cabinpose.scene.sensor.empirical import EmpiricalNoise
+from cabinpose.scene.sensor.noise import CameraNoise
+from cabinpose.scene.sensor.physical import PhysicalNoise
 from cabinpose.scene.sensor.presets import Sensor
-from cabinpose.scene.sensor.structured_light import StructuredLightNoise, simulate_structured_light
+from cabinpose.scene.sensor.structured_light import StructuredLightNoise
 
 # Discriminated by `kind`, for a field of a configuration.
 NoiseModel = Annotated[PhysicalNoise | EmpiricalNoise | StructuredLightNoise, Field(discriminator="kind")]
@@ -24,7 +23,7 @@ NoiseModel = Annotated[PhysicalNoise | EmpiricalNoise | StructuredLightNoise, Fi
 def simulate(
     buffers: GeometryBuffers,
     sensor: Sensor,
-    noise: PhysicalNoise | EmpiricalNoise | StructuredLightNoise,
+    noise: CameraNoise,
     *,
     rng: Generator,
     exposures: Sequence[GeometryBuffers] = (),
@@ -61,18 +60,8 @@ def simulate(
             f"geometry of {buffers.shape[1]}x{buffers.shape[0]} pixels for the sensor '{sensor.name}' of {size[1]}x{size[0]}",
             hint="render with the sensor's own camera",
         )
-    if isinstance(noise, PhysicalNoise):
-        frame = simulate_physical(buffers, sensor, noise, rng=rng, exposures=exposures)
-    elif isinstance(noise, EmpiricalNoise):
-        frame = simulate_empirical(buffers, sensor, noise, rng=rng)
-    else:
-        frame = simulate_structured_light(buffers, sensor, noise, rng=rng)
+    frame = noise.simulate(buffers, sensor, rng=rng, exposures=exposures)
     for effect in noise.effects:
         effect.apply(frame, buffers, sensor, rng=rng)
-    if isinstance(noise, StructuredLightNoise):
-        return frame
-    if noise.remove_edges:
-        invalidate(frame, edge_pixels(buffers.depth_m, noise))
-    if sensor.spatial_filter != "none":
-        frame.depth_m[:] = smoothed(frame.depth_m, sensor)
+    noise.filter(frame, buffers, sensor)
     return frame

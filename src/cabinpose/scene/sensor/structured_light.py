@@ -7,6 +7,7 @@ Sensors 12(2), 2012 (baseline 75 mm, disparity in eighths of a pixel). Shadows f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -45,6 +46,20 @@ class StructuredLightNoise(CameraNoise):
     )
     range_window: bool = Field(default=True, description="Depths outside the sensor's range are invalid.")
 
+    def simulate(
+        self,
+        buffers: GeometryBuffers,
+        sensor: Sensor,
+        *,
+        rng: Generator,
+        exposures: Sequence[GeometryBuffers] = (),  # noqa: ARG002 - its pattern is read at once
+    ) -> SensorFrame:
+        """The amplitude is that of the geometry, without noise."""
+        frame, ranks = SensorFrame.empty(buffers.shape), random_words(buffers.shape, rng=rng).view(np.uint16)
+        camera = _structured_light(sensor, self, buffers.supersample)
+        native.simulate_structured_light(buffers, camera, sensor, self, ranks, normal_quantiles(), frame)
+        return frame
+
 
 class _StructuredLight(NamedTuple):
     """Lens and light of a sensor, as the kernel takes them beside the sensor and the effects: sensor/structured_light.cpp."""
@@ -73,13 +88,3 @@ def _structured_light(sensor: Sensor, noise: StructuredLightNoise, supersample: 
         near=near,
         far=far,
     )
-
-
-def simulate_structured_light(
-    buffers: GeometryBuffers, sensor: Sensor, noise: StructuredLightNoise, *, rng: Generator
-) -> SensorFrame:
-    """One frame of a structured-light camera; see `simulate`. The amplitude is that of the geometry, without noise."""
-    frame = SensorFrame.empty(buffers.shape)
-    camera, ranks = _structured_light(sensor, noise, buffers.supersample), random_words(buffers.shape, rng=rng).view(np.uint16)
-    native.simulate_structured_light(buffers, camera, sensor, noise, ranks, normal_quantiles(), frame)
-    return frame
