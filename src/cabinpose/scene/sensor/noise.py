@@ -50,6 +50,7 @@ class NoiseEffect(BaseModel, ABC):
         """
 
 
+# Those of installed packages: effects of our own are settings of the noise models.
 NOISE_EFFECTS: Registry[type[NoiseEffect]] = Registry("cabinpose.noise_effects", "noise effect", NoiseEffect, subclass=True)
 
 
